@@ -1,0 +1,82 @@
+// ply.hpp - 3DGS scenes in PLY files: streamed, random-access reading and writing.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+
+#include "rgs/file.hpp"
+#include "rgs/result.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs {
+
+/// A 3DGS PLY opened for random access by Gaussian; attributes are read from the mapped file when asked for.
+/// Properties are found by name (x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*), in any order and of any scalar
+/// type; other properties and elements are skipped. Binary (both byte orders) is read in place; ASCII, and vertices
+/// with list properties, are converted once into an unlinked temporary file of fixed-size rows.
+/// Reading is thread-safe.
+class PlyFile {
+ public:
+  /// Errors: open_failed, read_failed; bad_syntax (header), truncated (expected and found bytes),
+  /// not_gaussian_splats (a property is missing; 2DGS; found in Error::found), unsupported_feature, limit_exceeded.
+  static Result<PlyFile> open(const std::string& path);
+  /// Reads from a pipe (or any descriptor) by spooling it into an unlinked temporary file first.
+  static Result<PlyFile> open(int fd);
+  /// Parses a PLY in memory, which must outlive the object; for tests and fuzzing.
+  static Result<PlyFile> open(std::span<const std::byte> bytes);
+
+  PlyFile(PlyFile&&) noexcept;
+  PlyFile& operator=(PlyFile&&) noexcept;
+  ~PlyFile();
+
+  std::uint64_t size() const;                 ///< number of Gaussians
+  int sh_degree() const;                      ///< 0..3, by the number of f_rest properties: 0, 9, 24, 45
+  std::uint64_t bytes() const;                ///< size of the source
+  std::span<const std::byte> source() const;  ///< the source's bytes as they lie on disk (for hashing)
+
+  /// Gaussians first .. first + out.size() - 1.
+  void read(std::uint64_t first, std::span<Splat> out) const;
+  /// Gaussians indices[0], indices[1], ... in that order; out.size() == indices.size().
+  void gather(std::span<const std::uint32_t> indices, std::span<Splat> out) const;
+  /// Hint: how rows [first, first + count) are read next. `done` lets the kernel drop their pages.
+  void advise(MappedFile::Access access, std::uint64_t first, std::uint64_t count) const;
+
+ private:
+  struct Impl;
+  explicit PlyFile(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+/// The whole file in memory.
+Result<SplatCloud> read_ply(const std::string& path);
+
+/// Writes a binary little-endian PLY with the properties of the original 3DGS code in its order: x y z nx ny nz
+/// f_dc_0..2 f_rest_* (channel-major) opacity scale_0..2 rot_0..3, all float.
+/// Rows may be written in any order and from several threads, each once.
+class PlyWriter {
+ public:
+  static Result<PlyWriter> create(const std::string& path, std::uint64_t n, int sh_degree, AtomicFile::Options options);
+  /// Rows first .. first + splats.size() - 1.
+  Status write(std::uint64_t first, std::span<const Splat> splats);
+  /// See AtomicFile::commit: seconds spent syncing.
+  Result<double> commit();
+
+ private:
+  AtomicFile file_;
+  std::uint64_t n_ = 0;
+  std::uint64_t header_bytes_ = 0;
+  int sh_degree_ = 0;
+};
+
+/// The PLY header that PlyWriter writes, "ply\n" to "end_header\n".
+std::string ply_header(std::uint64_t n, int sh_degree);
+/// Bytes of one row that PlyWriter writes: 4 * (17 + 3 * (coefficients - 1)).
+std::uint64_t ply_row_bytes(int sh_degree);
+/// Encodes rows as PlyWriter writes them; out.size() == splats.size() * ply_row_bytes(sh_degree).
+void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std::byte> out);
+
+}  // namespace rgs

@@ -1,0 +1,83 @@
+// result.hpp - the one error type of the library and the value-or-error return type.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <tl/expected.hpp>
+
+namespace rgs {
+
+/// Closed list of failures. The hundreds digit is the class, and the class is the exit code of every program:
+/// 1xx internal, 2xx usage, 3xx input/output, 4xx malformed or unsupported input, 5xx quality gate.
+enum class Errc : std::uint16_t {
+  internal = 100,  ///< a bug in this library
+  cancelled,       ///< stopped by the caller
+
+  bad_argument = 200,  ///< an option is out of its documented range
+  bad_camera,          ///< a camera has a non-finite or non-positive parameter
+  unavailable,         ///< the requested backend is not built or no device answers
+
+  open_failed = 300,  ///< a file could not be opened
+  read_failed,        ///< reading failed, or the file changed size while being read
+  write_failed,       ///< writing, syncing or renaming failed (disk full, permissions)
+  output_exists,      ///< the output is there already and overwriting was not asked for
+  output_unusable,    ///< the output is a directory, or is the input
+  device_failed,      ///< a CUDA call failed
+  device_out_of_memory,
+
+  truncated = 400,      ///< the data end before what the header promises
+  bad_magic,            ///< not this format
+  unsupported_version,  ///< the major version is not known
+  reserved_bits,        ///< a reserved field is not zero
+  bad_header,           ///< a header field is out of range or contradicts another
+  bad_section,          ///< a section entry is out of range, misaligned or out of order
+  section_overlap,      ///< two sections share bytes
+  section_gap,          ///< bytes that no section reaches, or padding that is not zero
+  trailing_bytes,       ///< bytes after the last section
+  checksum_mismatch,    ///< stored and computed XXH3-64 differ
+  missing_section,      ///< a required section is absent
+  duplicate_section,    ///< a known section is there twice
+  unknown_required,     ///< an unknown section carries the must-understand bit
+  unsupported_codec,    ///< a section's codec is not known
+  size_mismatch,        ///< a section's size contradicts the counts in the header
+  limit_exceeded,       ///< a count or size is above the caller's DecodeLimits
+  bad_value,            ///< a stored value is out of its legal range (non-finite, bad enumerator, bad index)
+  bad_syntax,           ///< text that does not parse (PLY header, JSON, camera file)
+  not_gaussian_splats,  ///< a well-formed file that does not hold 3D Gaussian splats
+  unsupported_feature,  ///< well-formed, but of a kind this program does not read
+  too_many_bad,         ///< more damaged Gaussians than the policy allows
+
+  gate_failed = 500,  ///< a quality condition asked for by the caller does not hold
+};
+
+/// Exit code class of an error: 1 internal, 2 usage, 3 input/output, 4 malformed input, 5 quality gate.
+constexpr int exit_code(Errc code) {
+  return static_cast<int>(code) / 100;
+}
+
+/// A failure: static text, position and two numbers; copying it never allocates.
+struct Error {
+  static constexpr std::uint64_t kNone = ~std::uint64_t{0};
+
+  Errc code = Errc::internal;
+  std::uint64_t offset = kNone;    ///< byte position in the input where it was noticed, kNone if there is none
+  const char* what = "";           ///< static text: what is wrong and, where it helps, what to do
+  std::uint64_t expected = kNone;  ///< what should have been there (a count, a size, a hash), kNone if not numeric
+  std::uint64_t found = kNone;     ///< what was there, kNone if not numeric
+  int system = 0;                  ///< errno of the failed system call, 0 if none
+};
+
+template <class T>
+using Result = tl::expected<T, Error>;
+using Status = tl::expected<void, Error>;
+
+inline tl::unexpected<Error> fail(Errc code, std::uint64_t offset, const char* what,
+                                  std::uint64_t expected = Error::kNone, std::uint64_t found = Error::kNone,
+                                  int system = 0) {
+  return tl::unexpected<Error>(Error{code, offset, what, expected, found, system});
+}
+
+/// Short stable name of an error code, e.g. "checksum_mismatch"; used by --json output and by tests.
+const char* errc_name(Errc code);
+
+}  // namespace rgs

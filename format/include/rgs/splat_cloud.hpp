@@ -1,0 +1,59 @@
+// splat_cloud.hpp - 3D Gaussian splats as values in memory, in the parameters they are trained in.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+namespace rgs {
+
+inline constexpr int kMaxShDegree = 3;
+
+/// SH coefficients per colour channel for degrees 0..degree: 1, 4, 9, 16.
+constexpr int sh_coefficients(int degree) {
+  return (degree + 1) * (degree + 1);
+}
+
+/// One Gaussian in the parameters of 3DGS training (Kerbl et al. 2023). The frame is the scene's world frame.
+struct Splat {
+  float mean[3] = {0, 0, 0};         ///< centre, world units
+  float log_scale[3] = {0, 0, 0};    ///< natural logarithm of the standard deviations along the local axes
+  float rotation[4] = {1, 0, 0, 0};  ///< quaternion w, x, y, z; need not be normalised
+  float opacity_logit = 0;           ///< opacity = 1 / (1 + exp(-opacity_logit))
+  float sh[3 * 16] = {};             ///< [16, 3] coefficient-major, R G B interleaved; unused degrees are 0
+};
+
+/// Read-only view of N Gaussians, structure of arrays. All spans must have the stated sizes.
+struct SplatView {
+  std::uint64_t n = 0;
+  int sh_degree = 0;                     ///< 0..3
+  std::span<const float> mean;           ///< [n, 3] world units
+  std::span<const float> log_scale;      ///< [n, 3]
+  std::span<const float> rotation;       ///< [n, 4] w, x, y, z
+  std::span<const float> opacity_logit;  ///< [n]
+  std::span<const float> sh;             ///< [n, sh_coefficients(sh_degree), 3]
+
+  /// Sizes agree with n and sh_degree.
+  bool consistent() const;
+  /// Gaussian i as one record.
+  Splat splat(std::uint64_t i) const;
+};
+
+/// Owning counterpart of SplatView.
+struct SplatCloud {
+  int sh_degree = 0;
+  std::vector<float> mean;           ///< [n, 3]
+  std::vector<float> log_scale;      ///< [n, 3]
+  std::vector<float> rotation;       ///< [n, 4] w, x, y, z
+  std::vector<float> opacity_logit;  ///< [n]
+  std::vector<float> sh;             ///< [n, sh_coefficients(sh_degree), 3]
+
+  std::uint64_t size() const { return opacity_logit.size(); }
+  SplatView view() const { return {size(), sh_degree, mean, log_scale, rotation, opacity_logit, sh}; }
+  void resize(std::uint64_t n, int degree);
+  void set(std::uint64_t i, const Splat& splat);
+};
+
+}  // namespace rgs

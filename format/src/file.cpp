@@ -1,0 +1,264 @@
+// file.cpp - mapped input and all-or-nothing output on POSIX.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/file.hpp"
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cerrno>
+#include <chrono>
+#include <climits>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <utility>
+
+namespace rgs {
+namespace {
+
+tl::unexpected<Error> system_error(Errc code, const char* what) {
+  return fail(code, Error::kNone, what, Error::kNone, Error::kNone, errno);
+}
+
+// Unfinished temporaries, walked by the signal handler: plain memory and lock-free flags only.
+// state: 0 free, 1 being filled, 2 live.
+struct Slot {
+  std::atomic<int> state{0};
+  char path[PATH_MAX];
+};
+constexpr int kSlots = 32;
+Slot g_slots[kSlots];
+static_assert(std::atomic<int>::is_always_lock_free);
+
+int claim_slot(const std::string& path) {
+  if (path.size() >= sizeof(Slot::path)) return -1;
+  for (int i = 0; i < kSlots; ++i) {
+    int expected = 0;
+    if (!g_slots[i].state.compare_exchange_strong(expected, 1)) continue;
+    std::memcpy(g_slots[i].path, path.c_str(), path.size() + 1);
+    g_slots[i].state.store(2, std::memory_order_release);
+    return i;
+  }
+  return -1;
+}
+
+void release_slot(int slot) {
+  if (slot >= 0) g_slots[slot].state.store(0, std::memory_order_release);
+}
+
+extern "C" void remove_temporaries_and_die(int signal_number) {
+  for (Slot& slot : g_slots) {
+    if (slot.state.load(std::memory_order_acquire) == 2) ::unlink(slot.path);
+  }
+  // SA_RESETHAND has restored the default action: the process dies of the signal, as its parent expects to see.
+  ::raise(signal_number);
+}
+
+std::string folder_of(const std::string& path) {
+  const std::size_t slash = path.find_last_of('/');
+  if (slash == std::string::npos) return ".";
+  return slash == 0 ? "/" : path.substr(0, slash);
+}
+
+// Masks the handled signals while a temporary is created, so that none dies between the file and its table entry.
+class SignalGuard {
+ public:
+  SignalGuard() {
+    sigset_t set;
+    sigemptyset(&set);
+    for (const int s : {SIGINT, SIGTERM, SIGHUP}) sigaddset(&set, s);
+    pthread_sigmask(SIG_BLOCK, &set, &old_);
+  }
+  ~SignalGuard() { pthread_sigmask(SIG_SETMASK, &old_, nullptr); }
+  SignalGuard(const SignalGuard&) = delete;
+  SignalGuard& operator=(const SignalGuard&) = delete;
+
+ private:
+  sigset_t old_;
+};
+
+}  // namespace
+
+Result<MappedFile> MappedFile::open(const std::string& path) {
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (fd < 0) return system_error(Errc::open_failed, "cannot open for reading");
+  auto mapped = map(fd);
+  ::close(fd);
+  return mapped;
+}
+
+Result<MappedFile> MappedFile::map(int fd) {
+  struct stat info {};
+  if (::fstat(fd, &info) != 0) return system_error(Errc::open_failed, "cannot read the file's size");
+  if (S_ISDIR(info.st_mode)) return fail(Errc::open_failed, Error::kNone, "is a directory, not a file");
+  if (!S_ISREG(info.st_mode)) return fail(Errc::open_failed, Error::kNone, "is not a regular file");
+  MappedFile file;
+  file.size_ = static_cast<std::size_t>(info.st_size);
+  if (file.size_ == 0) return file;  // mmap refuses length 0
+  void* data = ::mmap(nullptr, file.size_, PROT_READ, MAP_PRIVATE, fd, 0);
+  if (data == MAP_FAILED) return system_error(Errc::read_failed, "cannot map the file");
+  file.data_ = static_cast<const std::byte*>(data);
+  return file;
+}
+
+MappedFile::MappedFile(MappedFile&& other) noexcept
+    : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
+
+MappedFile& MappedFile::operator=(MappedFile&& other) noexcept {
+  std::swap(data_, other.data_);
+  std::swap(size_, other.size_);
+  return *this;
+}
+
+MappedFile::~MappedFile() {
+  if (data_ != nullptr) ::munmap(const_cast<std::byte*>(data_), size_);
+}
+
+void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t length) const {
+  if (data_ == nullptr || offset >= size_) return;
+  int advice = MADV_NORMAL;
+  switch (access) {
+    case Access::normal: advice = MADV_NORMAL; break;
+    case Access::sequential: advice = MADV_SEQUENTIAL; break;
+    case Access::random: advice = MADV_RANDOM; break;
+    case Access::will_need: advice = MADV_WILLNEED; break;
+    case Access::done: advice = MADV_DONTNEED; break;
+  }
+  const auto page = static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE));
+  const std::uint64_t first = offset / page * page;
+  const std::uint64_t last = offset + std::min<std::uint64_t>(length, size_ - offset);
+  ::madvise(const_cast<std::byte*>(data_) + first, last - first, advice);
+}
+
+Result<AtomicFile> AtomicFile::create(const std::string& path, Options options) {
+  struct stat info {};
+  if (::stat(path.c_str(), &info) == 0) {
+    if (S_ISDIR(info.st_mode)) return fail(Errc::output_unusable, Error::kNone, "the output is a directory");
+    if (!S_ISREG(info.st_mode)) return fail(Errc::output_unusable, Error::kNone, "the output is not a regular file");
+    if (!options.overwrite) {
+      return fail(Errc::output_exists, Error::kNone, "the output exists already; pass --overwrite to replace it");
+    }
+  }
+  AtomicFile file;
+  file.path_ = path;
+  file.options_ = options;
+  file.temporary_ = path + ".tmp-XXXXXX";
+  const SignalGuard guard;
+  file.fd_ = ::mkostemp(file.temporary_.data(), O_CLOEXEC);
+  if (file.fd_ < 0) {
+    file.temporary_.clear();
+    return system_error(Errc::open_failed, "cannot create a file in the output's folder");
+  }
+  file.slot_ = claim_slot(file.temporary_);
+  const mode_t mask = ::umask(0);
+  ::umask(mask);
+  ::fchmod(file.fd_, 0666 & ~mask);  // mkostemp made it 0600
+  return file;
+}
+
+AtomicFile::AtomicFile(AtomicFile&& other) noexcept {
+  *this = std::move(other);
+}
+
+AtomicFile& AtomicFile::operator=(AtomicFile&& other) noexcept {
+  std::swap(path_, other.path_);
+  std::swap(temporary_, other.temporary_);
+  std::swap(options_, other.options_);
+  std::swap(fd_, other.fd_);
+  std::swap(slot_, other.slot_);
+  return *this;
+}
+
+AtomicFile::~AtomicFile() {
+  discard();
+}
+
+void AtomicFile::discard() {
+  if (fd_ >= 0) ::close(fd_);
+  fd_ = -1;
+  if (!temporary_.empty()) ::unlink(temporary_.c_str());
+  temporary_.clear();
+  release_slot(std::exchange(slot_, -1));
+}
+
+Status AtomicFile::reserve(std::uint64_t size) {
+  if (size == 0) return {};
+  const int error = ::posix_fallocate(fd_, 0, static_cast<off_t>(size));
+  if (error == 0 || error == EOPNOTSUPP || error == EINVAL) return {};  // no reservation here: writes will tell
+  return fail(Errc::write_failed, Error::kNone, "cannot reserve space for the output", size, Error::kNone, error);
+}
+
+Status AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> bytes) {
+  while (!bytes.empty()) {
+    const ssize_t written = ::pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
+    if (written < 0 && errno == EINTR) continue;
+    if (written <= 0) {
+      return fail(Errc::write_failed, offset, "cannot write the output", Error::kNone, Error::kNone,
+                  written == 0 ? ENOSPC : errno);
+    }
+    bytes = bytes.subspan(static_cast<std::size_t>(written));
+    offset += static_cast<std::uint64_t>(written);
+  }
+  return {};
+}
+
+Result<double> AtomicFile::commit() {
+  double seconds = 0;
+  const auto timed_sync = [&seconds](int fd) {
+    const auto start = std::chrono::steady_clock::now();
+    const int status = ::fsync(fd);
+    seconds += std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    return status == 0;
+  };
+  if (options_.sync && !timed_sync(fd_)) return system_error(Errc::write_failed, "cannot sync the output");
+  const int closed = ::close(std::exchange(fd_, -1));
+  if (closed != 0) return system_error(Errc::write_failed, "cannot close the output");
+  if (options_.overwrite) {
+    if (::rename(temporary_.c_str(), path_.c_str()) != 0) {
+      return system_error(Errc::write_failed, "cannot rename the output to its name");
+    }
+  } else if (::renameat2(AT_FDCWD, temporary_.c_str(), AT_FDCWD, path_.c_str(), RENAME_NOREPLACE) != 0) {
+    if (errno == EEXIST) {
+      return fail(Errc::output_exists, Error::kNone, "the output appeared meanwhile; pass --overwrite to replace it");
+    }
+    // File systems without RENAME_NOREPLACE: a hard link refuses an existing name just as well.
+    if (errno != EINVAL && errno != ENOSYS)
+      return system_error(Errc::write_failed, "cannot rename the output to its name");
+    if (::link(temporary_.c_str(), path_.c_str()) != 0) {
+      return system_error(errno == EEXIST ? Errc::output_exists : Errc::write_failed,
+                          "cannot give the output its name");
+    }
+    ::unlink(temporary_.c_str());
+  }
+  temporary_.clear();
+  release_slot(std::exchange(slot_, -1));
+  if (options_.sync) {
+    const int folder = ::open(folder_of(path_).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    if (folder >= 0) {
+      timed_sync(folder);  // some file systems refuse to sync a folder; the file itself is on disk
+      ::close(folder);
+    }
+  }
+  return seconds;
+}
+
+void remove_temporaries_on_signal() {
+  struct sigaction action {};
+  action.sa_handler = remove_temporaries_and_die;
+  action.sa_flags = static_cast<int>(SA_RESETHAND | SA_NODEFER);
+  sigemptyset(&action.sa_mask);
+  for (const int s : {SIGINT, SIGTERM, SIGHUP}) ::sigaction(s, &action, nullptr);
+}
+
+bool same_file(const std::string& a, const std::string& b) {
+  struct stat x {
+  }, y{};
+  return ::stat(a.c_str(), &x) == 0 && ::stat(b.c_str(), &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
+}
+
+}  // namespace rgs
