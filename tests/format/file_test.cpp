@@ -1,0 +1,144 @@
+// file_test.cpp - mapped input and all-or-nothing output.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/file.hpp"
+
+#include <doctest/doctest.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <array>
+#include <csignal>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <string>
+
+#include "temporary_folder.hpp"
+
+namespace fs = std::filesystem;
+using rgs::AtomicFile;
+using rgs::Errc;
+using rgs::MappedFile;
+using rgs::test::TemporaryFolder;
+
+namespace {
+
+std::span<const std::byte> as_bytes(const std::string& text) {
+  return std::as_bytes(std::span(text));
+}
+
+std::string contents(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+std::size_t entries(const fs::path& folder) {
+  return static_cast<std::size_t>(std::distance(fs::directory_iterator(folder), fs::directory_iterator()));
+}
+
+}  // namespace
+
+TEST_CASE("mapped file shows the bytes; empty, missing and folder inputs are told apart") {
+  const TemporaryFolder folder;
+  std::ofstream(folder.file("a")) << "splat";
+  std::ofstream(folder.file("empty"));
+  const auto a = MappedFile::open(folder.file("a"));
+  REQUIRE(a);
+  CHECK(a->bytes().size() == 5);
+  CHECK(std::memcmp(a->bytes().data(), "splat", 5) == 0);
+  const auto empty = MappedFile::open(folder.file("empty"));
+  REQUIRE(empty);
+  CHECK(empty->bytes().empty());
+  const auto missing = MappedFile::open(folder.file("none"));
+  REQUIRE_FALSE(missing);
+  CHECK(missing.error().code == Errc::open_failed);
+  CHECK(missing.error().system == ENOENT);
+  const auto directory = MappedFile::open(folder.path().string());
+  REQUIRE_FALSE(directory);
+  CHECK(directory.error().code == Errc::open_failed);
+}
+
+TEST_CASE("an output appears on commit and not before; without commit nothing stays") {
+  const TemporaryFolder folder;
+  const std::string path = folder.file("out");
+  {
+    auto file = AtomicFile::create(path, {});
+    REQUIRE(file);
+    REQUIRE(file->write_at(3, as_bytes("def")));
+    REQUIRE(file->write_at(0, as_bytes("abc")));
+    CHECK_FALSE(fs::exists(path));
+    REQUIRE(file->commit());
+    CHECK(contents(path) == "abcdef");
+    CHECK(entries(folder.path()) == 1);
+  }
+  {
+    auto file = AtomicFile::create(path, {.overwrite = true, .sync = false});
+    REQUIRE(file);
+    REQUIRE(file->write_at(0, as_bytes("half")));
+  }
+  CHECK(contents(path) == "abcdef");
+  CHECK(entries(folder.path()) == 1);
+}
+
+TEST_CASE("an existing output is kept unless overwriting is asked for, also when it appears late") {
+  const TemporaryFolder folder;
+  const std::string path = folder.file("out");
+  auto late = AtomicFile::create(path, {});
+  REQUIRE(late);
+  std::ofstream(path) << "first";
+  const auto refused = AtomicFile::create(path, {});
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::output_exists);
+  const auto committed = late->commit();
+  REQUIRE_FALSE(committed);
+  CHECK(committed.error().code == Errc::output_exists);
+  CHECK(contents(path) == "first");
+  auto replace = AtomicFile::create(path, {.overwrite = true, .sync = true});
+  REQUIRE(replace);
+  REQUIRE(replace->write_at(0, as_bytes("second")));
+  REQUIRE(replace->commit());
+  CHECK(contents(path) == "second");
+}
+
+TEST_CASE("folders and missing folders are refused as outputs") {
+  const TemporaryFolder folder;
+  const auto directory = AtomicFile::create(folder.path().string(), {.overwrite = true});
+  REQUIRE_FALSE(directory);
+  CHECK(directory.error().code == Errc::output_unusable);
+  const auto nowhere = AtomicFile::create(folder.file("none/out"), {});
+  REQUIRE_FALSE(nowhere);
+  CHECK(nowhere.error().code == Errc::open_failed);
+}
+
+TEST_CASE("moving an output keeps exactly one owner of the temporary") {
+  const TemporaryFolder folder;
+  auto a = AtomicFile::create(folder.file("a"), {});
+  REQUIRE(a);
+  AtomicFile b = std::move(*a);
+  CHECK(entries(folder.path()) == 1);
+  REQUIRE(b.write_at(0, as_bytes("x")));
+  b = AtomicFile();
+  CHECK(entries(folder.path()) == 0);
+}
+
+TEST_CASE("signals remove unfinished outputs and still end the process") {
+  for (const int signal_number : {SIGINT, SIGTERM, SIGHUP}) {
+    const TemporaryFolder folder;
+    const pid_t child = ::fork();
+    REQUIRE(child >= 0);
+    if (child == 0) {
+      rgs::remove_temporaries_on_signal();
+      auto file = AtomicFile::create(folder.file("out"), {});
+      if (!file || !file->write_at(0, as_bytes("half"))) ::_exit(1);
+      ::raise(signal_number);
+      ::_exit(2);
+    }
+    int status = 0;
+    REQUIRE(::waitpid(child, &status, 0) == child);
+    CHECK(WIFSIGNALED(status));
+    CHECK(WTERMSIG(status) == signal_number);
+    CHECK(entries(folder.path()) == 0);
+  }
+}
