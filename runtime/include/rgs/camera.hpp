@@ -1,0 +1,84 @@
+// camera.hpp - pinhole cameras: one value type, views of a scene without cameras, and paths between cameras.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Frames. Camera axes are OpenCV's: x right, y down, z forward. A world point p has camera coordinates
+// c = R p + t, where world_to_camera = [R t; 0 1], and lands at the image position
+//     u = fx * c.x / c.z + cx,    v = fy * c.y / c.z + cy    (pixels from the left and the upper edge of the image).
+// Pixel (i, j) covers [i, i + 1) x [j, j + 1) and is sampled at its centre (i + 1/2, j + 1/2), so cx = width / 2,
+// cy = height / 2 is the exact centre of the image. This is COLMAP's convention, and the original 3DGS one.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "rgs/result.hpp"
+
+namespace rgs {
+
+inline constexpr std::array<double, 16> kIdentity4x4{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+inline constexpr int kMaxImageSide = 65536;
+
+struct Camera {
+  std::string name;                                      ///< usually the photograph's file name; may be empty
+  int width = 0, height = 0;                             ///< pixels
+  double fx = 0, fy = 0;                                 ///< focal lengths, pixels
+  double cx = 0, cy = 0;                                 ///< principal point, pixels from the left and upper edges
+  std::array<double, 16> world_to_camera{kIdentity4x4};  ///< row-major rigid motion, last row 0 0 0 1
+};
+
+using Vec3 = std::array<double, 3>;
+
+/// bad_camera unless sides are 1..kMaxImageSide, focal lengths positive, all finite, the upper 3x3 a rotation
+/// (orthonormal to 1e-3, determinant +1) and the last row 0 0 0 1.
+Status validate(const Camera& camera);
+
+/// The same view at W x H pixels. The horizontal field of view is kept: s = W / width scales both focal lengths and the
+/// principal point's distance from the image centre. A centred principal point becomes exactly (W / 2, H / 2).
+Camera resized(const Camera& camera, int width, int height);
+
+/// Position of the camera in the world: -R^T t.
+Vec3 camera_centre(const Camera& camera);
+/// Unit directions of the camera's axes in the world: right, down, forward.
+Vec3 camera_axis(const Camera& camera, int axis);
+
+/// Image format of a view that no camera file describes. Angles in degrees.
+struct ViewFormat {
+  int width = 1280, height = 720;
+  double horizontal_fov = 60;
+};
+
+/// Camera at `eye` that sees `target` in the image centre, with `up` pointing up in the image. An `up` along the line
+/// of sight is replaced by the world axis that is farthest from it. eye == target looks along +z.
+Camera look_at(const Vec3& eye, const Vec3& target, const Vec3& up, const ViewFormat& format = {});
+
+/// Axis-aligned box that holds the bulk of a scene.
+struct SceneBounds {
+  Vec3 low{0, 0, 0}, high{0, 0, 0};
+};
+
+/// Box of the 2nd to 98th percentile of each coordinate of `mean` [n, 3]; non-finite points are left out. Floaters
+/// far away, which every trained scene has, do not count. No points: the unit box around the origin.
+SceneBounds robust_bounds(std::span<const float> mean);
+
+/// Up direction of worlds with 3DGS/COLMAP axes (y down); what the views below assume unless told better.
+inline constexpr Vec3 kWorldUp{0, -1, 0};
+
+/// Mean up direction of the cameras (a walk around an object agrees on it); kWorldUp if there is none.
+Vec3 mean_up(std::span<const Camera> cameras);
+
+/// The view of a scene without cameras: from the front (-z side) and 20 degrees above, far enough to see the box whole.
+Camera default_view(const SceneBounds& bounds, const ViewFormat& format = {}, const Vec3& up = kWorldUp);
+
+/// `n` cameras on a circle around the box at default_view's distance and elevation; camera 0 is default_view.
+std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& format = {}, const Vec3& up = kWorldUp);
+
+/// `n_frames` cameras along a smooth path through `keys` in their order, first and last included. Positions follow a
+/// centripetal Catmull-Rom spline (Barry and Goldman 1988; Yuksel et al. 2011), orientations a spherical linear
+/// interpolation (Shoemake 1985), focal lengths a linear one; frames are spaced evenly in path length. Image size is
+/// the first key's. Empty without keys or for n_frames < 1; one key is repeated.
+std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames);
+
+}  // namespace rgs
