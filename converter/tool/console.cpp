@@ -1,0 +1,226 @@
+// console.cpp - error reports, exit codes, progress and number formats of the command-line programs.
+// SPDX-License-Identifier: Apache-2.0
+#include "console.hpp"
+
+#include <errno.h>  // program_invocation_short_name
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cerrno>
+#include <charconv>
+#include <cmath>
+#include <cstdio>
+#include <exception>
+#include <limits>
+#include <new>
+#include <system_error>
+
+namespace rgs::tool {
+namespace {
+
+constexpr auto kRedraw = std::chrono::milliseconds(100);
+constexpr auto kLogLine = std::chrono::seconds(10);
+
+std::string number(const Error& error, std::uint64_t value) {
+  return error.code == Errc::checksum_mismatch ? fmt::format("{:016x}", value) : format_count(value);
+}
+
+}  // namespace
+
+std::string describe(const Error& error) {
+  std::string text;
+  if (error.offset != Error::kNone) text += fmt::format("byte {}: ", error.offset);
+  text += error.what;
+  const bool expected = error.expected != Error::kNone, found = error.found != Error::kNone;
+  if (expected && found) {
+    text += fmt::format(" (expected {}, found {})", number(error, error.expected), number(error, error.found));
+  } else if (expected) {
+    text += fmt::format(" (expected {})", number(error, error.expected));
+  } else if (found) {
+    text += fmt::format(" (found {})", number(error, error.found));
+  }
+  if (error.system != 0) text += ": " + std::generic_category().message(error.system);
+  return text;
+}
+
+const char* hint(const Error& error) {
+  switch (error.system) {
+    case ENOSPC:
+    case EDQUOT: return "free some space or write to another disk";
+    case EACCES:
+    case EPERM: return "check the permissions of the file and its folder";
+    case ENOENT: return "check the spelling; relative paths start at the current folder";
+    case EMFILE: return "raise the limit of open files (ulimit -n)";
+    default: break;
+  }
+  switch (error.code) {
+    case Errc::internal: return "this is a bug in the program; please report it with the command line";
+    case Errc::truncated:
+    case Errc::size_mismatch: return "the file is incomplete; copy or convert it again";
+    case Errc::checksum_mismatch: return "the file is damaged; copy or convert it again";
+    case Errc::bad_magic: return "the file is of another format; its name does not decide what it is";
+    case Errc::unsupported_version: return "the file comes from a newer version of these programs; update them";
+    default: return "";
+  }
+}
+
+int report(const std::string& file, const Error& error) {
+  const char* advice = hint(error);
+  fmt::print(stderr, "{}: {}{}{} [{}]\n", program_invocation_short_name, file, file.empty() ? "" : ": ",
+             describe(error), errc_name(error.code));
+  if (*advice != '\0') fmt::print(stderr, "  hint: {}\n", advice);
+  return exit_code(error.code);
+}
+
+int report_usage(std::string_view message) {
+  fmt::print(stderr, "{0}: {1}\nRun {0} --help for usage.\n", program_invocation_short_name, message);
+  return kUsage;
+}
+
+int run(const std::function<int()>& body) {
+  try {
+    return body();
+  } catch (const std::bad_alloc&) {
+    fmt::print(stderr, "{}: out of memory\n", program_invocation_short_name);
+  } catch (const std::exception& e) {
+    fmt::print(stderr, "{}: internal error: {}\n", program_invocation_short_name, e.what());
+  }
+  return kInternal;
+}
+
+std::string format_bytes(std::uint64_t bytes) {
+  constexpr std::array kUnits{"B", "kB", "MB", "GB", "TB", "PB", "EB"};
+  double value = static_cast<double>(bytes);
+  std::size_t unit = 0;
+  for (; value >= 999.95 && unit + 1 < kUnits.size(); ++unit) value /= 1000;
+  return unit == 0 ? fmt::format("{} B", bytes) : fmt::format("{:.1f} {}", value, kUnits[unit]);
+}
+
+std::string format_count(std::uint64_t count) {
+  std::string digits = std::to_string(count);
+  for (std::size_t i = digits.size(); i > 3; i -= 3) digits.insert(i - 3, ",");
+  return digits;
+}
+
+std::string format_seconds(double seconds) {
+  if (!(seconds >= 0)) return "?";
+  if (seconds < 0.9995e-3) return fmt::format("{:.0f} us", seconds * 1e6);
+  if (seconds < 0.9995) return fmt::format("{:.3g} ms", seconds * 1e3);
+  if (seconds < 99.95) return fmt::format("{:.3g} s", seconds);
+  const double whole = std::round(seconds), hours = std::floor(whole / 3600), minutes = std::floor(whole / 60);
+  if (hours >= 1) return fmt::format("{:.0f} h {:02.0f} min", hours, minutes - hours * 60);
+  return fmt::format("{:.0f} min {:02.0f} s", minutes, whole - minutes * 60);
+}
+
+Result<std::uint64_t> parse_count(std::string_view text) {
+  const auto refused = fail(Errc::bad_argument, Error::kNone, "not a count such as 250000, 200k or 1.5M");
+  // Decimal digits are shifted exactly, so that no count is rounded on its way through floating point.
+  int shift = 0;
+  if (!text.empty()) {
+    switch (text.back()) {
+      case 'k':
+      case 'K': shift = 3; break;
+      case 'm':
+      case 'M': shift = 6; break;
+      case 'g':
+      case 'G': shift = 9; break;
+      default: break;
+    }
+    if (shift != 0) text.remove_suffix(1);
+  }
+  const std::size_t point = text.find('.');
+  std::string digits(text.substr(0, point));
+  std::string_view fraction = point == std::string_view::npos ? std::string_view() : text.substr(point + 1);
+  if (digits.empty() || (point != std::string_view::npos && fraction.empty())) return refused;
+  while (!fraction.empty() && fraction.back() == '0') fraction.remove_suffix(1);
+  if (fraction.size() > static_cast<std::size_t>(shift)) return refused;
+  digits += fraction;
+  digits.append(static_cast<std::size_t>(shift) - fraction.size(), '0');
+  std::uint64_t count = 0;
+  const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), count);
+  if (error != std::errc() || end != digits.data() + digits.size()) return refused;
+  return count;
+}
+
+Result<ImageSize> parse_size(std::string_view text) {
+  ImageSize size;
+  const char *first = text.data(), *last = first + text.size();
+  const auto width = std::from_chars(first, last, size.width);
+  if (width.ec == std::errc() && width.ptr != last && (*width.ptr == 'x' || *width.ptr == 'X')) {
+    const auto height = std::from_chars(width.ptr + 1, last, size.height);
+    constexpr int kMaxSide = 65536;
+    if (height.ec == std::errc() && height.ptr == last && size.width >= 1 && size.height >= 1 &&
+        size.width <= kMaxSide && size.height <= kMaxSide)
+      return size;
+  }
+  return fail(Errc::bad_argument, Error::kNone, "not an image size such as 1920x1080 (sides 1 to 65536)");
+}
+
+Progress::Progress(Mode mode) : quiet_(mode == Mode::quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
+
+Progress::~Progress() {
+  if (open_ && terminal_ && !quiet_) fmt::print(stderr, "\r\x1b[K");
+}
+
+std::string Progress::amount(double units) const {
+  if (std::string_view(unit_) == "B") return format_bytes(static_cast<std::uint64_t>(units));
+  if (units < 1e5)
+    return units < 10 && units != std::floor(units) ? fmt::format("{:.2f} {}", units, unit_)
+                                                    : fmt::format("{:.0f} {}", units, unit_);
+  return units < 1e6 ? fmt::format("{:.0f}k {}", units / 1e3, unit_) : fmt::format("{:.2f}M {}", units / 1e6, unit_);
+}
+
+void Progress::begin(const char* stage, std::uint64_t total, const char* unit) {
+  stage_ = stage;
+  unit_ = unit;
+  total_ = total;
+  done_ = 0;
+  open_ = true;
+  start_ = Clock::now();
+  next_draw_ = (start_ + (terminal_ ? Clock::duration(kRedraw) : Clock::duration(kLogLine))).time_since_epoch().count();
+}
+
+void Progress::advance(std::uint64_t units) {
+  done_.fetch_add(units, std::memory_order_relaxed);
+  if (quiet_) return;
+  const auto now = Clock::now();
+  auto due = next_draw_.load(std::memory_order_relaxed);
+  if (now.time_since_epoch().count() < due) return;
+  const auto next = (now + (terminal_ ? Clock::duration(kRedraw) : Clock::duration(kLogLine))).time_since_epoch();
+  if (!next_draw_.compare_exchange_strong(due, next.count(), std::memory_order_relaxed)) return;
+  const std::lock_guard lock(drawing_);
+  draw(now);
+}
+
+void Progress::draw(Clock::time_point now) {
+  const double seconds = std::chrono::duration<double>(now - start_).count();
+  const double done = static_cast<double>(done_.load(std::memory_order_relaxed));
+  const double rate = seconds > 0 ? done / seconds : 0;
+  std::string line = fmt::format("{:<12} ", stage_);
+  if (total_ > 0) {
+    const double part = std::min(done / static_cast<double>(total_), 1.0);
+    constexpr int kBar = 24;
+    const int filled = static_cast<int>(part * kBar);
+    if (terminal_) line += fmt::format("[{:=>{}}{: >{}}] ", "", filled, "", kBar - filled);
+    line += fmt::format("{:3.0f}%  ", part * 100);
+  }
+  line += fmt::format("{}  {}/s", amount(done), amount(rate));
+  if (total_ > 0 && rate > 0)
+    line += fmt::format("  {} left", format_seconds(std::max(static_cast<double>(total_) - done, 0.0) / rate));
+  fmt::print(stderr, "{}{}{}", terminal_ ? "\r" : "", line, terminal_ ? "\x1b[K" : "\n");
+  std::fflush(stderr);
+}
+
+void Progress::finish() {
+  if (!open_) return;
+  open_ = false;
+  if (quiet_) return;
+  const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
+  const double done = static_cast<double>(done_.load());
+  fmt::print(stderr, "{}{:<12} {} in {}{}\n", terminal_ ? "\r" : "", stage_, amount(done), format_seconds(seconds),
+             terminal_ ? "\x1b[K" : "");
+}
+
+}  // namespace rgs::tool

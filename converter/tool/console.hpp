@@ -1,0 +1,81 @@
+// console.hpp - what the command-line programs share: error reports, exit codes, progress and number formats.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Standard output belongs to results (and stays parseable with --json); everything here goes to standard error.
+#pragma once
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <functional>
+#include <mutex>
+#include <string>
+#include <string_view>
+
+#include "rgs/result.hpp"
+
+namespace rgs::tool {
+
+/// Exit codes of every program; a failure's code is its class, see Errc.
+enum ExitCode : int { kSuccess = 0, kInternal = 1, kUsage = 2, kInputOutput = 3, kMalformed = 4, kGate = 5 };
+
+/// `error` as one line: byte offset, what is wrong, expected and found, the system's reason.
+std::string describe(const Error& error);
+/// What the user can do about it; empty if the text of the error already says all there is.
+const char* hint(const Error& error);
+/// Prints `PROGRAM: FILE: ERROR` and, if there is one, a hint. Returns the exit code. `file` may be empty.
+int report(const std::string& file, const Error& error);
+/// Prints `PROGRAM: MESSAGE` and how to get help. Returns kUsage.
+int report_usage(std::string_view message);
+/// Runs a program's body; what escapes as an exception (out of memory, a bug) is printed and becomes kInternal.
+int run(const std::function<int()>& body);
+
+/// "193.1 MB", decimal units as file managers and disks count.
+std::string format_bytes(std::uint64_t bytes);
+/// "778,812".
+std::string format_count(std::uint64_t count);
+/// "812 us", "35.2 ms", "1.25 s", "3 min 07 s".
+std::string format_seconds(double seconds);
+
+/// A count with an optional decimal part and suffix k, M or G (powers of 1000, case-insensitive): 250000, 200k, 1.5M.
+/// bad_argument for anything else, a fraction of one, or above 2^64 - 1.
+Result<std::uint64_t> parse_count(std::string_view text);
+/// An image size "1920x1080"; both sides 1..65536, else bad_argument.
+struct ImageSize {
+  int width = 0, height = 0;
+};
+Result<ImageSize> parse_size(std::string_view text);
+
+/// Progress of a program's stages on standard error. On a terminal one line is redrawn with bar, rate and remaining
+/// time; elsewhere (logs, pipes) each finished stage is a line, and long ones report every ten seconds.
+/// advance() may be called from several threads; begin() and finish() from one.
+class Progress {
+ public:
+  enum class Mode { automatic, quiet };
+  explicit Progress(Mode mode = Mode::automatic);
+  /// Ends a stage that is still open without reporting it (an error is about to be printed).
+  ~Progress();
+  Progress(const Progress&) = delete;
+  Progress& operator=(const Progress&) = delete;
+
+  /// Starts a stage of `total` units; 0 if unknown. The unit "B" is printed as bytes. Texts must outlive the stage.
+  void begin(const char* stage, std::uint64_t total, const char* unit);
+  void advance(std::uint64_t units);
+  void finish();
+
+ private:
+  using Clock = std::chrono::steady_clock;
+  void draw(Clock::time_point now);
+  std::string amount(double units) const;
+
+  bool quiet_ = false, terminal_ = false, open_ = false;
+  const char* stage_ = "";
+  const char* unit_ = "";
+  std::uint64_t total_ = 0;
+  Clock::time_point start_{};
+  std::atomic<std::uint64_t> done_{0};
+  std::atomic<Clock::rep> next_draw_{0};  // time since epoch; the thread that moves it draws
+  std::mutex drawing_;
+};
+
+}  // namespace rgs::tool

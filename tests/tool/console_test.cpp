@@ -1,0 +1,79 @@
+// console_test.cpp - error reports, number formats and number parsing of the command-line programs.
+// SPDX-License-Identifier: Apache-2.0
+#include "console.hpp"
+
+#include <doctest/doctest.h>
+
+#include <cerrno>
+#include <new>
+#include <stdexcept>
+
+using namespace rgs;
+using namespace rgs::tool;
+
+TEST_CASE("an error is described with its place, both numbers and the system's reason") {
+  CHECK(describe({Errc::truncated, 512, "the data end early", 1000, 900}) ==
+        "byte 512: the data end early (expected 1,000, found 900)");
+  CHECK(describe({Errc::bad_value, 0, "bad", Error::kNone, 7}) == "byte 0: bad (found 7)");
+  CHECK(describe({Errc::checksum_mismatch, 64, "checksum", 0xab, 0xcd}) ==
+        "byte 64: checksum (expected 00000000000000ab, found 00000000000000cd)");
+  CHECK(describe({Errc::open_failed, Error::kNone, "cannot open", Error::kNone, Error::kNone, ENOENT}) ==
+        "cannot open: No such file or directory");
+  CHECK(std::string(hint({Errc::write_failed, Error::kNone, "", Error::kNone, Error::kNone, ENOSPC})) ==
+        "free some space or write to another disk");
+  CHECK(std::string(hint({Errc::bad_argument})) == "");
+}
+
+TEST_CASE("the exit code is the class of the error, and exceptions are internal errors") {
+  CHECK(report("a.ply", {Errc::bad_syntax, 3, "broken"}) == kMalformed);
+  CHECK(report("a.ply", {Errc::open_failed, Error::kNone, "missing"}) == kInputOutput);
+  CHECK(report("", {Errc::unavailable, Error::kNone, "no device"}) == kUsage);
+  CHECK(run([] { return 4; }) == 4);
+  CHECK(run([]() -> int { throw std::bad_alloc(); }) == kInternal);
+  CHECK(run([]() -> int { throw std::runtime_error("x"); }) == kInternal);
+}
+
+TEST_CASE("numbers are written for people") {
+  CHECK(format_bytes(0) == "0 B");
+  CHECK(format_bytes(999) == "999 B");
+  CHECK(format_bytes(1000) == "1.0 kB");
+  CHECK(format_bytes(999'960) == "1.0 MB");
+  CHECK(format_bytes(193'146'907) == "193.1 MB");
+  CHECK(format_bytes(~0ull) == "18.4 EB");
+  CHECK(format_count(0) == "0");
+  CHECK(format_count(999) == "999");
+  CHECK(format_count(778'812) == "778,812");
+  CHECK(format_count(1'000'000) == "1,000,000");
+  CHECK(format_seconds(12e-6) == "12 us");
+  CHECK(format_seconds(0.0352) == "35.2 ms");
+  CHECK(format_seconds(1.25) == "1.25 s");
+  CHECK(format_seconds(187) == "3 min 07 s");
+  CHECK(format_seconds(119.7) == "2 min 00 s");
+  CHECK(format_seconds(7260) == "2 h 01 min");
+}
+
+TEST_CASE("counts with suffixes are exact") {
+  CHECK(parse_count("0").value() == 0);
+  CHECK(parse_count("250000").value() == 250'000);
+  CHECK(parse_count("200k").value() == 200'000);
+  CHECK(parse_count("1.5M").value() == 1'500'000);
+  CHECK(parse_count("0.001K").value() == 1);
+  CHECK(parse_count("2.50G").value() == 2'500'000'000);
+  CHECK(parse_count("18446744073709551615").value() == ~0ull);
+  for (const char* bad : {"", "k", "-1", "+1", "1.5", "1.0001k", "1.k", ".5M", "5 M", "5Mi", "1e6", "0x10", "nan",
+                          "18446744073709551616", "99999999999999999999G"}) {
+    CAPTURE(bad);
+    REQUIRE_FALSE(parse_count(bad));
+    CHECK(parse_count(bad).error().code == Errc::bad_argument);
+  }
+}
+
+TEST_CASE("image sizes") {
+  CHECK(parse_size("1920x1080").value().width == 1920);
+  CHECK(parse_size("1X65536").value().height == 65536);
+  for (const char* bad :
+       {"", "x", "1920", "1920x", "x1080", "0x5", "5x0", "-1x5", "65537x1", "1x1x1", "1 x1", "1x1 "}) {
+    CAPTURE(bad);
+    CHECK_FALSE(parse_size(bad));
+  }
+}
