@@ -11,3 +11,4 @@ macro(rgs_require name debian)
 endmacro()
 
 rgs_require(tl-expected libexpected-dev CONFIG)
+rgs_require(xxHash libxxhash-dev)

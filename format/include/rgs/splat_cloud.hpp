@@ -16,6 +16,11 @@ constexpr int sh_coefficients(int degree) {
   return (degree + 1) * (degree + 1);
 }
 
+/// SH degree that coefficient 0..15 belongs to.
+constexpr int sh_degree_of(int coefficient) {
+  return coefficient < 1 ? 0 : coefficient < 4 ? 1 : coefficient < 9 ? 2 : 3;
+}
+
 /// One Gaussian in the parameters of 3DGS training (Kerbl et al. 2023). The frame is the scene's world frame.
 struct Splat {
   float mean[3] = {0, 0, 0};         ///< centre, world units

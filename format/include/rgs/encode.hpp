@@ -1,0 +1,180 @@
+// encode.hpp - from Gaussians to an .rgs file: in memory with one call, or streamed in two passes.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs {
+
+/// What to do with Gaussians that cannot be drawn (see Defect).
+enum class BadPolicy : std::uint8_t {
+  refuse,  ///< any damaged Gaussian is an error
+  drop,    ///< leave damaged Gaussians out
+  repair   ///< mend what has an obvious meaning, leave out the rest
+};
+
+/// Kinds of damage, each counted once per Gaussian that has it.
+enum class Defect : std::uint8_t {
+  mean,   ///< a coordinate is not finite                                   repair: dropped
+  scale,  ///< log-scale is not finite or beyond +-60                       repair: -inf becomes -60; others dropped
+  rotation_nan,      ///< a rotation component is not finite                           repair: identity
+  rotation_zero,     ///< the quaternion is zero (norm below 2^-60)                    repair: identity
+  opacity_nan,       ///< the logit is NaN                                             repair: dropped
+  opacity_infinite,  ///< the logit is infinite                                        repair: +-20
+  sh,                ///< an SH coefficient is not finite or 2^100 and above           repair: 0
+};
+inline constexpr int kDefectKinds = 7;
+/// "mean", "scale", "rotation_nan", ...
+const char* defect_name(Defect defect);
+
+inline constexpr float kMaxLogScale = 60.f;
+
+/// Bit i is set if the Gaussian has Defect i; coefficients above `sh_degree` are not looked at.
+std::uint32_t find_defects(const Splat& splat, int sh_degree);
+/// Mends `splat` as listed at Defect; false if it has to be dropped.
+bool repair(Splat& splat, std::uint32_t defects);
+
+struct DepthRange {
+  float z_near = 0;
+  float z_far = 0;
+  DepthSource source = DepthSource::by_hand;
+};
+
+struct EncodeOptions {
+  std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^20]
+  bool chunk_scales = true;        ///< SH steps per chunk; false: one set for the file (the paper's scheme)
+  Order order = Order::morton;
+  bool keep_permutation = false;  ///< store each Gaussian's position in the source
+  int sh_degree = kMaxShDegree;   ///< higher degrees are stripped
+  BadPolicy on_bad = BadPolicy::drop;
+  double max_bad_fraction = 0.01;   ///< more damaged Gaussians than this share is too_many_bad; not under repair/refuse
+  std::optional<DepthRange> depth;  ///< absent: from the extent of the scene
+  DepthMapping depth_mapping = DepthMapping::linear;
+  std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};
+  ColourSpace colour_space = ColourSpace::srgb_display;
+  AaMode aa_mode = AaMode::classic;
+  float metres_per_unit = 0;
+  std::optional<Provenance> provenance;
+};
+
+/// The file for `splats`. Deterministic. Single-threaded.
+/// Errors: bad_argument (options out of range, sizes of the view disagree), bad_value (BadPolicy::refuse; offset is the
+/// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort).
+Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
+
+// ---- streamed encoding ---------------------------------------------------------------------------------------------
+// For scenes that do not fit into memory, and for several threads:
+//   1. SceneScan::add every Gaussian in any split; merge() the parts.       (first pass over the source)
+//   2. spatial_order() of the means that find_defects() and the policy let through.
+//   3. make_plan(): every size and offset of the file is known from here on.
+//   4. encode_chunk() for each chunk, in any order, on any thread.          (second pass)
+//   5. finish(): head, tables and small sections, given the hashes of the large ones.
+// Results do not depend on the split.
+
+/// Largest |SH| of each coefficient over the Gaussians added.
+class ShMagnitudes {
+ public:
+  void add(const float* sh, int sh_degree);  ///< sh: [16, 3] as in Splat
+  void merge(const ShMagnitudes& other);
+  /// Largest |SH| per degree and channel.
+  ScaleSet max_abs() const;
+
+ private:
+  std::array<std::int32_t, 48> bits_{};  // magnitudes as integers, which order alike and vectorise on any x86-64
+};
+
+/// What the first pass learns. Every field is independent of the order in which Gaussians are added.
+class SceneScan {
+ public:
+  /// `sh_degree` of the source; coefficients above options.sh_degree do not count.
+  SceneScan(int sh_degree, const EncodeOptions& options);
+
+  /// Examines one Gaussian, mends it under BadPolicy::repair, and says whether it is kept.
+  bool add(Splat& splat);
+  void merge(const SceneScan& other);
+
+  int sh_degree() const { return sh_degree_; }
+  std::uint64_t n_source() const { return n_source_; }
+  std::uint64_t n_kept() const { return n_kept_; }
+  std::uint64_t n_repaired() const { return n_repaired_; }
+  std::uint64_t defects(Defect defect) const { return defects_[static_cast<std::size_t>(defect)]; }
+  /// Of the kept Gaussians; boxes and ranges are zero if there are none.
+  const Box& full() const { return full_; }
+  /// Bounds that at least 99 of 100 means lie within on each axis; see FORMAT.md "Robust box".
+  Box robust() const;
+  float min_log_scale() const { return min_log_scale_; }
+  float max_log_scale() const { return max_log_scale_; }
+  float min_opacity_logit() const { return min_opacity_logit_; }
+  float max_opacity_logit() const { return max_opacity_logit_; }
+  const ShMagnitudes& sh_magnitudes() const { return sh_magnitudes_; }
+
+ private:
+  int sh_degree_;
+  BadPolicy on_bad_;
+  std::uint64_t n_source_ = 0, n_kept_ = 0, n_repaired_ = 0;
+  std::array<std::uint64_t, kDefectKinds> defects_{};
+  Box full_;
+  float min_log_scale_, max_log_scale_, min_opacity_logit_, max_opacity_logit_;
+  ShMagnitudes sh_magnitudes_;
+  std::vector<std::uint64_t> histogram_;  // [3, 65536] of the top 16 bits of each coordinate, order-preserving
+};
+
+/// Where the bytes go. Section offsets are in file order.
+struct EncodePlan {
+  Header header;
+  Declarations declarations;
+  std::optional<Provenance> provenance;
+  ScaleSet file_scales;  ///< used if n_scale_sets is 1 for the file
+  bool chunk_scales = true;
+  bool keep_permutation = false;
+  std::uint64_t permutation_entry_bytes = 0;  ///< 4 or 8, 0 without permutation
+  std::vector<SectionEntry> sections;         ///< hashes still 0
+
+  const SectionEntry* find(SectionType type) const;
+};
+
+/// Errors: as encode().
+Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options);
+
+/// Counts that only the second pass can know.
+struct EncodeCounts {
+  std::uint64_t scale_subnormal = 0, scale_zero = 0, opacity_zero = 0, opacity_one = 0;
+  void add(const EncodeCounts& other);
+};
+
+/// Encodes one chunk. `splats`: its Gaussians, 1..chunk_size of them, already mended.
+/// Outputs: means [count * 12], geometry [count * 16], sh [count * sh_bytes].
+struct ChunkOutput {
+  std::span<std::byte> means, geometry, sh;
+  ChunkEntry entry;  // scale_set is set by finish()
+  ScaleSet scales;   // of this chunk; the file's set if the plan has one
+  EncodeCounts counts;
+};
+void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOutput& out);
+
+/// Hashes of the sections that the caller has written himself.
+struct SectionHashes {
+  std::uint64_t means = 0, geometry = 0, sh = 0, permutation = 0;
+};
+
+/// Bytes that belong at a file offset.
+struct FilePiece {
+  std::uint64_t offset = 0;
+  std::vector<std::byte> bytes;
+};
+
+/// Head and small sections. `chunks` and `scales` in chunk order ([n_chunks]; scales ignored for one set per file).
+std::vector<FilePiece> finish(const EncodePlan& plan, std::span<const ChunkEntry> chunks,
+                              std::span<const ScaleSet> scales, const EncodeCounts& counts,
+                              const SectionHashes& hashes);
+
+}  // namespace rgs

@@ -1,0 +1,155 @@
+// layout.hpp - what an .rgs file holds, byte by byte. docs/FORMAT.md is the specification; where they differ, it wins.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs {
+
+inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
+inline constexpr std::uint16_t kVersionMajor = 1;
+inline constexpr std::uint16_t kVersionMinor = 0;
+
+inline constexpr std::uint64_t kHeaderBytes = 128;
+inline constexpr std::uint64_t kSectionEntryBytes = 64;
+inline constexpr std::uint64_t kHeadChecksumBytes = 8;
+inline constexpr std::uint64_t kSectionAlignment = 256;
+inline constexpr std::uint32_t kMaxSections = 1024;
+
+inline constexpr std::uint64_t kMeanBytes = 12;      ///< FP32 x, y, z
+inline constexpr std::uint64_t kGeometryBytes = 16;  ///< FP16 w, x, y, z, sx, sy, sz, opacity: one 128-bit load
+inline constexpr std::uint64_t kScaleSetBytes = 48;  ///< FP32 [4, 3]: degree, channel
+inline constexpr std::uint64_t kChunkEntryBytes = 48;
+inline constexpr std::uint64_t kDeclarationBytes = 256;
+
+inline constexpr std::uint32_t kMinChunkSize = 32;
+inline constexpr std::uint32_t kMaxChunkSize = 1u << 20;
+
+/// Bytes of SH per Gaussian: 3 * (degree + 1)^2 INT8, padded to a multiple of 4: 4, 12, 28, 48.
+constexpr std::uint64_t sh_bytes(int degree) {
+  return (3 * static_cast<std::uint64_t>(sh_coefficients(degree)) + 3) / 4 * 4;
+}
+static_assert(sh_bytes(0) == 4 && sh_bytes(1) == 12 && sh_bytes(2) == 28 && sh_bytes(3) == 48);
+
+/// Four ASCII characters in file order.
+constexpr std::uint32_t four_cc(const char (&name)[5]) {
+  std::uint32_t code = 0;
+  for (int i = 3; i >= 0; --i) code = code << 8 | static_cast<unsigned char>(name[i]);
+  return code;
+}
+
+enum class SectionType : std::uint32_t {
+  declarations = four_cc("DECL"),  ///< 256 bytes, see Declarations
+  sh_scales = four_cc("SHSC"),     ///< FP32 [n_scale_sets, 4, 3]
+  chunks = four_cc("CHNK"),        ///< ChunkEntry [n_chunks]
+  means = four_cc("MEAN"),         ///< FP32 [n, 3]
+  geometry = four_cc("GEOM"),      ///< FP16 [n, 8]
+  sh = four_cc("SHI8"),            ///< INT8 [n, sh_bytes]
+  permutation = four_cc("PERM"),   ///< optional: position in the source, u32 [n], u64 [n] above 2^32 source Gaussians
+  provenance = four_cc("PROV"),    ///< optional: Provenance
+};
+
+enum class Codec : std::uint32_t {
+  none = 0,  ///< stored bytes are the decoded bytes
+};
+
+inline constexpr std::uint32_t kSectionMustUnderstand = 1;  ///< bit of SectionEntry::flags; the others are reserved
+
+struct SectionEntry {
+  std::uint32_t type = 0;
+  std::uint32_t flags = 0;
+  std::uint32_t codec = 0;
+  std::uint64_t offset = 0;
+  std::uint64_t stored_bytes = 0;
+  std::uint64_t decoded_bytes = 0;
+  std::uint64_t xxh3 = 0;  ///< XXH3-64, seed 0, of the stored bytes
+};
+
+struct Header {
+  std::uint16_t version_major = kVersionMajor;
+  std::uint16_t version_minor = kVersionMinor;
+  std::uint64_t file_bytes = 0;
+  std::uint64_t n_gaussians = 0;
+  std::uint64_t n_chunks = 0;
+  std::uint64_t n_scale_sets = 0;
+  std::uint32_t chunk_size = 0;
+  std::uint32_t n_sections = 0;
+  std::uint8_t sh_degree = 0;
+  std::int16_t scale_exponent = 0;  ///< stored scale = scale * 2^scale_exponent
+};
+
+/// Direction that an axis of the scene points in; `undeclared` says that nobody stated it.
+enum class Axis : std::uint8_t { undeclared = 0, right = 1, left = 2, up = 3, down = 4, forward = 5, backward = 6 };
+enum class ColourSpace : std::uint8_t { undeclared = 0, srgb_display = 1, linear_display = 2 };
+enum class ShBasis : std::uint8_t { real_3dgs = 1 };    ///< constants and signs of Kerbl et al. 2023, +0.5
+enum class Kernel : std::uint8_t { gaussian_ewa = 1 };  ///< EWA-projected Gaussian
+enum class AaMode : std::uint8_t { undeclared = 0, classic = 1, mip_splatting = 2 };
+enum class SortMetric : std::uint8_t { z_depth = 1 };
+enum class DepthMapping : std::uint8_t { linear = 1, logarithmic = 2 };
+enum class DepthSource : std::uint8_t { cameras = 1, scene_extent = 2, by_hand = 3 };
+enum class Order : std::uint8_t { input = 1, morton = 2 };
+
+struct Box {
+  std::array<float, 3> min{0, 0, 0};
+  std::array<float, 3> max{0, 0, 0};
+};
+
+/// What a reader must not have to guess. Defaults are those of the original 3DGS code.
+struct Declarations {
+  std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};  ///< where +x, +y, +z point
+  ColourSpace colour_space = ColourSpace::srgb_display;
+  ShBasis sh_basis = ShBasis::real_3dgs;
+  Kernel kernel = Kernel::gaussian_ewa;
+  AaMode aa_mode = AaMode::classic;
+  SortMetric sort_metric = SortMetric::z_depth;
+  DepthMapping depth_mapping = DepthMapping::linear;
+  DepthSource depth_source = DepthSource::scene_extent;
+  Order order = Order::morton;
+  float z_near = 0.2f;  ///< depth range of the quantised sort key, world units, 0 < z_near < z_far
+  float z_far = 100.f;
+  float metres_per_unit = 0;  ///< 0: unknown
+  float cutoff_sigma = 3.f;   ///< extent of the kernel in standard deviations
+  float alpha_threshold = 1.f / 255.f;
+  float alpha_max = 0.99f;
+  float low_pass_px2 = 0.3f;  ///< added to the diagonal of the screen-space covariance, square pixels
+  float transmittance_min = 1e-4f;
+  Box full;                       ///< of all means
+  Box robust;                     ///< of the means without the outermost on each axis
+  float robust_fraction = 0.99f;  ///< share of the means inside `robust` on each axis, at least
+  std::uint64_t n_source = 0;     ///< Gaussians in the source
+  std::uint64_t n_dropped = 0;    ///< left out as damaged
+  std::uint64_t n_repaired = 0;
+  std::uint64_t n_scale_subnormal = 0;  ///< stored scales below the normal range of FP16, not zero
+  std::uint64_t n_scale_zero = 0;       ///< stored scales that are zero
+  std::uint64_t n_opacity_zero = 0;     ///< stored opacities that are 0
+  std::uint64_t n_opacity_one = 0;      ///< stored opacities that are 1
+};
+
+/// One entry of the chunk table: what can be asked of a chunk without reading its Gaussians.
+struct ChunkEntry {
+  Box means;                    ///< exact bounds of the means
+  float radius = 0;             ///< largest 3-sigma extent of a Gaussian of the chunk, world units
+  float max_opacity = 0;        ///< largest stored opacity
+  std::uint64_t scale_set = 0;  ///< index into the SHSC section
+  std::uint32_t count = 0;      ///< Gaussians in the chunk: chunk_size, fewer only in the last
+};
+
+/// Step sizes of the SH codes. value = step[degree][channel] * code.
+struct ScaleSet {
+  float step[4][3] = {};
+};
+
+struct Provenance {
+  std::uint64_t source_bytes = 0;
+  std::uint64_t source_xxh3 = 0;  ///< XXH3-64, seed 0, of the source file
+  std::string source_name;        ///< UTF-8 file name without folders, at most 4096 bytes
+  std::string tool;               ///< UTF-8 program and version, at most 4096 bytes
+};
+inline constexpr std::uint32_t kMaxProvenanceText = 4096;
+
+}  // namespace rgs

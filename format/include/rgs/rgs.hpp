@@ -1,0 +1,13 @@
+// rgs.hpp - the whole format library.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "rgs/checksum.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/file.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/quantize.hpp"
+#include "rgs/result.hpp"
+#include "rgs/spatial_order.hpp"
+#include "rgs/splat_cloud.hpp"

@@ -1,0 +1,172 @@
+// scene_scan.cpp - damaged Gaussians and the first pass of the encoder.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <limits>
+
+#include "rgs/encode.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs {
+namespace {
+
+constexpr std::size_t kBins = 65536;
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+constexpr std::uint32_t bit(Defect defect) {
+  return 1u << static_cast<unsigned>(defect);
+}
+
+// Maps floats to integers of the same order; NaN is not expected.
+std::uint32_t ordered_bits(float value) {
+  const std::uint32_t bits = detail::bits_of(value);
+  return (bits & 0x80000000u) != 0 ? ~bits : bits | 0x80000000u;
+}
+
+float from_ordered_bits(std::uint32_t ordered) {
+  return detail::float_of((ordered & 0x80000000u) != 0 ? ordered & 0x7FFFFFFFu : ~ordered);
+}
+
+}  // namespace
+
+void ShMagnitudes::add(const float* sh, int sh_degree) {
+  const auto floats = static_cast<std::size_t>(3 * sh_coefficients(sh_degree));
+  for (std::size_t i = 0; i < floats; ++i) bits_[i] = std::max(bits_[i], detail::magnitude_bits(sh[i]));
+}
+
+void ShMagnitudes::merge(const ShMagnitudes& other) {
+  for (std::size_t i = 0; i < bits_.size(); ++i) bits_[i] = std::max(bits_[i], other.bits_[i]);
+}
+
+ScaleSet ShMagnitudes::max_abs() const {
+  ScaleSet set;
+  for (std::size_t i = 0; i < bits_.size(); ++i) {
+    float& value = set.step[sh_degree_of(static_cast<int>(i / 3))][i % 3];
+    value = std::max(value, detail::float_of(static_cast<std::uint32_t>(bits_[i])));
+  }
+  return set;
+}
+
+const char* defect_name(Defect defect) {
+  switch (defect) {
+    case Defect::mean: return "mean";
+    case Defect::scale: return "scale";
+    case Defect::rotation_nan: return "rotation_nan";
+    case Defect::rotation_zero: return "rotation_zero";
+    case Defect::opacity_nan: return "opacity_nan";
+    case Defect::opacity_infinite: return "opacity_infinite";
+    case Defect::sh: return "sh";
+  }
+  return "unknown";
+}
+
+std::uint32_t find_defects(const Splat& s, int sh_degree) {
+  std::uint32_t defects = 0;
+  if (!std::isfinite(s.mean[0]) || !std::isfinite(s.mean[1]) || !std::isfinite(s.mean[2])) defects |= bit(Defect::mean);
+  for (const float value : s.log_scale) {
+    if (!(std::abs(value) <= kMaxLogScale)) defects |= bit(Defect::scale);
+  }
+  double squared = 0;
+  for (const float value : s.rotation) squared += static_cast<double>(value) * static_cast<double>(value);
+  if (!std::isfinite(squared)) {  // FP32 squares cannot overflow FP64
+    defects |= bit(Defect::rotation_nan);
+  } else if (squared < 0x1p-120) {
+    defects |= bit(Defect::rotation_zero);
+  }
+  if (std::isnan(s.opacity_logit)) defects |= bit(Defect::opacity_nan);
+  if (std::isinf(s.opacity_logit)) defects |= bit(Defect::opacity_infinite);
+  const int floats = 3 * sh_coefficients(sh_degree);
+  std::int32_t largest = 0;
+  for (int i = 0; i < floats; ++i) largest = std::max(largest, detail::magnitude_bits(s.sh[i]));
+  if (largest >= detail::magnitude_bits(kShLimit)) defects |= bit(Defect::sh);
+  return defects;
+}
+
+bool repair(Splat& s, std::uint32_t defects) {
+  if ((defects & (bit(Defect::mean) | bit(Defect::opacity_nan))) != 0) return false;
+  if ((defects & bit(Defect::scale)) != 0) {
+    for (float& value : s.log_scale) {
+      if (value == -kInfinity) value = -kMaxLogScale;
+      if (!(std::abs(value) <= kMaxLogScale)) return false;
+    }
+  }
+  if ((defects & (bit(Defect::rotation_nan) | bit(Defect::rotation_zero))) != 0) {
+    std::ranges::copy(Splat().rotation, s.rotation);
+  }
+  if ((defects & bit(Defect::opacity_infinite)) != 0) s.opacity_logit = s.opacity_logit > 0 ? 20.f : -20.f;
+  if ((defects & bit(Defect::sh)) != 0) {
+    for (float& value : s.sh) {
+      if (!(std::abs(value) < kShLimit)) value = 0;
+    }
+  }
+  return true;
+}
+
+SceneScan::SceneScan(int sh_degree, const EncodeOptions& options)
+    : sh_degree_(std::clamp(std::min(sh_degree, options.sh_degree), 0, kMaxShDegree)),
+      on_bad_(options.on_bad),
+      min_log_scale_(kInfinity),
+      max_log_scale_(-kInfinity),
+      min_opacity_logit_(kInfinity),
+      max_opacity_logit_(-kInfinity),
+      histogram_(3 * kBins) {
+  full_.min.fill(kInfinity);
+  full_.max.fill(-kInfinity);
+}
+
+bool SceneScan::add(Splat& s) {
+  ++n_source_;
+  if (const std::uint32_t defects = find_defects(s, sh_degree_); defects != 0) {
+    for (std::size_t i = 0; i < kDefectKinds; ++i) defects_[i] += defects >> i & 1;
+    if (on_bad_ != BadPolicy::repair || !repair(s, defects)) return false;
+    ++n_repaired_;
+  }
+  ++n_kept_;
+  for (std::size_t i = 0; i < 3; ++i) {
+    full_.min[i] = std::min(full_.min[i], s.mean[i]);
+    full_.max[i] = std::max(full_.max[i], s.mean[i]);
+    ++histogram_[i * kBins + (ordered_bits(s.mean[i]) >> 16)];
+    min_log_scale_ = std::min(min_log_scale_, s.log_scale[i]);
+    max_log_scale_ = std::max(max_log_scale_, s.log_scale[i]);
+  }
+  min_opacity_logit_ = std::min(min_opacity_logit_, s.opacity_logit);
+  max_opacity_logit_ = std::max(max_opacity_logit_, s.opacity_logit);
+  sh_magnitudes_.add(s.sh, sh_degree_);
+  return true;
+}
+
+void SceneScan::merge(const SceneScan& other) {
+  assert(sh_degree_ == other.sh_degree_ && on_bad_ == other.on_bad_);
+  n_source_ += other.n_source_;
+  n_kept_ += other.n_kept_;
+  n_repaired_ += other.n_repaired_;
+  for (std::size_t i = 0; i < kDefectKinds; ++i) defects_[i] += other.defects_[i];
+  for (std::size_t i = 0; i < 3; ++i) {
+    full_.min[i] = std::min(full_.min[i], other.full_.min[i]);
+    full_.max[i] = std::max(full_.max[i], other.full_.max[i]);
+  }
+  min_log_scale_ = std::min(min_log_scale_, other.min_log_scale_);
+  max_log_scale_ = std::max(max_log_scale_, other.max_log_scale_);
+  min_opacity_logit_ = std::min(min_opacity_logit_, other.min_opacity_logit_);
+  max_opacity_logit_ = std::max(max_opacity_logit_, other.max_opacity_logit_);
+  sh_magnitudes_.merge(other.sh_magnitudes_);
+  for (std::size_t i = 0; i < histogram_.size(); ++i) histogram_[i] += other.histogram_[i];
+}
+
+Box SceneScan::robust() const {
+  if (n_kept_ == 0) return {};
+  const std::uint64_t outside = n_kept_ / 200;  // 0.5 % at each end
+  Box box;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const std::uint64_t* bins = &histogram_[axis * kBins];
+    std::uint32_t low = 0, high = kBins - 1;
+    for (std::uint64_t below = bins[low]; below <= outside; below += bins[low]) ++low;
+    for (std::uint64_t above = bins[high]; above <= outside; above += bins[high]) --high;
+    box.min[axis] = std::max(full_.min[axis], from_ordered_bits(low << 16));
+    box.max[axis] = std::min(full_.max[axis], from_ordered_bits(high << 16 | 0xFFFFu));
+  }
+  return box;
+}
+
+}  // namespace rgs
