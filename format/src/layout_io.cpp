@@ -127,7 +127,7 @@ Result<Header> parse_header(std::span<const std::byte> bytes) {
   h.sh_degree = in.u8();
   const std::uint8_t stored_sh_bytes = in.u8();
   h.scale_exponent = in.i16();
-  if (!in.zeros(kHeaderBytes - 64)) return fail(Errc::reserved_bits, 64, "reserved header bytes are not zero");
+  if (!in.zeros(kHeaderBytes - 60)) return fail(Errc::reserved_bits, 60, "reserved header bytes are not zero");
 
   if (h.chunk_size < kMinChunkSize || h.chunk_size > kMaxChunkSize || h.chunk_size % 32 != 0) {
     return fail(Errc::bad_header, 48, "chunk size is not a multiple of 32 from 32 to 2^20", Error::kNone, h.chunk_size);
