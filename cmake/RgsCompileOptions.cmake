@@ -4,10 +4,28 @@ add_library(rgs_compile_options INTERFACE)
 target_compile_features(rgs_compile_options INTERFACE cxx_std_20)
 # -ffp-contract=off: a*b+c rounds twice everywhere, so that gcc, clang, Debug and Release give the same bits.
 target_compile_options(rgs_compile_options INTERFACE
-  $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -Wno-unknown-warning-option -ffp-contract=off>
-  $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<BOOL:${RGS_WERROR}>>:-Werror>)
+  $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -ffp-contract=off>
+  $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<BOOL:${RGS_WERROR}>>:-Werror>
+  # nvcc passes these on; -Wpedantic and the conversion warnings would fire in the host code that it generates.
+  $<$<COMPILE_LANGUAGE:CUDA>:-Xcompiler=-Wall,-Wextra,-ffp-contract=off>
+  $<$<AND:$<COMPILE_LANGUAGE:CUDA>,$<BOOL:${RGS_WERROR}>>:--Werror=all-warnings>)
 if(RGS_SANITIZE)
+  # The checks' extra branches mislead gcc's flow analysis into warnings that the plain builds do not have.
   target_compile_options(rgs_compile_options INTERFACE
-    $<$<COMPILE_LANGUAGE:CXX>:-fsanitize=${RGS_SANITIZE} -fno-sanitize-recover=all -fno-omit-frame-pointer>)
+    $<$<COMPILE_LANGUAGE:CXX>:-fsanitize=${RGS_SANITIZE} -fno-sanitize-recover=all -fno-omit-frame-pointer>
+    $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-maybe-uninitialized>
+    # libFuzzer's coverage counters; its main() is linked to the fuzz targets alone.
+    $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<BOOL:${RGS_BUILD_FUZZERS}>>:-fsanitize=fuzzer-no-link>)
   target_link_options(rgs_compile_options INTERFACE -fsanitize=${RGS_SANITIZE})
+endif()
+
+# Compiler caching, where ccache is installed and the caller has no launcher of their own.
+if(PROJECT_IS_TOP_LEVEL)
+  find_program(RGS_CCACHE ccache)
+  foreach(language CXX CUDA)
+    if(RGS_CCACHE AND NOT DEFINED CMAKE_${language}_COMPILER_LAUNCHER)
+      set(CMAKE_${language}_COMPILER_LAUNCHER ${RGS_CCACHE})
+    endif()
+  endforeach()
+  set(CMAKE_RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/bin)
 endif()

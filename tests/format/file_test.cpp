@@ -40,7 +40,7 @@ std::size_t entries(const fs::path& folder) {
 
 }  // namespace
 
-TEST_CASE("mapped file shows the bytes; empty, missing and folder inputs are told apart") {
+TEST_CASE("mapped file shows the bytes and tells empty from missing and folder inputs") {
   const TemporaryFolder folder;
   std::ofstream(folder.file("a")) << "splat";
   std::ofstream(folder.file("empty"));

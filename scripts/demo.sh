@@ -1,0 +1,23 @@
+#!/bin/sh
+# demo.sh - installs, builds release, and takes a synthetic scene through the tools into build/demo.
+# RGS_DEMO_GAUSSIANS sets the scene's size.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+cd "$(dirname "$0")/.."
+preset=release
+. scripts/quiet.sh
+
+quiet packages sh scripts/install-deps.sh
+quiet configure cmake --preset "$preset"
+quiet build cmake --build "build/$preset" --parallel "$jobs" --target rgs-make-scene rgs-convert rgs-info
+
+bin=build/$preset/bin
+out=build/demo
+preset=demo
+log_folder=$out/logs
+mkdir -p "$log_folder"
+quiet make-scene "$bin/rgs-make-scene" --seed 1 --gaussians "${RGS_DEMO_GAUSSIANS:-200000}" --degree 3 "$out/scene.ply"
+quiet convert "$bin/rgs-convert" --overwrite "$out/scene.ply" "$out/scene.rgs"
+quiet info "$bin/rgs-info" --verify "$out/scene.rgs"
+cat "$log_folder/info.log"
+ls -l "$out/scene.ply" "$out/scene.rgs" | awk '{ print $NF ": " $5 " bytes" }'

@@ -1,0 +1,47 @@
+#!/bin/sh
+# fuzz.sh - builds the libFuzzer targets and runs each one: sh scripts/fuzz.sh SECONDS [NAME...]
+# Starts from tests/fuzz/corpus/NAME; what it finds grows in build/fuzz/corpus/NAME, crashes in build/fuzz/crashes.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+cd "$(dirname "$0")/.."
+case ${1:-} in
+  '' | *[!0-9]*)
+    echo "usage: sh scripts/fuzz.sh SECONDS [NAME...]   (rgs_fuzz_NAME; all when none is named)" >&2
+    exit 2
+    ;;
+esac
+seconds=$1
+shift
+preset=fuzz
+. scripts/quiet.sh
+
+quiet packages sh scripts/install-deps.sh
+quiet configure cmake --preset fuzz
+quiet build cmake --build build/fuzz --parallel "$jobs"
+
+[ $# -gt 0 ] || set -- $(ls build/fuzz/bin | sed -n 's/^rgs_fuzz_//p')
+if [ $# = 0 ]; then
+  echo "fuzz: no rgs_fuzz_* target was built" >&2
+  exit 1
+fi
+mkdir -p build/fuzz/crashes
+failed=0
+for name in "$@"; do
+  grown=build/fuzz/corpus/$name
+  mkdir -p "$grown"
+  corpus="$grown"
+  [ -d "tests/fuzz/corpus/$name" ] && corpus="$grown tests/fuzz/corpus/$name"
+  log=$log_folder/$name.log
+  # shellcheck disable=SC2086  # a list of folders
+  if "build/fuzz/bin/rgs_fuzz_$name" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \
+    -artifact_prefix="build/fuzz/crashes/$name-" $corpus >"$log" 2>&1 </dev/null; then
+    verdict=ok
+  else
+    verdict=FAILED
+    failed=1
+    tail -n 40 "$log" >&2
+  fi
+  executions=$(sed -n 's/^stat::number_of_executed_units: *//p' "$log")
+  echo "fuzz: $name: ${executions:-unknown} executions, $verdict"
+done
+exit $failed

@@ -1,0 +1,48 @@
+#!/bin/sh
+# install-deps.sh - installs the Debian 12 packages that RoofGS is built and tested with; silent when all are there.
+# Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+
+packages="g++ clang clang-format clang-tidy libclang-rt-14-dev cmake ninja-build ccache git ca-certificates
+  libexpected-dev libfmt-dev libcli11-dev nlohmann-json3-dev libxxhash-dev libzstd-dev libdraco-dev libglm-dev
+  libopenimageio-dev libtbb-dev libhwy-dev doctest-dev libbenchmark-dev
+  python3 python3-numpy python3-zstandard python3-xxhash zstd"
+
+[ "${RGS_SKIP_INSTALL:-0}" = 1 ] && exit 0
+
+if ! command -v dpkg-query >/dev/null || ! command -v apt-get >/dev/null; then
+  echo "install-deps.sh knows Debian 12 only. Install what these packages hold, then set RGS_SKIP_INSTALL=1:" >&2
+  echo "$packages" >&2
+  exit 1
+fi
+
+missing=
+for package in $packages; do
+  [ "$(dpkg-query -W -f='${db:Status-Status}' "$package" 2>/dev/null)" = installed ] || missing="$missing $package"
+done
+[ -z "$missing" ] && exit 0
+
+if ! grep -q '^VERSION_CODENAME=bookworm' /etc/os-release 2>/dev/null; then
+  echo "install-deps.sh: this is not Debian 12; trying the same package names:$missing" >&2
+fi
+sudo=
+if [ "$(id -u)" != 0 ]; then
+  if ! command -v sudo >/dev/null; then
+    echo "install-deps.sh: neither root nor sudo; as root run: apt-get install$missing" >&2
+    exit 1
+  fi
+  sudo=sudo
+fi
+
+log=$(mktemp)
+trap 'rm -f "$log"' EXIT
+echo "installing packages:$missing"
+# shellcheck disable=SC2086  # lists of words
+if ! { $sudo apt-get -q update &&
+  $sudo env DEBIAN_FRONTEND=noninteractive apt-get -q -y install --no-install-recommends $missing; } \
+  >"$log" 2>&1 </dev/null; then
+  tail -n 30 "$log" >&2
+  echo "install-deps.sh: installation failed" >&2
+  exit 1
+fi

@@ -1,0 +1,18 @@
+#!/bin/sh
+# test.sh - installs, configures, builds and runs every test: sh scripts/test.sh [PRESET [CTEST-ARGUMENTS...]]
+# PRESET (or RGS_PRESET) is release by default; dev runs under AddressSanitizer and UBSan, tsan under ThreadSanitizer.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+cd "$(dirname "$0")/.."
+preset=${1:-${RGS_PRESET:-release}}
+[ $# = 0 ] || shift
+. scripts/quiet.sh
+
+quiet packages sh scripts/install-deps.sh
+quiet configure cmake --preset "$preset"
+quiet build cmake --build "build/$preset" --parallel "$jobs"
+set -- ctest --preset "$preset" --parallel "$jobs" "$@"
+# ThreadSanitizer of gcc 12 and clang 14 needs fewer random address bits than Linux 6 uses.
+[ "$preset" != tsan ] || set -- setarch "$(uname -m)" --addr-no-randomize "$@"
+quiet test "$@"
+grep -E '^[0-9]+% tests passed' "$log_folder/test.log" || echo "$preset: no test matches"
