@@ -6,6 +6,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "camera_records.hpp"
+
 namespace rgs {
 namespace {
 
@@ -111,24 +113,50 @@ Vec3 catmull_rom(const Vec3& p0, const Vec3& p1, const Vec3& p2, const Vec3& p3,
   return mix(b1, b2, t1, t2);
 }
 
-}  // namespace
+enum class Defect : std::size_t { none, side, focal, principal, pose, rigid };
 
-Status validate(const Camera& camera) {
-  if (camera.width < 1 || camera.height < 1 || camera.width > kMaxImageSide || camera.height > kMaxImageSide)
-    return fail(Errc::bad_camera, Error::kNone, "image sides must be 1 to 65536 pixels");
-  if (!(camera.fx > 0) || !(camera.fy > 0) || !std::isfinite(camera.fx) || !std::isfinite(camera.fy))
-    return fail(Errc::bad_camera, Error::kNone, "focal lengths must be positive and finite");
-  if (!std::isfinite(camera.cx) || !std::isfinite(camera.cy))
-    return fail(Errc::bad_camera, Error::kNone, "the principal point is not finite");
+// As a caller's mistake and, with the camera's index in Error::found, as a mistake in a file.
+constexpr const char* kDefectText[] = {"",
+                                       "image sides must be 1 to 65536 pixels",
+                                       "focal lengths must be positive and finite",
+                                       "the principal point is not finite",
+                                       "the pose is not finite",
+                                       "the pose is not a rotation and a translation (scaled or mirrored?)"};
+constexpr const char* kRecordDefectText[] = {
+    "",
+    "the camera of this index has an image side that is not an integer from 1 to 65536",
+    "the camera of this index has a focal length that is not positive and finite",
+    "the camera of this index has a principal point that is not finite",
+    "the camera of this index has a pose that is not finite",
+    "the camera of this index has a pose that is not a rotation and a translation (scaled or mirrored?)"};
+
+Defect defect(const Camera& camera) {
+  const auto finite = [](double x) { return std::isfinite(x); };
+  const auto side = [](int x) { return x >= 1 && x <= kMaxImageSide; };
+  if (!side(camera.width) || !side(camera.height)) return Defect::side;
+  if (!(camera.fx > 0) || !(camera.fy > 0) || !finite(camera.fx) || !finite(camera.fy)) return Defect::focal;
+  if (!finite(camera.cx) || !finite(camera.cy)) return Defect::principal;
   const auto& m = camera.world_to_camera;
-  if (!std::all_of(m.begin(), m.end(), [](double x) { return std::isfinite(x); }))
-    return fail(Errc::bad_camera, Error::kNone, "the pose is not finite");
+  if (!std::all_of(m.begin(), m.end(), finite)) return Defect::pose;
   const Vec3 x = camera_axis(camera, 0), y = camera_axis(camera, 1), z = camera_axis(camera, 2);
   const double off = std::max({std::abs(dot(x, x) - 1), std::abs(dot(y, y) - 1), std::abs(dot(z, z) - 1),
                                std::abs(dot(x, y)), std::abs(dot(y, z)), std::abs(dot(z, x))});
-  if (off > kRotationTolerance || dot(cross(x, y), z) < 0 || m[12] != 0 || m[13] != 0 || m[14] != 0 || m[15] != 1)
-    return fail(Errc::bad_camera, Error::kNone, "the pose is not a rotation and a translation (scaled or mirrored?)");
-  return {};
+  const bool last_row = m[12] == 0 && m[13] == 0 && m[14] == 0 && m[15] == 1;
+  return last_row && off <= kRotationTolerance && dot(cross(x, y), z) > 0 ? Defect::none : Defect::rigid;
+}
+
+}  // namespace
+
+Status validate(const Camera& camera) {
+  const Defect found = defect(camera);
+  if (found == Defect::none) return {};
+  return fail(Errc::bad_camera, Error::kNone, kDefectText[static_cast<std::size_t>(found)]);
+}
+
+Status detail::validate_record(const Camera& camera, std::uint64_t offset, std::uint64_t index) {
+  const Defect found = defect(camera);
+  if (found == Defect::none) return {};
+  return fail(Errc::bad_value, offset, kRecordDefectText[static_cast<std::size_t>(found)], Error::kNone, index);
 }
 
 Camera resized(const Camera& camera, int width, int height) {
