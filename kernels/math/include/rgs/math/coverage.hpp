@@ -1,0 +1,137 @@
+// coverage.hpp - which 16x16 tiles list a Gaussian.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cmath>
+
+#include "rgs/hd.hpp"
+#include "rgs/math/camera.hpp"
+#include "rgs/math/constants.hpp"
+#include "rgs/math/covariance.hpp"
+#include "rgs/math/options.hpp"
+#include "rgs/math/vec.hpp"
+
+namespace rgs::math {
+
+/// Tiles of an image.
+struct TileGrid {
+  int columns, rows;
+};
+
+RGS_HD constexpr TileGrid tile_grid(int width, int height) {
+  return {(width + kTileSize - 1) / kTileSize, (height + kTileSize - 1) / kTileSize};
+}
+
+/// Tiles x0 <= x < x1, y0 <= y < y1.
+struct TileRect {
+  int x0, y0, x1, y1;
+  RGS_HD constexpr bool empty() const { return x0 >= x1 || y0 >= y1; }
+};
+
+/// Tiles first <= x < last of one tile row.
+struct TileSpan {
+  int first, last;
+};
+
+namespace detail {
+
+// Truncates a tile coordinate to 0..limit; the clamp comes first because converting a huge or NaN float is undefined.
+template <class T>
+RGS_HD inline int tile_index(T t, int limit) {
+  return static_cast<int>(clamp(t, T(0), static_cast<T>(limit)));
+}
+
+// Tiles with a pixel centre in [low, high] along one axis: tile t has the centres 16 t .. 16 t + 15.
+template <class T>
+RGS_HD inline TileSpan tiles_between(T low, T high, int limit) {
+  const T tile = T(kTileSize);
+  return {tile_index(std::ceil((low - (tile - T(1))) / tile), limit),
+          tile_index(std::floor(high / tile) + T(1), limit)};
+}
+
+}  // namespace detail
+
+/// The original extent: tiles touched by the square of half side ceil(3 sigma_max) around the mean. Rounded exactly as
+/// in the original, whose square reaches a pixel further to the right and downwards.
+template <class T>
+RGS_HD inline TileRect square_extent(const PixelPoint<T>& mean, const Cov2<T>& cov, TileGrid grid) {
+  const T mid = T(0.5) * (cov.xx + cov.yy);
+  const T lambda_max = mid + std::sqrt(max(T(kEigenFloor), mid * mid - determinant(cov)));
+  const T radius = std::ceil(T(kSquareSigmas) * std::sqrt(lambda_max));
+  const T tile = T(kTileSize);
+  return {detail::tile_index((mean.u - radius) / tile, grid.columns),
+          detail::tile_index((mean.v - radius) / tile, grid.rows),
+          detail::tile_index((mean.u + radius + tile - T(1)) / tile, grid.columns),
+          detail::tile_index((mean.v + radius + tile - T(1)) / tile, grid.rows)};
+}
+
+/// The region in which a Gaussian reaches alpha >= 1/255, an ellipse around its mean.
+template <class T>
+struct Ellipse {
+  PixelPoint<T> mean;
+  Cov2<T> cov;
+  T level;         ///< the ellipse is d^T cov^-1 d <= level; negative: no pixel reaches 1/255
+  T half_width;    ///< sqrt(level cov.xx), px
+  T half_height;   ///< sqrt(level cov.yy), px
+  T slope;         ///< cov.xy / cov.yy: x of the chord's middle per y
+  T shear;         ///< y at which x is largest, relative to the mean
+  T variance_x_y;  ///< det / cov.yy, the variance of x at a given y
+};
+
+/// o exp(-q/2) >= 1/255 where q <= 2 ln(255 o). (Hanson et al. 2025, "Speedy-Splat", eq. 12; Gaussians with opacity
+/// under 1/255 vanish.) The level is raised by what rounding can take from q in a pixel: its terms a dx^2 and c dy^2
+/// reach level / (1 - rho^2) and cancel, so that tiles are never missed, at the price of rare superfluous ones.
+template <class T>
+RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& f) {
+  const T log_ratio = std::log(f.opacity / T(kAlphaMin));
+  Ellipse<T> e{mean, f.cov, T(-1), 0, 0, 0, 0, 0};
+  if (!(log_ratio >= T(0))) return e;
+  const T det = determinant(f.cov);
+  const T rounding = T(8) * T(6e-8) * (f.cov.xx * f.cov.yy / det);
+  e.level = T(2) * log_ratio * (T(1) + rounding) + T(1e-4);
+  e.half_width = std::sqrt(e.level * f.cov.xx);
+  e.half_height = std::sqrt(e.level * f.cov.yy);
+  e.slope = f.cov.xy / f.cov.yy;
+  e.shear = f.cov.xy * std::sqrt(e.level / f.cov.xx);
+  e.variance_x_y = det / f.cov.yy;
+  return e;
+}
+
+/// Tile rows, and a bound on the columns, that the ellipse touches: SnugBox.
+template <class T>
+RGS_HD inline TileRect bounding_tiles(const Ellipse<T>& e, TileGrid grid) {
+  if (!(e.level >= T(0))) return {0, 0, 0, 0};
+  const TileSpan x = detail::tiles_between(e.mean.u - e.half_width, e.mean.u + e.half_width, grid.columns);
+  const TileSpan y = detail::tiles_between(e.mean.v - e.half_height, e.mean.v + e.half_height, grid.rows);
+  return {x.first, y.first, x.last, y.last};
+}
+
+/// Range of x that the ellipse covers at y_low <= y <= y_high (px relative to the mean), relative to the mean.
+/// The range must touch the ellipse; what lies above or below it is cut off.
+template <class T>
+struct Chord {
+  T low, high;
+};
+template <class T>
+RGS_HD inline Chord<T> chord(const Ellipse<T>& e, T y_low, T y_high) {
+  // The right boundary x(y) = slope y + sqrt((level - y^2 / cov.yy) variance_x_y) is concave with its top at `shear`,
+  // so its maximum over a range is at the clamped top; the left boundary is its point reflection.
+  const T y_right = clamp(e.shear, y_low, y_high), y_left = clamp(-e.shear, y_low, y_high);
+  const T right = max(T(0), e.level - y_right * y_right / e.cov.yy);
+  const T left = max(T(0), e.level - y_left * y_left / e.cov.yy);
+  return {e.slope * y_left - std::sqrt(left * e.variance_x_y), e.slope * y_right + std::sqrt(right * e.variance_x_y)};
+}
+
+/// Tiles of row `row` (one of bounding_tiles()) with a point of the ellipse between their outermost pixel centres.
+/// Exact, not a bound: ellipse and row are convex, so their intersection's x range is met by every tile in it
+/// (AccuTile, Hanson et al. 2025, in one chord a row).
+template <class T>
+RGS_HD inline TileSpan tiles_in_row(const Ellipse<T>& e, int row, TileGrid grid) {
+  const T y = static_cast<T>(row * kTileSize) - e.mean.v;
+  const T y_low = max(y, -e.half_height), y_high = min(y + T(kTileSize - 1), e.half_height);
+  const Chord<T> c = chord(e, y_low, y_high);
+  const T slack = T(1e-3) + T(1e-6) * e.half_width;  // rounding of the chord's ends, px
+  return detail::tiles_between(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
+}
+
+}  // namespace rgs::math

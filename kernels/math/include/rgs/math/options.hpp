@@ -1,0 +1,44 @@
+// options.hpp - the choices in the image's definition, each a step of the method that can be switched alone.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "rgs/math/constants.hpp"
+
+namespace rgs::math {
+
+/// Which tiles list a Gaussian, and so which pixels see it.
+enum class Extent : std::uint8_t {
+  square,   ///< tiles touched by the square of half side ceil(3 sigma_max) around the mean: the original 3DGS
+  ellipse,  ///< tiles with a pixel that reaches alpha >= 1/255: Speedy-Splat (Hanson et al. 2025), exact per tile row
+};
+
+enum class AntiAliasing : std::uint8_t {
+  classic,        ///< low-pass added, opacity kept: small Gaussians grow brighter
+  mip_splatting,  ///< opacity times sqrt(det before / det after): the 2D Mip filter (Yu et al. 2024)
+};
+
+enum class DepthOrder : std::uint8_t {
+  exact,      ///< FP32 camera z; equal depths by index
+  quantized,  ///< b_d bits of camera z; Gaussians of one bin by index
+};
+
+enum class DepthMapping : std::uint8_t {
+  linear,  ///< bins of equal depth (the paper)
+  log,     ///< bins of equal depth ratio
+};
+
+/// How the exponent of a pair is evaluated.
+enum class Exponent : std::uint8_t {
+  direct,  ///< from the offsets to the mean; opacity multiplies the exponential
+  folded,  ///< from six coefficients per tile in tile-local pixels, log(opacity) included
+};
+
+enum class Exp : std::uint8_t {
+  exact,      ///< the library's
+  paper,      ///< bit construction, sigma = 0.045677
+  zero_mean,  ///< bit construction, sigma = 0.0577
+};
+
+}  // namespace rgs::math

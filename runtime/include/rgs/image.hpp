@@ -1,0 +1,45 @@
+// image.hpp - pixels as values, and the set of pixel arrays that a renderer fills.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+namespace rgs {
+
+/// Floating-point picture, rows from top to bottom, channels interleaved: pixels [height, width, channels].
+/// Colours are display-referred values (what 3DGS trains on 8-bit photographs: 0..1 with their sRGB encoding), so
+/// 8-bit output is round(255 * clamp(v, 0, 1)) and nothing else.
+struct Image {
+  int width = 0;
+  int height = 0;
+  int channels = 0;
+  std::vector<float> pixels;  ///< [height, width, channels]
+
+  static Image make(int width, int height, int channels) {
+    const auto size = static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
+    return {width, height, channels, std::vector<float>(size * static_cast<std::size_t>(channels))};
+  }
+  float& at(int x, int y, int channel) { return pixels[index(x, y, channel)]; }
+  float at(int x, int y, int channel) const { return pixels[index(x, y, channel)]; }
+
+ private:
+  std::size_t index(int x, int y, int channel) const {
+    const auto row = static_cast<std::size_t>(y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(x);
+    return row * static_cast<std::size_t>(channels) + static_cast<std::size_t>(channel);
+  }
+};
+
+/// Where a frame goes: caller-owned arrays of camera.width * camera.height pixels, rows from top to bottom.
+/// An empty span means that this output is not wanted; every pixel of the others is written.
+struct RenderTarget {
+  std::span<float> rgb;                ///< [height, width, 3] colour over the background
+  std::span<float> alpha;              ///< [height, width] 1 - transmittance
+  std::span<float> depth;              ///< [height, width] expected camera-space z, world units; 0 where alpha is 0
+  std::span<std::uint32_t> evaluated;  ///< [height, width] Gaussians that the pixel went through before it stopped
+  std::span<std::uint32_t> blended;    ///< [height, width] Gaussians that contributed
+};
+
+}  // namespace rgs

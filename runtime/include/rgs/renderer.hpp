@@ -1,0 +1,84 @@
+// renderer.hpp - one frame of a scene seen by a camera.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <memory>
+
+#include "rgs/camera.hpp"
+#include "rgs/image.hpp"
+#include "rgs/math/options.hpp"
+#include "rgs/result.hpp"
+#include "rgs/scene.hpp"
+
+namespace rgs {
+
+enum class Backend { automatic, cpu, cuda };
+
+struct RendererOptions {
+  Backend backend = Backend::automatic;
+  int threads = 0;   ///< CPU threads, 0 = as many as the machine has
+  bool simd = true;  ///< CPU: false runs the scalar definition in rgs::math pixel by pixel, the reference for all else
+};
+
+/// What a frame shows and by which arithmetic. The defaults are the original 3DGS rasteriser, only with the tighter
+/// tile coverage; docs/RENDERING.md has the equations and the measured effect of each option.
+struct RenderOptions {
+  std::array<float, 3> background = {0, 0, 0};
+  float near_plane = math::kNearPlane;  ///< Gaussians at camera z <= near_plane are not drawn
+  float far_plane = 0;                  ///< Gaussians at camera z > far_plane are not drawn; 0 = no limit
+  int sh_degree_limit = 3;              ///< higher SH degrees are ignored
+  float low_pass = math::kLowPass;      ///< px^2 added to the projected covariance; Mip-Splatting models use 0.1
+  math::AntiAliasing anti_aliasing = math::AntiAliasing::classic;
+  math::Extent extent = math::Extent::ellipse;
+  math::DepthOrder depth_order = math::DepthOrder::exact;
+  math::DepthMapping depth_mapping = math::DepthMapping::linear;  ///< of the quantised key
+  int depth_bits = 0;                              ///< of the quantised key; 0 = 32 - ceil(log2 tiles), else 1..32
+  std::array<float, 2> depth_range = {0.2F, 100};  ///< of the quantised key, depths outside share the end bins
+  math::Exponent exponent = math::Exponent::direct;
+  math::Exp exp = math::Exp::exact;
+};
+
+/// What one frame cost. Counts are exact; times are wall clock of the calling thread.
+struct FrameStats {
+  double project_ms = 0;  ///< cull, project, colour
+  double sort_ms = 0;     ///< order by depth
+  double bin_ms = 0;      ///< lists of Gaussians per tile
+  double blend_ms = 0;    ///< pixels
+  double total_ms = 0;
+  std::uint64_t gaussians = 0;  ///< in the scene
+  std::uint64_t visible = 0;    ///< listed in at least one tile
+  std::uint64_t instances = 0;  ///< (tile, Gaussian) pairs
+  std::uint64_t evaluated = 0;  ///< (pixel, Gaussian) pairs that pixels went through before they stopped
+  std::uint64_t blended = 0;    ///< of these, pairs that contributed
+  std::uint64_t bytes = 0;      ///< workspace held after the frame
+  int depth_bits = 0;           ///< of the quantised key that was used, 0 for exact order
+};
+
+/// Renders frames. Holds the workspace, which grows and is reused; one Renderer serves one thread at a time, and any
+/// number of Renderers may share a Scene.
+class Renderer {
+ public:
+  /// Errors: bad_argument (negative thread count), unavailable (the backend is not built or no device answers).
+  static Result<Renderer> create(const RendererOptions& options = {});
+
+  Renderer(Renderer&&) noexcept;
+  Renderer& operator=(Renderer&&) noexcept;
+  ~Renderer();
+
+  /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option or the size
+  /// of a target span), limit_exceeded (2^32 (tile, Gaussian) pairs or more).
+  Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                            const RenderOptions& options = {});
+
+  Backend backend() const;           ///< the backend in use, never automatic
+  const char* backend_name() const;  ///< e.g. "cpu AVX3_SPR", "cpu scalar"
+
+ private:
+  struct Impl;
+  explicit Renderer(std::unique_ptr<Impl> impl);
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace rgs

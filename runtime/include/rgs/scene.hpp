@@ -1,0 +1,47 @@
+// scene.hpp - Gaussians ready to be rendered.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "rgs/result.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs {
+
+/// Read-only view of N activated Gaussians, structure of arrays, in the scene's world frame.
+struct SceneView {
+  std::uint64_t n = 0;
+  int sh_degree = 0;                ///< 0..3
+  std::span<const float> mean;      ///< [n, 3] world units
+  std::span<const float> rotation;  ///< [n, 4] unit quaternions w, x, y, z
+  std::span<const float> scale;     ///< [n, 3] standard deviations along the local axes, world units
+  std::span<const float> opacity;   ///< [n] 0..1
+  std::span<const float> sh;        ///< [n, sh_coefficients(sh_degree), 3]
+};
+
+/// A scene in memory: attributes are activated once, at load, and never change. Copyable and movable; reading is
+/// thread-safe.
+class Scene {
+ public:
+  Scene() = default;  ///< no Gaussians
+
+  /// Activates training parameters: scale = exp(log_scale), opacity = sigmoid(logit), rotation normalised (all zero
+  /// becomes the identity). Errors: bad_argument (sizes that contradict each other), limit_exceeded (2^31 Gaussians
+  /// or more), bad_value (a non-finite attribute; Error::offset is the index of the Gaussian).
+  static Result<Scene> load(const SplatView& splats);
+  static Result<Scene> load(const SplatCloud& splats) { return load(splats.view()); }
+
+  std::uint64_t size() const { return opacity_.size(); }
+  int sh_degree() const { return sh_degree_; }
+  std::uint64_t bytes() const;  ///< memory held by the attributes
+  SceneView view() const { return {size(), sh_degree_, mean_, rotation_, scale_, opacity_, sh_}; }
+
+ private:
+  int sh_degree_ = 0;
+  std::vector<float> mean_, rotation_, scale_, opacity_, sh_;
+};
+
+}  // namespace rgs
