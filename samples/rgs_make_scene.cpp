@@ -1,0 +1,128 @@
+// rgs_make_scene.cpp - rgs-make-scene: writes a deterministic synthetic scene of any size as a 3DGS PLY.
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+#include <tbb/blocked_range.h>
+#include <tbb/global_control.h>
+#include <tbb/parallel_for.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "console.hpp"
+#include "rgs/ply.hpp"
+#include "scene_generator.hpp"
+
+namespace {
+
+namespace tool = rgs::tool;
+
+constexpr std::uint64_t kBatch = 2048;  // Gaussians: 0.5 MB as Splat, as much again encoded, per thread
+
+struct Options {
+  std::string output, cameras, gaussians = "200k";
+  std::uint64_t seed = 1;
+  int degree = 3;
+  int threads = 0;
+  bool overwrite = false, quiet = false, sync = true;
+};
+
+rgs::Status write_text(const std::string& path, const std::string& text, rgs::AtomicFile::Options options) {
+  rgs::Result<rgs::AtomicFile> file = rgs::AtomicFile::create(path, options);
+  if (!file) return tl::unexpected(file.error());
+  if (rgs::Status written = file->write_at(0, std::as_bytes(std::span(text))); !written) return written;
+  return file->commit().map([](double) {});
+}
+
+rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer, tool::Progress& progress) {
+  rgs::Status status;
+  std::mutex mutex;
+  tbb::task_group_context context;
+  const std::uint64_t n_batches = (scene.size() + kBatch - 1) / kBatch;
+  tbb::parallel_for(
+      tbb::blocked_range<std::uint64_t>(0, n_batches, 4),
+      [&](const tbb::blocked_range<std::uint64_t>& range) {
+        std::vector<rgs::Splat> splats;
+        for (std::uint64_t batch = range.begin(); batch != range.end() && !context.is_group_execution_cancelled();
+             ++batch) {
+          const std::uint64_t first = batch * kBatch;
+          splats.resize(std::min(kBatch, scene.size() - first));
+          scene.generate(first, splats);
+          if (rgs::Status written = writer.write(first, splats); !written) {
+            const std::lock_guard lock(mutex);
+            if (status) status = written;
+            context.cancel_group_execution();
+          }
+          progress.advance(splats.size());
+        }
+      },
+      tbb::auto_partitioner{}, context);
+  return status;
+}
+
+int make_scene(const Options& options, std::uint64_t n) {
+  const rgs::AtomicFile::Options file_options{options.overwrite, options.sync};
+  rgs::remove_temporaries_on_signal();
+  const auto threads = static_cast<std::size_t>(
+      options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency()));
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+
+  rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options);
+  if (!writer) return tool::report(options.output, writer.error());
+  const rgs::SceneGenerator scene(options.seed, n, options.degree);
+  tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+  progress.begin("writing", n, "Gaussians");
+  if (rgs::Status written = write_scene(scene, *writer, progress); !written)
+    return tool::report(options.output, written.error());
+  // Cameras first: a failure there leaves no scene without the cameras that were asked for.
+  if (!options.cameras.empty()) {
+    if (rgs::Status written = write_text(options.cameras, rgs::scene_cameras_json(), file_options); !written)
+      return tool::report(options.cameras, written.error());
+  }
+  if (rgs::Result<double> synced = writer->commit(); !synced) return tool::report(options.output, synced.error());
+  progress.finish();
+
+  if (!options.quiet) {
+    const std::uint64_t bytes = rgs::ply_header(n, options.degree).size() + n * rgs::ply_row_bytes(options.degree);
+    fmt::print("{}: {} Gaussians, SH degree {}, seed {}, {}\n", options.output, tool::format_count(n), options.degree,
+               options.seed, tool::format_bytes(bytes));
+  }
+  return tool::kSuccess;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  Options options;
+  CLI::App app{"Writes a deterministic synthetic scene (a house in a garden under a wide sky) as a 3DGS PLY.",
+               "rgs-make-scene"};
+  app.add_option("output", options.output, "PLY file to write")->required();
+  app.add_option("--seed", options.seed, "another seed, another scene")->capture_default_str();
+  app.add_option("--gaussians", options.gaussians, "number of Gaussians, 0 to 200M; suffixes k and M")
+      ->capture_default_str();
+  app.add_option("--degree", options.degree, "degree of the spherical harmonics")
+      ->check(CLI::Range(0, rgs::kMaxShDegree))
+      ->capture_default_str();
+  app.add_option("--cameras", options.cameras, "also write eight views of the scene to this JSON file");
+  app.add_option("--threads", options.threads, "threads, 0 for all cores; the output does not depend on it")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str();
+  app.add_flag("--overwrite", options.overwrite, "replace existing outputs");
+  app.add_flag("!--no-sync", options.sync, "do not wait until the files are on the disk");
+  app.add_flag("--quiet", options.quiet, "print errors only");
+  app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output.");
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
+  }
+  const rgs::Result<std::uint64_t> n = tool::parse_count(options.gaussians);
+  if (!n || *n > rgs::kMaxSceneGaussians)
+    return tool::report_usage("--gaussians takes a whole number from 0 to 200M, not '" + options.gaussians + "'");
+  if (!options.cameras.empty() && options.cameras == options.output)
+    return tool::report_usage("--cameras and the output are the same file");
+  return tool::run([&] { return make_scene(options, *n); });
+}
