@@ -22,7 +22,7 @@ namespace {
 Status check_options(const EncodeOptions& o) {
   const auto bad = [](const char* what) { return fail(Errc::bad_argument, Error::kNone, what); };
   if (o.chunk_size < kMinChunkSize || o.chunk_size > kMaxChunkSize || o.chunk_size % 32 != 0) {
-    return bad("the chunk size must be a multiple of 32 from 32 to 1048576");
+    return bad("the chunk size must be a multiple of 32 from 32 to 65536");
   }
   if (o.sh_degree < 0 || o.sh_degree > kMaxShDegree) return bad("the SH degree must be 0 to 3");
   if (o.depth) {

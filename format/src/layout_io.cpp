@@ -130,7 +130,7 @@ Result<Header> parse_header(std::span<const std::byte> bytes) {
   if (!in.zeros(kHeaderBytes - 60)) return fail(Errc::reserved_bits, 60, "reserved header bytes are not zero");
 
   if (h.chunk_size < kMinChunkSize || h.chunk_size > kMaxChunkSize || h.chunk_size % 32 != 0) {
-    return fail(Errc::bad_header, 48, "chunk size is not a multiple of 32 from 32 to 2^20", Error::kNone, h.chunk_size);
+    return fail(Errc::bad_header, 48, "chunk size is not a multiple of 32 from 32 to 2^16", Error::kNone, h.chunk_size);
   }
   const std::uint64_t n_chunks = h.n_gaussians / h.chunk_size + (h.n_gaussians % h.chunk_size != 0 ? 1 : 0);
   if (h.n_chunks != n_chunks) {

@@ -50,7 +50,7 @@ struct DepthRange {
 };
 
 struct EncodeOptions {
-  std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^20]
+  std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16]
   bool chunk_scales = true;        ///< SH steps per chunk; false: one set for the file (the paper's scheme)
   Order order = Order::morton;
   bool keep_permutation = false;  ///< store each Gaussian's position in the source

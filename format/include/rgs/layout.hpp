@@ -28,7 +28,7 @@ inline constexpr std::uint64_t kChunkEntryBytes = 48;
 inline constexpr std::uint64_t kDeclarationBytes = 256;
 
 inline constexpr std::uint32_t kMinChunkSize = 32;
-inline constexpr std::uint32_t kMaxChunkSize = 1u << 20;
+inline constexpr std::uint32_t kMaxChunkSize = 1u << 16;
 
 /// Bytes of SH per Gaussian: 3 * (degree + 1)^2 INT8, padded to a multiple of 4: 4, 12, 28, 48.
 constexpr std::uint64_t sh_bytes(int degree) {
