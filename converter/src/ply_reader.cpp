@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <charconv>
 #include <cstring>
+#include <functional>
 #include <limits>
 #include <type_traits>
 #include <utility>
@@ -483,6 +484,13 @@ std::uint64_t PlyFile::bytes() const {
 }
 std::span<const std::byte> PlyFile::source() const {
   return impl_->source;
+}
+
+std::uint64_t PlyFile::row_offset(std::uint64_t i) const {
+  const std::less<> before;
+  const auto bytes = source();
+  if (before(impl_->rows, bytes.data()) || !before(impl_->rows, bytes.data() + bytes.size())) return Error::kNone;
+  return static_cast<std::uint64_t>(impl_->rows - bytes.data()) + i * impl_->row_bytes;
 }
 
 void PlyFile::read(std::uint64_t first, std::span<Splat> out) const {

@@ -17,6 +17,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <utility>
+#include <vector>
 
 namespace rgs {
 namespace {
@@ -24,6 +25,8 @@ namespace {
 tl::unexpected<Error> system_error(Errc code, const char* what) {
   return fail(code, Error::kNone, what, Error::kNone, Error::kNone, errno);
 }
+
+const char* const kStdout = "-";
 
 // Unfinished temporaries, walked by the signal handler: plain memory and lock-free flags only.
 // state: 0 free, 1 being filled, 2 live.
@@ -54,6 +57,12 @@ void release_slot(int slot) {
 extern "C" void remove_temporaries_and_die(int signal_number) {
   for (Slot& slot : g_slots) {
     if (slot.state.load(std::memory_order_acquire) == 2) ::unlink(slot.path);
+  }
+  if (signal_number == SIGBUS) {
+    // A mapped page that is no longer there. Nobody but us maps files, so this is an input that shrank (or its disk).
+    static constexpr char kText[] = "an input file shrank or became unreadable while it was being read\n";
+    if (::write(STDERR_FILENO, kText, sizeof kText - 1) >= 0) ::_exit(exit_code(Errc::read_failed));
+    ::_exit(exit_code(Errc::read_failed));
   }
   // SA_RESETHAND has restored the default action: the process dies of the signal, as its parent expects to see.
   ::raise(signal_number);
@@ -137,7 +146,7 @@ void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t lengt
 
 Result<AtomicFile> AtomicFile::create(const std::string& path, Options options) {
   struct stat info {};
-  if (::stat(path.c_str(), &info) == 0) {
+  if (path != kStdout && ::stat(path.c_str(), &info) == 0) {
     if (S_ISDIR(info.st_mode)) return fail(Errc::output_unusable, Error::kNone, "the output is a directory");
     if (!S_ISREG(info.st_mode)) return fail(Errc::output_unusable, Error::kNone, "the output is not a regular file");
     if (!options.overwrite) {
@@ -147,12 +156,17 @@ Result<AtomicFile> AtomicFile::create(const std::string& path, Options options) 
   AtomicFile file;
   file.path_ = path;
   file.options_ = options;
-  file.temporary_ = path + ".tmp-XXXXXX";
+  if (path == kStdout) {
+    const char* folder = std::getenv("TMPDIR");
+    file.temporary_ = std::string(folder != nullptr && *folder != '\0' ? folder : "/tmp") + "/rgs-output-XXXXXX";
+  } else {
+    file.temporary_ = path + ".tmp-XXXXXX";
+  }
   const SignalGuard guard;
   file.fd_ = ::mkostemp(file.temporary_.data(), O_CLOEXEC);
   if (file.fd_ < 0) {
     file.temporary_.clear();
-    return system_error(Errc::open_failed, "cannot create a file in the output's folder");
+    return system_error(Errc::write_failed, "cannot create a file in the output's folder");
   }
   file.slot_ = claim_slot(file.temporary_);
   const mode_t mask = ::umask(0);
@@ -207,7 +221,30 @@ Status AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> byt
   return {};
 }
 
+Status AtomicFile::copy_to_stdout() {
+  std::vector<char> buffer(std::size_t{1} << 20);
+  off_t offset = 0;
+  for (;;) {
+    const ssize_t n = ::pread(fd_, buffer.data(), buffer.size(), offset);
+    if (n < 0) return system_error(Errc::read_failed, "cannot read the collected output");
+    if (n == 0) return {};
+    offset += n;
+    for (ssize_t done = 0; done < n;) {
+      const ssize_t written = ::write(STDOUT_FILENO, buffer.data() + done, static_cast<std::size_t>(n - done));
+      if (written < 0 && errno == EINTR) continue;
+      if (written <= 0) return system_error(Errc::write_failed, "cannot write to standard output");
+      done += written;
+    }
+  }
+}
+
 Result<double> AtomicFile::commit() {
+  if (path_ == kStdout) {
+    const Status copied = copy_to_stdout();
+    discard();
+    if (!copied) return tl::unexpected(copied.error());
+    return 0.0;
+  }
   double seconds = 0;
   const auto timed_sync = [&seconds](int fd) {
     const auto start = std::chrono::steady_clock::now();
@@ -252,7 +289,7 @@ void remove_temporaries_on_signal() {
   action.sa_handler = remove_temporaries_and_die;
   action.sa_flags = static_cast<int>(SA_RESETHAND | SA_NODEFER);
   sigemptyset(&action.sa_mask);
-  for (const int s : {SIGINT, SIGTERM, SIGHUP}) ::sigaction(s, &action, nullptr);
+  for (const int s : {SIGINT, SIGTERM, SIGHUP, SIGBUS}) ::sigaction(s, &action, nullptr);
 }
 
 bool same_file(const std::string& a, const std::string& b) {

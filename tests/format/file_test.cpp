@@ -109,7 +109,7 @@ TEST_CASE("folders and missing folders are refused as outputs") {
   CHECK(directory.error().code == Errc::output_unusable);
   const auto nowhere = AtomicFile::create(folder.file("none/out"), {});
   REQUIRE_FALSE(nowhere);
-  CHECK(nowhere.error().code == Errc::open_failed);
+  CHECK(nowhere.error().code == Errc::write_failed);
 }
 
 TEST_CASE("moving an output keeps exactly one owner of the temporary") {
@@ -141,4 +141,24 @@ TEST_CASE("signals remove unfinished outputs and still end the process") {
     CHECK(WTERMSIG(status) == signal_number);
     CHECK(entries(folder.path()) == 0);
   }
+}
+
+TEST_CASE("an input truncated while mapped removes the output and exits with code 3") {
+  const TemporaryFolder folder;
+  std::ofstream(folder.file("in")) << std::string(1 << 16, 'x');
+  const pid_t child = ::fork();
+  REQUIRE(child >= 0);
+  if (child == 0) {
+    ::close(STDERR_FILENO);
+    rgs::remove_temporaries_on_signal();
+    const auto in = MappedFile::open(folder.file("in"));
+    const auto out = AtomicFile::create(folder.file("out"), {});
+    if (!in || !out || ::truncate(folder.file("in").c_str(), 0) != 0) ::_exit(9);
+    ::_exit(in->bytes()[40000] == std::byte{'x'} ? 8 : 7);
+  }
+  int status = 0;
+  REQUIRE(::waitpid(child, &status, 0) == child);
+  REQUIRE(WIFEXITED(status));
+  CHECK(WEXITSTATUS(status) == 3);
+  CHECK(entries(folder.path()) == 1);
 }

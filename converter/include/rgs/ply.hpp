@@ -38,6 +38,9 @@ class PlyFile {
   std::uint64_t bytes() const;                ///< size of the source
   std::span<const std::byte> source() const;  ///< the source's bytes as they lie on disk (for hashing)
 
+  /// Byte at which row i starts in the source; Error::kNone if rows were converted into a temporary file.
+  std::uint64_t row_offset(std::uint64_t i) const;
+
   /// Gaussians first .. first + out.size() - 1.
   void read(std::uint64_t first, std::span<Splat> out) const;
   /// Gaussians indices[0], indices[1], ... in that order; out.size() == indices.size().

@@ -36,14 +36,15 @@ class MappedFile {
 
 /// An output that appears under its name complete or not at all. Bytes go to `PATH.tmp-XXXXXX` in the same folder;
 /// commit() syncs and renames. Destruction without commit, SIGINT, SIGTERM and SIGHUP (after
-/// remove_temporaries_on_signal()) remove the temporary file. Move-only; writes may come from several threads.
+/// remove_temporaries_on_signal()) remove the temporary file. Path "-" is standard output: bytes are collected in
+/// $TMPDIR (/tmp if unset) and copied out by commit(). Move-only; writes may come from several threads.
 class AtomicFile {
  public:
   struct Options {
     bool overwrite = false;  ///< replace an existing file; otherwise commit() and create() refuse with output_exists
     bool sync = true;        ///< fsync file and folder before commit() returns
   };
-  /// Errors: output_exists, output_unusable (a directory), open_failed, write_failed.
+  /// Errors: output_exists, output_unusable (a directory), write_failed.
   static Result<AtomicFile> create(const std::string& path, Options options);
 
   AtomicFile() = default;
@@ -60,13 +61,15 @@ class AtomicFile {
 
  private:
   void discard();
+  Status copy_to_stdout();
   std::string path_, temporary_;
   Options options_;
   int fd_ = -1;
   int slot_ = -1;  // entry in the table that the signal handler walks
 };
 
-/// Installs handlers for SIGINT, SIGTERM and SIGHUP that remove unfinished outputs and then die of the same signal.
+/// Installs handlers for SIGINT, SIGTERM and SIGHUP that remove unfinished outputs and then die of the same signal, and
+/// for SIGBUS, which a mapped input raises when another process truncates it: outputs are removed, exit code 3.
 void remove_temporaries_on_signal();
 
 /// True if both paths name the same existing file (device and inode).

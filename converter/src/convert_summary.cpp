@@ -1,0 +1,146 @@
+// convert_summary.cpp - a conversion's summary as text and as JSON.
+// SPDX-License-Identifier: Apache-2.0
+#include "convert_summary.hpp"
+
+#include <fmt/format.h>
+
+#include <nlohmann/json.hpp>
+
+#include "console.hpp"
+
+namespace rgs {
+namespace {
+
+const char* depth_source_name(DepthSource source) {
+  switch (source) {
+    case DepthSource::cameras: return "cameras";
+    case DepthSource::scene_extent: return "scene extent";
+    case DepthSource::by_hand: return "by hand";
+  }
+  return "unknown";
+}
+
+const char* depth_mapping_name(DepthMapping mapping) {
+  return mapping == DepthMapping::linear ? "linear" : "log";
+}
+
+double per_gaussian(std::uint64_t bytes, std::uint64_t n) {
+  return n == 0 ? 0 : static_cast<double>(bytes) / static_cast<double>(n);
+}
+
+double total_seconds(const ConvertSummary& s) {
+  double sum = 0;
+  for (const auto& [stage, seconds] : s.seconds) sum += seconds;
+  return sum;
+}
+
+std::string type_name(std::uint32_t type) {
+  std::string name;
+  for (int i = 0; i < 4; ++i) name += static_cast<char>(type >> (8 * i) & 255);
+  return name;
+}
+
+}  // namespace
+
+std::string summary_text(const ConvertSummary& s) {
+  using tool::format_bytes;
+  using tool::format_count;
+  std::string text;
+  const auto line = [&text]<class... T>(fmt::format_string<T...> format, T&&... args) {
+    text += fmt::format(format, std::forward<T>(args)...) + "\n";
+  };
+  line("{} ({}, {}) -> {} ({}): {:.2f}x smaller, {:.1f} bytes per Gaussian", s.source_name, s.source_format,
+       format_bytes(s.source_bytes), s.output_format, format_bytes(s.output_bytes),
+       s.output_bytes == 0 ? 0.0 : static_cast<double>(s.source_bytes) / static_cast<double>(s.output_bytes),
+       per_gaussian(s.output_bytes, s.n_written));
+  line("  Gaussians  {} read, {} written, {} dropped, {} repaired", format_count(s.n_source), format_count(s.n_written),
+       format_count(s.n_source - s.n_written), format_count(s.n_repaired));
+  for (std::size_t i = 0; i < kDefectKinds; ++i) {
+    if (s.defects[i] != 0)
+      line("             damaged {}: {}", defect_name(static_cast<Defect>(i)), format_count(s.defects[i]));
+  }
+  if (s.sh_degree == s.source_sh_degree) {
+    line("  SH degree  {}", s.sh_degree);
+  } else {
+    line("  SH degree  {} of {} kept", s.sh_degree, s.source_sh_degree);
+  }
+  if (s.output_format == "rgs") {
+    const Declarations& d = s.declarations;
+    line("  sections");
+    for (const SectionEntry& section : s.sections) {
+      line("    {}  {:>10}  {:6.2f} bytes per Gaussian", type_name(section.type), format_bytes(section.stored_bytes),
+           per_gaussian(section.stored_bytes, s.n_written));
+    }
+    line("  chunks     {} of {}, {} SH scale set{}", format_count(s.header.n_chunks), s.header.chunk_size,
+         format_count(s.header.n_scale_sets), s.header.n_scale_sets == 1 ? "" : "s");
+    line("  scale      {:.3g} to {:.3g}, stored times 2^{}", s.min_scale, s.max_scale, s.header.scale_exponent);
+    line("  opacity    {:.3g} to {:.3g}", s.min_opacity, s.max_opacity);
+    line("  depth key  {:.4g} to {:.4g}, {}, from {}", d.z_near, d.z_far, depth_mapping_name(d.depth_mapping),
+         depth_source_name(d.depth_source));
+    if (d.n_scale_subnormal + d.n_scale_zero + d.n_opacity_zero + d.n_opacity_one != 0) {
+      line("  limits     scales below FP16's normal range {}, flushed to 0 {}; opacities rounded to 0 {}, to 1 {}",
+           format_count(d.n_scale_subnormal), format_count(d.n_scale_zero), format_count(d.n_opacity_zero),
+           format_count(d.n_opacity_one));
+    }
+  }
+  std::string stages;
+  for (const auto& [stage, seconds] : s.seconds) {
+    stages += fmt::format("{}{} {}", stages.empty() ? "" : ", ", stage, tool::format_seconds(seconds));
+  }
+  line("  time       {} ({}; of this syncing {})", tool::format_seconds(total_seconds(s)), stages,
+       tool::format_seconds(s.sync_seconds));
+  return text;
+}
+
+std::string summary_json(const ConvertSummary& s) {
+  using nlohmann::ordered_json;
+  ordered_json json;
+  json["schema"] = "rgs-convert/1";
+  json["source"] = {{"name", s.source_name},
+                    {"format", s.source_format},
+                    {"bytes", s.source_bytes},
+                    {"gaussians", s.n_source},
+                    {"sh_degree", s.source_sh_degree}};
+  json["output"] = {{"format", s.output_format},
+                    {"bytes", s.output_bytes},
+                    {"gaussians", s.n_written},
+                    {"sh_degree", s.sh_degree},
+                    {"bytes_per_gaussian", per_gaussian(s.output_bytes, s.n_written)}};
+  ordered_json damaged = ordered_json::object();
+  for (std::size_t i = 0; i < kDefectKinds; ++i) damaged[defect_name(static_cast<Defect>(i))] = s.defects[i];
+  json["dropped"] = s.n_source - s.n_written;
+  json["repaired"] = s.n_repaired;
+  json["damaged"] = std::move(damaged);
+  if (s.output_format == "rgs") {
+    const Declarations& d = s.declarations;
+    ordered_json sections = ordered_json::array();
+    for (const SectionEntry& section : s.sections) {
+      sections.push_back({{"type", type_name(section.type)},
+                          {"stored_bytes", section.stored_bytes},
+                          {"decoded_bytes", section.decoded_bytes}});
+    }
+    json["sections"] = std::move(sections);
+    json["chunks"] = {
+        {"size", s.header.chunk_size}, {"count", s.header.n_chunks}, {"scale_sets", s.header.n_scale_sets}};
+    json["scale"] = {{"min", s.min_scale},
+                     {"max", s.max_scale},
+                     {"exponent", s.header.scale_exponent},
+                     {"subnormal", d.n_scale_subnormal},
+                     {"zero", d.n_scale_zero}};
+    json["opacity"] = {
+        {"min", s.min_opacity}, {"max", s.max_opacity}, {"zero", d.n_opacity_zero}, {"one", d.n_opacity_one}};
+    json["depth"] = {{"near", d.z_near},
+                     {"far", d.z_far},
+                     {"mapping", depth_mapping_name(d.depth_mapping)},
+                     {"source", depth_source_name(d.depth_source)}};
+  }
+  ordered_json seconds = ordered_json::object();
+  for (const auto& [stage, value] : s.seconds) seconds[stage] = value;
+  seconds["sync"] = s.sync_seconds;
+  seconds["total"] = total_seconds(s);
+  json["seconds"] = std::move(seconds);
+  // File names need not be UTF-8; JSON must be.
+  return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
+}
+
+}  // namespace rgs

@@ -1,0 +1,57 @@
+// depth_range.cpp - percentiles of visible depth.
+// SPDX-License-Identifier: Apache-2.0
+#include "depth_range.hpp"
+
+#include <algorithm>
+#include <vector>
+
+namespace rgs {
+namespace {
+
+constexpr std::size_t kMaxCameras = 64;
+constexpr std::size_t kMaxMeans = 65536;
+constexpr double kNearPlane = 0.2;  // of the original 3DGS rasteriser
+constexpr double kMargin = 0.1;     // cameras between and around the given ones see a little nearer and farther
+
+}  // namespace
+
+Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std::span<const float> mean) {
+  const std::size_t n = mean.size() / 3;
+  const std::size_t n_cameras = std::min(cameras.size(), kMaxCameras);
+  const std::size_t n_means = std::min(n, kMaxMeans);
+  std::vector<float> depths;
+  for (std::size_t c = 0; c < n_cameras; ++c) {
+    const Camera& camera = cameras[c * cameras.size() / n_cameras];
+    if (const Status s = validate(camera); !s) return tl::unexpected(s.error());
+    const auto& m = camera.world_to_camera;
+    for (std::size_t k = 0; k < n_means; ++k) {
+      const float* p = &mean[3 * (k * n / n_means)];
+      double in_camera[3];
+      for (std::size_t row = 0; row < 3; ++row) {
+        in_camera[row] = m[4 * row] * static_cast<double>(p[0]) + m[4 * row + 1] * static_cast<double>(p[1]) +
+                         m[4 * row + 2] * static_cast<double>(p[2]) + m[4 * row + 3];
+      }
+      const double z = in_camera[2];
+      if (!(z > kNearPlane)) continue;
+      const double u = camera.fx * in_camera[0] / z + camera.cx;
+      const double v = camera.fy * in_camera[1] / z + camera.cy;
+      if (u >= 0 && u < camera.width && v >= 0 && v < camera.height) depths.push_back(static_cast<float>(z));
+    }
+  }
+  if (depths.empty()) {
+    return fail(Errc::bad_argument, Error::kNone, "no camera sees any Gaussian: do the cameras belong to this scene?");
+  }
+  const auto percentile = [&depths](std::size_t per_mille) {
+    const auto at = depths.begin() + static_cast<std::ptrdiff_t>((depths.size() - 1) * per_mille / 1000);
+    std::nth_element(depths.begin(), at, depths.end());
+    return static_cast<double>(*at);
+  };
+  const double low = percentile(1), high = percentile(999);
+  DepthRange range;
+  range.z_near = static_cast<float>(std::max(kNearPlane, low * (1 - kMargin)));
+  range.z_far = static_cast<float>(high * (1 + kMargin));
+  range.source = DepthSource::cameras;
+  return range;
+}
+
+}  // namespace rgs
