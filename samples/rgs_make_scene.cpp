@@ -26,7 +26,7 @@ struct Options {
   std::string output, cameras, gaussians = "200k";
   std::uint64_t seed = 1;
   int degree = 3;
-  int threads = 0;
+  unsigned threads = 0;
   bool overwrite = false, quiet = false, sync = true;
 };
 
@@ -66,8 +66,7 @@ rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer
 int make_scene(const Options& options, std::uint64_t n) {
   const rgs::AtomicFile::Options file_options{options.overwrite, options.sync};
   rgs::remove_temporaries_on_signal();
-  const auto threads = static_cast<std::size_t>(
-      options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency()));
+  const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
   rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options);
@@ -108,7 +107,7 @@ int main(int argc, char** argv) {
       ->capture_default_str();
   app.add_option("--cameras", options.cameras, "also write eight views of the scene to this JSON file");
   app.add_option("--threads", options.threads, "threads, 0 for all cores; the output does not depend on it")
-      ->check(CLI::Range(0, 1024))
+      ->check(CLI::Range(0U, 1024U))
       ->capture_default_str();
   app.add_flag("--overwrite", options.overwrite, "replace existing outputs");
   app.add_flag("!--no-sync", options.sync, "do not wait until the files are on the disk");
@@ -121,7 +120,8 @@ int main(int argc, char** argv) {
   }
   const rgs::Result<std::uint64_t> n = tool::parse_count(options.gaussians);
   if (!n || *n > rgs::kMaxSceneGaussians)
-    return tool::report_usage("--gaussians takes a whole number from 0 to 200M, not '" + options.gaussians + "'");
+    return tool::report_usage(
+        fmt::format("--gaussians takes a whole number from 0 to 200M, not '{}'", options.gaussians));
   if (!options.cameras.empty() && options.cameras == options.output)
     return tool::report_usage("--cameras and the output are the same file");
   return tool::run([&] { return make_scene(options, *n); });

@@ -245,6 +245,13 @@ struct Ball {
   double radius;
 };
 
+// A ball as the sun sees it: right and up in a plane that faces the sun, depth towards the sun.
+struct Shade {
+  double right, up, depth, radius;
+};
+
+const Vec kSunRight = glm::normalize(glm::cross(kSun, kUp)), kSunUp = glm::cross(kSunRight, kSun);
+
 struct HalfSpace {  // dot(n, p) <= d
   Vec n;
   double d;
@@ -288,7 +295,7 @@ Look look(Material material, const Point& q, const Part& part, const Dice& dice)
     case Material::slate_roof: {
       const Cell c = cell(q.s, q.r, 0.16, 0.15);
       return {glm::mix(Vec{0.20, 0.25, 0.34}, Vec{0.34, 0.40, 0.50}, c.tone) * (c.x < 0.1 || c.y < 0.14 ? 0.6 : 1.0),
-              0.10};
+              0.05};
     }
     case Material::stone: {
       const Cell c = cell(q.s, q.r, 0.30, 0.20);
@@ -301,7 +308,7 @@ Look look(Material material, const Point& q, const Part& part, const Dice& dice)
       return {Vec{0.34, 0.20, 0.10} * (plank < 0.1 ? 0.5 : 0.9 + 0.25 * noise(50 * q.s, 5 * q.r))};
     }
     case Material::paint: return {Vec{0.93, 0.92, 0.88}, 0.02};
-    case Material::glass: return {Vec{0.06, 0.10, 0.15}, 0.65};
+    case Material::glass: return {Vec{0.06, 0.10, 0.15}, 0.45};
     case Material::polished: return {Vec{0.55, 0.10, 0.12} * (0.85 + 0.3 * fractal_noise(3 * q.s, 3 * q.r)), 0.45};
     case Material::ground: {
       if (paved(q.p.x, q.p.z)) {
@@ -395,7 +402,7 @@ struct SceneGenerator::Layout {
   std::uint64_t seed = 0, n = 0;
   std::uint64_t stride = 1, shift = 0;  // i -> (i * stride + shift) mod n; n < 2^28, so the product fits
   std::vector<Part> parts;
-  std::vector<Ball> balls;       // cast shadows
+  std::vector<Shade> shades;     // cast shadows
   std::vector<HalfSpace> house;  // convex body of walls and roof; casts a shadow
 
   Layout(std::uint64_t scene_seed, std::uint64_t count);
@@ -404,6 +411,10 @@ struct SceneGenerator::Layout {
  private:
   void add(Shape shape, Material material, double detail, const Vec& origin, const Vec& a, const Vec& b = Vec{0}) {
     parts.push_back({shape, material, origin, a, b, detail});
+  }
+  void add_shade(const Ball& ball) {
+    shades.push_back(
+        {glm::dot(ball.centre, kSunRight), glm::dot(ball.centre, kSunUp), glm::dot(ball.centre, kSun), ball.radius});
   }
   void add_window(const Vec& centre, const Vec& right, const Vec& up);
   void add_tree(double x, double z, double height, double crown, const Dice& dice);
@@ -493,9 +504,9 @@ void SceneGenerator::Layout::build_house() {
   add(Shape::cone, Material::slate_roof, 9, tower + 2.78 * kUp, Vec{0.84, 0.01, 1.45});
   add(Shape::ellipsoid, Material::polished, 20, tower + 4.28 * kUp, Vec{0.07});
   add_window(tower + 1.85 * kUp - 0.63 * forward, 0.28 * right, 0.52 * kUp);
-  for (int k = 0; k < 6; ++k) balls.push_back({tower + (0.3 + 0.5 * k) * kUp, 0.6});
-  balls.push_back({tower + 3.2 * kUp, 0.55});
-  balls.push_back({tower + 3.75 * kUp, 0.28});
+  for (int k = 0; k < 6; ++k) add_shade({tower + (0.3 + 0.5 * k) * kUp, 0.6});
+  add_shade({tower + 3.2 * kUp, 0.55});
+  add_shade({tower + 3.75 * kUp, 0.28});
 
   house = {{{-1, 0, 0}, kX}, {{1, 0, 0}, kX}, {{0, 0, -1}, -kFront}, {{0, 0, 1}, kBack}, {{0, 1, 0}, 0}};
   for (const double side : {-1.0, 1.0})  // height <= ridge - slope * |z - middle|
@@ -514,7 +525,7 @@ void SceneGenerator::Layout::add_tree(double x, double z, double height, double 
     const Vec centre = foot + kUp * (height * (n_blobs == 3 ? 0.4 : 0.58 + 0.42 * low)) +
                        turn(phi) * (crown * 0.62 * (1 - 0.75 * low));
     add(Shape::ellipsoid, Material::leaf, 3, centre, Vec{radius, 0.82 * radius, radius});
-    balls.push_back({centre, 0.8 * radius});
+    add_shade({centre, 0.8 * radius});
     if (n_blobs > 3) add(Shape::line, Material::bark, 5, fork, centre - fork, Vec{0.035 * crown, 0.01, 0});
   }
 }
@@ -534,16 +545,16 @@ void SceneGenerator::Layout::build_garden() {
     add(Shape::cone, Material::stone, 12, at(x, 1.12, -3.0), Vec{0.14, 0.19, 0.04});
     add(Shape::cone, Material::stone, 12, at(x, 1.16, -3.0), Vec{0.19, 0.19, 0.09});
     add(Shape::disc, Material::stone, 12, at(x, 1.25, -3.0), Vec{0, 0.17, 0});
-    for (int k = 0; k < 4; ++k) balls.push_back({at(x, 0.15 + 0.3 * k, -3.0), 0.16});
+    for (int k = 0; k < 4; ++k) add_shade({at(x, 0.15 + 0.3 * k, -3.0), 0.16});
   }
   add(Shape::half_ring, Material::stone, 12, at(0, 1.22, -3.0), Vec{0.85, 0.14, 0});
   for (int k = 0; k <= 8; ++k)
-    balls.push_back({at(0.85 * std::cos(kPi * k / 8), 1.22 + 0.85 * std::sin(kPi * k / 8), -3.0), 0.15});
+    add_shade({at(0.85 * std::cos(kPi * k / 8), 1.22 + 0.85 * std::sin(kPi * k / 8), -3.0), 0.15});
   const Vec pedestal = at(-2.35, 0, -2.0);
   add(Shape::cone, Material::stone, 12, pedestal, Vec{0.34, 0.30, 0.34});
   add(Shape::disc, Material::stone, 4, pedestal + 0.34 * kUp, Vec{0, 0.30, 0});
   add(Shape::ellipsoid, Material::polished, 24, pedestal + 0.77 * kUp, Vec{0.45});
-  balls.push_back({pedestal + 0.77 * kUp, 0.44});
+  add_shade({pedestal + 0.77 * kUp, 0.44});
 
   struct Tree {
     double x, z, height, crown;
@@ -605,12 +616,11 @@ SceneGenerator::Layout::Layout(std::uint64_t scene_seed, std::uint64_t count)
 // Share of the sun that reaches p, with soft edges.
 double SceneGenerator::Layout::sunlight(const Vec& p) const {
   double light = 1;
-  for (const Ball& ball : balls) {
-    const Vec to = ball.centre - p;
-    const double along = glm::dot(to, kSun);
-    if (along < 0.3 * ball.radius) continue;
-    const double miss2 = glm::dot(to, to) - along * along, r2 = ball.radius * ball.radius;
-    if (miss2 < 1.5 * r2) light *= smooth((miss2 / r2 - 0.5));
+  const double right = glm::dot(p, kSunRight), up = glm::dot(p, kSunUp), depth = glm::dot(p, kSun);
+  for (const Shade& shade : shades) {
+    const double dx = shade.right - right, dy = shade.up - up, miss2 = dx * dx + dy * dy,
+                 r2 = shade.radius * shade.radius;
+    if (miss2 < 1.5 * r2 && shade.depth - depth > 0.3 * shade.radius) light *= smooth(miss2 / r2 - 0.5);
   }
   double enter = 0.02, leave = 1e9;  // the ray's stay within the house
   for (const HalfSpace& side : house) {
@@ -734,9 +744,9 @@ Splat SceneGenerator::Layout::splat(std::uint64_t i, int sh_degree) const {
 
   std::array<double, 16> lobe{};
   if (surface.gloss > 0.02) lobe = harmonics(2 * glm::dot(q.n, kSun) * -q.n + kSun);
-  // Deviation 0.05, 0.03, 0.02 in degrees 1, 2, 3; a factor per Gaussian with E[f^2] = 1 and a long tail; the
-  // channels share most of it, as they do after training.
-  constexpr double kDeviation[4] = {0, 0.05, 0.03, 0.02};
+  // Noise: with what gloss adds, a deviation near 0.06, 0.03, 0.02 in degrees 1, 2, 3; a factor per Gaussian with
+  // E[f^2] = 1 and a long tail; the channels share most of it, as they do after training.
+  constexpr double kDeviation[4] = {0, 0.042, 0.025, 0.017};
   constexpr double kLobe[4] = {0, 0.55, 0.40, 0.24};  // a highlight about 40 degrees wide, cut at degree 3
   const double factor = (material == Material::sky ? 0.3 : 1) / std::sqrt(3.536 * (dice.uniform(Use::sh) + 0.03));
   const Vec linear[4] = {Vec{0}, -bend.y / kY1 * reflected, bend.z / kY1 * reflected, -bend.x / kY1 * reflected};
