@@ -5,6 +5,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <bit>
 #include <cassert>
 #include <cerrno>
@@ -12,8 +13,12 @@
 #include <cstring>
 #include <functional>
 #include <limits>
+#include <memory>
+#include <string>
+#include <string_view>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "ply_header.hpp"
 #include "rgs/ply.hpp"
@@ -30,7 +35,7 @@ static_assert(std::numeric_limits<float>::is_iec559 && std::numeric_limits<doubl
 
 constexpr std::uint32_t kFloat = sizeof(float);
 
-// The largest stored expectation; Error::kNone itself means "not numeric".
+// Sizes above 2^64 - 2 are reported as that: Error::kNone itself means "not numeric".
 constexpr std::uint64_t saturating_product(std::uint64_t a, std::uint64_t b) {
   return b != 0 && a > (Error::kNone - 1) / b ? Error::kNone - 1 : a * b;
 }
@@ -85,13 +90,6 @@ void decode_standard(const std::byte* mean, const std::byte* rest, Splat& out) {
   out.opacity_logit = value(3 + kRest);
   std::memcpy(out.log_scale, rest + (4 + kRest) * kFloat, sizeof(out.log_scale));
   std::memcpy(out.rotation, rest + (7 + kRest) * kFloat, sizeof(out.rotation));
-}
-
-// Pulls the bytes that a later decode touches into the cache: rows in random order miss it on every line.
-void prefetch(const std::byte* from, std::uint32_t bytes) {
-  constexpr std::uint32_t kLine = 64;
-  for (std::uint32_t at = 0; at < bytes; at += kLine) __builtin_prefetch(from + at);
-  __builtin_prefetch(from + bytes - 1);
 }
 
 // Position in the data of a file while its variable-size parts are walked. Nothing is read past the end.
@@ -239,8 +237,8 @@ struct PlyFile::Impl {
   Layout layout = Layout::mixed;
   const std::byte* rows = nullptr;
   std::uint32_t row_bytes = 0;
-  std::uint32_t used_first = 0, used_bytes = 0;  // the part of a row that decoding touches
-  std::array<Column, kSplatFloats> columns{};    // [splat_floats(sh_degree)] used
+  std::uint32_t used_first = 0;                // the first byte of a row that decoding touches
+  std::array<Column, kSplatFloats> columns{};  // [splat_floats(sh_degree)] used
 
   Status parse();
   Status skip_element(const PlyElement& element, PlyEncoding encoding, Cursor& cursor) const;
@@ -382,15 +380,12 @@ Status PlyFile::Impl::convert(const PlyElement& element, PlyEncoding encoding, c
 
 void PlyFile::Impl::choose_layout() {
   const auto used = std::span(columns).first(static_cast<std::size_t>(splat_floats(sh_degree)));
-  std::uint32_t used_end = 0;
   bool all_floats = true;
   used_first = row_bytes;
   for (const Column& column : used) {
     used_first = std::min(used_first, column.offset);
-    used_end = std::max(used_end, column.offset + ply_type_bytes(column.type));
     all_floats &= column.type == PlyType::float32;
   }
-  used_bytes = used_end - used_first;
   if (!all_floats) {
     layout = Layout::mixed;
   } else if (swap) {
@@ -506,11 +501,12 @@ void PlyFile::read(std::uint64_t first, std::span<Splat> out) const {
 
 void PlyFile::gather(std::span<const std::uint32_t> indices, std::span<Splat> out) const {
   assert(indices.size() == out.size());
-  // Far enough ahead to cover a miss to memory (about 100 ns against 20 ns of decoding), near enough to stay in L1.
+  // One line a row: it starts the page walk, and out-of-order execution fetches the rest. Measured with 778,812 random
+  // 248-byte rows on one core: 90 ms; prefetching all lines of a row, 206 ms; none, 204 ms. 6 and 12 ahead are alike.
   constexpr std::size_t kAhead = 12;
   const Impl& impl = *impl_;
   const auto row = [&](std::size_t i) { return impl.rows + std::uint64_t{indices[i]} * impl.row_bytes; };
-  const auto touch = [&](std::size_t i) { prefetch(row(i) + impl.used_first, impl.used_bytes); };
+  const auto touch = [&](std::size_t i) { __builtin_prefetch(row(i) + impl.used_first); };
   impl.with_decoder([&](auto decode) {
     for (std::size_t i = 0; i < std::min(kAhead, indices.size()); ++i) touch(i);
     for (std::size_t i = 0; i < indices.size(); ++i) {

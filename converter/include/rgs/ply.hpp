@@ -16,17 +16,23 @@ namespace rgs {
 
 /// A 3DGS PLY opened for random access by Gaussian; attributes are read from the mapped file when asked for.
 /// Properties are found by name (x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*), in any order and of any scalar
-/// type; other properties and elements are skipped. Binary (both byte orders) is read in place; ASCII, and vertices
-/// with list properties, are converted once into an unlinked temporary file of fixed-size rows.
-/// Reading is thread-safe.
+/// type; other properties and elements are skipped, and what follows the vertices is not looked at. Binary (both byte
+/// orders) is read in place; ASCII (a line each vertex), and vertices with list properties, are converted once into
+/// rows of floats in an unlinked temporary file in $TMPDIR. Values are passed on as they are, NaN and infinity too.
+/// Reading is thread-safe. The file may lose its name while it is open, but must not shrink: the size is checked once,
+/// in open(), and touching a mapped page behind a new end raises SIGBUS.
 class PlyFile {
  public:
-  /// Errors: open_failed, read_failed; bad_syntax (header), truncated (expected and found bytes),
-  /// not_gaussian_splats (a property is missing; 2DGS; found in Error::found), unsupported_feature, limit_exceeded.
+  /// Errors, header lines with their byte offset: open_failed, read_failed, write_failed (temporary file); bad_magic,
+  /// unsupported_version, bad_syntax, limit_exceeded (header above 1 MiB); truncated (expected and found bytes; lines
+  /// in text); bad_value (negative list length); not_gaussian_splats (the missing property is named; 2DGS);
+  /// unsupported_feature (packed PLY; a number of f_rest properties that is no degree, in Error::found).
+  /// Anything but a regular file is read as by open(int).
   static Result<PlyFile> open(const std::string& path);
-  /// Reads from a pipe (or any descriptor) by spooling it into an unlinked temporary file first.
+  /// Reads from the descriptor's position to its end. A regular file at its start is mapped; anything else (a pipe) is
+  /// first copied, above 1 MiB into an unlinked temporary file. The descriptor stays the caller's.
   static Result<PlyFile> open(int fd);
-  /// Parses a PLY in memory, which must outlive the object; for tests and fuzzing.
+  /// Parses a PLY in memory, which must outlive the object.
   static Result<PlyFile> open(std::span<const std::byte> bytes);
 
   PlyFile(PlyFile&&) noexcept;
@@ -62,8 +68,9 @@ Result<SplatCloud> read_ply(const std::string& path);
 /// Rows may be written in any order and from several threads, each once.
 class PlyWriter {
  public:
+  /// Reserves the space. Errors: bad_argument (degree, count), and those of AtomicFile::create and reserve.
   static Result<PlyWriter> create(const std::string& path, std::uint64_t n, int sh_degree, AtomicFile::Options options);
-  /// Rows first .. first + splats.size() - 1.
+  /// Rows first .. first + splats.size() - 1. Errors: write_failed.
   Status write(std::uint64_t first, std::span<const Splat> splats);
   /// See AtomicFile::commit: seconds spent syncing.
   Result<double> commit();
