@@ -5,6 +5,7 @@
 #include <fstream>
 
 #include "golden_scenes.hpp"
+#include "reject_cases.hpp"
 
 namespace {
 
@@ -29,5 +30,13 @@ int main(int argc, char** argv) {
       return 1;
     }
   }
-  return 0;
+  const std::filesystem::path reject = folder / "reject";
+  std::filesystem::create_directories(reject);
+  std::ofstream list(reject / "reject.txt");
+  list << "# file, error, byte offset\n";
+  for (const auto& c : rgs::test::reject_cases()) {
+    if (!write(reject / (c.name + ".rgs"), c.bytes)) return 1;
+    list << c.name << ".rgs " << rgs::errc_name(c.code) << ' ' << c.offset << '\n';
+  }
+  return list.flush() ? 0 : 1;
 }

@@ -12,9 +12,9 @@
 namespace rgs::test {
 
 /// SplitMix64 (Steele et al. 2014): the same numbers everywhere, unlike the distributions of <random>.
-class Random {
+class SplitMix {
  public:
-  explicit Random(std::uint64_t seed) : state_(seed) {}
+  explicit SplitMix(std::uint64_t seed) : state_(seed) {}
   std::uint64_t bits() {
     std::uint64_t z = state_ += 0x9E3779B97F4A7C15u;
     z = (z ^ z >> 30) * 0xBF58476D1CE4E5B9u;
@@ -34,7 +34,7 @@ class Random {
 
 /// n Gaussians of a small scene: dyadic numbers, none of whose codes lies near a rounding boundary of exp.
 inline SplatCloud golden_cloud(std::uint64_t n, int sh_degree, std::uint64_t seed) {
-  Random random(seed);
+  SplitMix random(seed);
   SplatCloud cloud;
   cloud.resize(n, sh_degree);
   for (std::uint64_t i = 0; i < n; ++i) {
