@@ -88,10 +88,10 @@ class Scene:
     source_index: NDArray[np.uint64] | None  # [N] position in the source file
 
     def log_scales(self) -> NDArray[np.float32]:
-        """[N, 3] as a 3DGS PLY stores them."""
+        """[N, 3] as a 3DGS PLY stores them, within -60 and 60."""
         exponent = -self.header["scale_exponent"]
         stored = np.where(self.scales_stored == 0, 2.0**-26, self.scales_stored.astype(np.float64))
-        return np.log(np.ldexp(stored, exponent)).astype(np.float32)
+        return np.log(np.ldexp(stored, exponent)).clip(-60, 60).astype(np.float32)
 
     def opacity_logits(self) -> NDArray[np.float32]:
         """[N] as a 3DGS PLY stores them."""
@@ -118,10 +118,8 @@ def require_all(ok: NDArray[np.bool_], offset: int, row_bytes: int, column_bytes
         raise RgsError(code, offset + row * row_bytes + column * column_bytes, text)
 
 
-def require_zero(data: memoryview, begin: int, end: int, code: str, text: str) -> None:
-    nonzero = np.flatnonzero(np.frombuffer(data[begin:end], np.uint8))
-    if nonzero.size:
-        raise RgsError(code, begin + int(nonzero[0]), text)
+def require_reserved(data: memoryview, begin: int, end: int, text: str) -> None:
+    require(not any(data[begin:end]), "reserved_bits", begin, text)
 
 
 def record(data: memoryview, dtype: np.dtype[np.void], offset: int) -> Record:
@@ -129,9 +127,13 @@ def record(data: memoryview, dtype: np.dtype[np.void], offset: int) -> Record:
     return {name: row[name].tolist() for name in dtype.names}
 
 
+def table_end(h: Record) -> int:
+    return HEADER_BYTES + ENTRY_BYTES * h["n_sections"]
+
+
 def read_header(data: memoryview, max_file_bytes: int, max_gaussians: int) -> Record:
-    require(len(data) >= 8, "truncated", len(data), "no magic")
-    require(data[:8] == MAGIC, "bad_magic", 0, "not an .rgs file")
+    for i, (found, expected) in enumerate(zip(data, MAGIC)):
+        require(found == expected, "bad_magic", i, "not an .rgs file")
     require(len(data) >= HEADER_BYTES, "truncated", len(data), "the file ends inside the header")
     h = record(data, HEADER, 0)
 
@@ -139,16 +141,17 @@ def read_header(data: memoryview, max_file_bytes: int, max_gaussians: int) -> Re
         require(ok, code, HEADER.fields[name][1], text)
 
     rule(h["version_major"] == 1, "version_major", "only version 1 is known", "unsupported_version")
-    require_zero(data, 12, 16, "reserved_bits", "header flags are reserved")
-    require_zero(data, 60, HEADER_BYTES, "reserved_bits", "header bytes 60 to 127 are reserved")
+    require_reserved(data, 12, 16, "header flags are reserved")
+    require_reserved(data, 60, HEADER_BYTES, "header bytes 60 to 127 are reserved")
     n, size = h["n_gaussians"], h["chunk_size"]
-    rule(32 <= size <= 2**20 and size % 32 == 0, "chunk_size", "a multiple of 32, 32 to 2^20")
+    rule(32 <= size <= 2**16 and size % 32 == 0, "chunk_size", "a multiple of 32, 32 to 2^16")
     rule(h["n_chunks"] == -(-n // size), "n_chunks", "ceil(n_gaussians / chunk_size)")
     rule(min(1, n) <= h["n_scale_sets"] <= h["n_chunks"], "n_scale_sets", "1 to n_chunks, 0 without Gaussians")
     rule(1 <= h["n_sections"] <= 1024, "n_sections", "1 to 1024 sections")
+    rule(table_end(h) + HASH_BYTES <= h["file_bytes"], "n_sections", "the section table leaves the file")
     rule(h["sh_degree"] <= 3, "sh_degree", "SH degree 0 to 3")
     rule(h["sh_bytes"] == SH_BYTES[h["sh_degree"]], "sh_bytes", "4, 12, 28, 48 for degree 0, 1, 2, 3")
-    rule(-126 <= h["scale_exponent"] <= 126, "scale_exponent", "-126 to 126")
+    rule(-110 <= h["scale_exponent"] <= 110, "scale_exponent", "-110 to 110")
     rule(h["file_bytes"] <= max_file_bytes, "file_bytes", "larger than the caller allows", "limit_exceeded")
     rule(n <= max_gaussians, "n_gaussians", "more Gaussians than the caller allows", "limit_exceeded")
     require(len(data) >= h["file_bytes"], "truncated", len(data), "shorter than file_bytes says")
@@ -157,34 +160,33 @@ def read_header(data: memoryview, max_file_bytes: int, max_gaussians: int) -> Re
 
 
 def read_table(data: memoryview, h: Record) -> list[Record]:
-    """The section entries, all rules of the table checked, but for what DECL and PROV say about their sizes."""
-    table_end = HEADER_BYTES + ENTRY_BYTES * h["n_sections"]
-    require(table_end + HASH_BYTES <= len(data), "truncated", len(data), "the file ends inside the section table")
-    stored = int.from_bytes(data[table_end:table_end + HASH_BYTES], "little")
-    require(xxhash.xxh3_64_intdigest(data[:table_end]) == stored, "checksum_mismatch", table_end,
-            "hash of header and section table")
+    """The section entries; their order and place are checked, not yet that their sizes follow from the counts."""
+    head = table_end(h)
+    stored = int.from_bytes(data[head:head + HASH_BYTES], "little")
+    require(xxhash.xxh3_64_intdigest(data[:head]) == stored, "checksum_mismatch", head, "hash of header and table")
     at = {name: ENTRY.fields[name][1] for name in ENTRY.names}
-    entries = [record(data, ENTRY, p) | {"at": p} for p in range(HEADER_BYTES, table_end, ENTRY_BYTES)]
+    entries = [record(data, ENTRY, p) | {"at": p} for p in range(HEADER_BYTES, head, ENTRY_BYTES)]
     for s in entries:
         require(s["flags"] < 2, "reserved_bits", s["at"] + at["flags"], "bits 1 to 31 of the flags are reserved")
         for name in ("reserved", "reserved_tail"):
             begin = s["at"] + at[name]
-            require_zero(data, begin, begin + ENTRY[name].itemsize, "reserved_bits", "reserved bytes of an entry")
+            require_reserved(data, begin, begin + ENTRY[name].itemsize, "reserved bytes of an entry")
 
     seen: set[str] = set()
     for s in entries:
-        require(all(32 <= c < 127 for c in s["type"]), "bad_section", s["at"], "a type is four ASCII characters")
-        s["type"] = bytes(s["type"]).decode("ascii")
+        s["type"] = bytes(s["type"]).decode("latin-1")        # known types are ASCII, others may be anything
         if s["type"] in KNOWN:
             require(s["type"] not in seen, "duplicate_section", s["at"], s["type"] + " is there twice")
             require(s["codec"] == 0, "unsupported_codec", s["at"] + at["codec"], "codec 0 is the only one")
+            require(s["decoded_bytes"] == s["stored_bytes"], "size_mismatch", s["at"] + at["decoded_bytes"],
+                    "codec 0 stores as many bytes as it decodes to")
         else:
             require(s["flags"] == 0, "unknown_required", s["at"], "an unknown section that must be understood")
         seen.add(s["type"])
     for kind in REQUIRED:
         require(kind in seen, "missing_section", HEADER_BYTES, kind + " is required")
 
-    end = table_end + HASH_BYTES
+    end = head + HASH_BYTES
     for s in entries:
         begin, where = s["offset"], s["at"] + at["offset"]
         require(begin % 256 == 0, "bad_section", where, "an offset is a multiple of 256")
@@ -192,20 +194,23 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
         require(begin <= align256(end), "section_gap", where, "it begins behind the next multiple of 256")
         require(begin <= len(data) and s["stored_bytes"] <= len(data) - begin, "bad_section",
                 s["at"] + at["stored_bytes"], "the section leaves the file")
-        require_zero(data, end, begin, "section_gap", "bytes between sections are zero")
+        nonzero = np.flatnonzero(np.frombuffer(data[end:begin], np.uint8))
+        require(not nonzero.size, "section_gap", end + int(nonzero[:1].sum()), "bytes between sections are zero")
         end = begin + s["stored_bytes"]
-    require(end == len(data), "trailing_bytes", end, "the last section ends the file")
-
-    n = h["n_gaussians"]
-    sizes = {"DECL": (256,), "SHSC": (48 * h["n_scale_sets"],), "CHNK": (48 * h["n_chunks"],), "MEAN": (12 * n,),
-             "GEOM": (16 * n,), "SHI8": (h["sh_bytes"] * n,), "PERM": (4 * n, 8 * n),
-             "PROV": range(PROV_HEAD.size, PROV_HEAD.size + 2 * PROV_TEXT_MAX + 1)}
-    for s in entries:
-        require(s["codec"] != 0 or s["decoded_bytes"] == s["stored_bytes"], "size_mismatch",
-                s["at"] + at["decoded_bytes"], "codec 0 stores as many bytes as it decodes to")
-        require(s["type"] not in sizes or s["decoded_bytes"] in sizes[s["type"]], "size_mismatch",
-                s["at"] + at["decoded_bytes"], "the size contradicts the counts of the header")
+    require(end == len(data), "section_gap", end, "the last section ends the file")
     return entries
+
+
+def require_sizes(h: Record, sections: dict[str, Record], n_source: int | None = None) -> None:
+    """n_source is None while DECL is not read; it decides about PERM."""
+    n = h["n_gaussians"]
+    sizes = {"DECL": DECL.itemsize, "SHSC": 48 * h["n_scale_sets"], "CHNK": 48 * h["n_chunks"], "MEAN": 12 * n,
+             "GEOM": 16 * n, "SHI8": h["sh_bytes"] * n}
+    if n_source is not None:
+        sizes["PERM"] = (4 if n_source < 2**32 else 8) * n
+    for s in filter(lambda s: s["type"] in sizes, sections.values()):
+        require(s["decoded_bytes"] == sizes[s["type"]], "size_mismatch", s["at"] + ENTRY.fields["decoded_bytes"][1],
+                f"{s['type']} contradicts the counts of the header")
 
 
 def require_hash(data: memoryview, s: Record) -> None:
@@ -214,39 +219,42 @@ def require_hash(data: memoryview, s: Record) -> None:
 
 
 def read_declarations(data: memoryview, h: Record, base: int) -> Record:
-    """DECL without the statements about the payload, which check_declarations proves."""
+    """DECL without its statements about the payload, which check_declarations proves."""
     d = record(data, DECL, base)
 
-    def rule(ok: bool, name: str, text: str) -> None:
+    def rule(ok: Any, name: str, text: str) -> None:
         require(ok, "bad_value", base + DECL.fields[name][1], text)
 
-    require_zero(data, base + 11, base + 12, "reserved_bits", "a reserved byte of DECL")
-    require_zero(data, base + 152, base + 256, "reserved_bits", "reserved bytes of DECL")
+    require_reserved(data, base + 11, base + 12, "a reserved byte of DECL")
+    require_reserved(data, base + 152, base + 256, "reserved bytes of DECL")
+    for axis, direction in enumerate(d["axes"]):
+        require(direction <= 6, "bad_value", base + axis, "a direction is 0 to 6")
     spans = sorted((a + 1) // 2 for a in d["axes"]) == [1, 2, 3]
     rule(spans or d["axes"] == [0, 0, 0], "axes", "directions that span space, or none declared")
     for name, allowed in ENUMERATORS.items():
         rule(d[name] in allowed, name, f"{name} is one of {allowed}")
     for name in NOT_NEGATIVE:
         rule(0 <= d[name] < np.inf, name, f"{name} is finite and not negative")
-    rule(0 < d["z_near"], "z_near", "0 < z_near")
-    rule(d["z_near"] < d["z_far"], "z_far", "z_near < z_far")
+    rule(0 < d["z_near"] < d["z_far"], "z_near", "0 < z_near < z_far")
     for low, high in (("full_min", "full_max"), ("robust_min", "robust_max")):
-        for name in (low, high):
-            rule(bool(np.isfinite(d[name]).all()), name, "boxes are finite")
-            rule(h["n_gaussians"] > 0 or not any(d[name]), name, "boxes are zero without Gaussians")
+        rule(np.isfinite(d[low] + d[high]).all(), low, "boxes are finite")
         rule(all(a <= b for a, b in zip(d[low], d[high])), low, "min <= max")
+        rule(h["n_gaussians"] > 0 or not any(d[low] + d[high]), low, "boxes are zero without Gaussians")
+    outside = any(r < f for r, f in zip(d["robust_min"] + d["full_max"], d["full_min"] + d["robust_max"]))
+    rule(not outside, "robust_min", "the robust box lies inside the full one")
     rule(0 <= d["robust_fraction"] <= 1, "robust_fraction", "a share")
-    rule(d["n_source"] - d["n_dropped"] == h["n_gaussians"], "n_dropped", "n_gaussians = n_source - n_dropped")
+    rule(d["n_source"] - d["n_dropped"] == h["n_gaussians"], "n_source", "n_gaussians = n_source - n_dropped")
     return d
 
 
 def read_provenance(data: memoryview, s: Record) -> Record:
     base, size = s["offset"], s["stored_bytes"]
+    require(size >= PROV_HEAD.size, "size_mismatch", base, "PROV has at least 24 bytes")
+    require_hash(data, s)
     source_bytes, source_xxh3, a, b = PROV_HEAD.unpack(data[base:base + PROV_HEAD.size])
-    require(a <= PROV_TEXT_MAX, "bad_value", base + 16, "a name of at most 4096 bytes")
-    require(b <= PROV_TEXT_MAX, "bad_value", base + 20, "a tool of at most 4096 bytes")
-    require(size == PROV_HEAD.size + a + b, "size_mismatch", s["at"] + ENTRY.fields["decoded_bytes"][1],
-            "PROV ends behind its texts")
+    require(a <= PROV_TEXT_MAX, "limit_exceeded", base + 16, "a name of at most 4096 bytes")
+    require(b <= PROV_TEXT_MAX, "limit_exceeded", base + 20, "a tool of at most 4096 bytes")
+    require(size == PROV_HEAD.size + a + b, "size_mismatch", base, "PROV ends behind its texts")
     name, tool = (bytes(data[p:q]) for p, q in ((base + 24, base + 24 + a), (base + 24 + a, base + size)))
     return {"source_bytes": source_bytes, "source_xxh3": source_xxh3,
             "source_name": name.decode("utf-8", "replace"), "tool": tool.decode("utf-8", "replace")}
@@ -255,7 +263,7 @@ def read_provenance(data: memoryview, s: Record) -> Record:
 def robust_box(means: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The box of the middle 99 percent on each axis, from a histogram over the upper 16 bits of ordered floats."""
     box = np.empty((2, 3), np.uint32)
-    bits = np.ascontiguousarray(means).view(np.uint32)
+    bits = (means + np.float32(0)).view(np.uint32)      # -0 + 0 is +0
     ordered = np.where(bits >> 31, ~bits, bits ^ 0x80000000)
     for axis in range(3):
         counts = np.bincount(ordered[:, axis] >> 16, minlength=65536)
@@ -286,20 +294,17 @@ def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales:
          "so many means lie inside the robust box")
 
 
-def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_gaussians: int = 2**32) -> Scene:
+def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_gaussians: int = 2**33) -> Scene:
     """Parses and checks a whole file; raises RgsError on the first broken rule."""
     data = memoryview(data)
     h = read_header(data, max_file_bytes, max_gaussians)
     entries = read_table(data, h)
     sections = {s["type"]: s for s in entries if s["type"] in KNOWN}
     base = {kind: s["offset"] for kind, s in sections.items()}
+    require_sizes(h, sections)
     require_hash(data, sections["DECL"])
     d = read_declarations(data, h, base["DECL"])
-    perm_type = np.dtype("<u4" if d["n_source"] < 2**32 else "<u8")
-    n, perm = h["n_gaussians"], sections.get("PERM")
-    if perm:
-        require(perm["decoded_bytes"] == perm_type.itemsize * n, "size_mismatch",
-                perm["at"] + ENTRY.fields["decoded_bytes"][1], "PERM is u32, or u64 if n_source >= 2^32")
+    require_sizes(h, sections, d["n_source"])
     provenance = read_provenance(data, sections["PROV"]) if "PROV" in sections else None
 
     for s in entries:
@@ -309,16 +314,16 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
         s = sections[kind]
         return np.frombuffer(data[s["offset"]:s["offset"] + s["stored_bytes"]], dtype).reshape(shape)
 
+    n, k = h["n_gaussians"], (h["sh_degree"] + 1) ** 2
     steps = array("SHSC", "<f4", h["n_scale_sets"], 4, 3)
     chunks = array("CHNK", CHUNK, h["n_chunks"])
     means = array("MEAN", "<f4", n, 3)
     geom = array("GEOM", "<f2", n, 8)
     rows = array("SHI8", "i1", n, h["sh_bytes"])
 
-    k = (h["sh_degree"] + 1) ** 2
-    step_ok = (steps.view("<u4") == 0) | ((steps >= 2.0**-107) & (steps <= 2.0**100) & (steps.view("<u4") % 128 == 0))
+    step_ok = (steps.view("<u4") == 0) | ((steps >= 2.0**-107) & (steps <= 2.0**93) & (steps.view("<u4") % 128 == 0))
     step_ok[:, h["sh_degree"] + 1:] &= steps[:, h["sh_degree"] + 1:] == 0
-    require_all(step_ok.ravel(), base["SHSC"], 4, 0, "a step is +0, or 2^-107 to 2^100 in 17 bits, up to degree D")
+    require_all(step_ok.ravel(), base["SHSC"], 4, 0, "a step is +0, or 2^-107 to 2^93 in 17 bits, up to degree D")
 
     require_all(np.isfinite(means), base["MEAN"], 12, 4, "means are finite")
 
@@ -336,14 +341,14 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     count = np.minimum(n - first, h["chunk_size"])
 
     def chunk_rule(ok: NDArray[np.bool_], name: str, text: str, code: str = "bad_value") -> None:
-        require_all(ok, base["CHNK"] + CHUNK.fields[name][1], CHUNK.itemsize, 4, text, code)
+        require_all(ok, base["CHNK"] + CHUNK.fields[name][1], CHUNK.itemsize, 0, text, code)
 
     chunk_rule(chunks["reserved"] == 0, "reserved", "reserved field of a chunk", "reserved_bits")
     chunk_rule(chunks["count"] == count, "count", "chunk_size Gaussians, in the last chunk the rest")
     chunk_rule(chunks["scale_set"] < h["n_scale_sets"], "scale_set", "a row of SHSC")
     if n:
-        chunk_rule(chunks["min"] == np.minimum.reduceat(means, first), "min", "smallest mean coordinate")
-        chunk_rule(chunks["max"] == np.maximum.reduceat(means, first), "max", "largest mean coordinate")
+        low, high = np.minimum.reduceat(means, first), np.maximum.reduceat(means, first)
+        chunk_rule(((chunks["min"] == low) & (chunks["max"] == high)).all(1), "min", "the box of the chunk's means")
         largest = np.maximum.reduceat(exact_scales.max(1), first)
         chunk_rule(chunks["radius"] == 3 * largest, "radius", "three times the largest scale")
         chunk_rule(chunks["max_opacity"] == np.maximum.reduceat(opacities, first), "max_opacity", "largest opacity")
@@ -353,15 +358,14 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     require_all(rows[:, :3 * k] != -128, base["SHI8"], h["sh_bytes"], 1, "code -128 is not used")
     step_or_zero = ((codes == 0) | (step != 0)).reshape(n, 3 * k)
     require_all(step_or_zero, base["SHI8"], h["sh_bytes"], 1, "a code whose step is 0 is 0")
-    require_all(rows[:, 3 * k:] == 0, base["SHI8"] + 3 * k, h["sh_bytes"], 1, "the rest of an SH row is zero")
+    require_all(rows[:, 3 * k:] == 0, base["SHI8"] + 3 * k, h["sh_bytes"], 1, "padding of a row", "reserved_bits")
 
     source_index = None
-    if perm:
-        source_index = array("PERM", perm_type, n).astype(np.uint64)
-        require_all(source_index < d["n_source"], base["PERM"], perm_type.itemsize, 0, "a position below n_source")
-        once = np.zeros(n, bool)
-        once[np.unique(source_index, return_index=True)[1]] = True
-        require_all(once, base["PERM"], perm_type.itemsize, 0, "positions are all different")
+    if "PERM" in sections:
+        item_bytes = 4 if d["n_source"] < 2**32 else 8
+        source_index = array("PERM", f"<u{item_bytes}", n).astype(np.uint64)
+        require_all(source_index < d["n_source"], base["PERM"], item_bytes, 0, "a position below n_source")
+        require(np.unique(source_index).size == n, "bad_value", base["PERM"], "positions are all different")
     check_declarations(d, base["DECL"], means, geom[:, 4:7], opacities)
 
     return Scene(header=h, sections=entries, declarations=d, provenance=provenance, means=means,
