@@ -58,9 +58,9 @@ Result<ScaleSet> FileView::scale_set(std::uint64_t i) const {
     for (std::size_t c = 0; c < 3; ++c) {
       const float step = set.step[degree][c];
       const bool used = degree <= header_.sh_degree;
-      const bool legal =
-          step == 0 ? !std::signbit(step)
-                    : used && step >= kShFlush / 128 && step <= kShLimit && (detail::bits_of(step) & 0x7Fu) == 0;
+      const bool legal = step == 0
+                             ? !std::signbit(step)
+                             : used && step >= kShStepMin && step <= kShStepMax && (detail::bits_of(step) & 0x7Fu) == 0;
       if (!legal) {
         return fail(Errc::bad_value, table.offset + at + (degree * 3 + c) * 4,
                     "an SH step is out of range, has more than 17 significant bits, or belongs to an absent degree");
@@ -138,7 +138,7 @@ Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& 
   if (const Status s = validate(*view); !s) return tl::unexpected(s.error());
   SplatCloud cloud;
   cloud.resize(view->header().n_gaussians, view->header().sh_degree);
-  std::vector<Splat> buffer(view->header().chunk_size);
+  std::vector<Splat> buffer(std::min<std::uint64_t>(cloud.size(), 256));
   for (std::uint64_t first = 0; first < cloud.size(); first += buffer.size()) {
     const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), cloud.size() - first));
     if (const Status s = view->read(first, part); !s) return tl::unexpected(s.error());

@@ -106,7 +106,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   d.aa_mode = options.aa_mode;
   d.order = options.order;
   d.metres_per_unit = options.metres_per_unit;
-  d.full = n == 0 ? Box() : scan.full();
+  d.full = scan.full();
   d.robust = scan.robust();
   const DepthRange depth = options.depth.value_or(depth_from_extent(d.robust));
   d.z_near = depth.z_near;
@@ -116,6 +116,10 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   d.n_source = scan.n_source();
   d.n_dropped = scan.n_source() - n;
   d.n_repaired = scan.n_repaired();
+  // What the reader would refuse is not written: axes that do not span space, numbers that are no enumerators.
+  if (const auto legal = detail::parse_declarations(detail::write_declarations(d), 0); !legal) {
+    return fail(Errc::bad_argument, Error::kNone, legal.error().what);
+  }
 
   plan.provenance = options.provenance;
   plan.chunk_scales = options.chunk_scales;
@@ -181,8 +185,7 @@ void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOu
   ChunkEntry& entry = out.entry;
   entry = {};
   entry.count = static_cast<std::uint32_t>(splats.size());
-  std::ranges::copy(splats[0].mean, entry.means.min.begin());
-  std::ranges::copy(splats[0].mean, entry.means.max.begin());
+  for (std::size_t i = 0; i < 3; ++i) entry.means.min[i] = entry.means.max[i] = splats[0].mean[i] + 0.f;
   out.counts = {};
   std::uint16_t largest_scale = 0, largest_opacity = 0;  // FP16 bits of non-negative numbers order as the numbers do
 
@@ -191,8 +194,9 @@ void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOu
   auto* sh_out = reinterpret_cast<std::int8_t*>(out.sh.data());
   for (const Splat& s : splats) {
     for (std::size_t i = 0; i < 3; ++i) {
-      entry.means.min[i] = std::min(entry.means.min[i], s.mean[i]);
-      entry.means.max[i] = std::max(entry.means.max[i], s.mean[i]);
+      const float mean = s.mean[i] + 0.f;  // boxes hold no -0
+      entry.means.min[i] = std::min(entry.means.min[i], mean);
+      entry.means.max[i] = std::max(entry.means.max[i], mean);
       store(mean_out, s.mean[i]);
     }
     std::uint16_t codes[8];
@@ -299,7 +303,7 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
   const std::uint64_t n = plan->header.n_gaussians;
   std::vector<ChunkEntry> chunks(plan->header.n_chunks);
   std::vector<ScaleSet> scales(plan->chunk_scales ? chunks.size() : 0);
-  std::vector<Splat> buffer(plan->header.chunk_size);
+  std::vector<Splat> buffer(std::min<std::uint64_t>(plan->header.chunk_size, n));
   EncodeCounts counts;
   for (std::size_t c = 0; c < chunks.size(); ++c) {
     const std::uint64_t first = c * plan->header.chunk_size;

@@ -148,8 +148,8 @@ Result<Header> parse_header(std::span<const std::byte> bytes) {
     return fail(Errc::bad_header, 57, "SH bytes per Gaussian contradict the SH degree", sh_bytes(h.sh_degree),
                 stored_sh_bytes);
   }
-  if (h.scale_exponent < -126 || h.scale_exponent > 126) {
-    return fail(Errc::bad_header, 58, "scale exponent is not between -126 and 126");
+  if (h.scale_exponent < -kMaxScaleExponent || h.scale_exponent > kMaxScaleExponent) {
+    return fail(Errc::bad_header, 58, "scale exponent is not between -110 and 110");
   }
   return h;
 }

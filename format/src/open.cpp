@@ -89,24 +89,38 @@ Status check_types(std::span<const SectionEntry> sections) {
   return {};
 }
 
-// Decoded size that the header implies for a section of known type, or Error::kNone where it implies none.
-Result<std::uint64_t> implied_size(SectionType type, const Header& h, const Declarations& d, std::uint64_t offset) {
-  std::uint64_t count = h.n_gaussians, entry = 0, size = 0;
-  switch (type) {
-    case SectionType::declarations: return kDeclarationBytes;
-    case SectionType::sh_scales: count = h.n_scale_sets, entry = kScaleSetBytes; break;
-    case SectionType::chunks: count = h.n_chunks, entry = kChunkEntryBytes; break;
-    case SectionType::means: entry = kMeanBytes; break;
-    case SectionType::geometry: entry = kGeometryBytes; break;
-    case SectionType::sh: entry = sh_bytes(h.sh_degree); break;
-    case SectionType::permutation: entry = (d.n_source >> 32) != 0 ? 8 : 4; break;
-    case SectionType::provenance: return Error::kNone;
+// Size of entry `index` of the table against `count` records of `bytes` bytes.
+Status check_size(const FileView& view, std::size_t index, std::uint64_t count, std::uint64_t bytes) {
+  std::uint64_t size = 0;
+  if (!detail::multiply(count, bytes, size)) {
+    return fail(Errc::size_mismatch, entry_offset(index) + 32,
+                "the header's counts imply a section larger than 2^64 bytes", Error::kNone, count);
   }
-  if (!detail::multiply(count, entry, size)) {
-    return fail(Errc::size_mismatch, offset, "the header's counts imply a section larger than 2^64 bytes", Error::kNone,
-                count);
+  const std::uint64_t found = view.sections()[index].decoded_bytes;
+  if (size != found) {
+    return fail(Errc::size_mismatch, entry_offset(index) + 32, "a section's size contradicts the header's counts", size,
+                found);
   }
-  return size;
+  return {};
+}
+
+// Sizes that the header alone implies.
+Status check_sizes(const FileView& view) {
+  const Header& h = view.header();
+  for (std::size_t i = 0; i < view.sections().size(); ++i) {
+    std::uint64_t count = h.n_gaussians, bytes = 0;
+    switch (static_cast<SectionType>(view.sections()[i].type)) {
+      case SectionType::declarations: count = 1, bytes = kDeclarationBytes; break;
+      case SectionType::sh_scales: count = h.n_scale_sets, bytes = kScaleSetBytes; break;
+      case SectionType::chunks: count = h.n_chunks, bytes = kChunkEntryBytes; break;
+      case SectionType::means: bytes = kMeanBytes; break;
+      case SectionType::geometry: bytes = kGeometryBytes; break;
+      case SectionType::sh: bytes = sh_bytes(h.sh_degree); break;
+      default: continue;
+    }
+    if (const Status s = check_size(view, i, count, bytes); !s) return s;
+  }
+  return {};
 }
 
 Status check_hash(const FileView& view, const SectionEntry& s) {
@@ -174,7 +188,9 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
   if (const Status s = check_types(view.sections_); !s) return tl::unexpected(s.error());
   if (const Status s = check_placement(bytes, view.sections_, head_bytes); !s) return tl::unexpected(s.error());
 
+  if (const Status s = check_sizes(view); !s) return tl::unexpected(s.error());
   const SectionEntry& declarations_entry = *view.find(SectionType::declarations);
+  if (const Status s = check_hash(view, declarations_entry); !s) return tl::unexpected(s.error());
   const auto declarations = detail::parse_declarations(view.stored(declarations_entry), declarations_entry.offset);
   if (!declarations) return tl::unexpected(declarations.error());
   view.declarations_ = *declarations;
@@ -184,18 +200,12 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
                 "source count less dropped count is not the number of Gaussians", header->n_gaussians,
                 declarations->n_source);
   }
-  for (std::size_t i = 0; i < view.sections_.size(); ++i) {
-    const SectionEntry& s = view.sections_[i];
-    if (!known(s.type)) continue;
-    const auto implied =
-        implied_size(static_cast<SectionType>(s.type), view.header_, view.declarations_, entry_offset(i) + 32);
-    if (!implied) return tl::unexpected(implied.error());
-    if (*implied != Error::kNone && *implied != s.decoded_bytes) {
-      return fail(Errc::size_mismatch, entry_offset(i) + 32, "a section's size contradicts the header's counts",
-                  *implied, s.decoded_bytes);
-    }
+  if (const SectionEntry* entry = view.find(SectionType::permutation)) {
+    const auto index = static_cast<std::size_t>(entry - view.sections_.data());
+    const std::uint64_t index_bytes = (declarations->n_source >> 32) != 0 ? 8 : 4;
+    if (const Status s = check_size(view, index, header->n_gaussians, index_bytes); !s)
+      return tl::unexpected(s.error());
   }
-  if (const Status s = check_hash(view, declarations_entry); !s) return tl::unexpected(s.error());
   if (const SectionEntry* entry = view.find(SectionType::provenance)) {
     if (const Status s = check_hash(view, *entry); !s) return tl::unexpected(s.error());
     auto provenance = detail::parse_provenance(view.stored(*entry), entry->offset);

@@ -79,7 +79,7 @@ std::uint32_t find_defects(const Splat& s, int sh_degree) {
   const int floats = 3 * sh_coefficients(sh_degree);
   std::int32_t largest = 0;
   for (int i = 0; i < floats; ++i) largest = std::max(largest, detail::magnitude_bits(s.sh[i]));
-  if (largest >= detail::magnitude_bits(kShLimit)) defects |= bit(Defect::sh);
+  if (largest > detail::magnitude_bits(kShLimit)) defects |= bit(Defect::sh);
   return defects;
 }
 
@@ -97,7 +97,7 @@ bool repair(Splat& s, std::uint32_t defects) {
   if ((defects & bit(Defect::opacity_infinite)) != 0) s.opacity_logit = s.opacity_logit > 0 ? 20.f : -20.f;
   if ((defects & bit(Defect::sh)) != 0) {
     for (float& value : s.sh) {
-      if (!(std::abs(value) < kShLimit)) value = 0;
+      if (!(std::abs(value) <= kShLimit)) value = 0;
     }
   }
   return true;
@@ -124,9 +124,10 @@ bool SceneScan::add(Splat& s) {
   }
   ++n_kept_;
   for (std::size_t i = 0; i < 3; ++i) {
-    full_.min[i] = std::min(full_.min[i], s.mean[i]);
-    full_.max[i] = std::max(full_.max[i], s.mean[i]);
-    ++histogram_[i * kBins + (ordered_bits(s.mean[i]) >> 16)];
+    const float mean = s.mean[i] + 0.f;  // -0 becomes 0: which of the two is the smaller must not depend on the order
+    full_.min[i] = std::min(full_.min[i], mean);
+    full_.max[i] = std::max(full_.max[i], mean);
+    ++histogram_[i * kBins + (ordered_bits(mean) >> 16)];
     min_log_scale_ = std::min(min_log_scale_, s.log_scale[i]);
     max_log_scale_ = std::max(max_log_scale_, s.log_scale[i]);
   }

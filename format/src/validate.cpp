@@ -13,13 +13,16 @@ namespace rgs {
 namespace {
 
 // Stored quaternions have a squared norm within 2^-8 of 1: twice what the encoder lets through unnormalised.
-constexpr float kNormTolerance = 0x1p-8f;
+constexpr double kNormTolerance = 0x1p-8;
 
 Status check_geometry(const std::uint16_t codes[8], std::uint64_t offset, EncodeCounts& counts,
                       std::uint16_t& largest_scale, std::uint16_t& largest_opacity) {
-  float squared = 0;
-  for (int i = 0; i < 4; ++i) squared += float_from_half(codes[i]) * float_from_half(codes[i]);
-  if (!(std::abs(squared - 1.f) <= kNormTolerance)) {
+  double squared = 0;  // exact: squares of FP16 numbers and their sums fit into 53 bits
+  for (int i = 0; i < 4; ++i) {
+    const double component = static_cast<double>(float_from_half(codes[i]));
+    squared += component * component;
+  }
+  if (!(std::abs(squared - 1.0) <= kNormTolerance)) {
     return fail(Errc::bad_value, offset, "a rotation is not a unit quaternion");
   }
   if ((codes[0] & 0x8000u) != 0) return fail(Errc::bad_value, offset, "a rotation's w has its sign bit set");
@@ -106,14 +109,18 @@ Status check_permutation(const FileView& view) {
   if (entry == nullptr) return {};
   const std::uint64_t n = view.header().n_gaussians;
   std::vector<std::uint64_t> indices(n);
-  for (std::uint64_t i = 0; i < n; ++i) indices[i] = view.source_index(i);
+  const std::uint64_t entry_bytes = n == 0 ? 0 : entry->stored_bytes / n;
+  const std::uint64_t n_source = view.declarations().n_source;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    indices[i] = view.source_index(i);
+    if (indices[i] >= n_source) {
+      return fail(Errc::bad_value, entry->offset + i * entry_bytes,
+                  "the permutation names a Gaussian beyond the source", n_source, indices[i]);
+    }
+  }
   std::ranges::sort(indices);
   if (std::ranges::adjacent_find(indices) != indices.end()) {
     return fail(Errc::bad_value, entry->offset, "the permutation names a source Gaussian twice");
-  }
-  if (n != 0 && indices.back() >= view.declarations().n_source) {
-    return fail(Errc::bad_value, entry->offset, "the permutation names a Gaussian beyond the source",
-                view.declarations().n_source, indices.back());
   }
   return {};
 }
@@ -144,6 +151,11 @@ Status validate(const FileView& view) {
   const std::uint64_t at = view.find(SectionType::declarations)->offset;
   if (d.full.min != full.min || d.full.max != full.max) {
     return fail(Errc::bad_value, at + 44, "the declared full box is not that of the means");
+  }
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (d.robust.min[k] < full.min[k] || d.robust.max[k] > full.max[k]) {
+      return fail(Errc::bad_value, at + 68, "the declared robust box reaches beyond the full box");
+    }
   }
   const std::uint64_t found[4] = {counts.scale_subnormal, counts.scale_zero, counts.opacity_zero, counts.opacity_one};
   const std::uint64_t declared[4] = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};

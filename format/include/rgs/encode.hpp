@@ -30,13 +30,11 @@ enum class Defect : std::uint8_t {
   rotation_zero,     ///< the quaternion is zero (norm below 2^-60)                    repair: identity
   opacity_nan,       ///< the logit is NaN                                             repair: dropped
   opacity_infinite,  ///< the logit is infinite                                        repair: +-20
-  sh,                ///< an SH coefficient is not finite or 2^100 and above           repair: 0
+  sh,                ///< an SH coefficient is not finite or above kShLimit            repair: 0
 };
 inline constexpr int kDefectKinds = 7;
 /// "mean", "scale", "rotation_nan", ...
 const char* defect_name(Defect defect);
-
-inline constexpr float kMaxLogScale = 60.f;
 
 /// Bit i is set if the Gaussian has Defect i; coefficients above `sh_degree` are not looked at.
 std::uint32_t find_defects(const Splat& splat, int sh_degree);
@@ -108,13 +106,13 @@ class SceneScan {
   std::uint64_t n_repaired() const { return n_repaired_; }
   std::uint64_t defects(Defect defect) const { return defects_[static_cast<std::size_t>(defect)]; }
   /// Of the kept Gaussians; boxes and ranges are zero if there are none.
-  const Box& full() const { return full_; }
+  Box full() const { return n_kept_ == 0 ? Box() : full_; }
   /// Bounds that at least 99 of 100 means lie within on each axis; see FORMAT.md "Robust box".
   Box robust() const;
-  float min_log_scale() const { return min_log_scale_; }
-  float max_log_scale() const { return max_log_scale_; }
-  float min_opacity_logit() const { return min_opacity_logit_; }
-  float max_opacity_logit() const { return max_opacity_logit_; }
+  float min_log_scale() const { return n_kept_ == 0 ? 0 : min_log_scale_; }
+  float max_log_scale() const { return n_kept_ == 0 ? 0 : max_log_scale_; }
+  float min_opacity_logit() const { return n_kept_ == 0 ? 0 : min_opacity_logit_; }
+  float max_opacity_logit() const { return n_kept_ == 0 ? 0 : max_opacity_logit_; }
   const ShMagnitudes& sh_magnitudes() const { return sh_magnitudes_; }
 
  private:

@@ -71,10 +71,14 @@ RGS_HD inline float float_from_half(std::uint16_t half) {
 // ---------------------------------
 
 inline constexpr int kShCodeMax = 127;
-/// Largest magnitude below this is stored as zero; keeps steps and their products normal numbers.
-inline constexpr float kShFlush = 0x1p-100f;
-/// SH coefficients of this magnitude and above are damaged input.
-inline constexpr float kShLimit = 0x1p100f;
+/// Steps other than 0 lie in this range, which keeps them and their products normal numbers.
+inline constexpr float kShStepMin = 0x1p-107f;
+inline constexpr float kShStepMax = 0x1p93f;
+/// A largest magnitude below this is stored as zero.
+inline constexpr float kShFlush = 127 * kShStepMin;
+/// SH coefficients above this magnitude are damaged input. Both bounds are exactly 127 steps, so that what has been
+/// decoded is within them too.
+inline constexpr float kShLimit = 127 * kShStepMax;
 
 /// Step for coefficients of magnitude at most `max_abs`: max_abs / 127, rounded up to 17 significant bits.
 /// With 17 bits step * code is exact in FP32 for every code, so decoding has no rounding to disagree about and
@@ -125,22 +129,33 @@ RGS_HD inline float scale_from_log(float log_scale) {
   return static_cast<float>(std::exp(static_cast<double>(log_scale)));
 }
 
-/// Logarithm of a stored scale; 0 gives that of 2^-26 * 2^-scale_exponent, which is stored as 0 again.
+/// Log-scales beyond +-60 are damaged input.
+inline constexpr float kMaxLogScale = 60.f;
+
+/// Logarithm of a stored scale; 0 gives that of 2^-26 * 2^-scale_exponent, which is stored as 0 again. Clamped to
+/// +-kMaxLogScale, which FP16 rounding can exceed; the bound is stored as the same code again.
 RGS_HD inline float log_from_scale(float scale, int scale_exponent) {
   const double value = scale > 0.f ? static_cast<double>(scale) : std::ldexp(1.0, -26 - scale_exponent);
-  return static_cast<float>(std::log(value));
+  const float log_scale = static_cast<float>(std::log(value));
+  const float low = log_scale < -kMaxLogScale ? -kMaxLogScale : log_scale;
+  return low > kMaxLogScale ? kMaxLogScale : low;
 }
 
-/// Rotations whose squared norm is this near to 1 are stored as they are. FP16 rounding moves a unit quaternion's
-/// squared norm by at most 2^-10, so a decoded rotation is never normalised a second time: re-encoding is exact.
+/// Rotations of FP16 numbers whose squared norm is this near to 1 are stored as they are. FP16 rounding moves a unit
+/// quaternion's squared norm by little more than 2^-10, so a decoded rotation is never normalised a second time:
+/// re-encoding is exact.
 inline constexpr double kUnitNormTolerance = 0x1p-9;
 
 /// Unit quaternion w, x, y, z with w >= 0 in FP16. `rotation` must be finite and not zero.
 RGS_HD inline void quantize_rotation(const float rotation[4], std::uint16_t out[4]) {
   double squared = 0;
-  for (int i = 0; i < 4; ++i) squared += static_cast<double>(rotation[i]) * static_cast<double>(rotation[i]);
+  bool stored = true;  // all components are FP16 numbers
+  for (int i = 0; i < 4; ++i) {
+    squared += static_cast<double>(rotation[i]) * static_cast<double>(rotation[i]);
+    stored = stored && float_from_half(half_from_float(rotation[i])) == rotation[i];
+  }
   const double deviation = squared > 1.0 ? squared - 1.0 : 1.0 - squared;
-  const double factor = deviation <= kUnitNormTolerance ? 1.0 : 1.0 / std::sqrt(squared);
+  const double factor = stored && deviation <= kUnitNormTolerance ? 1.0 : 1.0 / std::sqrt(squared);
   const double sign = rotation[0] < 0.f ? -factor : factor;  // q and -q are the same rotation
   for (int i = 0; i < 4; ++i) out[i] = half_from_float(static_cast<float>(static_cast<double>(rotation[i]) * sign));
   out[0] = static_cast<std::uint16_t>(out[0] & 0x7FFFu);  // -0 becomes 0

@@ -1,0 +1,135 @@
+// dump_file.cpp - everything that the library reads from an .rgs file, as raw arrays for the independent reader's test.
+// SPDX-License-Identifier: Apache-2.0
+//
+// rgs_dump_file FILE > DUMP: per array a line `NAME TYPE SIZE...` (numpy's type codes) and its bytes, little-endian,
+// rows one after the other. A file that is refused gives the one line `error CODE OFFSET` and its exit code.
+
+#include <array>
+#include <bit>
+#include <cinttypes>
+#include <cstdio>
+#include <string_view>
+#include <vector>
+
+#include "rgs/decode.hpp"
+#include "rgs/file.hpp"
+
+namespace {
+
+using namespace rgs;
+
+static_assert(std::endian::native == std::endian::little);
+constexpr std::uint64_t kSplatFloats = 3 + 4 + 3 + 1 + 48;
+static_assert(sizeof(ActivatedSplat) == 4 * kSplatFloats && sizeof(Splat) == 4 * kSplatFloats);
+static_assert(sizeof(ScaleSet) == 48 && sizeof(Box) == 24);
+
+int report(const Error& error) {
+  std::printf("error %s %" PRIu64 "\n", errc_name(error.code), error.offset);
+  return exit_code(error.code);
+}
+
+/// `columns` numbers a row, of numpy's `type`; T is what the rows consist of.
+template <class T>
+void put(const char* name, const char* type, std::uint64_t columns, std::span<const T> values) {
+  const std::uint64_t item_bytes = static_cast<std::uint64_t>(type[1] - '0');
+  std::printf("%s %s %" PRIu64 " %" PRIu64 "\n", name, type, values.size_bytes() / (columns * item_bytes), columns);
+  std::fwrite(values.data(), 1, values.size_bytes(), stdout);
+}
+
+void put_head(const FileView& view) {
+  const Header& h = view.header();
+  const std::array<std::int64_t, 8> header = {
+      h.version_major,
+      h.version_minor,
+      static_cast<std::int64_t>(h.file_bytes),
+      static_cast<std::int64_t>(h.n_gaussians),
+      static_cast<std::int64_t>(h.n_scale_sets),
+      h.chunk_size,
+      h.sh_degree,
+      h.scale_exponent,
+  };
+  put<std::int64_t>("header", "i8", header.size(), header);
+
+  std::vector<std::uint64_t> entries;
+  for (const SectionEntry& s : view.sections())
+    entries.insert(entries.end(), {s.type, s.flags, s.codec, s.offset, s.stored_bytes, s.decoded_bytes, s.xxh3});
+  put<std::uint64_t>("sections", "u8", 7, entries);
+
+  const Declarations& d = view.declarations();
+  const auto byte = [](auto enumerator) { return static_cast<std::uint8_t>(enumerator); };
+  const std::array<std::uint8_t, 11> enumerators = {
+      byte(d.axes[0]),       byte(d.axes[1]),      byte(d.axes[2]), byte(d.colour_space),
+      byte(d.sh_basis),      byte(d.kernel),       byte(d.aa_mode), byte(d.sort_metric),
+      byte(d.depth_mapping), byte(d.depth_source), byte(d.order),
+  };
+  put<std::uint8_t>("enumerators", "u1", enumerators.size(), enumerators);
+  const std::array<float, 9> constants = {
+      d.z_near,    d.z_far,        d.metres_per_unit,   d.cutoff_sigma,    d.alpha_threshold,
+      d.alpha_max, d.low_pass_px2, d.transmittance_min, d.robust_fraction,
+  };
+  put<float>("constants", "f4", constants.size(), constants);
+  put<Box>("boxes", "f4", 6, std::array{d.full, d.robust});
+  const std::array<std::uint64_t, 7> counts = {
+      d.n_source, d.n_dropped, d.n_repaired, d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one,
+  };
+  put<std::uint64_t>("counts", "u8", counts.size(), counts);
+
+  if (const auto& p = view.provenance()) {
+    put<std::uint64_t>("source", "u8", 2, std::array{p->source_bytes, p->source_xxh3});
+    put<char>("source_name", "u1", 1, p->source_name);
+    put<char>("tool", "u1", 1, p->tool);
+  }
+}
+
+Status put_payload(const FileView& view) {
+  const std::uint64_t n = view.header().n_gaussians;
+  std::vector<ActivatedSplat> activated(n);
+  std::vector<Splat> trained(n);
+  if (auto ok = view.read(0, std::span(activated)); !ok) return ok;
+  if (auto ok = view.read(0, std::span(trained)); !ok) return ok;
+  put<ActivatedSplat>("activated", "f4", kSplatFloats, activated);
+  put<Splat>("trained", "f4", kSplatFloats, trained);
+
+  std::vector<float> chunk_floats;
+  std::vector<std::uint64_t> chunk_integers;
+  for (std::uint64_t i = 0; i < view.header().n_chunks; ++i) {
+    const auto c = view.chunk(i);
+    if (!c) return tl::unexpected(c.error());
+    chunk_floats.insert(chunk_floats.end(), c->means.min.begin(), c->means.min.end());
+    chunk_floats.insert(chunk_floats.end(), c->means.max.begin(), c->means.max.end());
+    chunk_floats.insert(chunk_floats.end(), {c->radius, c->max_opacity});
+    chunk_integers.insert(chunk_integers.end(), {c->scale_set, c->count});
+  }
+  put<float>("chunk_floats", "f4", 8, chunk_floats);
+  put<std::uint64_t>("chunk_integers", "u8", 2, chunk_integers);
+
+  std::vector<ScaleSet> sets;
+  for (std::uint64_t i = 0; i < view.header().n_scale_sets; ++i) {
+    const auto set = view.scale_set(i);
+    if (!set) return tl::unexpected(set.error());
+    sets.push_back(*set);
+  }
+  put<ScaleSet>("steps", "f4", 12, sets);
+
+  std::vector<std::uint64_t> source_index(n);
+  for (std::uint64_t i = 0; i < n; ++i) source_index[i] = view.source_index(i);
+  put<std::uint64_t>("source_index", "u8", 1, source_index);
+  return {};
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc != 2) {
+    std::fputs("usage: rgs_dump_file FILE > DUMP\n", stderr);
+    return 2;
+  }
+  const auto file = MappedFile::open(argv[1]);
+  if (!file) return report(file.error());
+  const auto view = open(file->bytes());
+  if (!view) return report(view.error());
+  if (auto ok = validate(*view); !ok) return report(ok.error());
+  put_head(*view);
+  if (auto ok = put_payload(*view); !ok) return report(ok.error());
+  return 0;
+}

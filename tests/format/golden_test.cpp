@@ -1,0 +1,269 @@
+// golden_test.cpp - files committed for format 1.0: exact bytes from the encoder, expected values from the decoder, and
+// files with one defect.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <set>
+#include <sstream>
+
+#include "edit_file.hpp"
+#include "golden_scenes.hpp"
+#include "reject_cases.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/quantize.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+namespace fs = std::filesystem;
+
+namespace {
+
+const fs::path kGolden = fs::path(RGS_SOURCE_DIR) / "tests/golden";
+
+Bytes golden(const std::string& name) {
+  return read_bytes(kGolden / (name + ".rgs"));
+}
+
+}  // namespace
+
+TEST_CASE("the encoder gives the bytes of every golden file") {
+  std::set<std::string> names;
+  for (const GoldenScene& scene : golden_scenes()) {
+    CAPTURE(scene.name);
+    names.insert(scene.name + ".rgs");
+    const auto bytes = encode(scene.cloud.view(), scene.options);
+    REQUIRE(bytes);
+    const Bytes expected = golden(scene.name);
+    REQUIRE(bytes->size() == expected.size());
+    const auto difference = std::ranges::mismatch(*bytes, expected);
+    CHECK(difference.in1 - bytes->begin() == static_cast<std::ptrdiff_t>(expected.size()));
+  }
+  for (const auto& entry : fs::directory_iterator(kGolden)) {
+    if (entry.path().extension() == ".rgs") CHECK(names.count(entry.path().filename()) == 1);
+  }
+}
+
+TEST_CASE("the golden file of two Gaussians holds the values known by hand") {
+  const Bytes bytes = golden("two");
+  const auto view = open(bytes);
+  REQUIRE(view);
+  REQUIRE(validate(*view));
+  CHECK(view->header().n_gaussians == 2);
+  CHECK(view->header().n_chunks == 1);
+  CHECK(view->header().n_scale_sets == 1);
+  CHECK(view->header().chunk_size == 256);
+  CHECK(view->header().sh_degree == 0);
+  CHECK(view->header().scale_exponent == 0);
+  const Declarations& d = view->declarations();
+  CHECK(d.z_near == 0.25f);
+  CHECK(d.z_far == 64.f);
+  CHECK(d.depth_source == DepthSource::by_hand);
+  CHECK(d.order == Order::input);
+  CHECK(d.full.min == std::array{-3.f, -2.f, 0.25f});
+  CHECK(d.full.max == std::array{1.f, 4.f, 0.5f});
+  CHECK(d.n_source == 2);
+  CHECK(d.n_opacity_one == 1);
+  CHECK(d.n_opacity_zero == 0);
+  const auto chunk = view->chunk(0);
+  REQUIRE(chunk);
+  CHECK(chunk->means.min == d.full.min);
+  CHECK(chunk->means.max == d.full.max);
+  CHECK(chunk->radius == 3.f);
+  CHECK(chunk->max_opacity == 1.f);
+  CHECK(chunk->count == 2);
+  const auto steps = view->scale_set(0);
+  REQUIRE(steps);
+  CHECK(steps->step[0][0] == 1.f);
+  CHECK(steps->step[0][1] == 1.f);
+  CHECK(steps->step[0][2] == 0.f);
+
+  std::vector<ActivatedSplat> splats(2);
+  REQUIRE(view->read(0, splats));
+  CHECK(std::to_array(splats[0].mean) == std::array{1.f, -2.f, 0.5f});
+  CHECK(std::to_array(splats[0].rotation) == std::array{1.f, 0.f, 0.f, 0.f});
+  CHECK(std::to_array(splats[0].scale) == std::array{1.f, 1.f, 1.f});
+  CHECK(splats[0].opacity == 0.5f);
+  CHECK(splats[0].sh[0] == 127.f);
+  CHECK(splats[0].sh[1] == -127.f);
+  CHECK(splats[0].sh[2] == 0.f);
+  CHECK(splats[0].sh[3] == 0.f);
+  CHECK(std::to_array(splats[1].mean) == std::array{-3.f, 4.f, 0.25f});
+  CHECK(splats[1].rotation[0] == doctest::Approx(0.6).epsilon(1e-3));  // (-3, 0, 4, 0) / 5, negated for w >= 0
+  CHECK(splats[1].rotation[1] == 0.f);
+  CHECK(splats[1].rotation[2] == doctest::Approx(-0.8).epsilon(1e-3));
+  CHECK(splats[1].rotation[3] == 0.f);
+  CHECK(splats[1].opacity == 1.f);
+  CHECK(splats[1].sh[0] == 2.f);
+  CHECK(splats[1].sh[1] == 4.f);
+  CHECK(splats[1].sh[2] == 0.f);
+
+  std::vector<Splat> parameters(2);
+  REQUIRE(view->read(0, parameters));
+  CHECK(parameters[0].log_scale[1] == 0.f);
+  CHECK(parameters[0].opacity_logit == 0.f);
+  CHECK(parameters[1].opacity_logit == 9.0107908f);
+  CHECK(parameters[1].rotation[0] == 0x1.334p-1f);  // 0.6 in FP16
+}
+
+TEST_CASE("every golden file decodes to its scene within the stated bounds") {
+  for (const GoldenScene& scene : golden_scenes()) {
+    CAPTURE(scene.name);
+    const Bytes bytes = golden(scene.name);
+    const auto view = open(bytes);
+    REQUIRE(view);
+    REQUIRE(validate(*view));
+    const Header& h = view->header();
+    const SplatView source = scene.cloud.view();
+    const bool edges = scene.name == "edges";
+    CHECK(h.n_gaussians == source.n - (edges ? 1 : 0));
+    CHECK(h.sh_degree == source.sh_degree);
+    CHECK(h.chunk_size == scene.options.chunk_size);
+    CHECK(view->declarations().axes == scene.options.axes);
+    CHECK(view->declarations().colour_space == scene.options.colour_space);
+    CHECK(view->declarations().aa_mode == scene.options.aa_mode);
+    CHECK(view->declarations().depth_mapping == scene.options.depth_mapping);
+    CHECK(view->declarations().order == scene.options.order);
+    CHECK(view->declarations().metres_per_unit == scene.options.metres_per_unit);
+    CHECK(view->declarations().n_dropped == (edges ? 1 : 0));
+
+    std::map<std::array<float, 3>, std::uint64_t> by_mean;  // the source's index; means are all different
+    for (std::uint64_t i = 0; i < source.n; ++i) {
+      by_mean[{source.mean[3 * i], source.mean[3 * i + 1], source.mean[3 * i + 2]}] = i;
+    }
+    std::vector<ActivatedSplat> splats(h.n_gaussians);
+    REQUIRE(view->read(0, splats));
+    std::set<std::uint64_t> seen;
+    for (std::uint64_t i = 0; i < splats.size(); ++i) {
+      CAPTURE(i);
+      const ActivatedSplat& a = splats[i];
+      REQUIRE(by_mean.count(std::to_array(a.mean)) == 1);
+      const std::uint64_t from = by_mean[std::to_array(a.mean)];
+      CHECK(seen.insert(from).second);
+      if (scene.options.keep_permutation) CHECK(view->source_index(i) == from);
+      const Splat s = source.splat(from);
+      const double unit = std::ldexp(1.0, -25 - h.scale_exponent);
+      for (int k = 0; k < 3; ++k) {
+        const double scale = std::exp(static_cast<double>(s.log_scale[k]));
+        CHECK(std::abs(a.scale[k] - scale) <= std::max(scale * 0x1.001p-11, unit));
+      }
+      const double opacity = 1 / (1 + std::exp(-static_cast<double>(s.opacity_logit)));
+      CHECK(std::abs(a.opacity - opacity) <= std::max(opacity * 0x1.001p-11, 0x1p-25));
+      double dot = 0, norm = 0;
+      for (int k = 0; k < 4; ++k) {
+        dot += static_cast<double>(a.rotation[k]) * s.rotation[k];
+        norm += static_cast<double>(s.rotation[k]) * s.rotation[k];
+      }
+      CHECK(std::abs(dot) / std::sqrt(norm) > 1 - 1e-6);
+      const auto chunk = view->chunk(i / h.chunk_size);
+      REQUIRE(chunk);
+      const auto steps = view->scale_set(chunk->scale_set);
+      REQUIRE(steps);
+      for (int k = 0; k < 48; ++k) {
+        const float expected = k < 3 * sh_coefficients(h.sh_degree) ? s.sh[k] : 0.f;
+        CHECK(std::abs(a.sh[k] - expected) <= 0.5f * steps->step[sh_degree_of(k / 3)][k % 3] + 1e-6f);
+      }
+    }
+  }
+}
+
+TEST_CASE("golden files have the scale sets and optional sections that they are for") {
+  const Bytes chunked_bytes = golden("degree3"), global_bytes = golden("global"), optional_bytes = golden("optional"),
+              edges_bytes = golden("edges"), empty_bytes = golden("empty");
+  const auto chunked = open(chunked_bytes);
+  REQUIRE(chunked);
+  CHECK(chunked->header().n_chunks == 2);
+  CHECK(chunked->header().n_scale_sets == 2);
+  CHECK(chunked->chunk(1)->scale_set == 1);
+  CHECK(chunked->chunk(1)->count == 8);
+  const auto global = open(global_bytes);
+  REQUIRE(global);
+  CHECK(global->header().n_scale_sets == 1);
+  CHECK(global->chunk(1)->scale_set == 0);
+  const auto optional = open(optional_bytes);
+  REQUIRE(optional);
+  REQUIRE(optional->provenance());
+  CHECK(optional->provenance()->source_bytes == 1234);
+  CHECK(optional->provenance()->source_xxh3 == 0x0123456789ABCDEFu);
+  CHECK(optional->provenance()->source_name == "garden.ply");
+  CHECK(optional->provenance()->tool == "golden 1");
+  const auto edges = open(edges_bytes);
+  REQUIRE(edges);
+  CHECK(edges->declarations().n_scale_zero != 0);
+  CHECK(edges->declarations().n_scale_subnormal != 0);
+  CHECK(edges->declarations().n_opacity_one == 1);
+  CHECK(edges->declarations().n_opacity_zero == 1);
+  CHECK(edges->declarations().full.max[0] == 65536.f);
+  CHECK(edges->declarations().robust.max[0] < 16.f);
+  const auto empty = open(empty_bytes);
+  REQUIRE(empty);
+  CHECK(empty->header().n_gaussians == 0);
+  CHECK(empty->find(SectionType::means)->stored_bytes == 0);
+}
+
+TEST_CASE("the example of the specification is the golden file of two Gaussians") {
+  std::ifstream document(fs::path(RGS_SOURCE_DIR) / "docs/FORMAT_EXAMPLE.md");
+  REQUIRE(document);
+  // Dump lines: indent, offset of 8 hex digits, up to 16 bytes of 2, two spaces, explanation. Omitted lines are zero.
+  Bytes bytes(golden("two").size());
+  std::size_t lines = 0;
+  std::vector<bool> printed(bytes.size());
+  for (std::string line; std::getline(document, line);) {
+    if (line.size() < 15 || line.compare(0, 4, "    ") != 0) continue;
+    const std::string digits = line.substr(4, 8);
+    if (line[12] != ' ' || digits.find_first_not_of("0123456789ABCDEF") != std::string::npos) continue;
+    std::size_t at = std::stoul(digits, nullptr, 16);
+    for (std::size_t i = 13; i + 2 < line.size() && line[i] == ' ' && line[i + 1] != ' '; i += 3) {
+      REQUIRE(at < bytes.size());
+      CHECK_FALSE(printed[at]);
+      printed[at] = true;
+      bytes[at++] = static_cast<std::byte>(std::stoul(line.substr(i + 1, 2), nullptr, 16));
+    }
+    ++lines;
+  }
+  CHECK(lines > 40);
+  CHECK(bytes == golden("two"));
+}
+
+TEST_CASE("each file with one defect gives the listed error at the listed offset") {
+  const fs::path folder = kGolden / "reject";
+  std::ifstream list(folder / "reject.txt");
+  REQUIRE(list);
+  std::map<std::string, RejectCase> cases;
+  for (RejectCase& c : reject_cases()) {
+    CAPTURE(c.name);
+    CHECK(cases.emplace(c.name + ".rgs", std::move(c)).second);
+  }
+  std::set<std::string> listed, codes;
+  for (std::string line; std::getline(list, line);) {
+    if (line.starts_with('#')) continue;
+    std::istringstream words(line);
+    std::string name, code;
+    std::uint64_t offset = 0;
+    words >> name >> code >> offset;
+    CAPTURE(name);
+    REQUIRE(words);
+    CHECK(listed.insert(name).second);
+    codes.insert(code);
+    const Bytes bytes = read_bytes(folder / name);
+    const auto cloud = decode(bytes);
+    REQUIRE_FALSE(cloud);
+    CHECK(std::string(errc_name(cloud.error().code)) == code);
+    CHECK(cloud.error().offset == offset);
+    REQUIRE(cases.count(name) == 1);
+    CHECK(cases.at(name).bytes == bytes);
+    CHECK(std::string(errc_name(cases.at(name).code)) == code);
+    CHECK(cases.at(name).offset == offset);
+  }
+  CHECK(listed.size() == cases.size());
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    if (entry.path().extension() == ".rgs") CHECK(listed.count(entry.path().filename()) == 1);
+  }
+  for (auto code = static_cast<int>(Errc::truncated); code <= static_cast<int>(Errc::bad_value); ++code) {
+    const std::string name = errc_name(static_cast<Errc>(code));
+    CAPTURE(name);
+    CHECK(codes.count(name) == 1);
+  }
+}
