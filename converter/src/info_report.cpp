@@ -7,6 +7,7 @@
 #include <cstring>
 
 #include "rgs/checksum.hpp"
+#include "rgs/ply.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs::tool {
@@ -282,8 +283,7 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
 }
 
 std::uint64_t ply_bytes(const Header& header) {
-  const auto rest = static_cast<std::uint64_t>(3 * (sh_coefficients(header.sh_degree) - 1));
-  return header.n_gaussians * 4 * (17 + rest);
+  return header.n_gaussians * ply_row_bytes(header.sh_degree);
 }
 
 double bytes_per_gaussian(std::uint64_t bytes, const Header& header) {

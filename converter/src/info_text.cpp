@@ -71,7 +71,7 @@ class TextReport {
     const std::uint64_t ply = ply_bytes(header_);
     std::string size = fmt::format("{} bytes ({})", format_count(report_.file_bytes), format_bytes(report_.file_bytes));
     if (header_.n_gaussians != 0) {
-      size += fmt::format(", {:.2f} a Gaussian; PLY rows of this degree: {} ({}), {:.2f}x",
+      size += fmt::format(", {:.2f} a Gaussian; as PLY {} ({} a Gaussian): {:.2f}x",
                           bytes_per_gaussian(report_.file_bytes, header_), format_bytes(ply), ply / header_.n_gaussians,
                           static_cast<double>(ply) / static_cast<double>(report_.file_bytes));
     }
@@ -130,7 +130,7 @@ class TextReport {
   }
 
   void sections() {
-    line("\nsections  {:<25}{:>16}{:>16}{:>16}  {:<8}{:>8}{:>8}  {:<16}{}", "content", "offset", "stored", "decoded",
+    line("\nsections  {:<24}{:>16}{:>16}{:>16}  {:<6}{:>8}{:>9}  {:<16}{}", "content", "offset", "stored", "decoded",
          "codec", "B/Gauss", "share", "xxh3", report_.hashes.empty() ? "" : "  check");
     std::uint64_t stored = 0, decoded = 0;
     for (std::size_t i = 0; i < view_.sections().size(); ++i) {
@@ -139,15 +139,15 @@ class TextReport {
       decoded += s.decoded_bytes;
       const char* content = describe(static_cast<SectionType>(s.type));
       const char* check = report_.hashes.empty() ? "" : report_.hashes[i] == s.xxh3 ? "  OK" : "  DAMAGED";
-      line("  {:<8}{:<25}{:>16}{:>16}{:>16}  {:<8}{:>8.2f}{:>7.2f}%  {:016x}{}",
+      line("  {:<8}{:<24}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%  {:016x}{}",
            escape_untrusted(four_characters(s.type), true), *content == '\0' ? "unknown, skipped" : content,
            format_count(s.offset), format_count(s.stored_bytes), format_count(s.decoded_bytes), codec_name(s.codec),
            bytes_per_gaussian(s.stored_bytes, header_), share(s.stored_bytes), s.xxh3, check);
     }
     const std::uint64_t rest = report_.file_bytes - stored;
-    line("  {:<33}{:>16}{:>16}{:>16}  {:<8}{:>8.2f}{:>7.2f}%", "header, table, padding", "", format_count(rest),
+    line("  {:<32}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%", "header, table, padding", "", format_count(rest),
          format_count(rest), "", bytes_per_gaussian(rest, header_), share(rest));
-    line("  {:<33}{:>16}{:>16}{:>16}  {:<8}{:>8.2f}{:>7.2f}%", "total", "", format_count(report_.file_bytes),
+    line("  {:<32}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%", "total", "", format_count(report_.file_bytes),
          format_count(decoded + rest), "", bytes_per_gaussian(report_.file_bytes, header_), 100.0);
     if (report_.verified) line("  verified: every checksum and every value obeys the specification");
   }
@@ -201,19 +201,22 @@ class TextReport {
     distribution_heading(fmt::format("values, {}", format_count(v.n)));
     distribution("opacity", v.opacity);
     distribution("scale", v.scale);
-    line("\n{:<20}{:>10}{:>10}{:>10}  {:<46}{:^20}{:^20}{:^20}", "SH codes", "zero", "at 127", "entropy", "  |code|",
-         "red values", "green values", "blue values");
+    line("\n{:<20}{:>10}{:>10}{:>10}         |code|", "SH codes", "zero", "at 127", "entropy");
     for (std::size_t degree = 0; degree < v.sh.size(); ++degree) {
-      const ShCodes& s = v.sh[degree];
-      const auto percent = [&s](std::uint64_t n) {
-        return s.n == 0 ? 0 : 100 * static_cast<double>(n) / static_cast<double>(s.n);
+      const ShCodes& c = v.sh[degree];
+      const auto percent = [&c](std::uint64_t n) {
+        return c.n == 0 ? 0 : 100 * static_cast<double>(n) / static_cast<double>(c.n);
       };
+      line("  {:<18}{:>9.2f}%{:>9.2f}%{:>6.2f} bit  {:>5} {} {}", fmt::format("degree {}", degree), percent(c.n_zero),
+           percent(c.n_limit), c.entropy_bits, 0, sparkline(c.bins), kShCodeMax);
+    }
+    line("\n{:<20}{:^24}{:^24}{:^24}", "SH values", kChannels[0], kChannels[1], kChannels[2]);
+    for (std::size_t degree = 0; degree < v.sh.size(); ++degree) {
       std::string ranges;
       for (std::size_t c = 0; c < 3; ++c) {
-        ranges += fmt::format("{:^20}", fmt::format("{:.3g} .. {:.3g}", s.min[c], s.max[c]));
+        ranges += fmt::format("{:^24}", fmt::format("{:>9.4g} .. {:<9.4g}", v.sh[degree].min[c], v.sh[degree].max[c]));
       }
-      line("  {:<18}{:>9.2f}%{:>9.2f}%{:>6.2f} bit  {:>5} {} {:<6}{}", fmt::format("degree {}", degree),
-           percent(s.n_zero), percent(s.n_limit), s.entropy_bits, 0, sparkline(s.bins), kShCodeMax, ranges);
+      line("  {:<18}{}", fmt::format("degree {}", degree), ranges);
     }
     if (v.n_illegal != 0) line("  {} stored numbers are not legal: run with --verify", format_count(v.n_illegal));
   }

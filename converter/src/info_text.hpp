@@ -8,7 +8,7 @@
 
 namespace rgs::tool {
 
-/// Aligned lines of at most about 110 columns. Text from the file is escaped. `ascii`: nothing but ASCII.
+/// Aligned lines of at most about 125 columns. Text from the file is escaped. `ascii`: nothing but ASCII.
 /// The error is not part of the text: it belongs to standard error.
 std::string info_text(const InfoReport& report, bool ascii);
 
