@@ -1,0 +1,217 @@
+// info_json.cpp - the report of rgs-info for programs; docs/INFO_JSON.md describes it.
+// SPDX-License-Identifier: Apache-2.0
+#include "info_json.hpp"
+
+#include <fmt/format.h>
+
+#include <cstdlib>
+#include <nlohmann/json.hpp>
+
+#include "console.hpp"
+
+namespace rgs::tool {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// The double nearest to the shortest decimal of an FP32 number: prints as 0.2, not 0.20000000298, and rounds back.
+Json number(float value) {
+  return std::strtod(fmt::format("{}", value).c_str(), nullptr);
+}
+
+Json numbers(const auto& values) {
+  Json array = Json::array();
+  for (const float value : values) array.push_back(number(value));
+  return array;
+}
+
+Json hex(std::uint64_t hash) {
+  return fmt::format("{:016x}", hash);
+}
+
+Json json(const Box& box) {
+  return {{"min", numbers(box.min)}, {"max", numbers(box.max)}};
+}
+
+Json json(const Spread& s) {
+  return {{"min", number(s.min)}, {"median", number(s.median)}, {"max", number(s.max)}};
+}
+
+Json json(const Distribution& d) {
+  Json j = json(d.spread);
+  j["n"] = d.n;
+  j["n_zero"] = d.n_zero;
+  j["histogram"] = {{"axis", d.logarithmic ? "log10" : "linear"}, {"low", d.low}, {"high", d.high}, {"bins", d.bins}};
+  return j;
+}
+
+Json json(const Header& h) {
+  return {{"version", {h.version_major, h.version_minor}},
+          {"n_gaussians", h.n_gaussians},
+          {"sh_degree", h.sh_degree},
+          {"chunk_size", h.chunk_size},
+          {"n_chunks", h.n_chunks},
+          {"n_scale_sets", h.n_scale_sets},
+          {"n_sections", h.n_sections},
+          {"scale_exponent", h.scale_exponent}};
+}
+
+Json json(const Declarations& d) {
+  Json axes = Json::array();
+  for (const Axis axis : d.axes) axes.push_back(name_of(axis).id);
+  const auto right = right_handed(d.axes);
+  return {{"axes", axes},
+          {"handedness", right ? Json(*right ? "right" : "left") : Json()},
+          {"metres_per_unit", d.metres_per_unit > 0 ? number(d.metres_per_unit) : Json()},
+          {"colour_space", name_of(d.colour_space).id},
+          {"sh_basis", name_of(d.sh_basis).id},
+          {"kernel",
+           {{"type", name_of(d.kernel).id},
+            {"cutoff_sigma", number(d.cutoff_sigma)},
+            {"alpha_threshold", number(d.alpha_threshold)},
+            {"alpha_max", number(d.alpha_max)},
+            {"transmittance_min", number(d.transmittance_min)}}},
+          {"aa_mode", name_of(d.aa_mode).id},
+          {"low_pass_px2", number(d.low_pass_px2)},
+          {"sort_metric", name_of(d.sort_metric).id},
+          {"order", name_of(d.order).id},
+          {"depth",
+           {{"near", number(d.z_near)},
+            {"far", number(d.z_far)},
+            {"mapping", name_of(d.depth_mapping).id},
+            {"source", name_of(d.depth_source).id}}},
+          {"full_box", json(d.full)},
+          {"robust_box", json(d.robust)},
+          {"robust_fraction", number(d.robust_fraction)},
+          {"counts",
+           {{"source", d.n_source},
+            {"dropped", d.n_dropped},
+            {"repaired", d.n_repaired},
+            {"scale_subnormal", d.n_scale_subnormal},
+            {"scale_zero", d.n_scale_zero},
+            {"opacity_zero", d.n_opacity_zero},
+            {"opacity_one", d.n_opacity_one}}}};
+}
+
+Json json(const Provenance& p) {
+  return {{"source_name", p.source_name},
+          {"source_bytes", p.source_bytes},
+          {"source_xxh3", hex(p.source_xxh3)},
+          {"tool", p.tool}};
+}
+
+Json sections(const InfoReport& report) {
+  Json array = Json::array();
+  for (std::size_t i = 0; i < report.view->sections().size(); ++i) {
+    const SectionEntry& s = report.view->sections()[i];
+    Json j{{"type", four_characters(s.type)},
+           {"known", *describe(static_cast<SectionType>(s.type)) != '\0'},
+           {"must_understand", (s.flags & kSectionMustUnderstand) != 0},
+           {"codec", codec_name(s.codec)},
+           {"offset", s.offset},
+           {"stored_bytes", s.stored_bytes},
+           {"decoded_bytes", s.decoded_bytes},
+           {"bytes_per_gaussian", bytes_per_gaussian(s.stored_bytes, report.view->header())},
+           {"share", static_cast<double>(s.stored_bytes) / static_cast<double>(report.file_bytes)},
+           {"xxh3", hex(s.xxh3)}};
+    if (!report.hashes.empty()) j["xxh3_found"] = hex(report.hashes[i]);
+    array.push_back(std::move(j));
+  }
+  return array;
+}
+
+Json size(const InfoReport& report) {
+  const Header& h = report.view->header();
+  const std::uint64_t ply = ply_bytes(h);
+  return {{"bytes_per_gaussian", bytes_per_gaussian(report.file_bytes, h)},
+          {"ply_bytes", ply},
+          {"ratio_to_ply", static_cast<double>(ply) / static_cast<double>(report.file_bytes)}};
+}
+
+Json json(const StepSpreads& steps, const Header& h) {
+  Json degrees = Json::array();
+  for (std::size_t degree = 0; degree <= h.sh_degree && h.n_scale_sets != 0; ++degree) {
+    Json channels = Json::array();
+    for (const Spread& s : steps[degree]) channels.push_back(json(s));
+    degrees.push_back(std::move(channels));
+  }
+  return degrees;
+}
+
+Json json(const ValueStatistics& v) {
+  Json sh = Json::array();
+  for (const ShCodes& s : v.sh) {
+    sh.push_back({{"n", s.n},
+                  {"n_zero", s.n_zero},
+                  {"n_limit", s.n_limit},
+                  {"entropy_bits", s.entropy_bits},
+                  {"min", numbers(s.min)},
+                  {"max", numbers(s.max)},
+                  {"histogram", {{"axis", "linear"}, {"low", 0}, {"high", 128}, {"bins", s.bins}}}});
+  }
+  return {{"first", v.first},       {"n", v.n}, {"n_illegal", v.n_illegal}, {"opacity", json(v.opacity)},
+          {"scale", json(v.scale)}, {"sh", sh}};
+}
+
+Json json(const ChunkReport& c, const FileView& view) {
+  const Header& h = view.header();
+  Json steps = Json::array();
+  for (std::size_t degree = 0; degree <= h.sh_degree; ++degree) steps.push_back(numbers(c.steps.step[degree]));
+  const auto place = [&view](SectionType type, std::uint64_t first, std::uint64_t count, std::uint64_t row) {
+    return Json{{"offset", view.find(type)->offset + first * row}, {"bytes", count * row}};
+  };
+  return {{"index", c.index},
+          {"first", c.first},
+          {"n", c.entry.count},
+          {"box", json(c.entry.means)},
+          {"radius", number(c.entry.radius)},
+          {"max_opacity", number(c.entry.max_opacity)},
+          {"scale_set", c.entry.scale_set},
+          {"sh_steps", steps},
+          {"stored",
+           {{"CHNK", place(SectionType::chunks, c.index, 1, kChunkEntryBytes)},
+            {"SHSC", place(SectionType::sh_scales, c.entry.scale_set, 1, kScaleSetBytes)},
+            {"MEAN", place(SectionType::means, c.first, c.entry.count, kMeanBytes)},
+            {"GEOM", place(SectionType::geometry, c.first, c.entry.count, kGeometryBytes)},
+            {"SHI8", place(SectionType::sh, c.first, c.entry.count, sh_bytes(h.sh_degree))}}}};
+}
+
+Json json(const Error& error) {
+  const auto optional = [](std::uint64_t value) { return value == Error::kNone ? Json() : Json(value); };
+  const bool hash = error.code == Errc::checksum_mismatch;
+  return {{"code", errc_name(error.code)},
+          {"exit_code", exit_code(error.code)},
+          {"offset", optional(error.offset)},
+          {"what", error.what},
+          {"expected", hash ? hex(error.expected) : optional(error.expected)},
+          {"found", hash ? hex(error.found) : optional(error.found)},
+          {"text", describe(error)}};
+}
+
+}  // namespace
+
+std::string info_json(const InfoReport& report) {
+  Json j{{"schema", "rgs-info/1"}, {"file", {{"path", report.path}, {"bytes", report.file_bytes}}}};
+  if (report.view) {
+    const FileView& view = *report.view;
+    j["header"] = json(view.header());
+    j["size"] = size(report);
+    j["declarations"] = json(view.declarations());
+    j["provenance"] = view.provenance() ? json(*view.provenance()) : Json();
+    j["sections"] = sections(report);
+    if (report.steps) j["sh_steps"] = json(*report.steps, view.header());
+    if (report.chunks) {
+      j["chunks"] = {{"diagonal", json(report.chunks->diagonal)},
+                     {"radius", json(report.chunks->radius)},
+                     {"max_opacity", json(report.chunks->max_opacity)}};
+    }
+    if (report.chunk) j["chunk"] = json(*report.chunk, view);
+    if (report.values) j["values"] = json(*report.values);
+    if (!report.hashes.empty()) j["verified"] = report.verified;
+  }
+  if (report.error) j["error"] = json(*report.error);
+  // ASCII only, and bytes that are not UTF-8 become U+FFFD: texts of the file cannot act on a terminal.
+  return j.dump(2, ' ', true, Json::error_handler_t::replace) + "\n";
+}
+
+}  // namespace rgs::tool

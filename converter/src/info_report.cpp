@@ -1,0 +1,411 @@
+// info_report.cpp - collects what rgs-info prints: tables always, the payload only if asked.
+// SPDX-License-Identifier: Apache-2.0
+#include "info_report.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "rgs/checksum.hpp"
+#include "rgs/ply.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::tool {
+namespace {
+
+struct Sample {
+  float value;
+  std::uint64_t count;
+};
+
+Distribution distribution(std::vector<Sample> samples, bool logarithmic) {
+  Distribution d;
+  d.logarithmic = logarithmic;
+  std::ranges::sort(samples, {}, &Sample::value);
+  for (const Sample& s : samples) {
+    d.n += s.count;
+    d.n_zero += s.value == 0 ? s.count : 0;
+  }
+  if (d.n == 0) return d;
+  std::uint64_t below = 0;
+  const auto middle =
+      std::ranges::find_if(samples, [&](const Sample& s) { return (below += s.count) > (d.n - 1) / 2; });
+  d.spread = {samples.front().value, middle->value, samples.back().value};
+
+  if (logarithmic) {
+    const auto positive = std::ranges::find_if(samples, [](const Sample& s) { return s.value > 0; });
+    if (positive == samples.end()) return d;
+    d.low = std::floor(std::log10(static_cast<double>(positive->value)));
+    d.high = std::max(d.low + 1, std::ceil(std::log10(static_cast<double>(d.spread.max))));
+  }
+  for (const Sample& s : samples) {
+    if (logarithmic && s.value == 0) continue;
+    const double x = logarithmic ? std::log10(static_cast<double>(s.value)) : static_cast<double>(s.value);
+    const auto bin = static_cast<std::size_t>((x - d.low) / (d.high - d.low) * static_cast<double>(kInfoBins));
+    d.bins[std::min(bin, kInfoBins - 1)] += s.count;
+  }
+  return d;
+}
+
+// There are few enough FP16 and INT8 codes to count each of them: every figure is exact, whatever the size of the file.
+class CodeCounter {
+ public:
+  explicit CodeCounter(const FileView& view)
+      : view_(view),
+        floats_(static_cast<std::size_t>(3 * sh_coefficients(view.header().sh_degree))),
+        opacity_(kHalfCodes),
+        scale_(kHalfCodes) {}
+
+  Status add_chunk(std::uint64_t index) {
+    const auto entry = view_.chunk(index);
+    if (!entry) return tl::unexpected(entry.error());
+    const auto steps = view_.scale_set(entry->scale_set);
+    if (!steps) return tl::unexpected(steps.error());
+    const std::uint64_t first = index * view_.header().chunk_size;
+    add_geometry(first, entry->count);
+    add_sh(first, entry->count, *steps);
+    return {};
+  }
+
+  ValueStatistics result() const {
+    ValueStatistics v;
+    const auto legal = [&v](const std::vector<std::uint64_t>& counts, std::size_t largest, int exponent) {
+      std::vector<Sample> samples;
+      for (std::size_t code = 0; code < counts.size(); ++code) {
+        if (counts[code] == 0) continue;
+        if (code > largest) {
+          v.n_illegal += counts[code];
+        } else {
+          samples.push_back({dequantize_scale(static_cast<std::uint16_t>(code), exponent), counts[code]});
+        }
+      }
+      return samples;
+    };
+    v.opacity = distribution(legal(opacity_, 0x3C00, 0), false);
+    v.scale = distribution(legal(scale_, 0x7BFF, view_.header().scale_exponent), true);
+    for (std::size_t degree = 0; degree <= view_.header().sh_degree; ++degree) {
+      v.sh.push_back(sh_codes(degree));
+      for (const auto& channel : sh_[degree]) v.n_illegal += channel[kIllegal];
+    }
+    return v;
+  }
+
+ private:
+  static constexpr std::size_t kHalfCodes = 65536, kIllegal = 128;  // bit pattern of -128
+
+  void add_geometry(std::uint64_t first, std::uint64_t count) {
+    const std::byte* row = view_.stored(SectionType::geometry).data() + first * kGeometryBytes;
+    for (std::uint64_t i = 0; i < count; ++i, row += kGeometryBytes) {
+      std::uint16_t codes[8];
+      std::memcpy(codes, row, kGeometryBytes);
+      for (int k = 4; k < 7; ++k) ++scale_[codes[k]];
+      ++opacity_[codes[7]];
+    }
+  }
+
+  void add_sh(std::uint64_t first, std::uint64_t count, const ScaleSet& steps) {
+    const std::uint64_t stride = sh_bytes(view_.header().sh_degree);
+    const auto* row = reinterpret_cast<const std::int8_t*>(view_.stored(SectionType::sh).data()) + first * stride;
+    std::array<std::int8_t, 48> low, high;
+    low.fill(kShCodeMax);
+    high.fill(-kShCodeMax);
+    for (std::uint64_t i = 0; i < count; ++i, row += stride) {
+      for (std::size_t j = 0; j < floats_; ++j) {
+        low[j] = std::min(low[j], row[j]);
+        high[j] = std::max(high[j], row[j]);
+      }
+      for (std::size_t j = 0; j < floats_; ++j) {
+        ++sh_[static_cast<std::size_t>(sh_degree_of(static_cast<int>(j / 3)))][j % 3]
+             [static_cast<std::uint8_t>(row[j])];
+      }
+    }
+    for (std::size_t j = 0; j < floats_; ++j) {
+      const auto degree = static_cast<std::size_t>(sh_degree_of(static_cast<int>(j / 3)));
+      const float step = steps.step[degree][j % 3];
+      low_[degree][j % 3] = std::min(low_[degree][j % 3], dequantize_sh(low[j], step));
+      high_[degree][j % 3] = std::max(high_[degree][j % 3], dequantize_sh(high[j], step));
+    }
+  }
+
+  ShCodes sh_codes(std::size_t degree) const {
+    ShCodes s;
+    s.min = low_[degree];
+    s.max = high_[degree];
+    std::array<std::uint64_t, 256> counts{};
+    for (const auto& channel : sh_[degree]) {
+      for (std::size_t code = 0; code < counts.size(); ++code) counts[code] += code == kIllegal ? 0 : channel[code];
+    }
+    for (std::size_t code = 0; code < counts.size(); ++code) {
+      const std::size_t magnitude = std::min(code, 256 - code);
+      s.n += counts[code];
+      if (code != kIllegal) s.bins[magnitude / 4] += counts[code];
+    }
+    s.n_zero = counts[0];
+    s.n_limit = counts[kShCodeMax] + counts[256 - kShCodeMax];
+    for (const std::uint64_t count : counts) {
+      if (count == 0) continue;
+      const double share = static_cast<double>(count) / static_cast<double>(s.n);
+      s.entropy_bits -= share * std::log2(share);
+    }
+    if (s.n == s.n_zero) s.entropy_bits = 0;  // not -0
+    return s;
+  }
+
+  const FileView& view_;
+  std::size_t floats_;
+  std::vector<std::uint64_t> opacity_, scale_;
+  // Channels apart: increments of one counter one after the other would wait for each other.
+  std::array<std::array<std::array<std::uint64_t, 256>, 3>, 4> sh_{};
+  std::array<std::array<float, 3>, 4> low_{}, high_{};
+};
+
+Result<ValueStatistics> value_statistics(const FileView& view, std::uint64_t first_chunk, std::uint64_t end_chunk) {
+  const Header& h = view.header();
+  CodeCounter counter(view);
+  for (std::uint64_t i = first_chunk; i < end_chunk; ++i) {
+    if (const Status s = counter.add_chunk(i); !s) return tl::unexpected(s.error());
+  }
+  ValueStatistics v = counter.result();
+  v.first = std::min(first_chunk * h.chunk_size, h.n_gaussians);
+  v.n = std::min(end_chunk * h.chunk_size, h.n_gaussians) - v.first;
+  return v;
+}
+
+Result<StepSpreads> step_spreads(const FileView& view) {
+  const Header& h = view.header();
+  StepSpreads spreads{};
+  std::vector<float> steps(h.n_scale_sets);
+  if (steps.empty()) return spreads;
+  for (std::size_t degree = 0; degree <= h.sh_degree; ++degree) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      for (std::uint64_t i = 0; i < h.n_scale_sets; ++i) {
+        const auto set = view.scale_set(i);
+        if (!set) return tl::unexpected(set.error());
+        steps[i] = set->step[degree][c];
+      }
+      const auto middle = steps.begin() + static_cast<std::ptrdiff_t>((steps.size() - 1) / 2);
+      std::ranges::nth_element(steps, middle);
+      spreads[degree][c] = {*std::min_element(steps.begin(), middle + 1), *middle,
+                            *std::max_element(middle, steps.end())};
+    }
+  }
+  return spreads;
+}
+
+Result<ChunkStatistics> chunk_statistics(const FileView& view) {
+  const std::uint64_t n = view.header().n_chunks;
+  const auto collect = [&](bool logarithmic, auto value) -> Result<Distribution> {
+    std::vector<Sample> samples(n);
+    for (std::uint64_t i = 0; i < n; ++i) {
+      const auto entry = view.chunk(i);
+      if (!entry) return tl::unexpected(entry.error());
+      samples[i] = {value(*entry), 1};
+    }
+    return distribution(std::move(samples), logarithmic);
+  };
+  const auto diagonal = [](const ChunkEntry& e) {
+    double squared = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double side = static_cast<double>(e.means.max[k]) - static_cast<double>(e.means.min[k]);
+      squared += side * side;
+    }
+    return static_cast<float>(std::min(std::sqrt(squared), 3e38));
+  };
+  auto boxes = collect(true, diagonal);
+  if (!boxes) return tl::unexpected(boxes.error());
+  auto radii = collect(true, [](const ChunkEntry& e) { return e.radius; });
+  auto opacities = collect(false, [](const ChunkEntry& e) { return e.max_opacity; });
+  return ChunkStatistics{*boxes, *radii, *opacities};
+}
+
+Result<ChunkReport> chunk_report(const FileView& view, std::uint64_t index) {
+  const Header& h = view.header();
+  if (index >= h.n_chunks) {
+    return fail(Errc::bad_argument, Error::kNone, "--chunk counts from 0 and the file has fewer chunks", h.n_chunks,
+                index);
+  }
+  const auto entry = view.chunk(index);
+  if (!entry) return tl::unexpected(entry.error());
+  const auto steps = view.scale_set(entry->scale_set);
+  if (!steps) return tl::unexpected(steps.error());
+  return ChunkReport{index, index * h.chunk_size, *entry, *steps};
+}
+
+// Every section is hashed, so that the report names all that are damaged; values are checked only under good hashes.
+Status verify(const FileView& view, std::vector<std::uint64_t>& hashes) {
+  const SectionEntry* damaged = nullptr;
+  for (const SectionEntry& s : view.sections()) {
+    hashes.push_back(xxh3(view.stored(s)));
+    if (damaged == nullptr && hashes.back() != s.xxh3) damaged = &s;
+  }
+  if (damaged == nullptr) return validate(view);
+  return fail(Errc::checksum_mismatch, damaged->offset, "a section's checksum does not match", damaged->xxh3,
+              hashes[static_cast<std::size_t>(damaged - view.sections().data())]);
+}
+
+}  // namespace
+
+InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, const InfoOptions& options) {
+  InfoReport report;
+  report.path = path;
+  report.file_bytes = bytes.size();
+  report.chunk_asked = options.chunk;
+  const auto failed = [&report](const Error& error) {
+    if (!report.error) report.error = error;
+  };
+  const auto keep = [&failed](auto&& result, auto& place) {
+    if (result) {
+      place = *std::move(result);
+    } else {
+      failed(result.error());
+    }
+  };
+
+  keep(open(bytes), report.view);
+  if (!report.view) return report;
+  const FileView& view = *report.view;
+  const std::uint64_t n_chunks = view.header().n_chunks;
+  if (options.verify) {
+    const Status status = verify(view, report.hashes);
+    report.verified = status.has_value();
+    if (!status) failed(status.error());
+  }
+  const bool statistics = options.statistics.value_or(options.chunk || bytes.size() <= kStatisticsBytes);
+  if (options.chunk) {
+    keep(chunk_report(view, *options.chunk), report.chunk);
+    if (report.chunk && statistics) keep(value_statistics(view, *options.chunk, *options.chunk + 1), report.values);
+    return report;
+  }
+  keep(step_spreads(view), report.steps);
+  keep(chunk_statistics(view), report.chunks);
+  if (statistics) keep(value_statistics(view, 0, n_chunks), report.values);
+  return report;
+}
+
+std::uint64_t ply_bytes(const Header& header) {
+  return header.n_gaussians * ply_row_bytes(header.sh_degree);
+}
+
+double bytes_per_gaussian(std::uint64_t bytes, const Header& header) {
+  return header.n_gaussians == 0 ? 0 : static_cast<double>(bytes) / static_cast<double>(header.n_gaussians);
+}
+
+std::optional<bool> right_handed(const std::array<Axis, 3>& axes) {
+  if (axes[0] == Axis::undeclared) return std::nullopt;
+  // Right, up, backward are a right-handed frame; each axis is one of them or its negative.
+  std::array<int, 3> index{};
+  bool even = true;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const int code = static_cast<int>(axes[i]) - 1;  // right left up down forward backward
+    index[i] = code / 2;
+    const bool negative = axes[i] == Axis::left || axes[i] == Axis::down || axes[i] == Axis::forward;
+    even ^= negative;
+  }
+  for (std::size_t i = 0; i < 3; ++i) {
+    for (std::size_t j = i + 1; j < 3; ++j) even ^= index[i] > index[j];
+  }
+  return even;
+}
+
+Name name_of(Axis axis) {
+  switch (axis) {
+    case Axis::undeclared: break;
+    case Axis::right: return {"right", "right"};
+    case Axis::left: return {"left", "left"};
+    case Axis::up: return {"up", "up"};
+    case Axis::down: return {"down", "down"};
+    case Axis::forward: return {"forward", "forward"};
+    case Axis::backward: return {"backward", "backward"};
+  }
+  return {"undeclared", "not declared"};
+}
+
+Name name_of(ColourSpace space) {
+  switch (space) {
+    case ColourSpace::undeclared: break;
+    case ColourSpace::srgb_display: return {"srgb_display", "sRGB, display-referred"};
+    case ColourSpace::linear_display: return {"linear_display", "linear, display-referred"};
+  }
+  return {"undeclared", "not declared"};
+}
+
+Name name_of(ShBasis basis) {
+  switch (basis) {
+    case ShBasis::real_3dgs: break;
+  }
+  return {"real_3dgs", "real, constants and signs of 3DGS"};
+}
+
+Name name_of(Kernel kernel) {
+  switch (kernel) {
+    case Kernel::gaussian_ewa: break;
+  }
+  return {"gaussian_ewa", "Gaussian, EWA"};
+}
+
+Name name_of(AaMode mode) {
+  switch (mode) {
+    case AaMode::undeclared: break;
+    case AaMode::classic: return {"classic", "classic"};
+    case AaMode::mip_splatting: return {"mip_splatting", "Mip-Splatting, opacity compensated"};
+  }
+  return {"undeclared", "not declared"};
+}
+
+Name name_of(SortMetric metric) {
+  switch (metric) {
+    case SortMetric::z_depth: break;
+  }
+  return {"z_depth", "by camera z"};
+}
+
+Name name_of(DepthMapping mapping) {
+  switch (mapping) {
+    case DepthMapping::linear: break;
+    case DepthMapping::logarithmic: return {"logarithmic", "logarithmic"};
+  }
+  return {"linear", "linear"};
+}
+
+Name name_of(DepthSource source) {
+  switch (source) {
+    case DepthSource::cameras: return {"cameras", "from cameras"};
+    case DepthSource::scene_extent: break;
+    case DepthSource::by_hand: return {"by_hand", "set by hand"};
+  }
+  return {"scene_extent", "from the scene's extent"};
+}
+
+Name name_of(Order order) {
+  switch (order) {
+    case Order::input: break;
+    case Order::morton: return {"morton", "Morton order"};
+  }
+  return {"input", "order of the source"};
+}
+
+const char* describe(SectionType type) {
+  switch (type) {
+    case SectionType::declarations: return "declarations";
+    case SectionType::sh_scales: return "SH steps";
+    case SectionType::chunks: return "chunk table";
+    case SectionType::means: return "means";
+    case SectionType::geometry: return "rotation, scale, opacity";
+    case SectionType::sh: return "SH codes";
+    case SectionType::permutation: return "source positions";
+    case SectionType::provenance: return "provenance";
+  }
+  return "";
+}
+
+std::string four_characters(std::uint32_t type) {
+  std::string text;
+  for (int i = 0; i < 4; ++i) text += static_cast<char>(type >> (8 * i) & 0xFFu);
+  return text;
+}
+
+std::string codec_name(std::uint32_t codec) {
+  return codec == static_cast<std::uint32_t>(Codec::none) ? "none" : "codec " + std::to_string(codec);
+}
+
+}  // namespace rgs::tool

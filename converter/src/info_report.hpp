@@ -1,0 +1,116 @@
+// info_report.hpp - what rgs-info knows about a file, collected once and printed as text or JSON.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "rgs/decode.hpp"
+
+namespace rgs::tool {
+
+inline constexpr std::size_t kInfoBins = 32;
+
+/// Files up to this size have their values counted without being asked: well below a second when cached.
+inline constexpr std::uint64_t kStatisticsBytes = 1'000'000'000;
+
+struct InfoOptions {
+  bool verify = false;                 ///< check every checksum and every value
+  std::optional<bool> statistics;      ///< read the payload for ranges and histograms; absent: if the file is small
+  std::optional<std::uint64_t> chunk;  ///< report this chunk instead of the file
+};
+
+/// Smallest, middle (the lower one of an even number) and largest of a set of numbers.
+struct Spread {
+  float min = 0, median = 0, max = 0;
+};
+
+/// A set of numbers, zero or positive. Bins are of equal width over [low, high], of the values or of their log10;
+/// zeros are in no logarithmic bin.
+struct Distribution {
+  std::uint64_t n = 0, n_zero = 0;
+  Spread spread;
+  bool logarithmic = false;
+  double low = 0, high = 1;
+  std::array<std::uint64_t, kInfoBins> bins{};
+};
+
+/// The INT8 codes of one SH degree, all channels together.
+struct ShCodes {
+  std::uint64_t n = 0, n_zero = 0, n_limit = 0;     ///< codes; those that are 0; those that are +-127
+  double entropy_bits = 0;                          ///< order 0, per code
+  std::array<std::uint64_t, kInfoBins> bins{};      ///< of |code|, four magnitudes a bin
+  std::array<float, 3> min{0, 0, 0}, max{0, 0, 0};  ///< values per channel
+};
+
+/// What the stored values of a range of Gaussians are.
+struct ValueStatistics {
+  std::uint64_t first = 0, n = 0;  ///< Gaussians looked at
+  std::uint64_t n_illegal = 0;     ///< stored numbers that the format does not allow; in none of the below
+  Distribution opacity, scale;
+  std::vector<ShCodes> sh;  ///< [sh_degree + 1]
+};
+
+struct ChunkStatistics {
+  Distribution diagonal;     ///< of the boxes of means, world units
+  Distribution radius;       ///< world units
+  Distribution max_opacity;  ///< [0, 1]
+};
+
+struct ChunkReport {
+  std::uint64_t index = 0, first = 0;  ///< position in the table; first Gaussian
+  ChunkEntry entry;
+  ScaleSet steps;
+};
+
+using StepSpreads = std::array<std::array<Spread, 3>, 4>;  ///< by degree and channel
+
+struct InfoReport {
+  std::string path;
+  std::uint64_t file_bytes = 0;
+  std::optional<FileView> view;  ///< absent if the head of the file is damaged
+  std::optional<std::uint64_t> chunk_asked;
+  std::optional<StepSpreads> steps;
+  std::optional<ChunkStatistics> chunks;
+  std::optional<ValueStatistics> values;
+  std::optional<ChunkReport> chunk;
+  std::vector<std::uint64_t> hashes;  ///< with verify: of the stored bytes of each section
+  bool verified = false;              ///< with verify: all of the file obeys the specification
+  std::optional<Error> error;         ///< the first failure; what could be read in spite of it is there
+};
+
+/// Reads what `options` ask for; `bytes` must outlive the report. A chunk that does not exist is bad_argument.
+/// Needs 16 bytes of memory a chunk; with verify what validate() needs.
+InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, const InfoOptions& options);
+
+/// Size of the scene as rows of a 3DGS PLY of the same degree.
+std::uint64_t ply_bytes(const Header& header);
+double bytes_per_gaussian(std::uint64_t bytes, const Header& header);
+/// Of axes that span space; absent if they are not declared.
+std::optional<bool> right_handed(const std::array<Axis, 3>& axes);
+
+/// An enumerator as JSON spells it and as people read it.
+struct Name {
+  const char* id;
+  const char* words;
+};
+Name name_of(Axis axis);
+Name name_of(ColourSpace space);
+Name name_of(ShBasis basis);
+Name name_of(Kernel kernel);
+Name name_of(AaMode mode);
+Name name_of(SortMetric metric);
+Name name_of(DepthMapping mapping);
+Name name_of(DepthSource source);
+Name name_of(Order order);
+/// Content of a section; empty for types that are not known.
+const char* describe(SectionType type);
+/// The four characters of a section's type as they are in the file: untrusted.
+std::string four_characters(std::uint32_t type);
+/// "none"; "codec 7" for those that are not known.
+std::string codec_name(std::uint32_t codec);
+
+}  // namespace rgs::tool

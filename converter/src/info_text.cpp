@@ -1,0 +1,270 @@
+// info_text.cpp - the report of rgs-info for people.
+// SPDX-License-Identifier: Apache-2.0
+#include "info_text.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <iterator>
+#include <string_view>
+#include <utility>
+
+#include "console.hpp"
+#include "info_escape.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::tool {
+namespace {
+
+constexpr const char* kChannels[3] = {"red", "green", "blue"};
+
+class TextReport {
+ public:
+  TextReport(const InfoReport& report, bool ascii)
+      : report_(report), view_(*report.view), header_(view_.header()), ascii_(ascii) {}
+
+  std::string file() {
+    title("");
+    summary();
+    declarations();
+    sections();
+    if (report_.steps) steps();
+    if (report_.chunks) chunks();
+    values();
+    return std::move(out_);
+  }
+
+  std::string chunk() {
+    const ChunkReport& c = *report_.chunk;
+    title(fmt::format(", chunk {} of {}", format_count(c.index), format_count(header_.n_chunks)));
+    row("Gaussians", fmt::format("{} from {} on", format_count(c.entry.count), format_count(c.first)));
+    box("box", c.entry.means);
+    row("radius", fmt::format("{:.4g} (3 sigma of the largest scale)", c.entry.radius));
+    row("largest opacity", fmt::format("{:.4g}", c.entry.max_opacity));
+    line("");
+    line("{:<6}{:>16}{:>14}", "bytes", "offset", "stored");
+    bytes(SectionType::chunks, c.index, 1, kChunkEntryBytes);
+    bytes(SectionType::sh_scales, c.entry.scale_set, 1, kScaleSetBytes);
+    bytes(SectionType::means, c.first, c.entry.count, kMeanBytes);
+    bytes(SectionType::geometry, c.first, c.entry.count, kGeometryBytes);
+    bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
+    step_table(fmt::format("SH steps, set {}", format_count(c.entry.scale_set)), c.steps);
+    values();
+    return std::move(out_);
+  }
+
+ private:
+  template <class... Args>
+  void line(fmt::format_string<Args...> format, Args&&... args) {
+    fmt::format_to(std::back_inserter(out_), format, std::forward<Args>(args)...);
+    out_.erase(out_.find_last_not_of(' ') + 1);
+    out_ += '\n';
+  }
+  void row(std::string_view key, std::string_view value) { line("  {:<17}{}", key, value); }
+
+  void title(const std::string& what) {
+    line("{}{}: RoofGS {}.{}, {} Gaussians, SH degree {}", escape_untrusted(report_.path, ascii_, 4096), what,
+         header_.version_major, header_.version_minor, format_count(header_.n_gaussians), header_.sh_degree);
+  }
+
+  void summary() {
+    const std::uint64_t ply = ply_bytes(header_);
+    std::string size = fmt::format("{} bytes ({})", format_count(report_.file_bytes), format_bytes(report_.file_bytes));
+    if (header_.n_gaussians != 0) {
+      size += fmt::format(", {:.2f} a Gaussian; as PLY {} ({} a Gaussian): {:.2f}x",
+                          bytes_per_gaussian(report_.file_bytes, header_), format_bytes(ply), ply / header_.n_gaussians,
+                          static_cast<double>(ply) / static_cast<double>(report_.file_bytes));
+    }
+    row("size", size);
+    const std::uint64_t full = header_.n_gaussians / std::max(header_.chunk_size, 1u);
+    const std::uint64_t rest = header_.n_gaussians - full * header_.chunk_size;
+    row("chunks",
+        fmt::format("{} of {}{}, {}", format_count(header_.n_chunks), format_count(header_.chunk_size),
+                    rest == 0 ? "" : fmt::format(" (the last {})", rest), name_of(view_.declarations().order).words));
+    if (const auto& p = view_.provenance()) {
+      row("source", fmt::format("\"{}\", {} bytes, xxh3 {:016x}", escape_untrusted(p->source_name, ascii_),
+                                format_count(p->source_bytes), p->source_xxh3));
+      row("written by", fmt::format("\"{}\"", escape_untrusted(p->tool, ascii_)));
+    } else {
+      row("source", "not stated");
+    }
+  }
+
+  void declarations() {
+    const Declarations& d = view_.declarations();
+    line("\ndeclarations");
+    if (const auto right = right_handed(d.axes)) {
+      row("axes", fmt::format("x {}, y {}, z {} ({}-handed)", name_of(d.axes[0]).words, name_of(d.axes[1]).words,
+                              name_of(d.axes[2]).words, *right ? "right" : "left"));
+    } else {
+      row("axes", "not declared");
+    }
+    row("unit", d.metres_per_unit > 0 ? fmt::format("{:.6g} m", d.metres_per_unit) : "unknown");
+    row("colour", fmt::format("{}; SH basis {}", name_of(d.colour_space).words, name_of(d.sh_basis).words));
+    row("kernel",
+        fmt::format("{}, {:.4g} sigma; alpha {} to {:.4g}; stops at transmittance {:.4g}", name_of(d.kernel).words,
+                    d.cutoff_sigma, alpha(d.alpha_threshold), d.alpha_max, d.transmittance_min));
+    row("anti-aliasing", fmt::format("{}, low-pass {:.4g} px^2", name_of(d.aa_mode).words, d.low_pass_px2));
+    row("depth", fmt::format("{:.6g} .. {:.6g}, {}, {}; sorted {}", d.z_near, d.z_far, name_of(d.depth_mapping).words,
+                             name_of(d.depth_source).words, name_of(d.sort_metric).words));
+    box("means", d.full);
+    box(fmt::format("  {:.3g}% of them", 100 * static_cast<double>(d.robust_fraction)), d.robust);
+    row("from source", fmt::format("{} Gaussians, {} dropped, {} repaired", format_count(d.n_source),
+                                   format_count(d.n_dropped), format_count(d.n_repaired)));
+    row("FP16 limits",
+        fmt::format("scale x 2^{}: {} subnormal, {} zero; opacity: {} zero, {} one", header_.scale_exponent,
+                    format_count(d.n_scale_subnormal), format_count(d.n_scale_zero), format_count(d.n_opacity_zero),
+                    format_count(d.n_opacity_one)));
+  }
+
+  static std::string alpha(float threshold) {
+    return threshold == 1.f / 255.f ? "1/255" : fmt::format("{:.4g}", threshold);
+  }
+
+  void box(const std::string& key, const Box& b) {
+    std::string text;
+    for (std::size_t k = 0; k < 3; ++k) {
+      text += fmt::format("{} {:<27}", "xyz"[k], fmt::format("{:.5g} .. {:.5g}", b.min[k], b.max[k]));
+    }
+    row(key, text);
+  }
+
+  void sections() {
+    line("\nsections  {:<24}{:>16}{:>16}{:>16}  {:<6}{:>8}{:>9}  {:<16}{}", "content", "offset", "stored", "decoded",
+         "codec", "B/Gauss", "share", "xxh3", report_.hashes.empty() ? "" : "  check");
+    std::uint64_t stored = 0, decoded = 0;
+    for (std::size_t i = 0; i < view_.sections().size(); ++i) {
+      const SectionEntry& s = view_.sections()[i];
+      stored += s.stored_bytes;
+      decoded += s.decoded_bytes;
+      const char* content = describe(static_cast<SectionType>(s.type));
+      const char* check = report_.hashes.empty() ? "" : report_.hashes[i] == s.xxh3 ? "  OK" : "  DAMAGED";
+      line("  {:<8}{:<24}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%  {:016x}{}",
+           escape_untrusted(four_characters(s.type), true), *content == '\0' ? "unknown, skipped" : content,
+           format_count(s.offset), format_count(s.stored_bytes), format_count(s.decoded_bytes), codec_name(s.codec),
+           bytes_per_gaussian(s.stored_bytes, header_), share(s.stored_bytes), s.xxh3, check);
+    }
+    const std::uint64_t rest = report_.file_bytes - stored;
+    line("  {:<32}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%", "header, table, padding", "", format_count(rest),
+         format_count(rest), "", bytes_per_gaussian(rest, header_), share(rest));
+    line("  {:<32}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%", "total", "", format_count(report_.file_bytes),
+         format_count(decoded + rest), "", bytes_per_gaussian(report_.file_bytes, header_), 100.0);
+    if (report_.verified) line("  verified: every checksum and every value obeys the specification");
+  }
+
+  double share(std::uint64_t part) const {
+    return 100 * static_cast<double>(part) / static_cast<double>(report_.file_bytes);
+  }
+
+  void steps() {
+    if (header_.n_scale_sets == 0) return;
+    if (header_.n_scale_sets == 1) {
+      step_table("SH steps, one set", view_.scale_set(0).value());
+      return;
+    }
+    line("\n{:<20}{:^30}{:^30}{:^30}", fmt::format("SH steps, {} sets", format_count(header_.n_scale_sets)),
+         kChannels[0], kChannels[1], kChannels[2]);
+    line("{0:<20}{1:>10}{2:>10}{3:>10}{1:>10}{2:>10}{3:>10}{1:>10}{2:>10}{3:>10}", "", "min", "median", "max");
+    for (std::size_t degree = 0; degree <= header_.sh_degree; ++degree) {
+      std::string text;
+      for (const Spread& s : (*report_.steps)[degree]) {
+        text += fmt::format("{:>10.3g}{:>10.3g}{:>10.3g}", s.min, s.median, s.max);
+      }
+      line("  {:<18}{}", fmt::format("degree {}", degree), text);
+    }
+  }
+
+  void step_table(const std::string& name, const ScaleSet& set) {
+    line("\n{:<20}{:>12}{:>12}{:>12}", name, kChannels[0], kChannels[1], kChannels[2]);
+    for (std::size_t degree = 0; degree <= header_.sh_degree; ++degree) {
+      const auto& s = set.step[degree];
+      line("  {:<18}{:>12.6g}{:>12.6g}{:>12.6g}", fmt::format("degree {}", degree), s[0], s[1], s[2]);
+    }
+  }
+
+  void chunks() {
+    if (header_.n_chunks == 0) return;
+    const ChunkStatistics& c = *report_.chunks;
+    distribution_heading(fmt::format("chunks, {}", format_count(header_.n_chunks)));
+    distribution("box diagonal", c.diagonal);
+    distribution("radius, 3 sigma", c.radius);
+    distribution("largest opacity", c.max_opacity);
+  }
+
+  void values() {
+    if (header_.n_gaussians == 0) return;
+    if (!report_.values) {
+      if (!report_.error) line("\nvalues not read (--stats reads them)");
+      return;
+    }
+    const ValueStatistics& v = *report_.values;
+    distribution_heading(fmt::format("values, {}", format_count(v.n)));
+    distribution("opacity", v.opacity);
+    distribution("scale", v.scale);
+    line("\n{:<20}{:>10}{:>10}{:>10}         |code|", "SH codes", "zero", "at 127", "entropy");
+    for (std::size_t degree = 0; degree < v.sh.size(); ++degree) {
+      const ShCodes& c = v.sh[degree];
+      const auto percent = [&c](std::uint64_t n) {
+        return c.n == 0 ? 0 : 100 * static_cast<double>(n) / static_cast<double>(c.n);
+      };
+      line("  {:<18}{:>9.2f}%{:>9.2f}%{:>6.2f} bit  {:>5} {} {}", fmt::format("degree {}", degree), percent(c.n_zero),
+           percent(c.n_limit), c.entropy_bits, 0, sparkline(c.bins), kShCodeMax);
+    }
+    line("\n{:<20}{:^24}{:^24}{:^24}", "SH values", kChannels[0], kChannels[1], kChannels[2]);
+    for (std::size_t degree = 0; degree < v.sh.size(); ++degree) {
+      std::string ranges;
+      for (std::size_t c = 0; c < 3; ++c) {
+        ranges += fmt::format("{:^24}", fmt::format("{:>9.4g} .. {:<9.4g}", v.sh[degree].min[c], v.sh[degree].max[c]));
+      }
+      line("  {:<18}{}", fmt::format("degree {}", degree), ranges);
+    }
+    if (v.n_illegal != 0) line("  {} stored numbers are not legal: run with --verify", format_count(v.n_illegal));
+  }
+
+  void distribution_heading(const std::string& name) {
+    line("\n{:<20}{:>10}{:>10}{:>10}", name, "min", "median", "max");
+  }
+
+  void distribution(const char* name, const Distribution& d) {
+    const auto bound = [&d](double x) { return d.logarithmic ? fmt::format("1e{:.0f}", x) : fmt::format("{:.0f}", x); };
+    line("  {:<18}{:>10.4g}{:>10.4g}{:>10.4g}  {:>5} {} {:<6}{}", name, d.spread.min, d.spread.median, d.spread.max,
+         bound(d.low), sparkline(d.bins), bound(d.high),
+         d.logarithmic && d.n_zero != 0 ? fmt::format("and {} zero", format_count(d.n_zero)) : "");
+  }
+
+  // Heights are in proportion to the fullest bin; a bin that holds anything shows.
+  std::string sparkline(const std::array<std::uint64_t, kInfoBins>& bins) const {
+    constexpr const char* kBlocks[9] = {" ", "▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"};
+    constexpr const char* kLetters[9] = {" ", ".", ":", "-", "=", "+", "*", "%", "#"};
+    const double fullest = static_cast<double>(std::max<std::uint64_t>(1, std::ranges::max(bins)));
+    std::string text = "|";
+    for (const std::uint64_t count : bins) {
+      const auto height = static_cast<std::size_t>(8 * static_cast<double>(count) / fullest + 0.5);
+      const std::size_t shown = count == 0 ? 0 : std::clamp<std::size_t>(height, 1, 8);
+      text += (ascii_ ? kLetters : kBlocks)[shown];
+    }
+    return text + "|";
+  }
+
+  void bytes(SectionType type, std::uint64_t first, std::uint64_t count, std::uint64_t row_bytes) {
+    const SectionEntry& s = *view_.find(type);
+    line("  {:<4}{:>16}{:>14}", four_characters(s.type), format_count(s.offset + first * row_bytes),
+         format_count(count * row_bytes));
+  }
+
+  const InfoReport& report_;
+  const FileView& view_;
+  const Header& header_;
+  bool ascii_;
+  std::string out_;
+};
+
+}  // namespace
+
+std::string info_text(const InfoReport& report, bool ascii) {
+  if (!report.view || (report.chunk_asked && !report.chunk)) return "";
+  TextReport text(report, ascii);
+  return report.chunk ? text.chunk() : text.file();
+}
+
+}  // namespace rgs::tool
