@@ -33,6 +33,8 @@ class Scene {
   /// or more), bad_value (a non-finite attribute; Error::offset is the index of the Gaussian).
   static Result<Scene> load(const SplatView& splats);
   static Result<Scene> load(const SplatCloud& splats) { return load(splats.view()); }
+  /// The same in place, without a copy of the attributes.
+  static Result<Scene> load(SplatCloud&& splats);
 
   std::uint64_t size() const { return opacity_.size(); }
   int sh_degree() const { return sh_degree_; }
@@ -40,6 +42,8 @@ class Scene {
   SceneView view() const { return {size(), sh_degree_, mean_, rotation_, scale_, opacity_, sh_}; }
 
  private:
+  static Scene adopt(SplatCloud splats);
+
   int sh_degree_ = 0;
   std::vector<float> mean_, rotation_, scale_, opacity_, sh_;
 };

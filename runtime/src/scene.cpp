@@ -1,0 +1,102 @@
+// scene.cpp - activation of training parameters.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/scene.hpp"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <utility>
+
+namespace rgs {
+namespace {
+
+constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
+constexpr std::uint64_t kGrain = 8192;
+
+using Range = tbb::blocked_range<std::uint64_t>;
+
+bool all_finite(const float* values, std::uint64_t n) {
+  return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
+}
+
+Status check(const SplatView& s) {
+  if (!s.consistent())
+    return fail(Errc::bad_argument, Error::kNone, "the sizes of the attributes contradict each other");
+  if (s.n >= kMaxGaussians) {
+    return fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1, s.n);
+  }
+  const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(s.sh_degree));
+  std::atomic<std::uint64_t> first_bad{s.n};
+  tbb::parallel_for(Range(0, s.n, kGrain), [&](const Range& range) {
+    for (std::uint64_t i = range.begin(); i < range.end(); ++i) {
+      const bool good = all_finite(&s.mean[3 * i], 3) && all_finite(&s.log_scale[3 * i], 3) &&
+                        all_finite(&s.rotation[4 * i], 4) && std::isfinite(s.opacity_logit[i]) &&
+                        all_finite(&s.sh[floats * i], floats);
+      if (good) continue;
+      std::uint64_t seen = first_bad.load();
+      while (i < seen && !first_bad.compare_exchange_weak(seen, i)) {
+      }
+      return;
+    }
+  });
+  if (first_bad < s.n) {
+    return fail(Errc::bad_value, first_bad,
+                "a Gaussian has a non-finite attribute; convert with a repair policy first");
+  }
+  return {};
+}
+
+void normalize(float* q) {
+  const float length = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
+  if (length > 0 && std::isfinite(length)) {
+    for (int k = 0; k < 4; ++k) q[k] /= length;
+  } else {
+    q[0] = 1, q[1] = q[2] = q[3] = 0;
+  }
+}
+
+// Training parameters to rendered ones, in place.
+void activate(SplatCloud& s) {
+  tbb::parallel_for(Range(0, s.size(), kGrain), [&](const Range& range) {
+    for (std::uint64_t i = range.begin(); i < range.end(); ++i) {
+      for (std::uint64_t k = 3 * i; k < 3 * i + 3; ++k) s.log_scale[k] = std::exp(s.log_scale[k]);
+      normalize(&s.rotation[4 * i]);
+      s.opacity_logit[i] = 1 / (1 + std::exp(-s.opacity_logit[i]));
+    }
+  });
+}
+
+}  // namespace
+
+Result<Scene> Scene::load(const SplatView& splats) {
+  if (const auto ok = check(splats); !ok) return tl::unexpected(ok.error());
+  const auto copy = [](std::span<const float> s) { return std::vector<float>(s.begin(), s.end()); };
+  return adopt({splats.sh_degree, copy(splats.mean), copy(splats.log_scale), copy(splats.rotation),
+                copy(splats.opacity_logit), copy(splats.sh)});
+}
+
+Result<Scene> Scene::load(SplatCloud&& splats) {
+  if (const auto ok = check(splats.view()); !ok) return tl::unexpected(ok.error());
+  return adopt(std::move(splats));
+}
+
+Scene Scene::adopt(SplatCloud splats) {
+  activate(splats);
+  Scene scene;
+  scene.sh_degree_ = splats.sh_degree;
+  scene.mean_ = std::move(splats.mean);
+  scene.rotation_ = std::move(splats.rotation);
+  scene.scale_ = std::move(splats.log_scale);
+  scene.opacity_ = std::move(splats.opacity_logit);
+  scene.sh_ = std::move(splats.sh);
+  return scene;
+}
+
+std::uint64_t Scene::bytes() const {
+  return sizeof(float) * (mean_.size() + rotation_.size() + scale_.size() + opacity_.size() + sh_.size());
+}
+
+}  // namespace rgs

@@ -1,0 +1,216 @@
+// tile_blend_simd.cpp - one tile, a row of pixels per vector, compiled for each instruction set and chosen at run time.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Gaussians are the outer loop: what a Gaussian contributes to a row is prepared once, and rows beyond its height, rows
+// that are finished, and vectors in which nothing counts cost a few instructions. Pixel state lives in the first-level
+// cache (7 KiB a tile). A pixel that stops keeps its transmittance in the output and gets a working one of 0, which no
+// later pair passes.
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "tile_blend_simd.cpp"  // NOLINT
+#include <hwy/foreach_target.h>
+//
+#include <hwy/highway.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include "tile_blend.hpp"
+
+HWY_BEFORE_NAMESPACE();
+namespace rgs::detail {
+namespace HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+using math::Exp;
+using math::Exponent;
+using math::kTileSize;
+
+using D = hn::CappedTag<float, kTileSize>;
+using DI = hn::RebindToSigned<D>;
+using DU = hn::RebindToUnsigned<D>;
+using V = hn::Vec<D>;
+
+// 2^p for p in [-126, 1]: 2^round(p) enters as exponent bits, the rest is a minimax polynomial of degree 5 on
+// [-1/2, 1/2] with relative error 7.5e-8.
+HWY_INLINE V exp2_exact(V p) {
+  const D d;
+  const DI di;
+  const auto n = hn::NearestInt(p);
+  const V f = hn::Sub(p, hn::ConvertTo(d, n));
+  V e = hn::Set(d, 1.327647199e-03F);
+  e = hn::MulAdd(e, f, hn::Set(d, 9.675541334e-03F));
+  e = hn::MulAdd(e, f, hn::Set(d, 5.550713273e-02F));
+  e = hn::MulAdd(e, f, hn::Set(d, 2.402211972e-01F));
+  e = hn::MulAdd(e, f, hn::Set(d, 6.931469671e-01F));
+  e = hn::MulAdd(e, f, hn::Set(d, 1.000000072F));
+  return hn::BitCast(d, hn::Add(hn::BitCast(di, e), hn::ShiftLeft<23>(n)));
+}
+
+// rgs::math::exp2_bits in vectors, the same operations in the same order.
+template <Exp E>
+HWY_INLINE V exp2_of(V p) {
+  if constexpr (E == Exp::exact) {
+    return exp2_exact(p);
+  } else {
+    const D d;
+    const DI di;
+    const float bias = 8388608.0F * (127.0F - math::exp_sigma<E>());
+    return hn::BitCast(d, hn::ConvertTo(di, hn::Add(hn::Mul(p, hn::Set(d, 8388608.0F)), hn::Set(d, bias))));
+  }
+}
+
+// What one Gaussian contributes to a tile: a quadratic in the tile-local column, whose coefficients depend on the row.
+struct Quadratic {
+  float xx, xy, yy;  // of x^2, x y, y^2, base 2
+  float u, v;        // origin in tile-local pixels: the mean (direct) or 0 (folded)
+  float x, y, one;   // linear and constant terms (folded), 0 (direct)
+  float gain;        // factor of the exponential: opacity (direct) or 1 (folded)
+  float cutoff;      // smallest exponent that counts
+  float limit;       // largest exponent that counts
+};
+
+template <Exponent X>
+HWY_INLINE Quadratic quadratic(const ScreenSplat& s, const TileJob& job) {
+  const math::PixelPoint<float> local{s.mean.u - static_cast<float>(job.x), s.mean.v - static_cast<float>(job.y)};
+  if constexpr (X == Exponent::direct) {
+    const float half = -0.5F * math::kLog2E;
+    return {half * s.conic.a,
+            -math::kLog2E * s.conic.b,
+            half * s.conic.c,
+            local.u,
+            local.v,
+            0,
+            0,
+            0,
+            s.opacity,
+            math::kLog2AlphaMin - s.log2_opacity,
+            0};
+  } else {
+    const auto f = math::fold(s.conic, local, s.log2_opacity);
+    return {f.xx, f.xy, f.yy, 0, 0, f.x, f.y, f.one, 1, math::kLog2AlphaMin, std::numeric_limits<float>::infinity()};
+  }
+}
+
+template <Exponent X, Exp E>
+void blend_tile(const TileJob& job, TilePixels& out) {
+  const D d;
+  const DU du;
+  const std::size_t lanes = hn::Lanes(d);  // a power of two, 16 at most: rows are whole vectors
+  HWY_ALIGN float working[kTilePixels];    // transmittance, 0 where the pixel has stopped or lies outside the image
+  const auto n_list = static_cast<std::uint32_t>(job.list.size());
+  for (int y = 0; y < kTileSize; ++y) {
+    for (int x = 0; x < kTileSize; ++x) {
+      const int i = y * kTileSize + x;
+      working[i] = x < job.width && y < job.height ? 1.0F : 0.0F;
+      out.r[i] = out.g[i] = out.b[i] = out.depth[i] = 0;
+      out.transmittance[i] = 1;
+      out.evaluated[i] = n_list, out.blended[i] = 0;
+    }
+  }
+  std::uint32_t live_rows = (1U << job.height) - 1;
+  const V columns = hn::Iota(d, 0);
+  const V alpha_max = hn::Set(d, math::kAlphaMax), stop_below = hn::Set(d, math::kTransmittanceMin);
+  const V zero = hn::Zero(d), ceiling = hn::Set(d, 1);
+
+  for (std::uint32_t k = 0; k < n_list && live_rows != 0; ++k) {
+    const ScreenSplat& s = job.splats[job.list[k]];
+    const float centre = s.mean.v - static_cast<float>(job.y);
+    // Clamped before the conversion: a mean may lie anywhere.
+    const int y_first = static_cast<int>(std::ceil(std::clamp(centre - s.half_height, 0.0F, 16.0F)));
+    const int y_last = static_cast<int>(std::floor(std::clamp(centre + s.half_height, -1.0F, 15.0F)));
+    if (y_first > y_last) continue;
+    const std::uint32_t rows = live_rows & (0xFFFFU << y_first) & ((2U << y_last) - 1);
+    if (rows == 0) continue;
+    const Quadratic q = quadratic<X>(s, job);
+    const V xx = hn::Set(d, q.xx), cutoff = hn::Set(d, q.cutoff), limit = hn::Set(d, q.limit);
+    const V gain = hn::Set(d, q.gain);
+    const V red = hn::Set(d, s.color.x), green = hn::Set(d, s.color.y), blue = hn::Set(d, s.color.z);
+    const V z = hn::Set(d, s.z);
+    for (std::uint32_t left = rows; left != 0; left &= left - 1) {
+      const int y = static_cast<int>(hwy::Num0BitsBelowLS1Bit_Nonzero32(left));
+      const float dy = static_cast<float>(y) - q.v;
+      const V linear = hn::Set(d, q.x + q.xy * dy), constant = hn::Set(d, (q.yy * dy + q.y) * dy + q.one);
+      bool row_live = false;
+      for (std::size_t x = 0; x < static_cast<std::size_t>(kTileSize); x += lanes) {
+        const std::size_t i = static_cast<std::size_t>(y * kTileSize) + x;
+        const V t = hn::Load(d, working + i);
+        const V dx = hn::Add(columns, hn::Set(d, static_cast<float>(x) - q.u));
+        const V p = hn::MulAdd(hn::MulAdd(xx, dx, linear), dx, constant);
+        const auto live = hn::Gt(t, zero);
+        const auto counts = hn::And(live, hn::And(hn::Ge(p, cutoff), hn::Le(p, limit)));
+        if (hn::AllFalse(d, counts)) {
+          row_live = row_live || !hn::AllFalse(d, live);
+          continue;
+        }
+        // Lanes that do not count, and folded exponents that rounding has carried above 1, stay in exp2's domain.
+        const V e = exp2_of<E>(hn::Min(hn::Max(p, cutoff), ceiling));
+        const V alpha = hn::IfThenElseZero(counts, hn::Min(alpha_max, hn::Mul(gain, e)));
+        const V next = hn::NegMulAdd(t, alpha, t);
+        const auto stops = hn::And(counts, hn::Lt(next, stop_below));
+        V weight = hn::Mul(alpha, t);
+        V after = next;
+        auto blends = counts;
+        if (HWY_UNLIKELY(!hn::AllFalse(d, stops))) {
+          hn::BlendedStore(t, stops, d, out.transmittance + i);
+          hn::BlendedStore(hn::Set(du, k + 1), hn::RebindMask(du, stops), du, out.evaluated + i);
+          weight = hn::IfThenZeroElse(stops, weight);
+          after = hn::IfThenZeroElse(stops, next);
+          blends = hn::AndNot(stops, counts);
+        }
+        row_live = row_live || !hn::AllFalse(d, hn::Gt(after, zero));
+        hn::Store(after, d, working + i);
+        hn::Store(hn::MulAdd(weight, red, hn::Load(d, out.r + i)), d, out.r + i);
+        hn::Store(hn::MulAdd(weight, green, hn::Load(d, out.g + i)), d, out.g + i);
+        hn::Store(hn::MulAdd(weight, blue, hn::Load(d, out.b + i)), d, out.b + i);
+        hn::Store(hn::MulAdd(weight, z, hn::Load(d, out.depth + i)), d, out.depth + i);
+        // A true lane is all ones, so subtracting the mask counts.
+        const auto ones = hn::VecFromMask(du, hn::RebindMask(du, blends));
+        hn::Store(hn::Sub(hn::Load(du, out.blended + i), ones), du, out.blended + i);
+      }
+      if (!row_live) live_rows &= ~(1U << y);
+    }
+  }
+  for (std::size_t i = 0; i < kTilePixels; i += lanes) {
+    const V t = hn::Load(d, working + i);
+    hn::Store(hn::IfThenElse(hn::Gt(t, zero), t, hn::Load(d, out.transmittance + i)), d, out.transmittance + i);
+  }
+}
+
+template <Exponent X>
+void blend_with(const TileJob& job, TilePixels& out) {
+  switch (job.exp) {
+    case Exp::exact: return blend_tile<X, Exp::exact>(job, out);
+    case Exp::paper: return blend_tile<X, Exp::paper>(job, out);
+    case Exp::zero_mean: return blend_tile<X, Exp::zero_mean>(job, out);
+  }
+}
+
+void blend(const TileJob& job, TilePixels& pixels) {
+  return job.exponent == Exponent::direct ? blend_with<Exponent::direct>(job, pixels)
+                                          : blend_with<Exponent::folded>(job, pixels);
+}
+
+const char* target_name() {
+  return hwy::TargetName(HWY_TARGET);
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace rgs::detail
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace rgs::detail {
+HWY_EXPORT(blend);
+HWY_EXPORT(target_name);
+
+void blend_tile_simd(const TileJob& job, TilePixels& pixels) {
+  HWY_DYNAMIC_DISPATCH(blend)(job, pixels);
+}
+const char* simd_target_name() {
+  return HWY_DYNAMIC_DISPATCH(target_name)();
+}
+
+}  // namespace rgs::detail
+#endif  // HWY_ONCE
