@@ -66,8 +66,8 @@ rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer
 int make_scene(const Options& options, std::uint64_t n) {
   const rgs::AtomicFile::Options file_options{options.overwrite, options.sync};
   rgs::remove_temporaries_on_signal();
-  const auto threads = static_cast<std::size_t>(
-      options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency()));
+  const std::size_t threads = options.threads > 0 ? static_cast<std::size_t>(options.threads)
+                                                  : std::max<std::size_t>(1, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
   rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options);
