@@ -88,7 +88,7 @@ TEST_CASE("covariance equals J Sigma J^T with J by differences of the projection
   }
 }
 
-TEST_CASE("single precision follows double precision") {
+TEST_CASE("projection in single precision follows double precision") {
   Random random(2);
   for (int i = 0; i < 500; ++i) {
     const auto world = rigid(random.rotation(), random.vector(-1, 1));
