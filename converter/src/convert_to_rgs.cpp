@@ -118,7 +118,11 @@ void sort_morton(std::vector<std::uint32_t>& indices, std::vector<float>& means,
     for (std::size_t i = range.begin(); i < range.end(); ++i) keys[i] = key(&means[3 * std::size_t{indices[i]}]);
   });
   means = {};
-  sort_by_key(keys, indices);
+  const std::vector<std::size_t> starts = partition_by_key(keys, indices);
+  tbb::parallel_for(std::size_t{0}, starts.size() - 1, [&](std::size_t bucket) {
+    const std::size_t first = starts[bucket], count = starts[bucket + 1] - first;
+    if (count > 1) sort_bucket(std::span(keys).subspan(first, count), std::span(indices).subspan(first, count));
+  });
 }
 
 // One pipeline token: consecutive chunks with room for their bytes.

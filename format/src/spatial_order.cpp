@@ -1,12 +1,10 @@
-// spatial_order.cpp - Morton keys (Morton 1966) and a least-significant-digit radix sort.
+// spatial_order.cpp - Morton keys (Morton 1966) and sorting by them.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/spatial_order.hpp"
 
 #include <algorithm>
-#include <array>
 #include <cassert>
 #include <cmath>
-#include <utility>
 
 namespace rgs {
 namespace {
@@ -45,35 +43,50 @@ std::uint64_t MortonKey::operator()(const float point[3]) const {
   return key;
 }
 
-void sort_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices) {
+std::vector<std::size_t> partition_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices) {
   assert(keys.size() == indices.size());
+  // 12 bits: buckets of a million points fit the first-level cache, and the write streams its second-level TLB.
+  constexpr int kBits = 12;
+  constexpr int kShift = 63 - kBits;
   const std::size_t n = keys.size();
-  // Digits of 8 bits: the 256 write streams stay within the TLB and the first-level cache.
-  constexpr int kDigits = 8;
-  std::array<std::array<std::size_t, 256>, kDigits> counts{};
-  for (const std::uint64_t key : keys) {
-    for (int d = 0; d < kDigits; ++d) ++counts[static_cast<std::size_t>(d)][key >> (8 * d) & 255];
-  }
+  std::vector<std::size_t> starts((std::size_t{1} << kBits) + 1);
+  for (const std::uint64_t key : keys) ++starts[(key >> kShift) + 1];
+  for (std::size_t b = 1; b < starts.size(); ++b) starts[b] += starts[b - 1];
+  std::vector<std::size_t> next(starts.begin(), starts.end() - 1);
   std::vector<std::uint64_t> other_keys(n);
   std::vector<std::uint32_t> other_indices(n);
-  std::span<std::uint64_t> k0 = keys, k1 = other_keys;
-  std::span<std::uint32_t> i0 = indices, i1 = other_indices;
-  for (int d = 0; d < kDigits; ++d) {
-    auto& count = counts[static_cast<std::size_t>(d)];
-    if (std::ranges::any_of(count, [n](std::size_t c) { return c == n; })) continue;  // all keys share this digit
-    std::size_t sum = 0;
-    for (std::size_t& c : count) c = std::exchange(sum, sum + c);
-    for (std::size_t i = 0; i < n; ++i) {
-      const std::size_t to = count[k0[i] >> (8 * d) & 255]++;
-      k1[to] = k0[i];
-      i1[to] = i0[i];
-    }
-    std::swap(k0, k1);
-    std::swap(i0, i1);
+  for (std::size_t i = 0; i < n; ++i) {
+    const std::size_t to = next[keys[i] >> kShift]++;
+    other_keys[to] = keys[i];
+    other_indices[to] = indices[i];
   }
-  if (k0.data() != keys.data()) {
-    std::ranges::copy(k0, keys.begin());
-    std::ranges::copy(i0, indices.begin());
+  std::ranges::copy(other_keys, keys.begin());
+  std::ranges::copy(other_indices, indices.begin());
+  return starts;
+}
+
+void sort_bucket(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices) {
+  struct Element {
+    std::uint64_t key;
+    std::uint32_t position;  // makes the order total, hence stable
+    std::uint32_t index;
+  };
+  std::vector<Element> elements(keys.size());
+  for (std::size_t i = 0; i < keys.size(); ++i) elements[i] = {keys[i], static_cast<std::uint32_t>(i), indices[i]};
+  std::ranges::sort(elements, [](const Element& a, const Element& b) {
+    return a.key != b.key ? a.key < b.key : a.position < b.position;
+  });
+  for (std::size_t i = 0; i < keys.size(); ++i) {
+    keys[i] = elements[i].key;
+    indices[i] = elements[i].index;
+  }
+}
+
+void sort_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices) {
+  const std::vector<std::size_t> starts = partition_by_key(keys, indices);
+  for (std::size_t b = 0; b + 1 < starts.size(); ++b) {
+    const std::size_t count = starts[b + 1] - starts[b];
+    if (count > 1) sort_bucket(keys.subspan(starts[b], count), indices.subspan(starts[b], count));
   }
 }
 

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -21,8 +22,14 @@ class MortonKey {
   double centre_[3], inverse_half_width_[3];
 };
 
-/// Sorts `indices` by `keys` (same length), stable, in place; `keys` end up sorted too.
-/// Scratch memory: 12 bytes an element.
+/// Sorts `indices` by `keys` (same length, keys below 2^63), stable, in place; `keys` end up sorted too.
+/// Scratch memory: 12 bytes an element, 16 if most keys are alike.
 void sort_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
+
+/// The two steps of sort_by_key, for callers with several threads. partition_by_key brings elements into buckets by the
+/// keys' upper bits, stable, and returns where each bucket starts, with the end as last element; then each bucket is
+/// sorted on its own, on any thread.
+std::vector<std::size_t> partition_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
+void sort_bucket(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
 
 }  // namespace rgs
