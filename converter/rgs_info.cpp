@@ -49,13 +49,13 @@ int info(const Arguments& arguments) {
 int body(int argc, char** argv) {
   Arguments arguments;
   bool stats = false, no_stats = false;
-  std::uint64_t chunk = 0;
+  std::string chunk;
   CLI::App app("Prints what an .rgs file holds and declares, and checks it.", "rgs-info");
   app.set_version_flag("--version", "rgs-info " RGS_VERSION);
   app.add_option("FILE", arguments.path, "an .rgs file")->required();
   app.add_flag("--verify", arguments.options.verify, "check every checksum and every stored value");
   app.add_flag("--json", arguments.json, "one JSON document (schema rgs-info/1, docs/INFO_JSON.md)");
-  auto* chunk_option = app.add_option("--chunk", chunk, "report chunk N (from 0) instead of the file")->type_name("N");
+  app.add_option("--chunk", chunk, "report chunk N (from 0) instead of the file")->type_name("N");
   auto* stats_flag = app.add_flag("--stats", stats, "read all values for ranges and histograms (default up to 1 GB)");
   app.add_flag("--no-stats", no_stats, "read head and tables only")->excludes(stats_flag);
   app.add_flag("--ascii", arguments.ascii, "no characters beyond ASCII in the text");
@@ -68,7 +68,11 @@ int body(int argc, char** argv) {
     return report_usage(e.what());
   }
   if (stats || no_stats) arguments.options.statistics = stats;
-  if (chunk_option->count() != 0) arguments.options.chunk = chunk;
+  if (!chunk.empty()) {
+    const auto index = parse_count(chunk);
+    if (!index) return report_usage("--chunk: " + describe(index.error()));
+    arguments.options.chunk = *index;
+  }
   return info(arguments);
 }
 

@@ -221,7 +221,7 @@ Result<ChunkStatistics> chunk_statistics(const FileView& view) {
 Result<ChunkReport> chunk_report(const FileView& view, std::uint64_t index) {
   const Header& h = view.header();
   if (index >= h.n_chunks) {
-    return fail(Errc::bad_argument, Error::kNone, "--chunk counts from 0 and the file has fewer chunks", h.n_chunks,
+    return fail(Errc::bad_argument, Error::kNone, "the file has no such chunk; --chunk counts from 0", Error::kNone,
                 index);
   }
   const auto entry = view.chunk(index);

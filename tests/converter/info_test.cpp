@@ -1,0 +1,326 @@
+// info_test.cpp - the program rgs-info, run on files made here.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+#include <sys/wait.h>
+
+#include <algorithm>
+#include <cstdio>
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "rgs/rgs.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+
+namespace {
+
+struct Run {
+  int code = -1;  // exit code; -1 if a signal ended it
+  std::string out, error;
+};
+
+std::string read(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(file), {}};
+}
+
+class Fixture {
+ public:
+  // `after` may redirect standard output.
+  Run run(const std::string& arguments, const std::string& after = "") {
+    const std::string out = folder_.file("out"), error = folder_.file("error");
+    const std::string command = "'" RGS_INFO "' " + arguments + " >'" + out + "' 2>'" + error + "' " + after;
+    const int status = std::system(command.c_str());
+    return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read(out), read(error)};
+  }
+
+  std::string write(const std::vector<std::byte>& bytes, const std::string& name = "scene.rgs") {
+    const std::string path = folder_.file(name);
+    std::ofstream(path, std::ios::binary)
+        .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+    return path;
+  }
+
+  nlohmann::json json(const std::string& arguments, int code = 0) {
+    const Run r = run(arguments + " --json");
+    CHECK(r.code == code);
+    CHECK(std::ranges::all_of(r.out, [](char c) { return c == '\n' || (c >= ' ' && c <= '~'); }));
+    nlohmann::json j = nlohmann::json::parse(r.out, nullptr, false);
+    REQUIRE_FALSE(j.is_discarded());
+    CHECK(j["schema"] == "rgs-info/1");
+    return j;
+  }
+
+ private:
+  test::TemporaryFolder folder_;
+};
+
+SplatCloud cloud(std::uint64_t n, int degree) {
+  std::mt19937 random(7);
+  std::normal_distribution<float> normal;
+  SplatCloud c;
+  c.resize(n, degree);
+  for (float& x : c.mean) x = normal(random);
+  for (float& x : c.log_scale) x = -4 + normal(random);
+  for (float& x : c.rotation) x = normal(random);
+  for (float& x : c.opacity_logit) x = 2 * normal(random);
+  for (float& x : c.sh) x = 0.3f * normal(random);
+  return c;
+}
+
+std::vector<std::byte> encoded(std::uint64_t n, int degree, const EncodeOptions& options = {}) {
+  return encode(cloud(n, degree).view(), options).value();
+}
+
+bool has(const std::string& text, const std::string& part) {
+  return text.find(part) != std::string::npos;
+}
+
+void flip(std::vector<std::byte>& bytes, std::uint64_t at) {
+  bytes[at] ^= std::byte{1};
+}
+
+}  // namespace
+
+TEST_CASE_FIXTURE(Fixture, "the text states what the file holds and declares") {
+  EncodeOptions options;
+  options.chunk_size = 64;
+  options.depth = DepthRange{0.25f, 80.f, DepthSource::cameras};
+  options.depth_mapping = DepthMapping::logarithmic;
+  options.aa_mode = AaMode::mip_splatting;
+  options.axes = {Axis::right, Axis::up, Axis::forward};
+  options.provenance = Provenance{1234567, 0xabcdef, "garden.ply", "maker 1.2"};
+  const auto bytes = encoded(1000, 3, options);
+  const Run r = run(write(bytes));
+  CHECK(r.code == 0);
+  CHECK(r.error == "");
+  for (const char* part :
+       {"1,000 Gaussians, SH degree 3", "as PLY 248.0 kB (248 a Gaussian)", "16 of 64 (the last 40), Morton order",
+        "\"garden.ply\", 1,234,567 bytes, xxh3 0000000000abcdef", "\"maker 1.2\"",
+        "x right, y up, z forward (left-handed)", "0.25 .. 80, logarithmic, from cameras", "Mip-Splatting",
+        "alpha 1/255 to 0.99", "SH steps, 16 sets", "box diagonal", "values, 1,000", "█"}) {
+    CAPTURE(part);
+    CHECK(has(r.out, part));
+  }
+  for (const char* type : {"DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PROV"}) CHECK(has(r.out, type));
+  CHECK_FALSE(has(r.out, "PERM"));
+
+  const Run ascii = run(write(bytes) + " --ascii");
+  CHECK(std::ranges::all_of(ascii.out, [](char c) { return c > 0; }));
+  const Run brief = run(write(bytes) + " --no-stats");
+  CHECK(has(brief.out, "values not read"));
+  CHECK_FALSE(has(brief.out, "entropy"));
+}
+
+TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with one step set and with many") {
+  for (int degree = 0; degree <= 3; ++degree) {
+    CAPTURE(degree);
+    EncodeOptions options;
+    options.chunk_size = 32;
+    options.chunk_scales = degree % 2 == 0;
+    options.keep_permutation = true;
+    const auto bytes = encoded(777, degree, options);
+    const FileView view = open(bytes).value();
+    const auto j = json(write(bytes));
+    CHECK(j["file"]["bytes"] == bytes.size());
+    CHECK(j["header"]["n_gaussians"] == 777);
+    CHECK(j["header"]["sh_degree"] == degree);
+    CHECK(j["header"]["n_scale_sets"] == view.header().n_scale_sets);
+    CHECK(j["header"]["scale_exponent"] == view.header().scale_exponent);
+    CHECK(j["declarations"]["handedness"] == "right");
+    CHECK(j["declarations"]["depth"]["source"] == "scene_extent");
+    CHECK(j["declarations"]["depth"]["far"].get<float>() == view.declarations().z_far);
+    CHECK(j["provenance"].is_null());
+    CHECK_FALSE(j.contains("verified"));
+    CHECK_FALSE(j.contains("error"));
+
+    REQUIRE(j["sections"].size() == view.sections().size());
+    double share = 0;
+    for (std::size_t i = 0; i < view.sections().size(); ++i) {
+      const SectionEntry& s = view.sections()[i];
+      CHECK(j["sections"][i]["offset"] == s.offset);
+      CHECK(j["sections"][i]["stored_bytes"] == s.stored_bytes);
+      CHECK(std::stoull(j["sections"][i]["xxh3"].get<std::string>(), nullptr, 16) == s.xxh3);
+      share += j["sections"][i]["share"].get<double>();
+    }
+    CHECK(share < 1);
+
+    // The same figures computed the plain way.
+    std::vector<ActivatedSplat> splats(777);
+    REQUIRE(view.read(0, std::span(splats)));
+    std::vector<float> opacities, scales, dc_red;
+    for (const ActivatedSplat& s : splats) {
+      opacities.push_back(s.opacity);
+      scales.insert(scales.end(), s.scale, s.scale + 3);
+      dc_red.push_back(s.sh[0]);
+    }
+    std::ranges::sort(opacities);
+    std::ranges::sort(scales);
+    const auto& v = j["values"];
+    CHECK(v["opacity"]["min"].get<float>() == opacities.front());
+    CHECK(v["opacity"]["median"].get<float>() == opacities[388]);
+    CHECK(v["opacity"]["max"].get<float>() == opacities.back());
+    CHECK(v["scale"]["n"] == 3 * 777);
+    CHECK(v["scale"]["median"].get<float>() == scales[1165]);
+    CHECK(v["scale"]["max"].get<float>() == scales.back());
+    REQUIRE(v["sh"].size() == static_cast<std::size_t>(degree + 1));
+    CHECK(v["sh"][0]["min"][0].get<float>() == std::ranges::min(dc_red));
+    CHECK(v["sh"][0]["max"][0].get<float>() == std::ranges::max(dc_red));
+    for (const auto& histogram : {v["opacity"]["histogram"], v["scale"]["histogram"]}) {
+      std::uint64_t sum = 0;
+      for (const auto& bin : histogram["bins"]) sum += bin.get<std::uint64_t>();
+      CHECK(sum == (histogram["axis"] == "linear" ? 777 : 3 * 777));
+    }
+
+    std::vector<float> radii, steps;
+    for (std::uint64_t i = 0; i < view.header().n_chunks; ++i) radii.push_back(view.chunk(i)->radius);
+    for (std::uint64_t i = 0; i < view.header().n_scale_sets; ++i) steps.push_back(view.scale_set(i)->step[degree][2]);
+    std::ranges::sort(radii);
+    std::ranges::sort(steps);
+    CHECK(j["chunks"]["radius"]["median"].get<float>() == radii[(radii.size() - 1) / 2]);
+    CHECK(j["chunks"]["radius"]["max"].get<float>() == radii.back());
+    const auto& spread = j["sh_steps"][static_cast<std::size_t>(degree)][2];
+    CHECK(spread["min"].get<float>() == steps.front());
+    CHECK(spread["median"].get<float>() == steps[(steps.size() - 1) / 2]);
+    CHECK(spread["max"].get<float>() == steps.back());
+  }
+}
+
+TEST_CASE_FIXTURE(Fixture, "one chunk") {
+  EncodeOptions options;
+  options.chunk_size = 64;
+  const auto bytes = encoded(100, 1, options);
+  const FileView view = open(bytes).value();
+  const std::string path = write(bytes);
+  const auto j = json(path + " --chunk 1");
+  CHECK(j["chunk"]["first"] == 64);
+  CHECK(j["chunk"]["n"] == 36);
+  CHECK(j["chunk"]["radius"].get<float>() == view.chunk(1)->radius);
+  CHECK(j["chunk"]["stored"]["GEOM"]["offset"] == view.find(SectionType::geometry)->offset + 64 * 16);
+  CHECK(j["chunk"]["stored"]["GEOM"]["bytes"] == 36 * 16);
+  CHECK(j["values"]["first"] == 64);
+  CHECK(j["values"]["opacity"]["n"] == 36);
+  CHECK(j["values"]["opacity"]["max"].get<float>() == view.chunk(1)->max_opacity);
+  CHECK_FALSE(j.contains("chunks"));
+  const Run text = run(path + " --chunk 1");
+  CHECK(text.code == 0);
+  CHECK(has(text.out, "chunk 1 of 2"));
+  CHECK(has(text.out, "36 from 64 on"));
+  const Run absent = run(path + " --chunk 2");
+  CHECK(absent.code == 2);
+  CHECK(absent.out == "");
+  CHECK(has(absent.error, "no such chunk"));
+}
+
+TEST_CASE_FIXTURE(Fixture, "--verify passes a good file and names place and section of damage") {
+  auto bytes = encoded(500, 2);
+  const Run good = run(write(bytes) + " --verify");
+  CHECK(good.code == 0);
+  CHECK(has(good.out, "verified"));
+  CHECK(json(write(bytes) + " --verify")["verified"] == true);
+
+  const SectionEntry geometry = *open(bytes).value().find(SectionType::geometry);
+  flip(bytes, geometry.offset + 100);
+  const std::string path = write(bytes);
+  CHECK(run(path).code == 0);  // the payload's checksums are looked at only on request
+  const Run damaged = run(path + " --verify");
+  CHECK(damaged.code == 4);
+  CHECK(has(damaged.error, "byte " + std::to_string(geometry.offset) + ":"));
+  CHECK(has(damaged.error, "[checksum_mismatch]"));
+  CHECK(has(damaged.out, "DAMAGED"));
+  CHECK(has(damaged.out, "OK"));
+  CHECK_FALSE(has(damaged.out, "verified"));
+  const auto j = json(path + " --verify", 4);
+  CHECK(j["verified"] == false);
+  CHECK(j["error"]["code"] == "checksum_mismatch");
+  CHECK(j["error"]["offset"] == geometry.offset);
+  CHECK(j["error"]["exit_code"] == 4);
+  for (const auto& s : j["sections"]) CHECK((s["xxh3"] == s["xxh3_found"]) == (s["type"] != "GEOM"));
+}
+
+TEST_CASE_FIXTURE(Fixture, "--verify also checks values under right checksums") {
+  auto bytes = encoded(50, 0);
+  const FileView view = open(bytes).value();
+  const std::uint64_t at = view.find(SectionType::geometry)->offset + 14;  // opacity of the first Gaussian
+  std::size_t entry = 0;
+  while (view.sections()[entry].type != static_cast<std::uint32_t>(SectionType::geometry)) ++entry;
+  bytes[at + 1] = std::byte{0x40};  // 2.0
+  const auto put = [&bytes](std::uint64_t where, std::uint64_t value) {
+    for (int i = 0; i < 8; ++i) bytes[where + static_cast<std::uint64_t>(i)] = static_cast<std::byte>(value >> (8 * i));
+  };
+  const std::uint64_t table_end = kHeaderBytes + view.sections().size() * kSectionEntryBytes;
+  put(kHeaderBytes + entry * kSectionEntryBytes + 40, xxh3(view.stored(SectionType::geometry)));
+  put(table_end, xxh3(std::span(bytes).first(table_end)));
+  const Run r = run(write(bytes) + " --verify");
+  CHECK(r.code == 4);
+  CHECK(has(r.error, "byte " + std::to_string(at) + ":"));
+  CHECK(has(r.out, "1 stored numbers are not legal"));
+}
+
+TEST_CASE_FIXTURE(Fixture, "a damaged table: what can be read is printed, then the error") {
+  auto bytes = encoded(500, 1);
+  const std::uint64_t chunks = open(bytes).value().find(SectionType::chunks)->offset;
+  bytes[chunks + 44] = std::byte{1};
+  const Run r = run(write(bytes));
+  CHECK(r.code == 4);
+  CHECK(has(r.out, "CHNK"));
+  CHECK(has(r.error, "byte " + std::to_string(chunks + 44) + ":"));
+}
+
+TEST_CASE_FIXTURE(Fixture, "an empty scene") {
+  const std::string path = write(encoded(0, 3));
+  const Run r = run(path + " --verify --stats");
+  CHECK(r.code == 0);
+  CHECK(has(r.out, " 0 Gaussians"));
+  CHECK_FALSE(has(r.out, "nan"));
+  CHECK_FALSE(has(r.out, "inf"));
+  CHECK(json(path)["values"]["n"] == 0);
+  CHECK(run(path + " --chunk 0").code == 2);
+}
+
+TEST_CASE_FIXTURE(Fixture, "texts of the file cannot act on the terminal") {
+  EncodeOptions options;
+  options.provenance =
+      Provenance{1, 2, "a\x1b[31m\n\r\x7f\\b\xc2\x9b\xe2\x80\xae\xff\xc3\xa9\"", std::string(3000, 'x')};
+  const std::string path = write(encoded(10, 0, options));
+  const Run r = run(path);
+  CHECK(r.code == 0);
+  CHECK(has(r.out, "\"a\\u{1b}[31m\\u{a}\\u{d}\\u{7f}\\\\b\\u{9b}\\u{202e}\\xff\xc3\xa9\"\""));
+  CHECK(has(r.out, "xxx...\""));
+  CHECK_FALSE(has(r.out, std::string(300, 'x')));
+  CHECK(has(run(path + " --ascii").out, "\\xff\\u{e9}\""));
+  CHECK(json(path)["provenance"]["tool"] == std::string(3000, 'x'));
+}
+
+TEST_CASE_FIXTURE(Fixture, "exit codes") {
+  const std::string path = write(encoded(10, 0));
+  CHECK(run("--help").code == 0);
+  CHECK(has(run("--version").out, "rgs-info "));
+  for (const std::string& arguments :
+       {std::string(), path + " --unknown", path + " --chunk x", path + " --chunk -1", path + " --stats --no-stats"}) {
+    CAPTURE(arguments);
+    const Run r = run(arguments);
+    CHECK(r.code == 2);
+    CHECK(r.out == "");
+    CHECK(has(r.error, "--help"));
+  }
+  CHECK(run(path + ".missing").code == 3);
+  CHECK(json(path + ".missing", 3)["error"]["code"] == "open_failed");
+  CHECK(run("/").code == 3);
+  const Run junk = run(write(std::vector<std::byte>(5000, std::byte{'j'}), "junk.rgs"));
+  CHECK(junk.code == 4);
+  CHECK(has(junk.error, "[bad_magic]"));
+  CHECK(run(write({}, "nothing.rgs")).code == 4);
+}
+
+TEST_CASE_FIXTURE(Fixture, "a closed or full standard output") {
+  const std::string path = write(encoded(10, 0));
+  // The pipe has no reader by the time the program writes.
+  const std::string code = path + ".code";
+  const std::string closed = "( sleep 0.1; '" RGS_INFO "' '" + path + "'; echo $? >'" + code + "' ) | true; sleep 0.5";
+  CHECK(std::system(closed.c_str()) == 0);
+  CHECK(read(code) == "0\n");
+  CHECK(run(path, ">/dev/full").code == 3);
+}
