@@ -6,6 +6,7 @@
 // threads: blocks only decide who does the work, never in which order anything is listed or summed.
 #include "reference_renderer.hpp"
 
+#include <hwy/cache_control.h>
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
@@ -192,14 +193,15 @@ void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::V
       const auto p = math::project<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]}, scene.opacity[i],
                                           options.low_pass, options.anti_aliasing);
       if (!p.footprint.valid) continue;
-      const auto ellipse = math::ellipse(p.mean, p.footprint);
+      const float cutoff = math::power_cutoff(p.footprint.opacity);
+      const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
       append_spans(p, options.extent, grid, ellipse, block.spans, *out, block.n_instances);
       if (out->n_rows == 0) continue;
       out->mean = p.mean;
       out->conic = p.footprint.conic;
       out->opacity = p.footprint.opacity;
-      out->cutoff = math::power_cutoff(p.footprint.opacity);
-      out->log2_opacity = std::log2(p.footprint.opacity);
+      out->cutoff = cutoff;
+      out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
       out->half_height = ellipse.level < 0 ? -1 : ellipse.half_height;
       out->z = p.z;
       out->color = color_of(scene, i, view, mean, degree);
@@ -262,12 +264,17 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
 
 // Stable counting sort of all (tile, Gaussian) pairs by tile, from the depth order.
 void ReferenceRenderer::Workspace::list_by_tile() {
+  constexpr std::uint64_t kAhead = 12;
   const std::uint64_t tiles = n_tiles();
   // Each part has a histogram over all tiles: at 8K that is 1 MiB.
   const std::uint64_t n_parts = std::clamp<std::uint64_t>(n_visible / kBlock, 1, workers());
   const auto part_begin = [&](std::uint64_t part) { return n_visible * part / n_parts; };
   const auto for_each_tile = [&](std::uint64_t part, const auto& f) {
-    for (std::uint64_t i = part_begin(part); i < part_begin(part + 1); ++i) {
+    const std::uint64_t end = part_begin(part + 1);
+    for (std::uint64_t i = part_begin(part); i < end; ++i) {
+      // Depth order is no memory order: the splat, and after it its spans, are fetched ahead of their use.
+      if (i + 2 * kAhead < end) hwy::Prefetch(&splats.get()[static_cast<std::uint32_t>(order.get()[i + 2 * kAhead])]);
+      if (i + kAhead < end) hwy::Prefetch(rows_of(static_cast<std::uint32_t>(order.get()[i + kAhead])).data());
       const auto index = static_cast<std::uint32_t>(order.get()[i]);
       std::uint64_t row =
           static_cast<std::uint64_t>(splats.get()[index].first_row) * static_cast<std::uint64_t>(grid.columns);
@@ -340,14 +347,14 @@ void ReferenceRenderer::Workspace::blend(const math::View<float>& view, const Re
     job.height = std::min(math::kTileSize, view.height - job.y);
     job.exponent = options.exponent;
     job.exp = options.exp;
+    job.details = !target.depth.empty() || !target.blended.empty();
     TilePixels pixels;
-    blend_tile(job, pixels);
+    const std::uint64_t tile_blended = blend_tile(job, pixels);
     store_tile(job, pixels, view.width, background, target);
-    std::uint64_t tile_evaluated = 0, tile_blended = 0;
+    std::uint64_t tile_evaluated = 0;
     for (int y = 0; y < job.height; ++y) {
       for (int x = 0; x < job.width; ++x) {
         tile_evaluated += pixels.evaluated[y * math::kTileSize + x];
-        tile_blended += pixels.blended[y * math::kTileSize + x];
       }
     }
     evaluated.fetch_add(tile_evaluated, std::memory_order_relaxed);

@@ -35,6 +35,7 @@ struct TileJob {
   int width, height;  // pixels inside the image, 1..16 each
   math::Exponent exponent;
   math::Exp exp;
+  bool details;  // depth and blended are wanted; otherwise they may stay unset
 };
 
 /// Pixels of a tile, row by row, 16 apart; those outside the image are unspecified.
@@ -43,12 +44,12 @@ struct alignas(64) TilePixels {
   std::uint32_t evaluated[kTilePixels], blended[kTilePixels];
 };
 
-/// The definition: rgs::math pixel by pixel.
-void blend_tile_scalar(const TileJob& job, TilePixels& pixels);
+/// The definition: rgs::math pixel by pixel. Returns the number of pairs that were blended.
+std::uint64_t blend_tile_scalar(const TileJob& job, TilePixels& pixels);
 
 /// The same in the widest vectors that the machine has. Rows and vectors without a pair that counts are passed over;
 /// results differ from the definition by the rounding of the exponent.
-void blend_tile_simd(const TileJob& job, TilePixels& pixels);
+std::uint64_t blend_tile_simd(const TileJob& job, TilePixels& pixels);
 /// Name of the instruction set in use, static text.
 const char* simd_target_name();
 

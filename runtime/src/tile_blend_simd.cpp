@@ -10,6 +10,7 @@
 #define HWY_TARGET_INCLUDE "tile_blend_simd.cpp"  // NOLINT
 #include <hwy/foreach_target.h>
 //
+#include <hwy/cache_control.h>
 #include <hwy/highway.h>
 
 #include <algorithm>
@@ -93,8 +94,9 @@ HWY_INLINE Quadratic quadratic(const ScreenSplat& s, const TileJob& job) {
   }
 }
 
-template <Exponent X, Exp E>
-void blend_tile(const TileJob& job, TilePixels& out) {
+template <Exponent X, Exp E, bool kDetails>
+HWY_NOINLINE std::uint64_t blend_tile(const TileJob& job, TilePixels& out) {
+  constexpr std::uint32_t kAhead = 6;  // list entries between the fetch of a splat and its use
   const D d;
   const DU du;
   const std::size_t lanes = hn::Lanes(d);  // a power of two, 16 at most: rows are whole vectors
@@ -109,12 +111,14 @@ void blend_tile(const TileJob& job, TilePixels& out) {
       out.evaluated[i] = n_list, out.blended[i] = 0;
     }
   }
+  std::uint64_t n_blended = 0;
   std::uint32_t live_rows = (1U << job.height) - 1;
   const V columns = hn::Iota(d, 0);
   const V alpha_max = hn::Set(d, math::kAlphaMax), stop_below = hn::Set(d, math::kTransmittanceMin);
   const V zero = hn::Zero(d), ceiling = hn::Set(d, 1);
 
   for (std::uint32_t k = 0; k < n_list && live_rows != 0; ++k) {
+    if (k + kAhead < n_list) hwy::Prefetch(&job.splats[job.list[k + kAhead]]);
     const ScreenSplat& s = job.splats[job.list[k]];
     const float centre = s.mean.v - static_cast<float>(job.y);
     // Clamped before the conversion: a mean may lie anywhere.
@@ -164,10 +168,13 @@ void blend_tile(const TileJob& job, TilePixels& out) {
         hn::Store(hn::MulAdd(weight, red, hn::Load(d, out.r + i)), d, out.r + i);
         hn::Store(hn::MulAdd(weight, green, hn::Load(d, out.g + i)), d, out.g + i);
         hn::Store(hn::MulAdd(weight, blue, hn::Load(d, out.b + i)), d, out.b + i);
-        hn::Store(hn::MulAdd(weight, z, hn::Load(d, out.depth + i)), d, out.depth + i);
-        // A true lane is all ones, so subtracting the mask counts.
-        const auto ones = hn::VecFromMask(du, hn::RebindMask(du, blends));
-        hn::Store(hn::Sub(hn::Load(du, out.blended + i), ones), du, out.blended + i);
+        n_blended += hn::CountTrue(d, blends);
+        if constexpr (kDetails) {
+          hn::Store(hn::MulAdd(weight, z, hn::Load(d, out.depth + i)), d, out.depth + i);
+          // A true lane is all ones, so subtracting the mask counts.
+          const auto ones = hn::VecFromMask(du, hn::RebindMask(du, blends));
+          hn::Store(hn::Sub(hn::Load(du, out.blended + i), ones), du, out.blended + i);
+        }
       }
       if (!row_live) live_rows &= ~(1U << y);
     }
@@ -176,20 +183,23 @@ void blend_tile(const TileJob& job, TilePixels& out) {
     const V t = hn::Load(d, working + i);
     hn::Store(hn::IfThenElse(hn::Gt(t, zero), t, hn::Load(d, out.transmittance + i)), d, out.transmittance + i);
   }
+  return n_blended;
 }
 
-template <Exponent X>
-void blend_with(const TileJob& job, TilePixels& out) {
+template <Exponent X, bool kDetails>
+std::uint64_t blend_with(const TileJob& job, TilePixels& out) {
   switch (job.exp) {
-    case Exp::exact: return blend_tile<X, Exp::exact>(job, out);
-    case Exp::paper: return blend_tile<X, Exp::paper>(job, out);
-    case Exp::zero_mean: return blend_tile<X, Exp::zero_mean>(job, out);
+    case Exp::paper: return blend_tile<X, Exp::paper, kDetails>(job, out);
+    case Exp::zero_mean: return blend_tile<X, Exp::zero_mean, kDetails>(job, out);
+    default: return blend_tile<X, Exp::exact, kDetails>(job, out);
   }
 }
 
-void blend(const TileJob& job, TilePixels& pixels) {
-  return job.exponent == Exponent::direct ? blend_with<Exponent::direct>(job, pixels)
-                                          : blend_with<Exponent::folded>(job, pixels);
+std::uint64_t blend(const TileJob& job, TilePixels& out) {
+  if (job.exponent == Exponent::direct) {
+    return job.details ? blend_with<Exponent::direct, true>(job, out) : blend_with<Exponent::direct, false>(job, out);
+  }
+  return job.details ? blend_with<Exponent::folded, true>(job, out) : blend_with<Exponent::folded, false>(job, out);
 }
 
 const char* target_name() {
@@ -205,8 +215,8 @@ namespace rgs::detail {
 HWY_EXPORT(blend);
 HWY_EXPORT(target_name);
 
-void blend_tile_simd(const TileJob& job, TilePixels& pixels) {
-  HWY_DYNAMIC_DISPATCH(blend)(job, pixels);
+std::uint64_t blend_tile_simd(const TileJob& job, TilePixels& pixels) {
+  return HWY_DYNAMIC_DISPATCH(blend)(job, pixels);
 }
 const char* simd_target_name() {
   return HWY_DYNAMIC_DISPATCH(target_name)();

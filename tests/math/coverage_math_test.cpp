@@ -58,7 +58,7 @@ TEST_CASE("every tile with a pixel that reaches 1/255 is listed") {
     if (!f.valid) continue;
     const PixelPoint<float> mean{static_cast<float>(random.uniform(-60, 260)),
                                  static_cast<float>(random.uniform(-60, 210))};
-    const auto e = ellipse(mean, f);
+    const auto e = ellipse(mean, f, power_cutoff(f.opacity));
     const float cutoff = power_cutoff(f.opacity);
     for (int row = 0; row < grid.rows; ++row) {
       for (int column = 0; column < grid.columns; ++column) {
@@ -86,7 +86,7 @@ TEST_CASE("listed tiles are met by the ellipse, up to rounding") {
     if (!f.valid) continue;
     const PixelPoint<float> mean{static_cast<float>(random.uniform(-60, 460)),
                                  static_cast<float>(random.uniform(-60, 360))};
-    const auto e = ellipse(mean, f);
+    const auto e = ellipse(mean, f, power_cutoff(f.opacity));
     const double level = 2 * std::log(255.0 * f.opacity);
     for (int row = 0; row < grid.rows; ++row) {
       for (int column = 0; column < grid.columns; ++column) {
@@ -113,7 +113,7 @@ TEST_CASE("long needles whose conic cancels in single precision lose no tile") {
     if (!f.valid) continue;
     const PixelPoint<float> mean{static_cast<float>(random.uniform(0, width)),
                                  static_cast<float>(random.uniform(0, height))};
-    const auto e = ellipse(mean, f);
+    const auto e = ellipse(mean, f, power_cutoff(f.opacity));
     const float cutoff = power_cutoff(f.opacity);
     for (int y = 0; y < height; ++y) {
       // Pixels near the axis only; the rest is far below the threshold.
@@ -153,16 +153,16 @@ TEST_CASE("extents of extreme Gaussians are defined") {
   REQUIRE(huge.valid);
   const auto all = square_extent(PixelPoint<float>{3000, -1e9F}, huge.cov, grid);
   CHECK((all.x1 == 480 && all.x0 == 0));
-  const auto e = ellipse(PixelPoint<float>{-1e5F, 1e5F}, huge);
+  const auto e = ellipse(PixelPoint<float>{-1e5F, 1e5F}, huge, power_cutoff(huge.opacity));
   const auto rect = bounding_tiles(e, grid);
   CHECK((rect.x0 == 0 && rect.y0 == 0 && rect.x1 == 480 && rect.y1 == 270));
   CHECK(tiles_in_row(e, 100, grid).last == 480);
   const float nan = std::numeric_limits<float>::quiet_NaN();
   CHECK(square_extent(PixelPoint<float>{nan, nan}, huge.cov, grid).empty());
-  CHECK(bounding_tiles(ellipse(PixelPoint<float>{nan, nan}, huge), grid).empty());
+  CHECK(bounding_tiles(ellipse(PixelPoint<float>{nan, nan}, huge, power_cutoff(huge.opacity)), grid).empty());
   auto dim = huge;
   dim.opacity = 1.0F / 256;
-  CHECK(bounding_tiles(ellipse(PixelPoint<float>{0, 0}, dim), grid).empty());
+  CHECK(bounding_tiles(ellipse(PixelPoint<float>{0, 0}, dim, power_cutoff(dim.opacity)), grid).empty());
   dim.opacity = 0;
-  CHECK(bounding_tiles(ellipse(PixelPoint<float>{0, 0}, dim), grid).empty());
+  CHECK(bounding_tiles(ellipse(PixelPoint<float>{0, 0}, dim, power_cutoff(dim.opacity)), grid).empty());
 }

@@ -35,11 +35,11 @@ struct Image {
 /// Where a frame goes: caller-owned arrays of camera.width * camera.height pixels, rows from top to bottom.
 /// An empty span means that this output is not wanted; every pixel of the others is written.
 struct RenderTarget {
-  std::span<float> rgb;                ///< [height, width, 3] colour over the background
-  std::span<float> alpha;              ///< [height, width] 1 - transmittance
-  std::span<float> depth;              ///< [height, width] expected camera-space z, world units; 0 where alpha is 0
-  std::span<std::uint32_t> evaluated;  ///< [height, width] Gaussians that the pixel went through before it stopped
-  std::span<std::uint32_t> blended;    ///< [height, width] Gaussians that contributed
+  std::span<float> rgb = {};    ///< [height, width, 3] colour over the background
+  std::span<float> alpha = {};  ///< [height, width] 1 - transmittance
+  std::span<float> depth = {};  ///< [height, width] expected camera-space z, world units; 0 where alpha is 0
+  std::span<std::uint32_t> evaluated = {};  ///< [height, width] Gaussians that the pixel went through before it stopped
+  std::span<std::uint32_t> blended = {};    ///< [height, width] Gaussians that contributed
 };
 
 }  // namespace rgs

@@ -10,6 +10,7 @@
 #include "rgs/math/camera.hpp"
 #include "rgs/math/constants.hpp"
 #include "rgs/math/covariance.hpp"
+#include "rgs/math/coverage.hpp"
 #include "rgs/math/options.hpp"
 #include "rgs/math/vec.hpp"
 
@@ -79,12 +80,6 @@ RGS_HD constexpr float exp_sigma() {
 template <class T>
 RGS_HD inline T power(const Conic<T>& q, T dx, T dy) {
   return T(-0.5) * (q.a * dx * dx + q.c * dy * dy) - q.b * dx * dy;
-}
-
-/// Smallest exponent that is not skipped: -ln(255 opacity).
-template <class T>
-RGS_HD inline T power_cutoff(T opacity) {
-  return -std::log(opacity / T(kAlphaMin));
 }
 
 /// Opacity of a pair, or 0 where it is skipped: exponent rounded above 0, or alpha < 1/255. `cutoff` is

@@ -41,12 +41,16 @@ RGS_HD inline int tile_index(T t, int limit) {
   return static_cast<int>(clamp(t, T(0), static_cast<T>(limit)));
 }
 
-// Tiles with a pixel centre in [low, high] along one axis: tile t has the centres 16 t .. 16 t + 15.
+// Tiles with a pixel centre in [low, high] along one axis: tile t has the centres 16 t .. 16 t + 15. Truncation after
+// the clamp at 0 is the floor, without a library call.
 template <class T>
 RGS_HD inline TileSpan tiles_between(T low, T high, int limit) {
-  const T tile = T(kTileSize);
-  return {tile_index(std::ceil((low - (tile - T(1))) / tile), limit),
-          tile_index(std::floor(high / tile) + T(1), limit)};
+  const T inverse_tile = T(1) / T(kTileSize);
+  const T first = clamp((low - T(kTileSize - 1)) * inverse_tile, T(0), static_cast<T>(limit));
+  const int floor_first = static_cast<int>(first);
+  const int ceil_first = floor_first + (first > static_cast<T>(floor_first) ? 1 : 0);
+  const T last = high * inverse_tile;
+  return {ceil_first, last < T(0) ? 0 : tile_index(last + T(1), limit)};
 }
 
 }  // namespace detail
@@ -65,6 +69,12 @@ RGS_HD inline TileRect square_extent(const PixelPoint<T>& mean, const Cov2<T>& c
           detail::tile_index((mean.v + radius + tile - T(1)) / tile, grid.rows)};
 }
 
+/// Smallest exponent that is not skipped: -ln(255 opacity).
+template <class T>
+RGS_HD inline T power_cutoff(T opacity) {
+  return -std::log(opacity / T(kAlphaMin));
+}
+
 /// The region in which a Gaussian reaches alpha >= 1/255, an ellipse around its mean.
 template <class T>
 struct Ellipse {
@@ -79,16 +89,16 @@ struct Ellipse {
 };
 
 /// o exp(-q/2) >= 1/255 where q <= 2 ln(255 o). (Hanson et al. 2025, "Speedy-Splat", eq. 12; Gaussians with opacity
-/// under 1/255 vanish.) The level is raised by what rounding can take from q in a pixel: its terms a dx^2 and c dy^2
-/// reach level / (1 - rho^2) and cancel, so that tiles are never missed, at the price of rare superfluous ones.
+/// under 1/255 vanish.) `cutoff` is power_cutoff(f.opacity), -ln(255 o). The level is raised by what rounding can take
+/// from q in a pixel: its terms a dx^2 and c dy^2 reach level / (1 - rho^2) and cancel, so that tiles are never missed,
+/// at the price of rare superfluous ones.
 template <class T>
-RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& f) {
-  const T log_ratio = std::log(f.opacity / T(kAlphaMin));
+RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& f, T cutoff) {
   Ellipse<T> e{mean, f.cov, T(-1), 0, 0, 0, 0, 0};
-  if (!(log_ratio >= T(0))) return e;
+  if (!(cutoff <= T(0))) return e;
   const T det = determinant(f.cov);
   const T rounding = T(8) * T(6e-8) * (f.cov.xx * f.cov.yy / det);
-  e.level = T(2) * log_ratio * (T(1) + rounding) + T(1e-4);
+  e.level = T(-2) * cutoff * (T(1) + rounding) + T(1e-4);
   e.half_width = std::sqrt(e.level * f.cov.xx);
   e.half_height = std::sqrt(e.level * f.cov.yy);
   e.slope = f.cov.xy / f.cov.yy;

@@ -1,0 +1,295 @@
+// renderer_test.cpp - frames: values, invariants, options, robustness, threads, and vectors against the definition.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/renderer.hpp"
+
+#include <doctest/doctest.h>
+
+#include <limits>
+#include <numeric>
+#include <thread>
+
+#include "renderer_fixture.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using math::Exp;
+using math::Exponent;
+using math::Extent;
+
+namespace {
+
+constexpr RendererOptions kScalar{.backend = Backend::cpu, .threads = 1, .simd = false};
+constexpr RendererOptions kVector{.backend = Backend::cpu, .threads = 1, .simd = true};
+
+}  // namespace
+
+TEST_CASE("one Gaussian on the axis has the closed form's pixels") {
+  const Camera camera = front_camera(33, 33);
+  const Scene scene = scene_of(cloud_of(std::vector{splat_at(0, 0, 4, 0.5, 0.8, 0.75F)}));
+  const Frame frame = render(scene, camera, {.background = {0.25F, 0.5F, 1}}, kScalar);
+  // sigma_px^2 = (f s / z)^2 + 0.3; the mean is at 33/2 - 1/2 = 16, a pixel centre.
+  const double f = 0.8 * 33, variance = f * f * 0.25 / 16 + 0.3;
+  for (int x = 0; x < 33; ++x) {
+    double alpha = std::min(0.99, 0.8 * std::exp(-0.5 * (x - 16) * (x - 16) / variance));
+    if (alpha < 1.0 / 255) alpha = 0;
+    const auto i = static_cast<std::size_t>(16 * 33 + x);
+    CHECK(frame.alpha[i] == doctest::Approx(alpha).epsilon(1e-4));
+    CHECK(frame.rgb[3 * i] == doctest::Approx(0.75 * alpha + 0.25 * (1 - alpha)).epsilon(1e-4));
+    CHECK(frame.rgb[3 * i + 2] == doctest::Approx(0.5 * alpha + 1 - alpha).epsilon(1e-4));
+    CHECK(frame.depth[i] == doctest::Approx(alpha > 0 ? 4 : 0).epsilon(1e-4));
+    CHECK(frame.blended[i] == (alpha > 0 ? 1 : 0));
+  }
+}
+
+TEST_CASE("the nearer Gaussian is in front, equal depths keep the scene's order, opaque ones stop the pixel") {
+  const Camera camera = front_camera(16, 16);
+  const std::size_t centre = 8 * 16 + 8;
+  const Splat red = splat_at(0, 0, 5, 5, 0.9, 1), dark = splat_at(0, 0, 3, 3, 0.9, 0);
+  CHECK(render(scene_of(cloud_of(std::vector{red, dark})), camera).rgb[3 * centre] ==
+        doctest::Approx(0.09).epsilon(1e-2));
+  Splat twin = dark;
+  twin.mean[2] = 5;
+  CHECK(render(scene_of(cloud_of(std::vector{red, twin})), camera).rgb[3 * centre] ==
+        doctest::Approx(0.9).epsilon(1e-2));
+  CHECK(render(scene_of(cloud_of(std::vector{twin, red})), camera).rgb[3 * centre] ==
+        doctest::Approx(0.09).epsilon(1e-2));
+  const std::vector<Splat> wall(10, splat_at(0, 0, 5, 50, 0.999, 1));
+  const Frame frame = render(scene_of(cloud_of(wall)), camera);
+  // 0.01, then 0.0001 (just above or below 1e-4 by rounding); never a third.
+  CHECK(frame.blended[centre] <= 2);
+  CHECK(frame.evaluated[centre] == frame.blended[centre] + 1);
+  CHECK(frame.alpha[centre] >= 0.99F - 1e-6F);
+}
+
+TEST_CASE("moving camera and scene together leaves the image") {
+  const auto splats = random_splats(21, 400);
+  Random random(22);
+  const auto turn = random.rotation();
+  const auto motion = rigid(turn, {0.5, -1, 2});
+  Camera camera = front_camera(96, 64);
+  auto flat = splats;
+  for (Splat& s : flat) std::fill(s.sh + 3, s.sh + 48, 0.0F);  // colours that do not turn
+  const Frame a = render(scene_of(cloud_of(flat)), camera);
+  for (Splat& s : flat) {
+    const auto m = transform(motion, {s.mean[0], s.mean[1], s.mean[2]});
+    const auto q = multiply(turn, {s.rotation[0], s.rotation[1], s.rotation[2], s.rotation[3]});
+    s.mean[0] = static_cast<float>(m.x), s.mean[1] = static_cast<float>(m.y), s.mean[2] = static_cast<float>(m.z);
+    s.rotation[0] = static_cast<float>(q.w), s.rotation[1] = static_cast<float>(q.x);
+    s.rotation[2] = static_cast<float>(q.y), s.rotation[3] = static_cast<float>(q.z);
+  }
+  const auto back = transform(rigid({turn.w, -turn.x, -turn.y, -turn.z}, {0, 0, 0}), {0.5, -1, 2});
+  camera.world_to_camera = rigid({turn.w, -turn.x, -turn.y, -turn.z}, {-back.x, -back.y, -back.z});
+  const Frame b = render(scene_of(cloud_of(flat)), camera);
+  CHECK(psnr(a.rgb, b.rgb) > 60);
+}
+
+TEST_CASE("vectors follow the scalar definition in every arithmetic") {
+  const Scene scene = scene_of(cloud_of(random_splats(23, 1500), 3));
+  const Camera camera = front_camera(203, 117);  // neither side a multiple of 16
+  for (const auto exponent : {Exponent::direct, Exponent::folded}) {
+    for (const auto exp : {Exp::exact, Exp::paper, Exp::zero_mean}) {
+      for (const auto extent : {Extent::square, Extent::ellipse}) {
+        CAPTURE(static_cast<int>(exponent));
+        CAPTURE(static_cast<int>(exp));
+        RenderOptions options{.background = {0.2F, 0.4F, 0.6F}, .extent = extent, .exponent = exponent, .exp = exp};
+        const Frame a = render(scene, camera, options, kScalar), b = render(scene, camera, options, kVector);
+        CHECK(largest_difference(a.rgb, b.rgb) <= 1.0 / 255);
+        CHECK(psnr(a.rgb, b.rgb) >= 70);
+        CHECK(largest_difference(a.alpha, b.alpha) <= 1.0 / 255);
+        CHECK(largest_difference(a.depth, b.depth) <= 0.1);
+        CHECK(a.stats.instances == b.stats.instances);
+        const auto close = [](std::uint64_t x, std::uint64_t y) {
+          return std::max(x, y) - std::min(x, y) <= 1 + x / 1000;
+        };
+        CHECK(close(a.stats.evaluated, b.stats.evaluated));
+        CHECK(close(a.stats.blended, b.stats.blended));
+        for (const Frame* f : {&a, &b}) {
+          CHECK(f->stats.evaluated == std::accumulate(f->evaluated.begin(), f->evaluated.end(), std::uint64_t{0}));
+          CHECK(f->stats.blended == std::accumulate(f->blended.begin(), f->blended.end(), std::uint64_t{0}));
+        }
+      }
+    }
+  }
+}
+
+TEST_CASE("the number of threads changes nothing, and a renderer can be used again for another scene and size") {
+  const Scene scene = scene_of(cloud_of(random_splats(24, 20000), 1));
+  const Camera camera = front_camera(160, 120);
+  const Frame one = render(scene, camera, {}, {.threads = 1});
+  auto many = Renderer::create({.threads = 4});
+  REQUIRE(many);
+  for (int repeat = 0; repeat < 3; ++repeat) {
+    Frame frame = Frame::of(camera);
+    REQUIRE(many->render(scene, camera, frame.target()));
+    CHECK(frame.rgb == one.rgb);
+    CHECK(frame.blended == one.blended);
+    const Camera other = front_camera(40 + 100 * repeat, 30);
+    Frame small = Frame::of(other);
+    REQUIRE(many->render(Scene(), other, small.target()));
+    CHECK(small.alpha == std::vector<float>(small.alpha.size(), 0.0F));
+  }
+}
+
+TEST_CASE("several renderers share a scene") {
+  const Scene scene = scene_of(cloud_of(random_splats(25, 5000), 2));
+  const Camera camera = front_camera(96, 96);
+  const Frame expected = render(scene, camera);
+  std::vector<Frame> frames(3, Frame::of(camera));
+  std::vector<std::thread> threads;
+  for (Frame& frame : frames) {
+    threads.emplace_back([&scene, &camera, &frame] {
+      auto renderer = Renderer::create({.threads = 2});
+      if (renderer) (void)renderer->render(scene, camera, frame.target());
+    });
+  }
+  for (std::thread& t : threads) t.join();
+  for (const Frame& frame : frames) CHECK(frame.rgb == expected.rgb);
+}
+
+TEST_CASE("each option does what it says") {
+  const Scene scene = scene_of(cloud_of(random_splats(26, 3000), 3));
+  const Camera camera = front_camera(192, 128);
+  const Frame base = render(scene, camera);
+  const auto with = [&](const RenderOptions& options) { return render(scene, camera, options); };
+
+  const Frame square = with({.extent = Extent::square});
+  CHECK(square.stats.instances > base.stats.instances);
+  CHECK(psnr(square.rgb, base.rgb) > 50);  // the tails between 3 and 3.33 sigma
+  CHECK(psnr(with({.exponent = Exponent::folded}).rgb, base.rgb) > 70);
+  const double paper = psnr(with({.exp = Exp::paper}).rgb, base.rgb);
+  CHECK(paper > 40);
+  CHECK(paper < 70);
+  CHECK(psnr(with({.exponent = Exponent::folded, .exp = Exp::zero_mean}).rgb, base.rgb) > 40);
+
+  const Frame fine = with({.depth_order = math::DepthOrder::quantized, .depth_bits = 24, .depth_range = {0.2F, 20}});
+  const Frame coarse = with({.depth_order = math::DepthOrder::quantized, .depth_bits = 4, .depth_range = {0.2F, 20}});
+  CHECK(psnr(fine.rgb, base.rgb) > psnr(coarse.rgb, base.rgb) + 10);
+  CHECK(with({.depth_order = math::DepthOrder::quantized}).stats.depth_bits == 32 - 7);  // 12 x 8 tiles
+  const Frame log = with({.depth_order = math::DepthOrder::quantized, .depth_mapping = math::DepthMapping::log});
+  CHECK(psnr(log.rgb, base.rgb) > 60);
+
+  CHECK(with({.sh_degree_limit = 0}).rgb != base.rgb);
+  CHECK(with({.near_plane = 5}).stats.visible < base.stats.visible);
+  CHECK(with({.far_plane = 5}).stats.visible < base.stats.visible);
+  const Frame mip = with({.anti_aliasing = math::AntiAliasing::mip_splatting});
+  CHECK(std::accumulate(mip.alpha.begin(), mip.alpha.end(), 0.0) <
+        std::accumulate(base.alpha.begin(), base.alpha.end(), 0.0));
+  CHECK(with({.low_pass = 2}).rgb != base.rgb);
+
+  std::vector<float> over = base.rgb;
+  for (std::size_t i = 0; i < over.size(); ++i) over[i] += 0.5F * (1 - base.alpha[i / 3]);
+  CHECK(largest_difference(with({.background = {0.5F, 0.5F, 0.5F}}).rgb, over) < 1e-6);
+}
+
+TEST_CASE("alpha and opacity stay in range for opacity 0 and 1") {
+  const float inf_logit = 100;
+  for (const float l : {-inf_logit, inf_logit}) {
+    Splat s = splat_at(0, 0, 4, 1, 0.5);
+    s.opacity_logit = l;
+    const Scene scene = scene_of(cloud_of(std::vector(20, s)));
+    CHECK((scene.view().opacity[0] == (l > 0 ? 1.0F : scene.view().opacity[0]) && scene.view().opacity[0] >= 0));
+    for (const auto exponent : {Exponent::direct, Exponent::folded}) {
+      for (const bool simd : {false, true}) {
+        const Frame f =
+            render(scene, front_camera(40, 40), {.extent = Extent::square, .exponent = exponent}, {.simd = simd});
+        for (const float a : f.alpha) CHECK((a >= 0 && a <= 1));
+        CHECK(f.alpha[20 * 40 + 20] == doctest::Approx(l > 0 ? 0.9999 : 0).epsilon(0.01));
+      }
+    }
+  }
+}
+
+TEST_CASE("nothing to see: empty scene, everything behind the camera, everything beside it") {
+  const Camera camera = front_camera(50, 20);
+  for (const double z : {-5.0, 0.2, 5.0}) {
+    const Scene scene = scene_of(cloud_of(std::vector{splat_at(z > 1 ? 1000 : 0, 0, z, 0.1, 0.9)}));
+    const Frame frame = render(scene, camera, {.background = {0.1F, 0.2F, 0.3F}});
+    CHECK(frame.stats.visible == 0);
+    CHECK(frame.rgb[3 * 500 + 1] == 0.2F);
+    CHECK(std::all_of(frame.depth.begin(), frame.depth.end(), [](float v) { return v == 0; }));
+  }
+  CHECK(render(Scene(), camera).stats.instances == 0);
+}
+
+TEST_CASE("images of one pixel and of 8K, the latter under one Gaussian") {
+  const Scene scene = scene_of(cloud_of(std::vector{splat_at(0, 0, 1, 1000, 0.5)}));
+  const Frame dot = render(scene, front_camera(1, 1));
+  CHECK(dot.alpha[0] == doctest::Approx(0.5).epsilon(1e-3));
+  for (const auto extent : {Extent::square, Extent::ellipse}) {
+    const Camera camera = front_camera(7680, 4320);
+    std::vector<float> alpha(7680 * 4320, NAN);
+    auto renderer = Renderer::create();
+    const auto stats = renderer->render(scene, camera, {.alpha = alpha}, {.extent = extent});
+    REQUIRE(stats);
+    CHECK(stats->instances == 480 * 270);
+    CHECK(alpha.front() == doctest::Approx(0.5).epsilon(1e-3));
+    CHECK(alpha.back() == doctest::Approx(0.5).epsilon(1e-3));
+  }
+}
+
+TEST_CASE("degenerate Gaussians draw something finite or nothing") {
+  std::vector<Splat> splats;
+  for (const float a : {-200.0F, -20.0F, 0.0F, 20.0F, 60.0F, 200.0F}) {
+    for (const float b : {-200.0F, -20.0F, 0.0F, 20.0F, 60.0F, 200.0F}) {
+      Splat s = splat_at(0.1, 0.05, 2, 1, 0.7);
+      s.log_scale[0] = a, s.log_scale[1] = b, s.log_scale[2] = -5;
+      s.rotation[0] = a > 0 ? 0.0F : 1e-30F, s.rotation[1] = 0;  // no direction at all, or one that underflows
+      splats.push_back(s);
+      s.mean[0] = 1e30F;
+      splats.push_back(s);
+      s.mean[0] = 0, s.mean[2] = 0.2000001F;
+      splats.push_back(s);
+    }
+  }
+  const Scene scene = scene_of(cloud_of(splats));
+  for (const auto extent : {Extent::square, Extent::ellipse}) {
+    for (const auto exponent : {Exponent::direct, Exponent::folded}) {
+      for (const bool simd : {false, true}) {
+        const Frame f = render(scene, front_camera(64, 64), {.low_pass = 0, .extent = extent, .exponent = exponent},
+                               {.simd = simd});
+        CHECK(std::all_of(f.rgb.begin(), f.rgb.end(), [](float v) { return v >= 0 && v <= 1.01F; }));
+        CHECK(std::all_of(f.depth.begin(), f.depth.end(), [](float v) { return std::isfinite(v); }));
+      }
+    }
+  }
+}
+
+TEST_CASE("refusals: cameras, options, targets, scenes, backends") {
+  const Scene scene = scene_of(cloud_of(std::vector{splat_at(0, 0, 4, 1, 0.5)}));
+  auto renderer = Renderer::create();
+  REQUIRE(renderer);
+  const Camera good = front_camera(8, 8);
+  std::vector<float> alpha(64);
+  const auto code = [&](const Camera& camera, const RenderOptions& options = {}) {
+    const auto result = renderer->render(scene, camera, {.alpha = alpha}, options);
+    return result ? Errc::internal : result.error().code;
+  };
+  CHECK(code(good) == Errc::internal);  // accepted
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  Camera bad = good;
+  bad.fx = nan;
+  CHECK(code(bad) == Errc::bad_camera);
+  bad = good, bad.world_to_camera[3] = nan;
+  CHECK(code(bad) == Errc::bad_camera);
+  bad = good, bad.width = 0;
+  CHECK(code(bad) == Errc::bad_camera);
+  CHECK(code(good, {.near_plane = -1}) == Errc::bad_argument);
+  CHECK(code(good, {.far_plane = 0.1F}) == Errc::bad_argument);
+  CHECK(code(good, {.sh_degree_limit = 4}) == Errc::bad_argument);
+  CHECK(code(good, {.low_pass = NAN}) == Errc::bad_argument);
+  CHECK(code(good, {.depth_bits = 33}) == Errc::bad_argument);
+  CHECK(code(good, {.depth_range = {5, 5}}) == Errc::bad_argument);
+  CHECK(code(good, {.background = {NAN, 0, 0}}) == Errc::bad_argument);
+  alpha.resize(63);
+  CHECK(code(good) == Errc::bad_argument);
+
+  auto cloud = cloud_of(std::vector(5, splat_at(0, 0, 4, 1, 0.5)));
+  cloud.mean[3 * 3 + 1] = NAN;
+  const auto refused = Scene::load(cloud);
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::bad_value);
+  CHECK(refused.error().offset == 3);
+  cloud.mean.pop_back();
+  CHECK(Scene::load(cloud).error().code == Errc::bad_argument);
+  CHECK(Renderer::create({.threads = -1}).error().code == Errc::bad_argument);
+}
