@@ -45,9 +45,10 @@ std::uint64_t MortonKey::operator()(const float point[3]) const {
 
 std::vector<std::size_t> partition_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices) {
   assert(keys.size() == indices.size());
-  // 12 bits: buckets of a million points fit the first-level cache, and the write streams its second-level TLB.
-  constexpr int kBits = 12;
-  constexpr int kShift = 63 - kBits;
+  // 13 bits, 12 of a Morton key's 63: buckets of a million points fit the first-level cache, and the write streams its
+  // second-level TLB.
+  constexpr int kBits = 13;
+  constexpr int kShift = 64 - kBits;
   const std::size_t n = keys.size();
   std::vector<std::size_t> starts((std::size_t{1} << kBits) + 1);
   for (const std::uint64_t key : keys) ++starts[(key >> kShift) + 1];

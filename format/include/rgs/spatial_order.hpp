@@ -22,7 +22,7 @@ class MortonKey {
   double centre_[3], inverse_half_width_[3];
 };
 
-/// Sorts `indices` by `keys` (same length, keys below 2^63), stable, in place; `keys` end up sorted too.
+/// Sorts `indices` by `keys` (same length), stable, in place; `keys` end up sorted too.
 /// Scratch memory: 12 bytes an element, 16 if most keys are alike.
 void sort_by_key(std::span<std::uint64_t> keys, std::span<std::uint32_t> indices);
 
