@@ -6,9 +6,14 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
+#include <cassert>
 #include <cmath>
 #include <utility>
+
+#include "rgs/file.hpp"
+#include "rgs/quantize.hpp"
 
 namespace rgs {
 namespace {
@@ -62,9 +67,9 @@ void normalize(float* q) {
 void activate(SplatCloud& s) {
   tbb::parallel_for(Range(0, s.size(), kGrain), [&](const Range& range) {
     for (std::uint64_t i = range.begin(); i < range.end(); ++i) {
-      for (std::uint64_t k = 3 * i; k < 3 * i + 3; ++k) s.log_scale[k] = std::exp(s.log_scale[k]);
+      for (std::uint64_t k = 3 * i; k < 3 * i + 3; ++k) s.log_scale[k] = scale_from_log(s.log_scale[k]);
       normalize(&s.rotation[4 * i]);
-      s.opacity_logit[i] = 1 / (1 + std::exp(-s.opacity_logit[i]));
+      s.opacity_logit[i] = opacity_from_logit(s.opacity_logit[i]);
     }
   });
 }
@@ -93,6 +98,53 @@ Scene Scene::adopt(SplatCloud splats) {
   scene.opacity_ = std::move(splats.opacity_logit);
   scene.sh_ = std::move(splats.sh);
   return scene;
+}
+
+Result<Scene> Scene::load(const FileView& file) {
+  const std::uint64_t n = file.header().n_gaussians;
+  if (n >= kMaxGaussians) {
+    return fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1, n);
+  }
+  if (const Status s = validate(file); !s) return tl::unexpected(s.error());
+  Scene scene;
+  scene.sh_degree_ = file.header().sh_degree;
+  scene.declarations_ = file.declarations();
+  scene.mean_.resize(3 * n);
+  scene.rotation_.resize(4 * n);
+  scene.scale_.resize(3 * n);
+  scene.opacity_.resize(n);
+  const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree_));
+  scene.sh_.resize(floats * n);
+  tbb::parallel_for(Range(0, n, kGrain), [&](const Range& range) {
+    std::array<ActivatedSplat, 64> buffer;
+    for (std::uint64_t first = range.begin(); first < range.end(); first += buffer.size()) {
+      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), range.end() - first));
+      [[maybe_unused]] const Status read = file.read(first, part);
+      assert(read.has_value());  // the file is valid
+      for (std::uint64_t k = 0; k < part.size(); ++k) {
+        const ActivatedSplat& s = part[k];
+        const std::uint64_t i = first + k;
+        std::copy_n(s.mean, 3, &scene.mean_[3 * i]);
+        std::copy_n(s.rotation, 4, &scene.rotation_[4 * i]);
+        std::copy_n(s.scale, 3, &scene.scale_[3 * i]);
+        scene.opacity_[i] = s.opacity;
+        std::copy_n(s.sh, floats, &scene.sh_[floats * i]);
+      }
+    }
+  });
+  return scene;
+}
+
+Result<Scene> Scene::load(std::span<const std::byte> bytes) {
+  const auto file = open(bytes);
+  if (!file) return tl::unexpected(file.error());
+  return load(*file);
+}
+
+Result<Scene> Scene::load(const std::string& path) {
+  const auto file = MappedFile::open(path);
+  if (!file) return tl::unexpected(file.error());
+  return load(file->bytes());
 }
 
 std::uint64_t Scene::bytes() const {

@@ -2,10 +2,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
+#include "rgs/decode.hpp"
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
@@ -35,9 +39,16 @@ class Scene {
   static Result<Scene> load(const SplatCloud& splats) { return load(splats.view()); }
   /// The same in place, without a copy of the attributes.
   static Result<Scene> load(SplatCloud&& splats);
+  /// An .rgs file: opened, validated (see validate()) and decoded on all threads. Errors: those of open(), validate()
+  /// and MappedFile::open(), limit_exceeded.
+  static Result<Scene> load(const FileView& file);
+  static Result<Scene> load(std::span<const std::byte> bytes);
+  static Result<Scene> load(const std::string& path);
 
   std::uint64_t size() const { return opacity_.size(); }
   int sh_degree() const { return sh_degree_; }
+  /// What the .rgs file declares (depth range, anti-aliasing, ...); absent for scenes from training parameters.
+  const std::optional<Declarations>& declarations() const { return declarations_; }
   std::uint64_t bytes() const;  ///< memory held by the attributes
   SceneView view() const { return {size(), sh_degree_, mean_, rotation_, scale_, opacity_, sh_}; }
 
@@ -45,6 +56,7 @@ class Scene {
   static Scene adopt(SplatCloud splats);
 
   int sh_degree_ = 0;
+  std::optional<Declarations> declarations_;
   std::vector<float> mean_, rotation_, scale_, opacity_, sh_;
 };
 
