@@ -32,7 +32,14 @@ struct Arguments {
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
   bool file_scales = false;
   int threads = 0;
+  const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
 };
+
+// What shapes an .rgs file. With a .ply output they are refused: leaving them without effect would mislead.
+constexpr const char* kRgsOptions[] = {"--profile",     "--keep-order",   "--keep-permutation", "--chunk-size",
+                                       "--file-scales", "--sh-degree",    "--on-bad",           "--cameras",
+                                       "--near",        "--far",          "--depth-map",        "--axes",
+                                       "--aa-mode",     "--colour-space", "--metres-per-unit"};
 
 // "right,down,forward" or a name for a usual frame.
 rgs::Result<std::array<rgs::Axis, 3>> parse_axes(const std::string& text) {
@@ -168,6 +175,8 @@ int convert_main(Arguments& arguments) {
     return tool::report_usage("cannot tell the output's format from its name: pass --to rgs or --to ply");
   if (from == to)
     return tool::report_usage("input and output have the same format; this program converts between .ply and .rgs");
+  if (to == Format::ply && arguments.rgs_option != nullptr)
+    return tool::report_usage(std::string(arguments.rgs_option) + " is for .rgs outputs");
   if (!arguments.cameras.empty()) {
     auto cameras = rgs::read_cameras(arguments.cameras);
     if (!cameras) return tool::report(arguments.cameras, cameras.error());
@@ -253,6 +262,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));
   app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
   app.add_flag("--quiet", a.quiet, "No progress, no summary");
+  for (const char* name : kRgsOptions) app.get_option(name)->group("Options for .rgs output");
 }
 
 }  // namespace
@@ -267,6 +277,9 @@ int main(int argc, char** argv) {
   } catch (const CLI::ParseError& error) {
     const int code = app.exit(error);
     return code == 0 ? tool::kSuccess : tool::kUsage;
+  }
+  for (const char* name : kRgsOptions) {
+    if (app.get_option(name)->count() != 0) arguments.rgs_option = name;
   }
   return tool::run([&arguments] { return convert_main(arguments); });
 }

@@ -272,10 +272,9 @@ Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::stri
   if (!file) return tl::unexpected(file.error());
 
   // The source's hash is one serial stream: it runs beside the first pass and the sort.
+  std::uint64_t source_xxh3 = 0;
   tbb::task_group hashing;
-  if (encode.provenance) {
-    hashing.run([&] { encode.provenance->source_xxh3 = xxh3(source.source()); });
-  }
+  if (encode.provenance) hashing.run([&] { source_xxh3 = xxh3(source.source()); });
   struct WaitAtExit {
     tbb::task_group& group;
     ~WaitAtExit() { group.wait(); }
@@ -295,6 +294,7 @@ Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::stri
   if (encode.order == Order::morton) sort_morton(indices, scanned.means, scanned.scan.robust());
   scanned.means = {};
   hashing.wait();
+  if (encode.provenance) encode.provenance->source_xxh3 = source_xxh3;
   const auto plan = make_plan(scanned.scan, encode);
   if (!plan) return tl::unexpected(plan.error());
 

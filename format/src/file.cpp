@@ -166,7 +166,15 @@ Result<AtomicFile> AtomicFile::create(const std::string& path, Options options) 
   file.fd_ = ::mkostemp(file.temporary_.data(), O_CLOEXEC);
   if (file.fd_ < 0) {
     file.temporary_.clear();
-    return system_error(Errc::write_failed, "cannot create a file in the output's folder");
+    return system_error(Errc::write_failed, path == kStdout
+                                                ? "cannot create a temporary file; set TMPDIR to a writable folder"
+                                                : "cannot create a file in the output's folder");
+  }
+  if (path == kStdout) {
+    // It needs no name: nothing is left behind however the process ends, by SIGPIPE or SIGKILL too.
+    ::unlink(file.temporary_.c_str());
+    file.temporary_.clear();
+    return file;
   }
   file.slot_ = claim_slot(file.temporary_);
   const mode_t mask = ::umask(0);
@@ -289,7 +297,13 @@ void remove_temporaries_on_signal() {
   action.sa_handler = remove_temporaries_and_die;
   action.sa_flags = static_cast<int>(SA_RESETHAND | SA_NODEFER);
   sigemptyset(&action.sa_mask);
-  for (const int s : {SIGINT, SIGTERM, SIGHUP, SIGBUS}) ::sigaction(s, &action, nullptr);
+  for (const int s : {SIGINT, SIGTERM, SIGHUP}) {
+    struct sigaction inherited {};
+    // What nohup or a shell's background job ignores stays ignored.
+    if (::sigaction(s, nullptr, &inherited) == 0 && inherited.sa_handler != SIG_IGN) ::sigaction(s, &action, nullptr);
+  }
+  ::sigaction(SIGBUS, &action, nullptr);
+  ::signal(SIGXFSZ, SIG_IGN);  // a write beyond the size limit (ulimit -f) then fails with EFBIG
 }
 
 bool same_file(const std::string& a, const std::string& b) {

@@ -36,8 +36,9 @@ class MappedFile {
 
 /// An output that appears under its name complete or not at all. Bytes go to `PATH.tmp-XXXXXX` in the same folder;
 /// commit() syncs and renames. Destruction without commit, SIGINT, SIGTERM and SIGHUP (after
-/// remove_temporaries_on_signal()) remove the temporary file. Path "-" is standard output: bytes are collected in
-/// $TMPDIR (/tmp if unset) and copied out by commit(). Move-only; writes may come from several threads.
+/// remove_temporaries_on_signal()) remove the temporary file. Path "-" is standard output: bytes are collected in an
+/// unlinked file in $TMPDIR (/tmp if unset) and copied out by commit(). Move-only; writes may come from several
+/// threads.
 class AtomicFile {
  public:
   struct Options {
@@ -68,8 +69,9 @@ class AtomicFile {
   int slot_ = -1;  // entry in the table that the signal handler walks
 };
 
-/// Installs handlers for SIGINT, SIGTERM and SIGHUP that remove unfinished outputs and then die of the same signal, and
-/// for SIGBUS, which a mapped input raises when another process truncates it: outputs are removed, exit code 3.
+/// Installs handlers for SIGINT, SIGTERM and SIGHUP, unless ignored (nohup), that remove unfinished outputs and then
+/// die of the same signal, and for SIGBUS, which a mapped input raises when another process truncates it: outputs are
+/// removed, exit code 3. SIGXFSZ is ignored, so that writes beyond a size limit are write_failed.
 void remove_temporaries_on_signal();
 
 /// True if both paths name the same existing file (device and inode).

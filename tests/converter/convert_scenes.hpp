@@ -1,0 +1,82 @@
+// convert_scenes.hpp - scenes as PLY files, and their damage, for the tests of rgs-convert.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <string>
+#include <vector>
+
+#include "golden_scenes.hpp"
+#include "ply_samples.hpp"
+
+namespace rgs::test {
+
+inline void write_text(const std::string& path, const std::string& text) {
+  std::ofstream(path, std::ios::binary) << text;
+}
+
+inline std::vector<Splat> splats_of(const SplatCloud& cloud) {
+  std::vector<Splat> splats;
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
+  return splats;
+}
+
+inline std::string write_scene(const std::string& path, const SplatCloud& cloud) {
+  write_text(path, binary_ply(splats_of(cloud), cloud.sh_degree));
+  return path;
+}
+
+/// The scene as ASCII or big-endian PLY without normals; nine digits give each float back.
+inline std::string other_ply(const SplatCloud& cloud, bool ascii) {
+  const int per_channel = sh_coefficients(cloud.sh_degree) - 1;
+  std::string text =
+      header_of(splat_properties(3 * per_channel), std::to_string(cloud.size()), ascii ? "ascii" : "binary_big_endian");
+  for (const Splat& s : splats_of(cloud)) {
+    std::vector<float> row(s.mean, s.mean + 3);
+    row.insert(row.end(), s.sh, s.sh + 3);
+    for (int c = 0; c < 3; ++c) {
+      for (int k = 1; k <= per_channel; ++k) row.push_back(s.sh[3 * k + c]);
+    }
+    row.push_back(s.opacity_logit);
+    row.insert(row.end(), s.log_scale, s.log_scale + 3);
+    row.insert(row.end(), s.rotation, s.rotation + 4);
+    for (const float value : row) {
+      if (ascii) {
+        char digits[32];
+        std::snprintf(digits, sizeof digits, "%.9g ", static_cast<double>(value));
+        text += digits;
+      } else {
+        append_value(text, value, true);
+      }
+    }
+    if (ascii) text += '\n';
+  }
+  return text;
+}
+
+/// Damages Gaussians 0, every, 2 every, ...: by turns a NaN mean, an infinite logit, a zero quaternion, an SH
+/// coefficient that is infinite. Repairing mends all but the first kind.
+inline SplatCloud damaged(SplatCloud cloud, std::uint64_t every) {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  for (std::uint64_t i = 0, kind = 0; i < cloud.size(); i += every, ++kind) {
+    Splat s = cloud.view().splat(i);
+    switch (kind % 4) {
+      case 0: s.mean[1] = std::numeric_limits<float>::quiet_NaN(); break;
+      case 1: s.opacity_logit = -kInfinity; break;
+      case 2: std::fill_n(s.rotation, 4, 0.F); break;
+      default: s.sh[1] = kInfinity; break;
+    }
+    cloud.set(i, s);
+  }
+  return cloud;
+}
+
+inline std::size_t entries(const std::filesystem::path& folder) {
+  return static_cast<std::size_t>(
+      std::distance(std::filesystem::directory_iterator(folder), std::filesystem::directory_iterator()));
+}
+
+}  // namespace rgs::test

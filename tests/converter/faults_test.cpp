@@ -1,0 +1,342 @@
+// faults_test.cpp - rgs-convert when things go wrong: full disks, missing rights, vanishing inputs, signals, little
+// memory. Whatever happens, the output's name holds what it held before or the complete new file.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+#include <sys/mount.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <filesystem>
+#include <optional>
+#include <random>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "convert_scenes.hpp"
+#include "edit_file.hpp"
+#include "rgs/decode.hpp"
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+namespace fs = std::filesystem;
+
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define RGS_SANITIZED 1
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define RGS_SANITIZED 1
+#endif
+#endif
+
+namespace {
+
+#ifdef RGS_SANITIZED
+constexpr bool kSanitized = true;
+#else
+constexpr bool kSanitized = false;
+#endif
+
+constexpr std::uint64_t kLongRun = kSanitized ? 40'000 : 200'000;  // Gaussians of a conversion that can be hit midway
+constexpr const char* kOld = "the output of an earlier run";
+
+/// A scene and its conversion, made once; the files are hard-linked or copied into the folders of tests.
+struct Sample {
+  explicit Sample(std::uint64_t n) : ply(folder.file("scene.ply")), rgs(folder.file("scene.rgs")) {
+    write_scene(ply, golden_cloud(n, 3, 77));
+    REQUIRE(run_program({RGS_CONVERT, "--quiet", "--no-sync", ply, rgs}).exit_code == 0);
+  }
+  TemporaryFolder folder;
+  std::string ply, rgs;
+};
+
+const Sample& small_sample() {
+  static const Sample sample(20'000);
+  return sample;
+}
+const Sample& long_sample() {
+  static const Sample sample(kLongRun);
+  return sample;
+}
+
+bool same_contents(const std::string& a, const std::string& b) {
+  const auto x = MappedFile::open(a), y = MappedFile::open(b);
+  return x && y && std::ranges::equal(x->bytes(), y->bytes());
+}
+
+bool is_old(const std::string& path) {
+  const auto file = MappedFile::open(path);
+  return file && std::ranges::equal(file->bytes(), std::as_bytes(std::span(kOld, std::strlen(kOld))));
+}
+
+bool is_valid_rgs(const std::string& path) {
+  const auto file = MappedFile::open(path);
+  if (!file) return false;
+  const auto view = open(file->bytes());
+  return view && validate(*view).has_value();
+}
+
+std::vector<std::string> temporaries(const fs::path& folder) {
+  std::vector<std::string> paths;
+  for (const auto& entry : fs::directory_iterator(folder)) {
+    if (entry.path().filename().string().find(".tmp-") != std::string::npos) paths.push_back(entry.path().string());
+  }
+  return paths;
+}
+
+ProgramResult overwrite(const std::string& input, const std::string& output,
+                        const std::function<void()>& before_exec = {}) {
+  return run_program({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", input, output}, before_exec);
+}
+
+void pause(double seconds) {
+  std::this_thread::sleep_for(std::chrono::duration<double>(seconds));
+}
+
+/// Waits until the program has created its temporary output, then stops it there. False: it ended before.
+bool stop_after_creation(const Program& program, const fs::path& folder) {
+  while (temporaries(folder).empty()) {
+    if (!program.running()) return false;
+    pause(50e-6);
+  }
+  program.send(SIGSTOP);
+  return true;
+}
+
+}  // namespace
+
+TEST_CASE("a full disk leaves the old output and no temporary file") {
+  const TemporaryFolder folder;
+  const fs::path disk = folder.path() / "disk";
+  fs::create_directory(disk);
+  if (::mount("tmpfs", disk.c_str(), "tmpfs", 0, "size=1m") != 0) {
+    MESSAGE("skipped: a small file system cannot be mounted here (needs root); the limit of file sizes stands in");
+    return;
+  }
+  struct Unmount {
+    const fs::path& disk;
+    ~Unmount() { ::umount2(disk.c_str(), MNT_DETACH); }
+  } const unmount{disk};
+  for (const auto& [input, name] : {std::pair{small_sample().ply, "out.rgs"}, {small_sample().rgs, "out.ply"}}) {
+    CAPTURE(name);
+    const std::string out = (disk / name).string();
+    ProgramResult run = overwrite(input, out);
+    CHECK(run.exit_code == 3);
+    CHECK(run.err.find("No space left on device") != std::string::npos);
+    CHECK(fs::is_empty(disk));
+    write_text(out, kOld);
+    CHECK(overwrite(input, out).exit_code == 3);
+    CHECK(is_old(out));
+    CHECK(entries(disk) == 1);
+    fs::remove(out);
+  }
+}
+
+TEST_CASE("a limit of file sizes is a reported error and not a death by signal") {
+  const TemporaryFolder folder;
+  const std::string out = folder.file("out.rgs");
+  write_text(out, kOld);
+  const ProgramResult run = overwrite(small_sample().ply, out, [] {
+    const rlimit limit{1 << 20, 1 << 20};
+    ::setrlimit(RLIMIT_FSIZE, &limit);
+  });
+  CHECK(run.exit_code == 3);
+  CHECK(run.err.find("File too large") != std::string::npos);
+  CHECK(is_old(out));
+  CHECK(entries(folder.path()) == 1);
+}
+
+TEST_CASE("a full scratch disk fails the pipe and writes nothing") {
+  const ProgramResult run = run_program({RGS_CONVERT, "--quiet", "--to", "rgs", small_sample().ply, "-"}, [] {
+    const rlimit limit{1 << 20, 1 << 20};
+    ::setrlimit(RLIMIT_FSIZE, &limit);
+  });
+  CHECK(run.exit_code == 3);
+  CHECK(run.out == "");
+}
+
+TEST_CASE("a folder without the right to write is reported and left as it is") {
+  const TemporaryFolder folder;
+  const fs::path locked = folder.path() / "locked";
+  const std::string program = folder.file("rgs-convert"), input = folder.file("scene.ply"),
+                    out = (locked / "out.rgs").string();
+  fs::create_directory(locked);
+  write_text(out, kOld);
+  fs::copy_file(RGS_CONVERT, program);  // a path that the other user can reach
+  fs::copy_file(small_sample().ply, input);
+  fs::permissions(locked, fs::perms(0555));
+  fs::permissions(folder.path(), fs::perms(0755));
+  const bool root = ::geteuid() == 0;
+  const ProgramResult run = run_program({program, "--quiet", "--no-sync", "--overwrite", input, out}, [root] {
+    constexpr unsigned kNobody = 65534;
+    if (root && (::setgid(kNobody) != 0 || ::setuid(kNobody) != 0)) ::_exit(126);
+  });
+  CHECK(is_old(out));
+  CHECK(entries(locked) == 1);
+  fs::permissions(locked, fs::perms(0755));
+  if (run.exit_code == 126) {
+    MESSAGE("skipped: root here cannot become another user");
+    return;
+  }
+  CHECK(run.exit_code == 3);
+  CHECK(run.err.find("Permission denied") != std::string::npos);
+}
+
+TEST_CASE("an output that is the input, a folder, or in a folder that is missing is refused") {
+  const TemporaryFolder folder;
+  const std::string ply = folder.file("scene.ply"), link = folder.file("link.rgs");
+  fs::copy_file(small_sample().ply, ply);
+  fs::create_hard_link(ply, link);
+  for (const std::string& out : {ply, link, folder.path().string(), folder.file("missing/out.rgs")}) {
+    CAPTURE(out);
+    const ProgramResult run = run_program({RGS_CONVERT, "--no-sync", "--overwrite", "--to", "rgs", ply, out});
+    CHECK(run.exit_code == 3);
+    CHECK(run.out == "");
+    CHECK(run.err != "");
+  }
+  CHECK(same_contents(ply, small_sample().ply));
+  CHECK(entries(folder.path()) == 2);
+}
+
+TEST_CASE("an existing output stays unless --overwrite is given") {
+  const TemporaryFolder folder;
+  const std::string out = folder.file("out.rgs");
+  write_text(out, kOld);
+  const ProgramResult run = run_program({RGS_CONVERT, "--no-sync", small_sample().ply, out});
+  CHECK(run.exit_code == 3);
+  CHECK(run.err.find("--overwrite") != std::string::npos);
+  CHECK(is_old(out));
+  CHECK(overwrite(small_sample().ply, out).exit_code == 0);
+  CHECK(same_contents(out, small_sample().rgs));
+}
+
+TEST_CASE("an input that is missing or a folder exits with 3") {
+  const TemporaryFolder folder;
+  CHECK(overwrite(folder.file("none.ply"), folder.file("out.rgs")).exit_code == 3);
+  CHECK(overwrite(folder.path().string(), folder.file("out.rgs")).exit_code == 3);
+  CHECK(fs::is_empty(folder.path()));
+}
+
+TEST_CASE("an input that loses its name while it is read is converted to the end") {
+  const TemporaryFolder folder;
+  const std::string ply = folder.file("scene.ply"), out = folder.file("out.rgs");
+  fs::copy_file(long_sample().ply, ply);
+  Program program({RGS_CONVERT, "--quiet", "--no-sync", ply, out});
+  REQUIRE(stop_after_creation(program, folder.path()));
+  fs::remove(ply);
+  program.send(SIGCONT);
+  CHECK(program.wait().exit_code == 0);
+  CHECK(same_contents(out, long_sample().rgs));
+}
+
+TEST_CASE("an input that is truncated while it is read exits with 3 and keeps the old output") {
+  const TemporaryFolder folder;
+  for (const auto& [source, name] :
+       {std::pair{long_sample().ply, "out.rgs"}, std::pair{long_sample().rgs, "out.ply"}}) {
+    CAPTURE(name);
+    const std::string input = folder.file("input"), out = folder.file(name);
+    fs::copy_file(source, input, fs::copy_options::overwrite_existing);
+    write_text(out, kOld);
+    Program program({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", input, out});
+    REQUIRE(stop_after_creation(program, folder.path()));
+    fs::resize_file(input, 4096);
+    program.send(SIGCONT);
+    const ProgramResult run = program.wait();
+    CHECK(run.exit_code == 3);
+    CHECK(run.err.find("shrank") != std::string::npos);
+    CHECK(is_old(out));
+    CHECK(temporaries(folder.path()).empty());
+  }
+}
+
+TEST_CASE("a signal that the caller ignores stays ignored") {
+  const TemporaryFolder folder;
+  const std::string out = folder.file("out.rgs");
+  Program program({RGS_CONVERT, "--quiet", "--no-sync", long_sample().ply, out}, [] { ::signal(SIGHUP, SIG_IGN); });
+  REQUIRE(stop_after_creation(program, folder.path()));
+  program.send(SIGHUP);
+  program.send(SIGCONT);
+  CHECK(program.wait().exit_code == 0);
+  CHECK(same_contents(out, long_sample().rgs));
+}
+
+TEST_CASE("SIGINT and SIGKILL at random points leave the old output, none, or the complete new one") {
+  REQUIRE(is_valid_rgs(long_sample().rgs));
+  const TemporaryFolder folder;
+  const std::string out = folder.file("out.rgs");
+  const std::vector<std::string> command{RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", long_sample().ply, out};
+  std::vector<double> seconds;
+  for (int i = 0; i < 3; ++i) {
+    const auto start = std::chrono::steady_clock::now();
+    REQUIRE(run_program(command).exit_code == 0);
+    seconds.push_back(std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count());
+  }
+  std::ranges::sort(seconds);
+
+  constexpr std::uint32_t kSeed = 20'240'607;
+  std::mt19937 random(kSeed);
+  CAPTURE(kSeed);
+  for (const int signal_number : {SIGINT, SIGKILL}) {
+    CAPTURE(signal_number);
+    int n_killed = 0, n_midway = 0;
+    for (int i = 0; i < 50; ++i) {
+      CAPTURE(i);
+      const bool had_old = i % 2 == 0;
+      fs::remove(out);
+      if (had_old) write_text(out, kOld);
+      Program program(command);
+      pause(1.1 * seconds[1] * static_cast<double>(random()) / 4294967296.0);
+      const bool midway = !temporaries(folder.path()).empty();
+      program.send(signal_number);
+      const ProgramResult run = program.wait();
+      CHECK((run.exit_code == 0 || run.signal == signal_number));
+      n_killed += run.signal == signal_number;
+      n_midway += midway && run.signal == signal_number;
+
+      const bool complete = same_contents(out, long_sample().rgs) && is_valid_rgs(out);
+      CHECK((complete || (had_old ? is_old(out) : !fs::exists(out))));
+      if (run.exit_code == 0) CHECK(complete);
+      const std::vector<std::string> left = temporaries(folder.path());
+      CHECK(left.size() <= (signal_number == SIGKILL ? 1U : 0U));
+      for (const std::string& path : left) fs::remove(path);
+    }
+    MESSAGE("ended by the signal: ", n_killed, " of 50, with a temporary output ", n_midway);
+    CHECK(n_midway >= 5);  // else the test has not tested
+  }
+}
+
+TEST_CASE("anonymous memory stays within 64 MB + 48 bytes a Gaussian") {
+  if (kSanitized) {
+    MESSAGE("skipped: sanitizers take memory of their own");
+    return;
+  }
+  // The limit counts every private writable page, touched or not, thread stacks included: stricter than what is
+  // promised. At this size a copy of the rows (71 MB) does not fit below it.
+  constexpr std::uint64_t kN = 300'000;
+  const Sample sample(kN);
+  const TemporaryFolder folder;
+  const std::string kept = folder.file("kept.rgs");
+  const auto limited = [] {
+    const rlimit limit{64'000'000 + 48 * kN, 64'000'000 + 48 * kN};
+    ::setrlimit(RLIMIT_DATA, &limit);
+  };
+  const auto convert = [&](const std::string& input, const std::string& output) {
+    return run_program({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", "--threads", "2", input, output}, limited);
+  };
+  ProgramResult run = convert(sample.ply, folder.file("out.rgs"));
+  CAPTURE(run.err);
+  CHECK(run.exit_code == 0);
+  CHECK(same_contents(folder.file("out.rgs"), sample.rgs));
+  REQUIRE(run_program({RGS_CONVERT, "--quiet", "--no-sync", "--keep-permutation", sample.ply, kept}).exit_code == 0);
+  for (const std::string& input : {sample.rgs, kept}) {
+    run = convert(input, folder.file("back.ply"));
+    CAPTURE(run.err);
+    CHECK(run.exit_code == 0);
+  }
+  CHECK(same_contents(folder.file("back.ply"), sample.ply) == false);  // activated FP16 and INT8 are not the source
+}

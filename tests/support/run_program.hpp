@@ -1,0 +1,99 @@
+// run_program.hpp - programs as child processes of a test: started, signalled, waited for, with what they printed.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/mman.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <functional>
+#include <stdexcept>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace rgs::test {
+
+struct ProgramResult {
+  int exit_code = -1;  ///< -1 if a signal ended it
+  int signal = 0;
+  std::string out, err;
+};
+
+/// A running child; killed and reaped at the latest by the destructor.
+class Program {
+ public:
+  /// arguments[0] is the path. `before_exec` runs in the child. Standard input is empty. Exit code 127: cannot execute.
+  explicit Program(const std::vector<std::string>& arguments, const std::function<void()>& before_exec = {})
+      : out_(::memfd_create("stdout", MFD_CLOEXEC)), err_(::memfd_create("stderr", MFD_CLOEXEC)) {
+    std::vector<char*> argv;
+    for (const std::string& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
+    argv.push_back(nullptr);
+    id_ = out_ < 0 || err_ < 0 ? -1 : ::fork();
+    if (id_ < 0) throw std::runtime_error("cannot start a process");
+    if (id_ != 0) return;
+    ::dup2(::open("/dev/null", O_RDONLY), STDIN_FILENO);
+    ::dup2(out_, STDOUT_FILENO);
+    ::dup2(err_, STDERR_FILENO);
+    if (before_exec) before_exec();
+    ::execv(argv[0], argv.data());
+    ::_exit(127);
+  }
+  ~Program() {
+    if (id_ > 0) {
+      ::kill(id_, SIGKILL);
+      reap();
+    }
+    ::close(out_);
+    ::close(err_);
+  }
+  Program(const Program&) = delete;
+  Program& operator=(const Program&) = delete;
+
+  pid_t id() const { return id_; }
+  /// True until the child has ended; it stays a zombie, so that its id is not given to another process.
+  bool running() const {
+    siginfo_t info{};
+    return ::waitid(P_PID, static_cast<id_t>(id_), &info, WEXITED | WNOHANG | WNOWAIT) == 0 && info.si_pid == 0;
+  }
+  /// Signals the child; harmless if it has ended.
+  void send(int signal_number) const { ::kill(id_, signal_number); }
+
+  ProgramResult wait() {
+    const int status = reap();
+    ProgramResult result;
+    if (WIFEXITED(status)) result.exit_code = WEXITSTATUS(status);
+    if (WIFSIGNALED(status)) result.signal = WTERMSIG(status);
+    result.out = contents(out_);
+    result.err = contents(err_);
+    return result;
+  }
+
+ private:
+  int reap() {
+    int status = 0;
+    while (::waitpid(id_, &status, 0) < 0 && errno == EINTR) {
+    }
+    id_ = -1;
+    return status;
+  }
+  static std::string contents(int fd) {
+    std::string text(static_cast<std::size_t>(::lseek(fd, 0, SEEK_END)), '\0');
+    const ssize_t n = ::pread(fd, text.data(), text.size(), 0);
+    text.resize(n > 0 ? static_cast<std::size_t>(n) : 0);
+    return text;
+  }
+
+  int out_, err_;
+  pid_t id_ = -1;
+};
+
+inline ProgramResult run_program(const std::vector<std::string>& arguments,
+                                 const std::function<void()>& before_exec = {}) {
+  return Program(arguments, before_exec).wait();
+}
+
+}  // namespace rgs::test
