@@ -215,7 +215,7 @@ TEST_CASE("the example of the specification is the golden file of two Gaussians"
     const std::string digits = line.substr(4, 8);
     if (line[12] != ' ' || digits.find_first_not_of("0123456789ABCDEF") != std::string::npos) continue;
     std::size_t at = std::stoul(digits, nullptr, 16);
-    for (std::size_t i = 13; i + 2 < line.size() && line[i] == ' ' && line[i + 1] != ' '; i += 3) {
+    for (std::size_t i = 12; i + 2 < line.size() && line[i] == ' ' && line[i + 1] != ' '; i += 3) {
       REQUIRE(at < bytes.size());
       CHECK_FALSE(printed[at]);
       printed[at] = true;

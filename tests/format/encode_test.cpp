@@ -1,0 +1,410 @@
+// encode_test.cpp - properties of the encoder: idempotence, order, streaming, damaged input.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/encode.hpp"
+
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+#include <utility>
+
+#include "random_cloud.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/quantize.hpp"
+#include "rgs/spatial_order.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+constexpr std::uint64_t kSeed = 20261121;
+constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
+constexpr float kInfinity = std::numeric_limits<float>::infinity();
+
+SceneScan scan_of(const SplatCloud& cloud, const EncodeOptions& options, std::uint64_t first, std::uint64_t last) {
+  SceneScan scan(cloud.sh_degree, options);
+  for (std::uint64_t i = first; i < last; ++i) {
+    Splat s = cloud.view().splat(i);
+    scan.add(s);
+  }
+  return scan;
+}
+
+// The robust box as FORMAT.md describes it, by sorting.
+Box brute_robust_box(const SplatCloud& cloud) {
+  Box box;
+  const std::uint64_t n = cloud.size(), outside = n / 200;
+  for (std::size_t axis = 0; axis < 3 && n != 0; ++axis) {
+    std::vector<std::uint32_t> ordered;
+    std::vector<float> values;
+    for (std::uint64_t i = 0; i < n; ++i) {
+      const float x = cloud.mean[3 * i + axis] == 0 ? 0.f : cloud.mean[3 * i + axis];
+      std::uint32_t bits = 0;
+      std::memcpy(&bits, &x, 4);
+      ordered.push_back((bits >> 31) != 0 ? ~bits : bits ^ 0x80000000u);
+      values.push_back(x);
+    }
+    std::ranges::sort(ordered);
+    std::ranges::sort(values);
+    const auto number = [](std::uint32_t order) {
+      const std::uint32_t bits = (order >> 31) != 0 ? order ^ 0x80000000u : ~order;
+      float x = 0;
+      std::memcpy(&x, &bits, 4);
+      return x;
+    };
+    box.min[axis] = std::max(values.front(), number(ordered[outside] & 0xFFFF0000u));
+    box.max[axis] = std::min(values.back(), number(ordered[n - 1 - outside] | 0xFFFFu));
+  }
+  return box;
+}
+
+EncodeOptions options_of(SplitMix& random) {
+  EncodeOptions options;
+  options.chunk_size = random.below(2) == 0 ? 32 : 256;
+  options.chunk_scales = random.below(2) == 0;
+  options.order = random.below(2) == 0 ? Order::input : Order::morton;
+  return options;
+}
+
+}  // namespace
+
+TEST_CASE("encoding a decoded file gives the same bytes") {
+  CAPTURE(kSeed);
+  SplitMix random(kSeed);
+  for (int round = 0; round < 300; ++round) {
+    CAPTURE(round);
+    const std::uint64_t sizes[] = {0, 1, 31, 32, 33, 255, 256, 257, 700};
+    const SplatCloud cloud = random_cloud(sizes[random.below(9)], static_cast<int>(random.below(4)), random);
+    const EncodeOptions options = options_of(random);
+    const auto first = encode(cloud.view(), options);
+    REQUIRE(first);
+    const auto decoded = decode(*first);
+    REQUIRE(decoded);
+    REQUIRE(decoded->size() == cloud.size());
+    const auto second = encode(decoded->view(), options);
+    REQUIRE(second);
+    const auto difference = std::ranges::mismatch(*first, *second);
+    REQUIRE(difference.in1 == first->end());
+    REQUIRE(second->size() == first->size());
+  }
+}
+
+TEST_CASE("pieces written out of order are the file that encode gives") {
+  CAPTURE(kSeed);
+  SplitMix random(kSeed);
+  for (int round = 0; round < 24; ++round) {
+    CAPTURE(round);
+    const SplatCloud cloud = random_cloud(round == 0 ? 0 : 400, round % 4, random);
+    EncodeOptions options = options_of(random);
+    options.keep_permutation = round % 2 == 0;
+    if (round % 3 == 0) options.provenance = Provenance{1, 2, "name", "tool"};
+    const auto expected = encode(cloud.view(), options);
+    REQUIRE(expected);
+
+    SceneScan scan = scan_of(cloud, options, cloud.size() / 3, cloud.size());
+    scan.merge(scan_of(cloud, options, 0, cloud.size() / 3));
+    const auto plan = make_plan(scan, options);
+    REQUIRE(plan);
+    std::vector<std::uint32_t> indices(cloud.size());
+    std::iota(indices.begin(), indices.end(), 0u);
+    if (options.order == Order::morton) {
+      const MortonKey key(plan->declarations.robust);
+      std::vector<std::uint64_t> keys;
+      for (const std::uint32_t i : indices) keys.push_back(key(&cloud.mean[3 * std::size_t{i}]));
+      sort_by_key(keys, indices);
+    }
+    std::vector<std::byte> file(plan->header.file_bytes);
+    const auto part = [&](SectionType type, std::uint64_t first, std::uint64_t count, std::uint64_t bytes) {
+      return std::span(file).subspan(plan->find(type)->offset + first * bytes, count * bytes);
+    };
+    const std::uint64_t n = cloud.size(), sh_stride = sh_bytes(plan->header.sh_degree);
+    std::vector<ChunkEntry> chunks(plan->header.n_chunks);
+    std::vector<ScaleSet> scales(chunks.size());
+    EncodeCounts counts;
+    for (std::size_t c = chunks.size(); c-- > 0;) {  // from the last to the first
+      const std::uint64_t first = c * options.chunk_size;
+      const std::uint64_t count = std::min<std::uint64_t>(options.chunk_size, n - first);
+      std::vector<Splat> splats;
+      for (std::uint64_t i = first; i < first + count; ++i) splats.push_back(cloud.view().splat(indices[i]));
+      ChunkOutput out;
+      out.means = part(SectionType::means, first, count, kMeanBytes);
+      out.geometry = part(SectionType::geometry, first, count, kGeometryBytes);
+      out.sh = part(SectionType::sh, first, count, sh_stride);
+      encode_chunk(*plan, splats, out);
+      chunks[c] = out.entry;
+      scales[c] = out.scales;
+      counts.add(out.counts);
+    }
+    SectionHashes hashes;
+    hashes.means = xxh3(part(SectionType::means, 0, n, kMeanBytes));
+    hashes.geometry = xxh3(part(SectionType::geometry, 0, n, kGeometryBytes));
+    hashes.sh = xxh3(part(SectionType::sh, 0, n, sh_stride));
+    if (options.keep_permutation) {
+      const auto permutation = part(SectionType::permutation, 0, n, 4);
+      std::ranges::copy(std::as_bytes(std::span(indices)), permutation.begin());
+      hashes.permutation = xxh3(permutation);
+    }
+    for (const FilePiece& piece : finish(*plan, chunks, scales, counts, hashes)) {
+      std::ranges::copy(piece.bytes, file.begin() + static_cast<std::ptrdiff_t>(piece.offset));
+    }
+    CHECK(file == *expected);
+  }
+}
+
+TEST_CASE("a scan does not depend on how it is split") {
+  CAPTURE(kSeed);
+  SplitMix random(kSeed);
+  for (int round = 0; round < 20; ++round) {
+    SplatCloud cloud = random_cloud(500, 2, random);
+    cloud.mean[3] = kNaN;
+    const EncodeOptions options;
+    const SceneScan whole = scan_of(cloud, options, 0, 500);
+    const std::uint64_t a = random.below(500), b = a + random.below(500 - a);
+    SceneScan parts = scan_of(cloud, options, b, 500);
+    parts.merge(scan_of(cloud, options, 0, a));
+    parts.merge(scan_of(cloud, options, a, b));
+    CHECK(parts.n_source() == whole.n_source());
+    CHECK(parts.n_kept() == whole.n_kept());
+    CHECK(parts.defects(Defect::mean) == 1);
+    for (const auto& [one, two] : {std::pair{parts.full(), whole.full()}, std::pair{parts.robust(), whole.robust()}}) {
+      CHECK(std::memcmp(&one, &two, sizeof one) == 0);  // bits: -0 is not 0 here
+    }
+    CHECK(parts.min_log_scale() == whole.min_log_scale());
+    CHECK(parts.max_log_scale() == whole.max_log_scale());
+    CHECK(parts.min_opacity_logit() == whole.min_opacity_logit());
+    CHECK(parts.max_opacity_logit() == whole.max_opacity_logit());
+    const ScaleSet one = parts.sh_magnitudes().max_abs(), two = whole.sh_magnitudes().max_abs();
+    CHECK(std::memcmp(&one, &two, sizeof one) == 0);
+  }
+}
+
+TEST_CASE("an empty scan reports zeros") {
+  const SceneScan scan(3, {});
+  CHECK(scan.full().min == std::array{0.f, 0.f, 0.f});
+  CHECK(scan.robust().max == std::array{0.f, 0.f, 0.f});
+  CHECK(scan.min_log_scale() == 0);
+  CHECK(scan.max_opacity_logit() == 0);
+}
+
+TEST_CASE("the robust box is that of the specification") {
+  CAPTURE(kSeed);
+  SplitMix random(kSeed);
+  for (const std::uint64_t n : {1u, 2u, 199u, 200u, 201u, 400u, 1999u, 5000u}) {
+    CAPTURE(n);
+    const SplatCloud cloud = random_cloud(n, 0, random);
+    const Box box = scan_of(cloud, {}, 0, n).robust(), expected = brute_robust_box(cloud);
+    CHECK(box.min == expected.min);
+    CHECK(box.max == expected.max);
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      std::uint64_t inside = 0;
+      for (std::uint64_t i = 0; i < n; ++i) {
+        const float x = cloud.mean[3 * i + axis];
+        inside += x >= box.min[axis] && x <= box.max[axis];
+      }
+      CHECK(inside * 100 >= n * 99);
+    }
+  }
+}
+
+TEST_CASE("sorting by key is a stable sort") {
+  CAPTURE(kSeed);
+  SplitMix random(kSeed);
+  for (const std::uint64_t n : {0u, 1u, 2u, 255u, 256u, 5000u}) {
+    for (const std::uint64_t mask :
+         {~std::uint64_t{0}, std::uint64_t{0xFF}, std::uint64_t{0x70000000000F00}, std::uint64_t{0}}) {
+      std::vector<std::uint64_t> keys(n);
+      for (std::uint64_t& key : keys) key = random.bits() & mask;
+      std::vector<std::uint32_t> indices(n);
+      std::iota(indices.begin(), indices.end(), 0u);
+      std::vector<std::uint32_t> expected = indices;
+      std::ranges::stable_sort(expected, {}, [&](std::uint32_t i) { return keys[i]; });
+      std::vector<std::uint64_t> sorted = keys;
+      sort_by_key(sorted, indices);
+      CHECK(indices == expected);
+      CHECK(std::ranges::is_sorted(sorted));
+      for (std::size_t i = 0; i < n; ++i) REQUIRE(sorted[i] == keys[indices[i]]);
+    }
+  }
+}
+
+TEST_CASE("Morton keys interleave cells and contract what lies outside") {
+  Box box;
+  box.min = {-1, -1, -1};
+  box.max = {1, 1, 1};
+  const MortonKey key(box);
+  const auto at = [&](float x, float y, float z) {
+    const float p[3] = {x, y, z};
+    return key(p);
+  };
+  // The centre is cell 2^20 of each axis: bits 60, 61, 62. Half-width 1 is at 3/4.
+  CHECK(at(0, 0, 0) == std::uint64_t{7} << 60);
+  CHECK(at(1, 0, 0) == (std::uint64_t{7} << 60 | std::uint64_t{1} << 57));
+  CHECK(at(0, 1, 0) == (std::uint64_t{7} << 60 | std::uint64_t{1} << 58));
+  CHECK(at(0, 0, 1) == (std::uint64_t{7} << 60 | std::uint64_t{1} << 59));
+  CHECK(at(-1, 0, 0) == (std::uint64_t{6} << 60 | std::uint64_t{1} << 57));
+  CHECK(at(3e38f, 3e38f, 3e38f) == (std::uint64_t{1} << 63) - 1);
+  CHECK(at(-3e38f, -3e38f, -3e38f) == 0);
+  std::uint64_t last = 0;
+  for (float x = -100; x <= 100; x += 0.25f) {  // monotonic along an axis
+    const std::uint64_t now = at(x, -3e38f, -3e38f);
+    CHECK(now >= last);
+    last = now;
+  }
+  const MortonKey flat{Box{}};
+  const float origin[3] = {0, 0, 0};
+  CHECK(flat(origin) == std::uint64_t{7} << 60);
+}
+
+TEST_CASE("Gaussians are written in Morton order and equal keys keep theirs") {
+  SplitMix random(kSeed);
+  SplatCloud cloud = golden_cloud(600, 0, 3);
+  for (std::uint64_t i = 0; i < 600; ++i) {
+    for (std::uint64_t k = 0; k < 3; ++k) cloud.mean[3 * i + k] = static_cast<float>(random.below(4));
+  }
+  EncodeOptions options;
+  options.keep_permutation = true;
+  const auto bytes = encode(cloud.view(), options);
+  REQUIRE(bytes);
+  const auto view = open(*bytes);
+  REQUIRE(view);
+  const MortonKey key(view->declarations().robust);
+  for (std::uint64_t i = 1; i < 600; ++i) {
+    const std::uint64_t a = view->source_index(i - 1), b = view->source_index(i);
+    const std::uint64_t key_a = key(&cloud.mean[3 * a]), key_b = key(&cloud.mean[3 * b]);
+    REQUIRE((key_a < key_b || (key_a == key_b && a < b)));
+  }
+}
+
+TEST_CASE("each kind of damage is found and refused or dropped or repaired") {
+  struct Damage {
+    Defect kind;
+    bool repairable;
+    void (*apply)(Splat&);
+  };
+  const Damage damages[] = {
+      {Defect::mean, false, [](Splat& s) { s.mean[2] = kNaN; }},
+      {Defect::mean, false, [](Splat& s) { s.mean[0] = -kInfinity; }},
+      {Defect::scale, false, [](Splat& s) { s.log_scale[0] = kNaN; }},
+      {Defect::scale, false, [](Splat& s) { s.log_scale[1] = kInfinity; }},
+      {Defect::scale, false, [](Splat& s) { s.log_scale[2] = 60.01f; }},
+      {Defect::scale, true, [](Splat& s) { s.log_scale[2] = -kInfinity; }},
+      {Defect::rotation_nan, true, [](Splat& s) { s.rotation[3] = kNaN; }},
+      {Defect::rotation_nan, true, [](Splat& s) { s.rotation[0] = kInfinity; }},
+      {Defect::rotation_zero, true, [](Splat& s) { std::fill(s.rotation, s.rotation + 4, 0.f); }},
+      {Defect::rotation_zero, true, [](Splat& s) { std::fill(s.rotation, s.rotation + 4, 0x1p-63f); }},
+      {Defect::opacity_nan, false, [](Splat& s) { s.opacity_logit = kNaN; }},
+      {Defect::opacity_infinite, true, [](Splat& s) { s.opacity_logit = kInfinity; }},
+      {Defect::opacity_infinite, true, [](Splat& s) { s.opacity_logit = -kInfinity; }},
+      {Defect::sh, true, [](Splat& s) { s.sh[11] = kNaN; }},
+      {Defect::sh, true, [](Splat& s) { s.sh[0] = 0x1p100f; }},
+  };
+  for (const Damage& damage : damages) {
+    CAPTURE(defect_name(damage.kind));
+    SplatCloud cloud = golden_cloud(200, 1, 4);
+    Splat s = cloud.view().splat(77);
+    damage.apply(s);
+    CHECK(find_defects(s, 1) == 1u << static_cast<unsigned>(damage.kind));
+    cloud.set(77, s);
+    EncodeOptions options;
+    options.on_bad = BadPolicy::refuse;
+    const auto refused = encode(cloud.view(), options);
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == Errc::bad_value);
+    CHECK(refused.error().offset == 77);
+    for (const BadPolicy policy : {BadPolicy::drop, BadPolicy::repair}) {
+      const bool kept = policy == BadPolicy::repair && damage.repairable;
+      options.on_bad = policy;
+      const auto bytes = encode(cloud.view(), options);
+      REQUIRE(bytes);
+      const auto view = open(*bytes);
+      REQUIRE(view);
+      CHECK(validate(*view));
+      CHECK(view->header().n_gaussians == (kept ? 200 : 199));
+      CHECK(view->declarations().n_source == 200);
+      CHECK(view->declarations().n_dropped == (kept ? 0 : 1));
+      CHECK(view->declarations().n_repaired == (kept ? 1 : 0));
+      SceneScan scan = scan_of(cloud, options, 0, 200);
+      for (int kind = 0; kind < kDefectKinds; ++kind) {
+        CHECK(scan.defects(static_cast<Defect>(kind)) == (static_cast<Defect>(kind) == damage.kind ? 1 : 0));
+      }
+    }
+  }
+}
+
+TEST_CASE("repairing gives what is documented") {
+  Splat s;
+  s.log_scale[1] = -kInfinity;
+  s.rotation[2] = kNaN;
+  s.opacity_logit = -kInfinity;
+  s.sh[5] = -kInfinity;
+  s.sh[6] = 3.f;
+  REQUIRE(repair(s, find_defects(s, 3)));
+  CHECK(s.log_scale[1] == -60.f);
+  CHECK(std::to_array(s.rotation) == std::array{1.f, 0.f, 0.f, 0.f});
+  CHECK(s.opacity_logit == -20.f);
+  CHECK(s.sh[5] == 0.f);
+  CHECK(s.sh[6] == 3.f);
+  CHECK(find_defects(s, 3) == 0);
+}
+
+TEST_CASE("coefficients above the degree that is kept are not looked at") {
+  SplatCloud cloud = golden_cloud(10, 3, 5);
+  for (std::uint64_t i = 0; i < 10; ++i) cloud.sh[48 * i + 40] = kNaN;
+  EncodeOptions options;
+  options.on_bad = BadPolicy::refuse;
+  CHECK_FALSE(encode(cloud.view(), options));
+  options.sh_degree = 2;
+  const auto bytes = encode(cloud.view(), options);
+  REQUIRE(bytes);
+  CHECK(open(*bytes)->header().sh_degree == 2);
+}
+
+TEST_CASE("more than one in a hundred damaged is an error unless a policy was chosen") {
+  SplatCloud cloud = golden_cloud(200, 0, 6);
+  cloud.mean[0] = cloud.mean[3] = kNaN;
+  CHECK(encode(cloud.view()));  // 2 of 200
+  cloud.mean[6] = kNaN;
+  const auto refused = encode(cloud.view());
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::too_many_bad);
+  CHECK(refused.error().expected == 2);
+  CHECK(refused.error().found == 3);
+  EncodeOptions options;
+  options.max_bad_fraction = 1;
+  CHECK(open(*encode(cloud.view(), options))->header().n_gaussians == 197);
+  options = {};
+  options.on_bad = BadPolicy::repair;
+  CHECK(open(*encode(cloud.view(), options))->header().n_gaussians == 197);
+}
+
+TEST_CASE("options that no file can state are refused") {
+  const SplatCloud cloud = golden_cloud(3, 0, 7);
+  const auto code = [&](auto change) {
+    EncodeOptions options;
+    change(options);
+    const auto bytes = encode(cloud.view(), options);
+    return bytes ? Errc::internal : bytes.error().code;
+  };
+  for (const std::uint32_t size : {0u, 16u, 33u, kMaxChunkSize + 32}) {
+    CHECK(code([&](EncodeOptions& o) { o.chunk_size = size; }) == Errc::bad_argument);
+  }
+  CHECK(code([](EncodeOptions& o) { o.sh_degree = 4; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.sh_degree = -1; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.depth = DepthRange{0, 1}; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.depth = DepthRange{2, 1}; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.depth = DepthRange{1, kInfinity}; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.depth = DepthRange{kNaN, 1}; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.metres_per_unit = kNaN; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.axes[1] = Axis::left; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.aa_mode = static_cast<AaMode>(9); }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) {
+          o.provenance = Provenance{0, 0, std::string(4097, 'a'), ""};
+        }) == Errc::bad_argument);
+  SplatView view = cloud.view();
+  view.n = 4;
+  CHECK(encode(view).error().code == Errc::bad_argument);
+}

@@ -1,0 +1,244 @@
+// hostile_test.cpp - damaged and malicious files: an error or a valid decode, never a crash or a large allocation.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <cstring>
+#include <functional>
+#include <memory>
+
+#include "edit_file.hpp"
+#include "golden_scenes.hpp"
+#include "rgs/decode.hpp"
+
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define RGS_TEST_SANITIZED
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define RGS_TEST_SANITIZED
+#endif
+#endif
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+Bytes golden(const std::string& name) {
+  return read_bytes(std::string(RGS_SOURCE_DIR) + "/tests/golden/" + name + ".rgs");
+}
+
+// Decodes from a heap block of the exact size, so that AddressSanitizer sees a read of one byte too many. What decodes
+// must be a scene that can be drawn.
+Status decode_exactly(std::span<const std::byte> bytes) {
+  const auto exact = std::make_unique<std::byte[]>(bytes.size());
+  std::ranges::copy(bytes, exact.get());
+  const auto cloud = decode({exact.get(), bytes.size()});
+  if (!cloud) return tl::unexpected(cloud.error());
+  REQUIRE(cloud->view().consistent());
+  for (const auto* values : {&cloud->mean, &cloud->log_scale, &cloud->rotation, &cloud->opacity_logit, &cloud->sh}) {
+    for (const float value : *values) REQUIRE(std::isfinite(value));
+  }
+  return {};
+}
+
+#ifndef RGS_TEST_SANITIZED
+// Runs `body` in a child whose address space may grow by `bytes`; true if it returned true.
+bool within_memory(std::uint64_t bytes, const std::function<bool()>& body) {
+  const pid_t child = ::fork();
+  if (child == 0) {
+    std::uint64_t pages = 0;
+    if (std::FILE* file = std::fopen("/proc/self/statm", "r")) {
+      unsigned long value = 0;
+      if (std::fscanf(file, "%lu", &value) == 1) pages = value;
+      std::fclose(file);
+    }
+    const rlim_t limit = pages * static_cast<std::uint64_t>(::sysconf(_SC_PAGESIZE)) + bytes;
+    const rlimit both{limit, limit};
+    bool ok = false;
+    if (pages != 0 && ::setrlimit(RLIMIT_AS, &both) == 0) {
+      try {
+        ok = body();
+      } catch (const std::bad_alloc&) {
+      }
+    }
+    ::_exit(ok ? 0 : 1);
+  }
+  int status = 0;
+  return child > 0 && ::waitpid(child, &status, 0) == child && WIFEXITED(status) && WEXITSTATUS(status) == 0;
+}
+#endif
+
+}  // namespace
+
+TEST_CASE("every prefix of a golden file is an error") {
+  for (const char* name : {"empty", "two", "degree3", "global", "optional"}) {
+    const Bytes bytes = golden(name);
+    CAPTURE(name);
+    REQUIRE(decode_exactly(bytes));
+    for (std::size_t size = 0; size < bytes.size(); ++size) {
+      CAPTURE(size);
+      const Status status = decode_exactly(std::span(bytes).first(size));
+      REQUIRE_FALSE(status);
+      CHECK(status.error().code == Errc::truncated);
+      CHECK(status.error().offset == size);
+    }
+  }
+}
+
+TEST_CASE("every prefix whose head has been made to fit is an error") {
+  const Bytes bytes = golden("optional");
+  for (std::size_t size = 128; size < bytes.size(); ++size) {
+    CAPTURE(size);
+    Bytes prefix(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(size));
+    put<std::uint64_t>(prefix, 16, size);
+    fix_hashes(prefix);
+    REQUIRE_FALSE(decode_exactly(prefix));
+  }
+}
+
+TEST_CASE("bytes after the end are an error") {
+  for (const std::size_t extra : {1u, 255u, 256u, 4096u}) {
+    Bytes bytes = golden("two");
+    const std::size_t size = bytes.size();
+    bytes.resize(size + extra);
+    const Status status = decode_exactly(bytes);
+    REQUIRE_FALSE(status);
+    CHECK(status.error().code == Errc::trailing_bytes);
+    CHECK(status.error().offset == size);
+    put<std::uint64_t>(bytes, 16, bytes.size());
+    fix_hashes(bytes);
+    CHECK_FALSE(decode_exactly(bytes));
+  }
+}
+
+TEST_CASE("every single-byte change is an error as long as its hash is wrong") {
+  for (const char* name : {"empty", "two", "optional", "degree3"}) {
+    CAPTURE(name);
+    Bytes bytes = golden(name);
+    const std::uint64_t head = section_of(bytes, "SHSC");  // head and DECL: all values
+    for (std::size_t i = 0; i < bytes.size(); ++i) {
+      CAPTURE(i);
+      const std::byte original = bytes[i];
+      const auto changed = [&](unsigned value) {
+        bytes[i] = static_cast<std::byte>(value);
+        if (bytes[i] != original) REQUIRE_FALSE(decode_exactly(bytes));
+      };
+      const auto old = static_cast<unsigned>(original);
+      if (i < head && std::string_view(name) == "optional") {
+        for (unsigned value = 0; value < 256; ++value) changed(value);
+      } else {
+        for (const unsigned value : {old + 1, old - 1, old ^ 0x80u, 0xFFu}) changed(value & 0xFFu);
+      }
+      bytes[i] = original;
+    }
+  }
+}
+
+TEST_CASE("every single-byte change with hashes that fit is an error or a valid decode") {
+  std::uint64_t errors = 0, decodes = 0;
+  for (const char* name : {"empty", "two", "optional", "global", "degree3"}) {
+    CAPTURE(name);
+    const Bytes golden_bytes = golden(name);
+    Bytes bytes = golden_bytes;
+    const std::uint64_t head = section_of(bytes, "SHSC");
+    for (std::size_t i = 0; i < bytes.size(); ++i) {
+      CAPTURE(i);
+      const auto old = static_cast<unsigned>(bytes[i]);
+      const auto changed = [&](unsigned value) {
+        bytes[i] = static_cast<std::byte>(value);
+        fix_hashes(bytes);
+        ++(decode_exactly(bytes) ? decodes : errors);
+        bytes = golden_bytes;
+      };
+      if (i < head && std::string_view(name) == "optional") {
+        for (unsigned value = 0; value < 256; ++value) changed(value);
+      } else {
+        for (const unsigned value : {old + 1, old - 1, old ^ 0x80u, 0xFFu}) changed(value & 0xFFu);
+      }
+    }
+  }
+  MESSAGE(errors << " errors, " << decodes << " valid decodes");
+  CHECK(errors > 1000);
+  CHECK(decodes > 1000);
+}
+
+TEST_CASE("counts near 2^32 and 2^64 are refused without arithmetic overflow") {
+  const DecodeLimits unlimited{~std::uint64_t{0}, ~std::uint64_t{0}};
+  const Bytes original = golden("optional");
+  for (const int power : {31, 32, 33, 58, 59, 60, 61, 62, 63, 64}) {
+    for (int delta = -2; delta <= 2; ++delta) {
+      const std::uint64_t n = (power == 64 ? 0 : std::uint64_t{1} << power) + static_cast<std::uint64_t>(delta);
+      if (n < 1000) continue;  // wrapped around
+      CAPTURE(n);
+      for (const std::uint64_t field : {16u, 24u, 32u, 40u}) {
+        Bytes bytes = original;
+        put(bytes, field, n);
+        if (field == 24) put(bytes, 32, n / 256 + (n % 256 != 0 ? 1 : 0));
+        fix_hashes(bytes);
+        CHECK_FALSE(open(bytes, unlimited));
+      }
+      for (std::uint64_t section = 0; section < 8; ++section) {
+        for (const std::uint64_t field : {16u, 24u, 32u}) {
+          Bytes bytes = original;
+          put(bytes, entry_at(section) + field, n);
+          if (field == 24) put(bytes, entry_at(section) + 32, n);
+          fix_hashes(bytes);
+          CHECK_FALSE(open(bytes, unlimited));
+        }
+      }
+    }
+  }
+  // Here 12 * n wraps around to the 72 bytes that the section has.
+  Bytes bytes = original;
+  const std::uint64_t n = (std::uint64_t{1} << 62) + 6, chunks = n / 256 + 1;
+  put(bytes, 24, n);
+  put(bytes, 32, chunks);
+  fix_hashes(bytes);
+  const auto view = open(bytes, unlimited);
+  REQUIRE_FALSE(view);
+  CHECK(view.error().code == Errc::size_mismatch);
+}
+
+TEST_CASE("limits of the caller are kept") {
+  const Bytes bytes = golden("degree3");
+  DecodeLimits limits;
+  limits.max_gaussians = 40;
+  limits.max_file_bytes = bytes.size();
+  CHECK(open(bytes, limits));
+  limits.max_gaussians = 39;
+  CHECK(open(bytes, limits).error().code == Errc::limit_exceeded);
+  CHECK(open(bytes, limits).error().offset == 24);
+  limits.max_gaussians = 40;
+  limits.max_file_bytes = bytes.size() - 1;
+  CHECK(open(bytes, limits).error().code == Errc::limit_exceeded);
+  CHECK(open(bytes, limits).error().offset == 16);
+}
+
+TEST_CASE("a small file makes no large allocation") {
+#ifdef RGS_TEST_SANITIZED
+  MESSAGE("skipped: sanitizers reserve address space");
+#else
+  // Large counts, and the largest chunks over a handful of Gaussians.
+  Bytes large_chunks = golden("two");
+  put<std::uint32_t>(large_chunks, 48, 65536);
+  fix_hashes(large_chunks);
+  constexpr std::uint64_t kMemory = 4 << 20;
+  CHECK_FALSE(within_memory(kMemory, [] {  // the limit works
+    void* volatile block = std::malloc(64 << 20);
+    return block != nullptr;
+  }));
+  CHECK(within_memory(kMemory, [&] { return decode(large_chunks).has_value(); }));
+  for (const std::uint64_t n : {std::uint64_t{1} << 32, std::uint64_t{1} << 60, ~std::uint64_t{0}}) {
+    Bytes bytes = golden("optional");
+    put(bytes, 24, n);
+    put(bytes, 32, n / 256 + (n % 256 != 0 ? 1 : 0));
+    fix_hashes(bytes);
+    CHECK(within_memory(kMemory, [&] { return !decode(bytes, {~std::uint64_t{0}, ~std::uint64_t{0}}); }));
+  }
+#endif
+}
