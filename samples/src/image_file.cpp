@@ -84,10 +84,10 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
       spec.attribute("jpeg:subsampling", "4:4:4");
       break;
     case ImageFormat::tiff:
+    case ImageFormat::exr:
       spec.attribute("compression", "zip");
       spec.attribute("DateTime", "    :  :     :  :  ");  // "unknown" in TIFF; else it is now, and bytes differ
       break;
-    case ImageFormat::exr: spec.attribute("compression", "zip"); break;
   }
   return spec;
 }

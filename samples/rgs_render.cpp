@@ -1,0 +1,476 @@
+// rgs_render.cpp - rgs-render: pictures of a scene, from camera files, along paths or from where it is seen well.
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <charconv>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <filesystem>
+#include <future>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "console.hpp"
+#include "image_file.hpp"
+#include "rgs/camera_file.hpp"
+#include "rgs/renderer.hpp"
+#include "scene_file.hpp"
+
+namespace {
+
+namespace fs = std::filesystem;
+namespace tool = rgs::tool;
+using Clock = std::chrono::steady_clock;
+
+struct Options {
+  std::string scene, cameras, view, split, size, out, depth, path;
+  std::string format = "png";
+  int orbit = 0, frames = 120;
+  bool alpha = false, overwrite = false, quiet = false, json = false, scalar = false;
+  std::vector<float> depth_range;
+  std::optional<rgs::math::AntiAliasing> anti_aliasing;
+  std::string key = "exact";
+  rgs::RendererOptions renderer;
+  rgs::RenderOptions render;
+};
+
+// One picture to be made.
+struct Shot {
+  rgs::Camera camera;
+  std::string out, depth;  // files; empty if not wanted
+};
+
+// What a shot became.
+struct Frame {
+  const Shot* shot;
+  rgs::FrameStats stats;
+};
+
+double seconds_since(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+// File name of a camera's picture without extension: the last part of its name, harmless characters only.
+std::string stem_of(const rgs::Camera& camera, std::size_t index) {
+  const fs::path name(camera.name);
+  // "frame.0001" is a name and no extension; ".jpg" is one.
+  std::string stem = rgs::image_format(camera.name) ? name.stem().string() : name.filename().string();
+  for (char& c : stem) {
+    const bool plain = (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
+    if (!plain && c != '-' && c != '.' && static_cast<unsigned char>(c) < 0x80) c = '_';
+  }
+  if (stem.empty() || stem.front() == '.') stem = fmt::format("view_{:04}", index) + stem;
+  return stem;
+}
+
+bool names_picture(const std::string& path) {
+  return rgs::image_format(path).has_value();
+}
+
+// Cameras chosen by --view and --split. A usage error is printed and gives an empty list.
+std::vector<rgs::Camera> choose(const rgs::CameraSet& set, const Options& options) {
+  const auto usage = [](const std::string& message) {
+    tool::report_usage(message);
+    return std::vector<rgs::Camera>();
+  };
+  std::vector<rgs::Camera> chosen;
+  for (std::size_t i = 0; i < set.cameras.size(); ++i) {
+    const bool test = set.split[i] == rgs::Split::test;
+    if (options.split.empty() || test == (options.split == "test")) chosen.push_back(set.cameras[i]);
+  }
+  if (chosen.empty()) return usage("no camera belongs to the split '" + options.split + "'");
+  const std::string view = !options.view.empty() ? options.view : names_picture(options.out) ? "0" : "all";
+  if (view == "all") return chosen;
+  for (const rgs::Camera& camera : chosen)
+    if (camera.name == view || stem_of(camera, 0) == view) return {camera};
+  std::size_t index = 0;
+  const auto [end, error] = std::from_chars(view.data(), view.data() + view.size(), index);
+  if (error == std::errc() && end == view.data() + view.size() && index < chosen.size()) return {chosen[index]};
+  return usage(
+      fmt::format("--view takes a camera's name, an index from 0 to {}, or all, not '{}'", chosen.size() - 1, view));
+}
+
+// Gives every shot its files, in folders or as the single file that was named. Returns an exit code.
+int name_files(std::vector<Shot>& shots, const Options& options) {
+  for (const std::string* target : {&options.out, &options.depth}) {
+    if (target->empty()) continue;
+    const bool depth = target == &options.depth;
+    std::string Shot::*field = depth ? &Shot::depth : &Shot::out;
+    if (names_picture(*target)) {
+      if (shots.size() != 1)
+        return tool::report_usage(
+            fmt::format("{} pictures do not fit into the file '{}': name a folder, or choose one "
+                        "camera with --view",
+                        shots.size(), *target));
+      shots.front().*field = *target;
+    } else {
+      if (fs::path(*target).has_extension() && !fs::is_directory(*target))
+        return tool::report_usage("'" + *target + "' ends neither as a picture (.png .jpg .tif .exr) nor as a folder");
+      std::error_code failed;
+      fs::create_directories(*target, failed);
+      if (failed)
+        return tool::report(*target, {rgs::Errc::write_failed, rgs::Error::kNone, "cannot make the folder",
+                                      rgs::Error::kNone, rgs::Error::kNone, failed.value()});
+      std::set<std::string> used;
+      for (std::size_t i = 0; i < shots.size(); ++i) {
+        std::string stem = stem_of(shots[i].camera, i);
+        if (!used.insert(stem).second) used.insert(stem += fmt::format("_{:04}", i));
+        const std::string name = depth ? stem + "_depth.exr" : stem + "." + options.format;
+        shots[i].*field = (fs::path(*target) / name).string();
+      }
+    }
+    // Found before the first frame is rendered, not after the last.
+    for (const Shot& shot : shots) {
+      std::error_code ignored;
+      if (!options.overwrite && fs::exists(shot.*field, ignored))
+        return tool::report(shot.*field, {rgs::Errc::output_exists, rgs::Error::kNone,
+                                          "the output exists already; pass --overwrite to replace it"});
+    }
+  }
+  return tool::kSuccess;
+}
+
+// Cameras of all pictures, at their final size, from the options and, for views without cameras, from the scene.
+// Returns an exit code.
+int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<Shot>& shots) {
+  rgs::ViewFormat format;
+  tool::ImageSize size;
+  if (!options.size.empty()) {
+    size = tool::parse_size(options.size).value();
+    format.width = size.width;
+    format.height = size.height;
+  }
+  std::vector<rgs::Camera> cameras;
+  if (!options.path.empty()) {
+    const auto keys = rgs::read_cameras(options.path);
+    if (!keys) return tool::report(options.path, keys.error());
+    cameras = rgs::interpolated_path(*keys, options.frames);
+  } else {
+    rgs::Vec3 up = scene.up;
+    if (!options.cameras.empty()) {
+      const auto set = rgs::read_camera_set(options.cameras);
+      if (!set) return tool::report(options.cameras, set.error());
+      if (options.orbit > 0) {
+        up = rgs::mean_up(set->cameras);
+      } else {
+        cameras = choose(*set, options);
+        if (cameras.empty()) return tool::kUsage;
+      }
+    }
+    if (options.orbit > 0) {
+      cameras = rgs::orbit(scene.bounds, options.orbit, format, up);
+      for (std::size_t i = 0; i < cameras.size(); ++i) cameras[i].name = fmt::format("orbit_{:04}", i);
+    } else if (cameras.empty()) {
+      cameras = {rgs::default_view(scene.bounds, format, up)};
+      cameras.front().name = "view";
+    }
+  }
+  // Zero-padded, so that a list of the folder is in the order of the path.
+  if (!options.path.empty())
+    for (std::size_t i = 0; i < cameras.size(); ++i) cameras[i].name = fmt::format("frame_{:04}", i);
+  for (rgs::Camera& camera : cameras)
+    shots.push_back({size.width > 0 ? rgs::resized(camera, size.width, size.height) : camera, {}, {}});
+  return name_files(shots, options);
+}
+
+rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene) {
+  rgs::RenderOptions render = options.render;
+  render.depth_order = options.key == "exact" ? rgs::math::DepthOrder::exact : rgs::math::DepthOrder::quantized;
+  render.depth_mapping = options.key == "log" ? rgs::math::DepthMapping::log : rgs::math::DepthMapping::linear;
+  const auto& stated = scene.declarations;
+  if (options.depth_range.size() == 2) {
+    render.depth_range = {options.depth_range[0], options.depth_range[1]};
+  } else if (stated) {
+    render.depth_range = {stated->z_near, stated->z_far};
+  }
+  if (options.anti_aliasing) {
+    render.anti_aliasing = *options.anti_aliasing;
+  } else if (stated && stated->aa_mode == rgs::AaMode::mip_splatting) {
+    render.anti_aliasing = rgs::math::AntiAliasing::mip_splatting;
+  }
+  return render;
+}
+
+// A rendered frame on its way to its files.
+struct Picture {
+  rgs::Image colour, depth;
+};
+
+rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scene, const Shot& shot,
+                                 const rgs::RenderOptions& options, bool with_alpha, rgs::FrameStats& stats) {
+  Picture picture;
+  const int width = shot.camera.width, height = shot.camera.height;
+  picture.colour = rgs::Image::make(width, height, 3);
+  rgs::Image alpha;
+  rgs::RenderTarget target;
+  target.rgb = picture.colour.pixels;
+  if (with_alpha) {
+    alpha = rgs::Image::make(width, height, 1);
+    target.alpha = alpha.pixels;
+  }
+  if (!shot.depth.empty()) {
+    picture.depth = rgs::Image::make(width, height, 1);
+    target.depth = picture.depth.pixels;
+  }
+  const auto rendered = renderer.render(scene, shot.camera, target, options);
+  if (!rendered) return tl::unexpected(rendered.error());
+  stats = *rendered;
+  if (with_alpha) {
+    rgs::Image rgba = rgs::Image::make(width, height, 4);
+    for (std::size_t i = 0; i < alpha.pixels.size(); ++i) {
+      std::copy_n(picture.colour.pixels.data() + 3 * i, 3, rgba.pixels.data() + 4 * i);
+      rgba.pixels[4 * i + 3] = alpha.pixels[i];
+    }
+    picture.colour = std::move(rgba);
+  }
+  return picture;
+}
+
+// Writes a frame's files; reports an error itself and returns the exit code.
+int write_shot(const Shot& shot, const Picture& picture, bool overwrite) {
+  rgs::ImageFileOptions options;
+  options.file.overwrite = overwrite;
+  options.software = "rgs-render " RGS_VERSION;
+  if (!shot.out.empty())
+    if (const auto written = rgs::write_image(shot.out, picture.colour, options); !written)
+      return tool::report(shot.out, written.error());
+  options.depth = true;
+  if (!shot.depth.empty())
+    if (const auto written = rgs::write_image(shot.depth, picture.depth, options); !written)
+      return tool::report(shot.depth, written.error());
+  return tool::kSuccess;
+}
+
+double median_ms(const std::vector<Frame>& frames) {
+  std::vector<double> times;
+  for (const Frame& frame : frames) times.push_back(frame.stats.total_ms);
+  const auto middle = times.begin() + static_cast<std::ptrdiff_t>(times.size() / 2);
+  std::nth_element(times.begin(), middle, times.end());
+  return *middle;
+}
+
+nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, const rgs::Renderer& renderer,
+                       const std::vector<Frame>& frames, double load_seconds, double total_seconds) {
+  nlohmann::json pictures = nlohmann::json::array();
+  for (const Frame& frame : frames) {
+    const rgs::FrameStats& s = frame.stats;
+    nlohmann::json picture{{"camera", frame.shot->camera.name},
+                           {"width", frame.shot->camera.width},
+                           {"height", frame.shot->camera.height},
+                           {"ms",
+                            {{"total", s.total_ms},
+                             {"project", s.project_ms},
+                             {"sort", s.sort_ms},
+                             {"bin", s.bin_ms},
+                             {"blend", s.blend_ms}}},
+                           {"visible", s.visible},
+                           {"instances", s.instances},
+                           {"evaluated", s.evaluated},
+                           {"blended", s.blended},
+                           {"workspace_bytes", s.bytes},
+                           {"depth_bits", s.depth_bits}};
+    if (!frame.shot->out.empty()) picture["file"] = frame.shot->out;
+    if (!frame.shot->depth.empty()) picture["depth_file"] = frame.shot->depth;
+    pictures.push_back(std::move(picture));
+  }
+  return {{"program", "rgs-render"},
+          {"version", RGS_VERSION},
+          {"scene",
+           {{"file", options.scene},
+            {"bytes", scene.file_bytes},
+            {"gaussians", scene.scene.size()},
+            {"sh_degree", scene.scene.sh_degree()},
+            {"memory_bytes", scene.scene.bytes()}}},
+          {"backend", renderer.backend_name()},
+          {"load_seconds", load_seconds},
+          {"total_seconds", total_seconds},
+          {"median_ms", median_ms(frames)},
+          {"frames", std::move(pictures)}};
+}
+
+int render(const Options& options) {
+  const auto start = Clock::now();
+  rgs::remove_temporaries_on_signal();
+  auto renderer = rgs::Renderer::create(options.renderer);
+  if (!renderer) return tool::report("", renderer.error());
+  const auto scene = rgs::load_scene_file(options.scene);
+  if (!scene) return tool::report(options.scene, scene.error());
+  const double load_seconds = seconds_since(start);
+
+  std::vector<Shot> shots;
+  if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;
+  const rgs::RenderOptions render_how = render_options(options, *scene);
+
+  tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+  progress.begin("rendering", shots.size(), "frames");
+  std::vector<Frame> frames;
+  // A picture is encoded while the next frame is rendered; at most two are in memory.
+  std::future<int> writing;
+  for (const Shot& shot : shots) {
+    Frame frame{&shot, {}};
+    auto picture = render_shot(*renderer, scene->scene, shot, render_how, options.alpha, frame.stats);
+    if (!picture) return tool::report(shot.camera.name, picture.error());
+    if (writing.valid())
+      if (const int code = writing.get(); code != tool::kSuccess) return code;
+    writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
+      return write_shot(shot, done, options.overwrite);
+    });
+    frames.push_back(frame);
+    progress.advance(1);
+  }
+  if (const int code = writing.get(); code != tool::kSuccess) return code;
+  progress.finish();
+
+  const double total_seconds = seconds_since(start);
+  if (options.json) {
+    const auto text = summary(options, *scene, *renderer, frames, load_seconds, total_seconds)
+                          .dump(2, ' ', false, nlohmann::json::error_handler_t::replace);
+    fmt::print("{}\n", text);
+  } else if (!options.quiet) {
+    fmt::print("{}: {} Gaussians, SH degree {}, loaded in {}\n", options.scene, tool::format_count(scene->scene.size()),
+               scene->scene.sh_degree(), tool::format_seconds(load_seconds));
+    for (const Frame& frame : frames)
+      fmt::print("{}  {}x{}  {}  {} visible\n", frame.shot->out, frame.shot->camera.width, frame.shot->camera.height,
+                 tool::format_seconds(frame.stats.total_ms * 1e-3), tool::format_count(frame.stats.visible));
+    fmt::print("{} {}: median {} a frame, {} in all\n", frames.size(), frames.size() == 1 ? "picture" : "pictures",
+               tool::format_seconds(median_ms(frames) * 1e-3), tool::format_seconds(total_seconds));
+  }
+  if (std::fflush(stdout) != 0)
+    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot be written",
+                                            rgs::Error::kNone, rgs::Error::kNone, errno});
+  return tool::kSuccess;
+}
+
+// A name for each value of an enumeration option.
+template <class T>
+CLI::CheckedTransformer names(std::map<std::string, T> values) {
+  return CLI::CheckedTransformer(std::move(values)).description("");
+}
+
+void add_options(CLI::App& app, Options& o) {
+  using namespace rgs::math;
+  app.add_option("scene", o.scene, "scene to render, .rgs or a 3DGS .ply; its content decides")->required();
+  app.add_option("--out,-o", o.out, "picture (.png .jpg .tif .exr) or folder for pictures")->required();
+  app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/CAMERAS.md)");
+  app.add_option("--view", o.view, "camera by name or index in the split, or all [all for a folder, 0 for a file]");
+  app.add_option("--split", o.split, "only these cameras")->check(CLI::IsMember({"train", "test"}));
+  app.add_option("--size", o.size, "WxH pixels, e.g. 1920x1080; keeps the horizontal field of view");
+  app.add_option("--orbit", o.orbit, "N views on a circle around the scene")->check(CLI::Range(1, 1'000'000));
+  app.add_option("--path", o.path, "smooth path through the cameras of this file")->excludes("--orbit");
+  app.add_option("--frames", o.frames, "pictures along --path")
+      ->check(CLI::Range(1, 1'000'000))
+      ->capture_default_str()
+      ->needs("--path");
+  app.add_option("--format", o.format, "format of pictures in a folder")
+      ->check(CLI::IsMember({"png", "jpg", "tif", "exr"}))
+      ->capture_default_str();
+  app.add_option("--depth", o.depth, "also expected depth: picture (.exr .tif) or folder");
+  app.add_flag("--alpha", o.alpha, "transparent background: pictures with an alpha channel (.png .tif .exr)");
+  app.add_flag("--overwrite", o.overwrite, "replace existing pictures");
+
+  const std::string image = "Image";
+  app.add_option("--background", o.render.background, "R,G,B behind the scene, 0 to 1 [0,0,0]")
+      ->delimiter(',')
+      ->excludes("--alpha")
+      ->group(image);
+  app.add_option("--near", o.render.near_plane, "depth at or below which nothing is drawn")
+      ->check(CLI::PositiveNumber)
+      ->capture_default_str()
+      ->group(image);
+  app.add_option("--far", o.render.far_plane, "depth above which nothing is drawn, 0 for no limit")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str()
+      ->group(image);
+  app.add_option("--sh-degree", o.render.sh_degree_limit, "ignore higher degrees")
+      ->check(CLI::Range(0, rgs::kMaxShDegree))
+      ->capture_default_str()
+      ->group(image);
+  app.add_option("--low-pass", o.render.low_pass, "px^2 added to projected covariances; Mip-Splatting uses 0.1")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str()
+      ->group(image);
+  app.add_option("--aa", o.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
+      ->transform(names<AntiAliasing>({{"classic", AntiAliasing::classic}, {"mip", AntiAliasing::mip_splatting}}))
+      ->group(image);
+
+  const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
+  app.add_option("--extent", o.render.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
+      ->transform(names<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))
+      ->group(arithmetic);
+  app.add_option("--key", o.key, "depth order: exact, or quantised: linear, log")
+      ->check(CLI::IsMember({"exact", "linear", "log"}))
+      ->capture_default_str()
+      ->group(arithmetic);
+  app.add_option("--depth-bits", o.render.depth_bits, "bits of the quantised depth, 0: 32 less those of the tile")
+      ->check(CLI::Range(0, 32))
+      ->capture_default_str()
+      ->group(arithmetic);
+  app.add_option("--depth-range", o.depth_range, "NEAR,FAR of the quantised depth [what the file states, else 0.2,100]")
+      ->delimiter(',')
+      ->expected(2)
+      ->group(arithmetic);
+  app.add_option("--exponent", o.render.exponent, "direct, folded [direct]")
+      ->transform(names<Exponent>({{"direct", Exponent::direct}, {"folded", Exponent::folded}}))
+      ->group(arithmetic);
+  app.add_option("--exp", o.render.exp, "exponential: exact, paper, zero-mean [exact]")
+      ->transform(names<Exp>({{"exact", Exp::exact}, {"paper", Exp::paper}, {"zero-mean", Exp::zero_mean}}))
+      ->group(arithmetic);
+
+  const std::string machine = "Machine";
+  app.add_option("--backend", o.renderer.backend, "auto, cpu, cuda [auto]")
+      ->transform(names<rgs::Backend>(
+          {{"auto", rgs::Backend::automatic}, {"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
+      ->group(machine);
+  app.add_option("--threads", o.renderer.threads, "CPU threads, 0 for all cores")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str()
+      ->group(machine);
+  app.add_flag("--scalar", o.scalar, "the scalar definition on the CPU, pixel by pixel, instead of vectors")
+      ->group(machine);
+  app.add_flag("--json", o.json, "summary as JSON on standard output")->group(machine);
+  app.add_flag("--quiet,-q", o.quiet, "no progress and no summary")->group(machine);
+  app.set_version_flag("--version", "rgs-render " RGS_VERSION);
+  app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input.");
+}
+
+// Contradictions that can be told without reading a file; empty if there is none.
+std::string contradiction(const Options& o) {
+  if (!o.size.empty() && !tool::parse_size(o.size)) return "--size takes WxH, sides 1 to 65536, not '" + o.size + "'";
+  if ((!o.view.empty() || !o.split.empty()) && (o.cameras.empty() || o.orbit > 0 || !o.path.empty()))
+    return "--view and --split choose among the pictures of --cameras";
+  if (!o.cameras.empty() && !o.path.empty()) return "--cameras and --path are two answers to one question";
+  if (o.alpha && (names_picture(o.out) ? *rgs::image_format(o.out) == rgs::ImageFormat::jpeg : o.format == "jpg"))
+    return "JPEG has no alpha: choose .png, .tif or .exr";
+  if (const auto depth = rgs::image_format(o.depth);
+      depth && (*depth == rgs::ImageFormat::png || *depth == rgs::ImageFormat::jpeg))
+    return "depth needs floating point: name the file .exr or .tif";
+  if (!o.depth.empty() && o.depth == o.out && names_picture(o.out)) return "--depth and --out are the same file";
+  for (const float v : o.render.background)
+    if (!std::isfinite(v)) return "--background takes three finite numbers";
+  return {};
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&] {
+    Options options;
+    CLI::App app{"Renders a 3D Gaussian splat scene to pictures.", "rgs-render"};
+    add_options(app, options);
+    try {
+      app.parse(argc, argv);
+    } catch (const CLI::ParseError& error) {
+      return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
+    }
+    options.renderer.simd = !options.scalar;
+    if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);
+    return render(options);
+  });
+}

@@ -1,0 +1,67 @@
+// scene_file.cpp - a scene from an .rgs or a 3DGS PLY file.
+// SPDX-License-Identifier: Apache-2.0
+#include "scene_file.hpp"
+
+#include <algorithm>
+#include <cstring>
+#include <utility>
+
+#include "rgs/decode.hpp"
+#include "rgs/file.hpp"
+#include "rgs/ply.hpp"
+
+namespace rgs {
+namespace {
+
+// Where up is in the scene, by the axis that points up or down; a scene without one is taken for a 3DGS world.
+Vec3 declared_up(const Declarations& declarations) {
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    Vec3 up{0, 0, 0};
+    up[axis] = declarations.axes[axis] == Axis::up ? 1 : -1;
+    if (declarations.axes[axis] == Axis::up || declarations.axes[axis] == Axis::down) return up;
+  }
+  return kWorldUp;
+}
+
+Result<SceneFile> load_rgs(std::span<const std::byte> bytes) {
+  const auto view = open(bytes);
+  if (!view) return tl::unexpected(view.error());
+  SceneFile out;
+  out.declarations = view->declarations();
+  out.up = declared_up(*out.declarations);
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    out.bounds.low[axis] = out.declarations->robust.min[axis];
+    out.bounds.high[axis] = out.declarations->robust.max[axis];
+  }
+  auto cloud = decode(bytes);
+  if (!cloud) return tl::unexpected(cloud.error());
+  auto scene = Scene::load(std::move(*cloud));
+  if (!scene) return tl::unexpected(scene.error());
+  out.scene = std::move(*scene);
+  return out;
+}
+
+Result<SceneFile> load_ply(const std::string& path) {
+  auto cloud = read_ply(path);
+  if (!cloud) return tl::unexpected(cloud.error());
+  SceneFile out;
+  out.bounds = robust_bounds(cloud->mean);
+  auto scene = Scene::load(std::move(*cloud));
+  if (!scene) return tl::unexpected(scene.error());
+  out.scene = std::move(*scene);
+  return out;
+}
+
+}  // namespace
+
+Result<SceneFile> load_scene_file(const std::string& path) {
+  const auto file = MappedFile::open(path);
+  if (!file) return tl::unexpected(file.error());
+  const auto bytes = file->bytes();
+  const bool ply = bytes.size() >= 3 && std::memcmp(bytes.data(), "ply", 3) == 0;
+  auto out = ply ? load_ply(path) : load_rgs(bytes);
+  if (out) out->file_bytes = bytes.size();
+  return out;
+}
+
+}  // namespace rgs
