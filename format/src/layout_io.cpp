@@ -143,6 +143,10 @@ Result<Header> parse_header(std::span<const std::byte> bytes) {
   if (h.n_sections == 0 || h.n_sections > kMaxSections) {
     return fail(Errc::bad_header, 52, "section count is not between 1 and 1024", Error::kNone, h.n_sections);
   }
+  const std::uint64_t head_bytes = kHeaderBytes + h.n_sections * kSectionEntryBytes + kHeadChecksumBytes;
+  if (h.file_bytes < head_bytes) {
+    return fail(Errc::bad_header, 52, "the section table does not fit into the file", h.file_bytes, head_bytes);
+  }
   if (h.sh_degree > kMaxShDegree) return fail(Errc::bad_header, 56, "SH degree above 3", kMaxShDegree, h.sh_degree);
   if (stored_sh_bytes != sh_bytes(h.sh_degree)) {
     return fail(Errc::bad_header, 57, "SH bytes per Gaussian contradict the SH degree", sh_bytes(h.sh_degree),

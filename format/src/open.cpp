@@ -165,9 +165,6 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
   }
   const std::uint64_t table_end = entry_offset(header->n_sections);
   const std::uint64_t head_bytes = table_end + kHeadChecksumBytes;
-  if (bytes.size() < head_bytes) {
-    return fail(Errc::bad_header, 52, "the section table does not fit into the file", bytes.size(), head_bytes);
-  }
   const std::uint64_t stored_hash = detail::ByteReader(bytes.subspan(table_end)).u64();
   const std::uint64_t hash = xxh3(bytes.first(table_end));
   if (stored_hash != hash) {

@@ -104,6 +104,31 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
     same_bits("source_index", library["source_index"], index)
 
 
+def robust_box(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The box of the middle 99 percent on each axis, from a histogram over the upper 16 bits of ordered floats."""
+    box = np.empty((2, 3), np.uint32)
+    bits = (means + np.float32(0)).view(np.uint32)      # -0 + 0 is +0
+    ordered = np.where(bits >> 31, ~bits, bits ^ 0x80000000)
+    for axis in range(3):
+        counts = np.bincount(ordered[:, axis] >> 16, minlength=65536)
+        tail = len(means) // 200
+        box[0, axis] = np.argmax(np.cumsum(counts) > tail) << 16
+        box[1, axis] = (65535 - np.argmax(np.cumsum(counts[::-1]) > tail)) << 16 | 0xFFFF
+    low, high = np.where(box >> 31, box ^ 0x80000000, ~box).astype(np.uint32).view(np.float32)
+    return np.maximum(low, means.min(0)), np.minimum(high, means.max(0))
+
+
+def check_robust(scene: rgs_reader.Scene) -> None:
+    """Golden files obey the writers' rules of the robust box."""
+    if scene.header["n_gaussians"] == 0:
+        return
+    d = scene.declarations
+    low, high = robust_box(scene.means)
+    assert (np.float32(d["robust_min"]) == low).all() and (np.float32(d["robust_max"]) == high).all(), "robust box"
+    inside = ((scene.means >= low) & (scene.means <= high)).mean(0).astype(np.float32)
+    assert (inside >= d["robust_fraction"]).all(), "robust fraction"
+
+
 def check_order(scene: rgs_reader.Scene) -> None:
     """Golden files obey the writers' rules of order: keys ascend, and so do source positions where keys are equal."""
     n, d = scene.header["n_gaussians"], scene.declarations
@@ -150,6 +175,7 @@ def main(program: str, folder: Path) -> int:
                 scene = rgs_reader.read_file(str(path))
                 compare(scene, dump(program, path))
                 check_order(scene)
+                check_robust(scene)
             elif path.name in expected:
                 check_refused(program, path, *expected[path.name])
         except (AssertionError, rgs_reader.RgsError, Refused) as error:

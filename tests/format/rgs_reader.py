@@ -260,20 +260,6 @@ def read_provenance(data: memoryview, s: Record) -> Record:
             "source_name": name.decode("utf-8", "replace"), "tool": tool.decode("utf-8", "replace")}
 
 
-def robust_box(means: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """The box of the middle 99 percent on each axis, from a histogram over the upper 16 bits of ordered floats."""
-    box = np.empty((2, 3), np.uint32)
-    bits = (means + np.float32(0)).view(np.uint32)      # -0 + 0 is +0
-    ordered = np.where(bits >> 31, ~bits, bits ^ 0x80000000)
-    for axis in range(3):
-        counts = np.bincount(ordered[:, axis] >> 16, minlength=65536)
-        tail = len(means) // 200
-        box[0, axis] = np.argmax(np.cumsum(counts) > tail) << 16
-        box[1, axis] = (65535 - np.argmax(np.cumsum(counts[::-1]) > tail)) << 16 | 0xFFFF
-    low, high = np.where(box >> 31, box ^ 0x80000000, ~box).astype(np.uint32).view(np.float32)
-    return np.maximum(low, means.min(0)), np.minimum(high, means.max(0))
-
-
 def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales: NDArray[np.float16],
                        opacities: NDArray[np.float32]) -> None:
     def rule(ok: Any, name: str, text: str) -> None:
@@ -285,13 +271,8 @@ def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales:
         rule(d[name] == np.count_nonzero(which), name, f"{name} counts the stored values")
     if not len(means):
         return
-    boxes = dict(zip(("full_min", "full_max", "robust_min", "robust_max"),
-                     (means.min(0), means.max(0), *robust_box(means))))
-    for name, box in boxes.items():
+    for name, box in (("full_min", means.min(0)), ("full_max", means.max(0))):
         rule((np.float32(d[name]) == box).all(), name, f"{name} is that of the means")
-    inside = (means >= boxes["robust_min"]) & (means <= boxes["robust_max"])
-    rule((inside.mean(0).astype(np.float32) >= d["robust_fraction"]).all(), "robust_fraction",
-         "so many means lie inside the robust box")
 
 
 def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_gaussians: int = 2**33) -> Scene:
