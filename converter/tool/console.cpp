@@ -219,7 +219,8 @@ void Progress::finish() {
   if (quiet_) return;
   const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
   const double done = static_cast<double>(done_.load());
-  fmt::print(stderr, "{}{:<12} {} in {}{}\n", terminal_ ? "\r" : "", stage_, amount(done), format_seconds(seconds),
+  const std::string units = *unit_ == '\0' ? "" : amount(done) + " in ";  // a stage without units only takes time
+  fmt::print(stderr, "{}{:<12} {}{}{}\n", terminal_ ? "\r" : "", stage_, units, format_seconds(seconds),
              terminal_ ? "\x1b[K" : "");
 }
 

@@ -10,7 +10,8 @@
 #include <chrono>
 #include <cstring>
 #include <filesystem>
-#include <optional>
+#include <functional>
+#include <memory>
 #include <random>
 #include <string>
 #include <thread>
@@ -98,14 +99,21 @@ void pause(double seconds) {
   std::this_thread::sleep_for(std::chrono::duration<double>(seconds));
 }
 
-/// Waits until the program has created its temporary output, then stops it there. False: it ended before.
-bool stop_after_creation(const Program& program, const fs::path& folder) {
-  while (temporaries(folder).empty()) {
-    if (!program.running()) return false;
-    pause(50e-6);
+/// Starts the command and stops it once its temporary output is there. A run that was over before is prepared and
+/// started again; null if none could be caught.
+std::unique_ptr<Program> stop_midway(const std::vector<std::string>& command, const fs::path& folder,
+                                     const std::function<void()>& prepare,
+                                     const std::function<void()>& before_exec = {}) {
+  for (int attempt = 0; attempt < 20; ++attempt) {
+    prepare();
+    auto program = std::make_unique<Program>(command, before_exec);
+    while (temporaries(folder).empty() && program->running()) pause(50e-6);
+    program->send(SIGSTOP);
+    siginfo_t info{};
+    ::waitid(P_PID, static_cast<id_t>(program->id()), &info, WEXITED | WSTOPPED | WNOWAIT);
+    if (info.si_code == CLD_STOPPED && !temporaries(folder).empty()) return program;
   }
-  program.send(SIGSTOP);
-  return true;
+  return nullptr;
 }
 
 }  // namespace
@@ -122,7 +130,8 @@ TEST_CASE("a full disk leaves the old output and no temporary file") {
     const fs::path& disk;
     ~Unmount() { ::umount2(disk.c_str(), MNT_DETACH); }
   } const unmount{disk};
-  for (const auto& [input, name] : {std::pair{small_sample().ply, "out.rgs"}, {small_sample().rgs, "out.ply"}}) {
+  for (const auto& [input, name] :
+       {std::pair{small_sample().ply, "out.rgs"}, std::pair{small_sample().rgs, "out.ply"}}) {
     CAPTURE(name);
     const std::string out = (disk / name).string();
     ProgramResult run = overwrite(input, out);
@@ -225,12 +234,13 @@ TEST_CASE("an input that is missing or a folder exits with 3") {
 TEST_CASE("an input that loses its name while it is read is converted to the end") {
   const TemporaryFolder folder;
   const std::string ply = folder.file("scene.ply"), out = folder.file("out.rgs");
-  fs::copy_file(long_sample().ply, ply);
-  Program program({RGS_CONVERT, "--quiet", "--no-sync", ply, out});
-  REQUIRE(stop_after_creation(program, folder.path()));
+  const auto program = stop_midway({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", ply, out}, folder.path(), [&] {
+    fs::copy_file(long_sample().ply, ply, fs::copy_options::overwrite_existing);
+  });
+  REQUIRE(program);
   fs::remove(ply);
-  program.send(SIGCONT);
-  CHECK(program.wait().exit_code == 0);
+  program->send(SIGCONT);
+  CHECK(program->wait().exit_code == 0);
   CHECK(same_contents(out, long_sample().rgs));
 }
 
@@ -240,13 +250,15 @@ TEST_CASE("an input that is truncated while it is read exits with 3 and keeps th
        {std::pair{long_sample().ply, "out.rgs"}, std::pair{long_sample().rgs, "out.ply"}}) {
     CAPTURE(name);
     const std::string input = folder.file("input"), out = folder.file(name);
-    fs::copy_file(source, input, fs::copy_options::overwrite_existing);
-    write_text(out, kOld);
-    Program program({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", input, out});
-    REQUIRE(stop_after_creation(program, folder.path()));
+    const auto program =
+        stop_midway({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", input, out}, folder.path(), [&] {
+          fs::copy_file(source, input, fs::copy_options::overwrite_existing);
+          write_text(out, kOld);
+        });
+    REQUIRE(program);
     fs::resize_file(input, 4096);
-    program.send(SIGCONT);
-    const ProgramResult run = program.wait();
+    program->send(SIGCONT);
+    const ProgramResult run = program->wait();
     CHECK(run.exit_code == 3);
     CHECK(run.err.find("shrank") != std::string::npos);
     CHECK(is_old(out));
@@ -257,11 +269,13 @@ TEST_CASE("an input that is truncated while it is read exits with 3 and keeps th
 TEST_CASE("a signal that the caller ignores stays ignored") {
   const TemporaryFolder folder;
   const std::string out = folder.file("out.rgs");
-  Program program({RGS_CONVERT, "--quiet", "--no-sync", long_sample().ply, out}, [] { ::signal(SIGHUP, SIG_IGN); });
-  REQUIRE(stop_after_creation(program, folder.path()));
-  program.send(SIGHUP);
-  program.send(SIGCONT);
-  CHECK(program.wait().exit_code == 0);
+  const auto program = stop_midway(
+      {RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", long_sample().ply, out}, folder.path(), [] {},
+      [] { ::signal(SIGHUP, SIG_IGN); });
+  REQUIRE(program);
+  program->send(SIGHUP);
+  program->send(SIGCONT);
+  CHECK(program->wait().exit_code == 0);
   CHECK(same_contents(out, long_sample().rgs));
 }
 
@@ -298,7 +312,7 @@ TEST_CASE("SIGINT and SIGKILL at random points leave the old output, none, or th
       n_killed += run.signal == signal_number;
       n_midway += midway && run.signal == signal_number;
 
-      const bool complete = same_contents(out, long_sample().rgs) && is_valid_rgs(out);
+      const bool complete = same_contents(out, long_sample().rgs);
       CHECK((complete || (had_old ? is_old(out) : !fs::exists(out))));
       if (run.exit_code == 0) CHECK(complete);
       const std::vector<std::string> left = temporaries(folder.path());

@@ -38,6 +38,8 @@ class Program {
     ::dup2(::open("/dev/null", O_RDONLY), STDIN_FILENO);
     ::dup2(out_, STDOUT_FILENO);
     ::dup2(err_, STDERR_FILENO);
+    // Test runners ignore some of these, and what is ignored stays so over exec.
+    for (const int s : {SIGINT, SIGTERM, SIGHUP, SIGPIPE, SIGXFSZ}) ::signal(s, SIG_DFL);
     if (before_exec) before_exec();
     ::execv(argv[0], argv.data());
     ::_exit(127);
