@@ -9,15 +9,18 @@ preset=release
 
 quiet packages sh scripts/install-deps.sh
 quiet configure cmake --preset "$preset"
-quiet build cmake --build "build/$preset" --parallel "$jobs" --target rgs-make-scene rgs-convert rgs-info
+quiet build cmake --build "build/$preset" --parallel "$jobs" --target rgs-make-scene rgs-convert rgs-info rgs-render
 
 bin=build/$preset/bin
 out=build/demo
 preset=demo
 log_folder=$out/logs
 mkdir -p "$log_folder"
-quiet make-scene "$bin/rgs-make-scene" --seed 1 --gaussians "${RGS_DEMO_GAUSSIANS:-200000}" --degree 3 "$out/scene.ply"
-quiet convert "$bin/rgs-convert" --overwrite "$out/scene.ply" "$out/scene.rgs"
+quiet make-scene "$bin/rgs-make-scene" --overwrite --seed 1 --gaussians "${RGS_DEMO_GAUSSIANS:-200000}" --degree 3 \
+  --cameras "$out/cameras.json" "$out/scene.ply"
+quiet convert "$bin/rgs-convert" --overwrite --cameras "$out/cameras.json" "$out/scene.ply" "$out/scene.rgs"
 quiet info "$bin/rgs-info" --verify "$out/scene.rgs"
+quiet render "$bin/rgs-render" --overwrite --cameras "$out/cameras.json" --view 0 --size 960x540 \
+  --out "$out/picture.png" "$out/scene.rgs"
 cat "$log_folder/info.log"
-ls -l "$out/scene.ply" "$out/scene.rgs" | awk '{ print $NF ": " $5 " bytes" }'
+ls -l "$out/scene.ply" "$out/scene.rgs" "$out/picture.png" | awk '{ print $NF ": " $5 " bytes" }'

@@ -111,7 +111,7 @@ Result<ImageFormat> image_format(const std::string& path) {
 
 std::uint8_t to_8bit(float value) {
   if (!(value > 0)) return 0;
-  return value >= 1 ? 255 : static_cast<std::uint8_t>(value * 255.0F + 0.5F);
+  return static_cast<std::uint8_t>(value >= 1 ? 255.0F : value * 255.0F + 0.5F);
 }
 
 Status write_image(const std::string& path, const Image& image, const ImageFileOptions& options) {
