@@ -8,16 +8,17 @@
 
 #include <hwy/cache_control.h>
 #include <tbb/blocked_range.h>
+#include <tbb/info.h>
 #include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
-#include <array>
+#include <atomic>
 #include <chrono>
 #include <cmath>
 #include <cstdint>
 #include <limits>
-#include <numeric>
+#include <memory>
 #include <span>
 #include <vector>
 
@@ -34,6 +35,9 @@ using math::TileGrid;
 
 // Gaussians per projection block: small enough to balance threads, large enough for its lists to be long.
 constexpr std::uint64_t kBlock = 8192;
+
+// (tile, Gaussian) pairs of a frame; 16 GiB of lists.
+constexpr std::uint64_t kMaxInstances = std::numeric_limits<std::uint32_t>::max();
 
 /// Depth key above, index of the splat below: sorting the upper half stably orders by depth, then by index.
 using SortItem = std::uint64_t;
@@ -100,7 +104,9 @@ math::View<float> make_view(const Camera& camera, const RenderOptions& options) 
 }  // namespace
 
 struct ReferenceRenderer::Workspace {
-  explicit Workspace(int threads) : arena(threads > 0 ? threads : tbb::task_arena::automatic) {}
+  // Asking oneTBB for more threads than the machine has makes it print.
+  explicit Workspace(int threads)
+      : arena(threads > 0 ? std::min(threads, tbb::info::default_concurrency()) : tbb::task_arena::automatic) {}
 
   void project(const SceneView& scene, const math::View<float>& view, const RenderOptions& options);
   void sort_by_depth();
@@ -180,12 +186,20 @@ void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::V
   blocks.resize(n_blocks);
   ScreenSplat* const all = splats.at_least(n_blocks * kBlock);
   const int degree = std::min(scene.sh_degree, options.sh_degree_limit);
+  constexpr std::uint64_t kAhead = 4;
+  const auto sh_floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree));
+  std::atomic<std::uint64_t> n_listed{0};
   parallel_blocks(n_blocks, [&](std::uint64_t b) {
     Block& block = blocks[b];
     block.n = block.n_instances = 0;
     block.spans.clear();
+    if (n_listed.load(std::memory_order_relaxed) > kMaxInstances) return;  // the frame is refused: spend no more on it
     ScreenSplat* out = all + b * kBlock;
     for (std::uint64_t i = b * kBlock; i < std::min(scene.n, (b + 1) * kBlock); ++i) {
+      // Harmonics are most of the bytes: they arrive while the geometry of the Gaussians before is computed.
+      if (const std::uint64_t next = (i + kAhead) * sh_floats; next + sh_floats <= scene.sh.size()) {
+        for (std::uint64_t k = 0; k < sh_floats; k += 16) hwy::Prefetch(&scene.sh[next + k]);
+      }
       const float* m = &scene.mean[3 * i];
       const float* r = &scene.rotation[4 * i];
       const float* s = &scene.scale[3 * i];
@@ -202,12 +216,12 @@ void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::V
       out->opacity = p.footprint.opacity;
       out->cutoff = cutoff;
       out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
-      out->half_height = ellipse.level < 0 ? -1 : ellipse.half_height;
       out->z = p.z;
       out->color = color_of(scene, i, view, mean, degree);
       ++out;
       ++block.n;
     }
+    n_listed.fetch_add(block.n_instances, std::memory_order_relaxed);
   });
   n_visible = n_instances = 0;
   for (const Block& block : blocks) n_visible += block.n, n_instances += block.n_instances;
@@ -390,7 +404,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     Stopwatch total, stage;
     w.project(scene, view, options);
     stats.project_ms = stage.lap_ms();
-    fits = w.n_instances <= std::numeric_limits<std::uint32_t>::max();
+    fits = w.n_instances <= kMaxInstances;
     if (!fits) return;
     w.sort_by_depth();
     stats.sort_ms = stage.lap_ms();
@@ -401,8 +415,8 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     stats.total_ms = total.lap_ms();
   });
   if (!fits) {
-    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame",
-                std::numeric_limits<std::uint32_t>::max(), w.n_instances);
+    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxInstances,
+                w.n_instances);
   }
   stats.gaussians = scene.n;
   stats.visible = w.n_visible;

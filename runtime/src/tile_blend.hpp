@@ -19,7 +19,6 @@ struct alignas(64) ScreenSplat {
   float opacity;
   float cutoff;  // power_cutoff(opacity)
   float log2_opacity;
-  float half_height;  // rows farther than this from the mean hold no pair that counts; negative: none does
   float z;
   math::Vec3<float> color;
   std::uint32_t spans;  // first of n_rows tile spans, in its block's list

@@ -18,7 +18,7 @@ enum class Backend { automatic, cpu, cuda };
 
 struct RendererOptions {
   Backend backend = Backend::automatic;
-  int threads = 0;   ///< CPU threads, 0 = as many as the machine has
+  int threads = 0;   ///< CPU threads, at most as many as the machine has, which 0 stands for
   bool simd = true;  ///< CPU: false runs the scalar definition in rgs::math pixel by pixel, the reference for all else
 };
 
