@@ -184,7 +184,7 @@ rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& 
   rgs::RenderOptions render = options.render;
   render.depth_order = options.key == "exact" ? rgs::math::DepthOrder::exact : rgs::math::DepthOrder::quantized;
   render.depth_mapping = options.key == "log" ? rgs::math::DepthMapping::log : rgs::math::DepthMapping::linear;
-  const auto& stated = scene.declarations;
+  const auto& stated = scene.scene.declarations();
   if (options.depth_range.size() == 2) {
     render.depth_range = {options.depth_range[0], options.depth_range[1]};
   } else if (stated) {
@@ -348,9 +348,9 @@ int render(const Options& options) {
   return tool::kSuccess;
 }
 
-// A name for each value of an enumeration option.
+// Names of an enumeration's values; the option's own text lists them for --help.
 template <class T>
-CLI::CheckedTransformer names(std::map<std::string, T> values) {
+CLI::Validator names(std::map<std::string, T> values) {
   return CLI::CheckedTransformer(std::move(values)).description("");
 }
 
@@ -460,7 +460,7 @@ std::string contradiction(const Options& o) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  return tool::run([&] {
+  return tool::run([&]() -> int {
     Options options;
     CLI::App app{"Renders a 3D Gaussian splat scene to pictures.", "rgs-render"};
     add_options(app, options);

@@ -2,11 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_file.hpp"
 
-#include <algorithm>
 #include <cstring>
 #include <utility>
 
-#include "rgs/decode.hpp"
 #include "rgs/file.hpp"
 #include "rgs/ply.hpp"
 
@@ -24,19 +22,15 @@ Vec3 declared_up(const Declarations& declarations) {
 }
 
 Result<SceneFile> load_rgs(std::span<const std::byte> bytes) {
-  const auto view = open(bytes);
-  if (!view) return tl::unexpected(view.error());
-  SceneFile out;
-  out.declarations = view->declarations();
-  out.up = declared_up(*out.declarations);
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    out.bounds.low[axis] = out.declarations->robust.min[axis];
-    out.bounds.high[axis] = out.declarations->robust.max[axis];
-  }
-  auto cloud = decode(bytes);
-  if (!cloud) return tl::unexpected(cloud.error());
-  auto scene = Scene::load(std::move(*cloud));
+  auto scene = Scene::load(bytes);
   if (!scene) return tl::unexpected(scene.error());
+  SceneFile out;
+  const Declarations& declarations = *scene->declarations();
+  out.up = declared_up(declarations);
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    out.bounds.low[axis] = declarations.robust.min[axis];
+    out.bounds.high[axis] = declarations.robust.max[axis];
+  }
   out.scene = std::move(*scene);
   return out;
 }
@@ -47,7 +41,11 @@ Result<SceneFile> load_ply(const std::string& path) {
   SceneFile out;
   out.bounds = robust_bounds(cloud->mean);
   auto scene = Scene::load(std::move(*cloud));
-  if (!scene) return tl::unexpected(scene.error());
+  if (!scene) {
+    Error error = scene.error();
+    if (error.code == Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
+    return tl::unexpected(error);
+  }
   out.scene = std::move(*scene);
   return out;
 }

@@ -3,11 +3,9 @@
 #pragma once
 
 #include <cstdint>
-#include <optional>
 #include <string>
 
 #include "rgs/camera.hpp"
-#include "rgs/layout.hpp"
 #include "rgs/result.hpp"
 #include "rgs/scene.hpp"
 
@@ -16,13 +14,12 @@ namespace rgs {
 struct SceneFile {
   Scene scene;
   std::uint64_t file_bytes = 0;
-  std::optional<Declarations> declarations;  ///< what an .rgs states about itself; a PLY states nothing
-  SceneBounds bounds;                        ///< robust extent: the stated one, or robust_bounds()
-  Vec3 up = kWorldUp;                        ///< the stated up direction, or that of 3DGS worlds
+  SceneBounds bounds;  ///< robust extent: what an .rgs states, or robust_bounds()
+  Vec3 up = kWorldUp;  ///< what an .rgs states, or that of 3DGS worlds
 };
 
-/// Reads `path`; its first bytes decide what it is. Errors: those of rgs::open and rgs::validate, of read_ply, and of
-/// Scene::load.
+/// Reads `path`; its first bytes decide what it is. Errors: those of read_ply() and of Scene::load(); for a bad_value
+/// of a PLY, Error::found is the index of the Gaussian.
 Result<SceneFile> load_scene_file(const std::string& path);
 
 }  // namespace rgs
