@@ -1,0 +1,291 @@
+// rgs_render_test.cpp - rgs-render as a user runs it: pictures, folders, refusals, exit codes and --json.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+#include <sys/wait.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <random>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "image_file.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/ply.hpp"
+#include "rgs/splat_cloud.hpp"
+#include "temporary_folder.hpp"
+
+namespace fs = std::filesystem;
+using rgs::test::TemporaryFolder;
+
+namespace {
+
+struct Outcome {
+  int code = -1;
+  std::string out;  // standard output, then standard error
+};
+
+Outcome render(const std::string& arguments) {
+  Outcome outcome;
+  std::FILE* pipe = ::popen(("'" RGS_RENDER "' " + arguments + " 2>&1").c_str(), "r");
+  REQUIRE(pipe != nullptr);
+  char buffer[4096];
+  for (std::size_t n; (n = std::fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.out.append(buffer, n);
+  const int status = ::pclose(pipe);
+  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return outcome;
+}
+
+rgs::SplatCloud ball() {
+  std::mt19937 generator(11);
+  std::uniform_real_distribution<float> coordinate(-1, 1);
+  rgs::SplatCloud cloud;
+  cloud.resize(400, 1);
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+    rgs::Splat splat;
+    for (float& x : splat.mean) x = coordinate(generator);
+    for (float& x : splat.log_scale) x = -2.5F;
+    for (float& x : splat.sh) x = coordinate(generator);
+    splat.opacity_logit = 2;
+    cloud.set(i, splat);
+  }
+  return cloud;
+}
+
+void write_ply(const std::string& path, const rgs::SplatCloud& cloud) {
+  auto writer = rgs::PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false});
+  REQUIRE(writer);
+  std::vector<rgs::Splat> splats;
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
+  REQUIRE(writer->write(0, splats));
+  REQUIRE(writer->commit());
+}
+
+void write_text(const std::string& path, const std::string& text) {
+  std::ofstream(path, std::ios::binary) << text;
+}
+
+std::string camera(const std::string& name, const std::string& split, double z, const std::string& fx = "60") {
+  return R"({"name":")" + name + R"(","split":")" + split + R"(","width":64,"height":48,"fx":)" + fx +
+         R"(,"fy":60,"world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,)" + std::to_string(z) + R"(],[0,0,0,1]]})";
+}
+
+// A folder with scene.ply, scene.rgs and cameras.json: a.jpg (test), b.jpg and c.jpg (train).
+struct Stage {
+  TemporaryFolder folder;
+  Stage() {
+    const rgs::SplatCloud cloud = ball();
+    write_ply(file("scene.ply"), cloud);
+    const auto encoded = rgs::encode(cloud.view());
+    REQUIRE(encoded);
+    write_text(file("scene.rgs"), {reinterpret_cast<const char*>(encoded->data()), encoded->size()});
+    write_text(file("cameras.json"), "[" + camera("x/a.jpg", "test", 4) + "," + camera("x/b.jpg", "train", 5) + "," +
+                                         camera("c.jpg", "train", 6) + "]");
+  }
+  std::string file(const std::string& name) const { return folder.file(name); }
+  // Command line with names in the folder instead of @.
+  Outcome run(std::string arguments) const {
+    for (std::size_t at; (at = arguments.find('@')) != std::string::npos;)
+      arguments.replace(at, 1, folder.path().string() + "/");
+    return render(arguments);
+  }
+  bool has(const std::string& name) const { return fs::exists(file(name)); }
+  rgs::Image picture(const std::string& name) const {
+    auto image = rgs::read_image(file(name));
+    REQUIRE_MESSAGE(image.has_value(), name);
+    return std::move(*image);
+  }
+};
+
+float mean(const rgs::Image& image) {
+  double sum = 0;
+  for (const float v : image.pixels) sum += v;
+  return static_cast<float>(sum / static_cast<double>(image.pixels.size()));
+}
+
+float largest_difference(const rgs::Image& a, const rgs::Image& b) {
+  REQUIRE(a.pixels.size() == b.pixels.size());
+  float largest = 0;
+  for (std::size_t i = 0; i < a.pixels.size(); ++i) largest = std::max(largest, std::abs(a.pixels[i] - b.pixels[i]));
+  return largest;
+}
+
+}  // namespace
+
+TEST_CASE("one picture from a camera, in every format and at another size") {
+  const Stage stage;
+  for (const char* name : {"a.png", "a.jpg", "a.tif", "a.exr"}) {
+    const Outcome outcome = stage.run(std::string("@scene.ply -c @cameras.json --out @") + name);
+    CAPTURE(outcome.out);
+    REQUIRE(outcome.code == 0);
+    const rgs::Image image = stage.picture(name);
+    CHECK(image.width == 64);
+    CHECK(image.height == 48);
+    CHECK(image.channels == 3);
+    CHECK(mean(image) > 0.05F);
+  }
+  REQUIRE(stage.run("@scene.ply -c @cameras.json --size 32x18 --out @small.png").code == 0);
+  CHECK(stage.picture("small.png").width == 32);
+  CHECK(stage.picture("small.png").height == 18);
+}
+
+TEST_CASE(".rgs and .ply show the same, whatever the file is called") {
+  const Stage stage;
+  fs::copy_file(stage.file("scene.rgs"), stage.file("odd.name"));
+  REQUIRE(stage.run("@scene.ply -c @cameras.json --out @ply.png").code == 0);
+  REQUIRE(stage.run("@odd.name -c @cameras.json --out @rgs.png").code == 0);
+  CHECK(largest_difference(stage.picture("ply.png"), stage.picture("rgs.png")) < 0.03F);
+}
+
+TEST_CASE("folders: all cameras, a split, a view; depth and alpha beside") {
+  const Stage stage;
+  REQUIRE(stage.run("@scene.ply -c @cameras.json --out @all --depth @depth").code == 0);
+  for (const char* name : {"all/a.png", "all/b.png", "all/c.png"}) CHECK(stage.has(name));
+  const rgs::Image depth = stage.picture("depth/b_depth.exr");
+  CHECK(depth.channels == 1);
+  const float middle = depth.at(32, 24, 0);
+  CHECK(middle > 3.5F);
+  CHECK(middle < 6.5F);
+  CHECK(depth.at(0, 0, 0) == 0);
+
+  REQUIRE(stage.run("@scene.ply -c @cameras.json --split train --format jpg --out @train").code == 0);
+  CHECK(std::distance(fs::directory_iterator(stage.file("train")), {}) == 2);
+  REQUIRE(stage.run("@scene.ply -c @cameras.json --split train --view 1 --out @second").code == 0);
+  CHECK(stage.has("second/c.png"));
+  CHECK(std::distance(fs::directory_iterator(stage.file("second")), {}) == 1);
+  REQUIRE(stage.run("@scene.ply -c @cameras.json --view x/b.jpg --out @b.png --alpha").code == 0);
+  const rgs::Image rgba = stage.picture("b.png");
+  CHECK(rgba.channels == 4);
+  CHECK(rgba.at(0, 0, 3) == 0);
+  CHECK(rgba.at(32, 24, 3) > 0.5F);
+}
+
+TEST_CASE("views without cameras, orbits and paths") {
+  const Stage stage;
+  REQUIRE(stage.run("@scene.rgs --size 64x36 --out @view.png").code == 0);
+  const rgs::Image view = stage.picture("view.png");
+  CHECK(view.width == 64);
+  CHECK(view.at(32, 18, 0) + view.at(32, 18, 1) + view.at(32, 18, 2) > 0);
+  CHECK(view.at(0, 0, 0) == 0);  // the whole scene is in the picture
+  REQUIRE(stage.run("@scene.ply --orbit 3 --size 32x18 --out @orbit").code == 0);
+  CHECK(stage.has("orbit/orbit_0000.png"));
+  CHECK(stage.has("orbit/orbit_0002.png"));
+  REQUIRE(stage.run("@scene.ply --path @cameras.json --frames 4 --out @path").code == 0);
+  CHECK(stage.has("path/frame_0003.png"));
+  CHECK(stage.picture("path/frame_0003.png").width == 64);
+}
+
+TEST_CASE("options change the picture as they say") {
+  const Stage stage;
+  const std::string base = "@scene.ply -c @cameras.json --quiet --overwrite --out @o.exr ";
+  const auto picture = [&](const std::string& options) {
+    const Outcome outcome = stage.run(base + options);
+    CAPTURE(options);
+    CAPTURE(outcome.out);
+    REQUIRE(outcome.code == 0);
+    CHECK(outcome.out == "");
+    return stage.picture("o.exr");
+  };
+  const rgs::Image plain = picture("");
+  CHECK(picture("--background 0,1,0.5").at(0, 0, 1) == 1);
+  CHECK(mean(picture("--near 100")) == 0);
+  CHECK(mean(picture("--far 1")) == 0);
+  CHECK(largest_difference(plain, picture("--sh-degree 0")) > 0.05F);
+  CHECK(largest_difference(plain, picture("--aa mip")) > 0.001F);
+  for (const char* options : {"--exp paper", "--exp zero-mean", "--exponent folded", "--key linear", "--key log",
+                              "--key linear --depth-bits 8 --depth-range 2,8", "--extent square", "--scalar",
+                              "--threads 1", "--backend cpu", "--backend auto"}) {
+    CAPTURE(options);
+    CHECK(largest_difference(plain, picture(options)) < 0.5F);
+    CHECK(mean(picture(options)) == doctest::Approx(mean(plain)).epsilon(0.05));
+  }
+  CHECK(largest_difference(plain, picture("--exp paper")) > 0);
+}
+
+TEST_CASE("existing pictures are kept before anything is rendered") {
+  const Stage stage;
+  write_text(stage.file("a.png"), "mine");
+  const Outcome kept = stage.run("@scene.ply -c @cameras.json --out @a.png");
+  CHECK(kept.code == 3);
+  CHECK(kept.out.find("--overwrite") != std::string::npos);
+  CHECK(fs::file_size(stage.file("a.png")) == 4);
+  fs::create_directory(stage.file("d"));
+  write_text(stage.file("d/c.png"), "mine");
+  CHECK(stage.run("@scene.ply -c @cameras.json --out @d").code == 3);
+  CHECK_FALSE(stage.has("d/a.png"));
+  CHECK(stage.run("@scene.ply -c @cameras.json --out @d --overwrite").code == 0);
+  CHECK(stage.picture("d/c.png").width == 64);
+}
+
+TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input") {
+  const Stage stage;
+  for (const char* arguments :
+       {"", "@scene.ply", "@scene.ply --out @a.bmp", "@scene.ply --out @a.png --size 0x4",
+        "@scene.ply --out @a.png --view 0", "@scene.ply --out @a.png -c @cameras.json --view 3",
+        "@scene.ply --out @a.png -c @cameras.json --view all", "@scene.ply --out @a.jpg --alpha",
+        "@scene.ply --out @a.png --depth @d.png", "@scene.ply --out @a.png --exp fast",
+        "@scene.ply --out @a.png --orbit 0", "@scene.ply --out @a.png --frames 4",
+        "@scene.ply --out @a.png --backend vulkan", "@scene.ply --out @a.png --background 1,2"}) {
+    CAPTURE(arguments);
+    const Outcome outcome = stage.run(arguments);
+    CHECK(outcome.code == 2);
+    CHECK(outcome.out != "");
+    CHECK_FALSE(stage.has("a.png"));
+  }
+  CHECK(stage.run("@missing.ply --out @a.png").code == 3);
+  CHECK(stage.run("@missing.ply --out @a.png").out.find("No such file") != std::string::npos);
+  CHECK(stage.run("@scene.ply -c @missing.json --out @a.png").code == 3);
+  CHECK(stage.run("@scene.ply -c @cameras.json --out @none/a.png").code == 3);
+  CHECK(stage.run("@cameras.json --out @a.png").code == 4);
+  write_text(stage.file("cut.ply"), "ply\nformat binary_little_endian 1.0\nelement ver");
+  CHECK(stage.run("@cut.ply --out @a.png").code == 4);
+  std::ifstream in(stage.file("scene.rgs"), std::ios::binary);
+  std::string rgs_bytes{std::istreambuf_iterator<char>(in), {}};
+  write_text(stage.file("cut.rgs"), rgs_bytes.substr(0, rgs_bytes.size() / 2));
+  CHECK(stage.run("@cut.rgs --out @a.png").code == 4);
+  write_text(stage.file("bad.json"), "[" + camera("a", "test", 4, "-1") + "]");
+  const Outcome bad_camera = stage.run("@scene.ply -c @bad.json --out @a.png");
+  CHECK(bad_camera.code == 4);
+  CHECK(bad_camera.out.find("byte 1: ") != std::string::npos);
+  CHECK(bad_camera.out.find("(found 0)") != std::string::npos);
+  rgs::SplatCloud damaged = ball();
+  damaged.mean[3 * 7] = std::numeric_limits<float>::quiet_NaN();
+  write_ply(stage.file("nan.ply"), damaged);
+  const Outcome nan = stage.run("@nan.ply --out @a.png");
+  CHECK(nan.code == 4);
+  CHECK(nan.out.find("(found 7)") != std::string::npos);
+  CHECK_FALSE(stage.has("a.png"));
+}
+
+TEST_CASE("an empty scene is a picture of the background") {
+  const Stage stage;
+  write_ply(stage.file("empty.ply"), {});
+  REQUIRE(stage.run("@empty.ply --size 8x8 --background 0,0,1 --out @a.png").code == 0);
+  CHECK(stage.picture("a.png").at(3, 3, 2) == 1);
+}
+
+TEST_CASE("--json is one JSON object with what was done") {
+  const Stage stage;
+  const Outcome outcome = stage.run("@scene.rgs -c @cameras.json --out @all --depth @all --json 2>/dev/null #");
+  REQUIRE(outcome.code == 0);
+  const auto json = nlohmann::json::parse(outcome.out, nullptr, false);
+  REQUIRE(json.is_object());
+  CHECK(json["program"] == "rgs-render");
+  CHECK(json["scene"]["gaussians"] == 400);
+  CHECK(json["scene"]["sh_degree"] == 1);
+  REQUIRE(json["frames"].size() == 3);
+  CHECK(json["frames"][0]["camera"] == "x/a.jpg");
+  CHECK(json["frames"][0]["width"] == 64);
+  CHECK(json["frames"][0]["visible"] > 0);
+  CHECK(json["frames"][0]["ms"]["total"] > 0.0);
+  CHECK(fs::exists(json["frames"][2]["file"].get<std::string>()));
+  CHECK(fs::exists(json["frames"][2]["depth_file"].get<std::string>()));
+  CHECK(json["median_ms"] > 0.0);
+}
