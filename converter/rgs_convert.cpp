@@ -265,9 +265,7 @@ void add_options(CLI::App& app, Arguments& a) {
   for (const char* name : kRgsOptions) app.get_option(name)->group("Options for .rgs output");
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int parse_and_convert(int argc, char** argv) {
   CLI::App app("Converts trained 3D Gaussian splat scenes between PLY and .rgs.", "rgs-convert");
   app.set_version_flag("--version", "rgs-convert " RGS_VERSION);
   Arguments arguments;
@@ -275,11 +273,16 @@ int main(int argc, char** argv) {
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    const int code = app.exit(error);
-    return code == 0 ? tool::kSuccess : tool::kUsage;
+    return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
   }
   for (const char* name : kRgsOptions) {
     if (app.get_option(name)->count() != 0) arguments.rgs_option = name;
   }
-  return tool::run([&arguments] { return convert_main(arguments); });
+  return convert_main(arguments);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&] { return parse_and_convert(argc, argv); });
 }

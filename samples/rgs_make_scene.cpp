@@ -92,9 +92,7 @@ int make_scene(const Options& options, std::uint64_t n) {
   return tool::kSuccess;
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int parse_and_make_scene(int argc, char** argv) {
   Options options;
   CLI::App app{"Writes a deterministic synthetic scene (a house in a garden under a wide sky) as a 3DGS PLY.",
                "rgs-make-scene"};
@@ -124,5 +122,11 @@ int main(int argc, char** argv) {
         fmt::format("--gaussians takes a whole number from 0 to 200M, not '{}'", options.gaussians));
   if (!options.cameras.empty() && options.cameras == options.output)
     return tool::report_usage("--cameras and the output are the same file");
-  return tool::run([&] { return make_scene(options, *n); });
+  return make_scene(options, *n);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&] { return parse_and_make_scene(argc, argv); });
 }
