@@ -1,7 +1,8 @@
 // bench_reference_renderer.cpp - CPU frames: the scalar definition, vectors, threads and arithmetic options.
 // SPDX-License-Identifier: Apache-2.0
 //
-//   rgs_bench_reference_renderer [--ply SCENE --cameras CAMERAS] [--view I] [--size WxH] [--gaussians N] [benchmark flags]
+//   rgs_bench_reference_renderer [--ply SCENE --cameras CAMERAS] [--view I] [--size WxH] [--gaussians N]
+//                                [benchmark flags]
 //
 // Without a scene it renders the generated one. Counters: stage times in ms (of the last frame), evaluated and blended
 // pairs a second, attribute and workspace bytes. Ratios between rows of one run are what counts.
