@@ -33,7 +33,7 @@ template <class T>
 void put(const char* name, const char* type, std::uint64_t columns, std::span<const T> values) {
   const std::uint64_t item_bytes = static_cast<std::uint64_t>(type[1] - '0');
   std::printf("%s %s %" PRIu64 " %" PRIu64 "\n", name, type, values.size_bytes() / (columns * item_bytes), columns);
-  std::fwrite(values.data(), 1, values.size_bytes(), stdout);
+  if (!values.empty()) std::fwrite(values.data(), 1, values.size_bytes(), stdout);
 }
 
 void put_head(const FileView& view) {
