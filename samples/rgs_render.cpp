@@ -183,7 +183,7 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
 rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene) {
   rgs::RenderOptions render = options.render;
   render.depth_order = options.key == "exact" ? rgs::math::DepthOrder::exact : rgs::math::DepthOrder::quantized;
-  render.depth_mapping = options.key == "log" ? rgs::math::DepthMapping::log : rgs::math::DepthMapping::linear;
+  render.depth_mapping = options.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
   const auto& stated = scene.scene.declarations();
   if (options.depth_range.size() == 2) {
     render.depth_range = {options.depth_range[0], options.depth_range[1]};

@@ -29,7 +29,8 @@ Status check(const RenderOptions& o) {
     return refuse("the depth key's range is empty, not positive or not finite");
   }
   if (o.anti_aliasing > math::AntiAliasing::mip_splatting || o.extent > math::Extent::ellipse ||
-      o.depth_order > math::DepthOrder::quantized || o.depth_mapping > math::DepthMapping::log ||
+      o.depth_order > math::DepthOrder::quantized ||
+      (o.depth_mapping != DepthMapping::linear && o.depth_mapping != DepthMapping::logarithmic) ||
       o.exponent > math::Exponent::folded || o.exp > math::Exp::zero_mean) {
     return refuse("an option has no such value");
   }

@@ -24,7 +24,7 @@ TEST_CASE("tile bits are the ceiling of log2") {
 }
 
 TEST_CASE("quantised depth is monotone, spans its bins and clamps") {
-  for (const auto mapping : {DepthMapping::linear, DepthMapping::log}) {
+  for (const auto mapping : {DepthMapping::linear, DepthMapping::logarithmic}) {
     for (const int bits : {1, 15, 19, 24, 25, 28, 32}) {
       const auto q = make_depth_quantizer(mapping, bits, 0.2F, 100.0F);
       const double bins = std::exp2(bits) - 1;
@@ -39,7 +39,7 @@ TEST_CASE("quantised depth is monotone, spans its bins and clamps") {
         monotone = monotone && key >= last;
         last = key;
         if (z < 0.2F || z > 100) continue;
-        const double t = mapping == DepthMapping::log ? std::log(z / 0.2) / std::log(500.0) : (z - 0.2) / 99.8;
+        const double t = mapping == DepthMapping::logarithmic ? std::log(z / 0.2) / std::log(500.0) : (z - 0.2) / 99.8;
         CHECK(std::abs(key - t * bins) < 1 + 1e-5 * bins);
       }
       CHECK(monotone);

@@ -165,7 +165,7 @@ TEST_CASE("each option does what it says") {
   const Frame coarse = with({.depth_order = math::DepthOrder::quantized, .depth_bits = 4, .depth_range = {0.2F, 20}});
   CHECK(psnr(fine.rgb, base.rgb) > psnr(coarse.rgb, base.rgb) + 10);
   CHECK(with({.depth_order = math::DepthOrder::quantized}).stats.depth_bits == 32 - 7);  // 12 x 8 tiles
-  const Frame log = with({.depth_order = math::DepthOrder::quantized, .depth_mapping = math::DepthMapping::log});
+  const Frame log = with({.depth_order = math::DepthOrder::quantized, .depth_mapping = DepthMapping::logarithmic});
   CHECK(psnr(log.rgb, base.rgb) > 60);
 
   CHECK(with({.sh_degree_limit = 0}).rgb != base.rgb);

@@ -8,6 +8,7 @@
 
 #include "rgs/camera.hpp"
 #include "rgs/image.hpp"
+#include "rgs/layout.hpp"
 #include "rgs/math/options.hpp"
 #include "rgs/result.hpp"
 #include "rgs/scene.hpp"
@@ -33,9 +34,9 @@ struct RenderOptions {
   math::AntiAliasing anti_aliasing = math::AntiAliasing::classic;
   math::Extent extent = math::Extent::ellipse;
   math::DepthOrder depth_order = math::DepthOrder::exact;
-  math::DepthMapping depth_mapping = math::DepthMapping::linear;  ///< of the quantised key
-  int depth_bits = 0;                              ///< of the quantised key; 0 = 32 - ceil(log2 tiles), else 1..32
-  std::array<float, 2> depth_range = {0.2F, 100};  ///< of the quantised key, depths outside share the end bins
+  DepthMapping depth_mapping = DepthMapping::linear;  ///< of the quantised key
+  int depth_bits = 0;                                 ///< of the quantised key; 0 = 32 - ceil(log2 tiles), else 1..32
+  std::array<float, 2> depth_range = {0.2F, 100};     ///< of the quantised key, depths outside share the end bins
   math::Exponent exponent = math::Exponent::direct;
   math::Exp exp = math::Exp::exact;
 };

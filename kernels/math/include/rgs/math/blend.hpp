@@ -25,7 +25,7 @@ RGS_HD constexpr int tile_bits(std::uint32_t n_tiles) {
   return bits;
 }
 
-/// Parameters of the quantised depth, eq. depth_quant of the paper; `log` replaces z by its logarithm.
+/// Parameters of the quantised depth, eq. depth_quant of the paper; `logarithmic` replaces z by its logarithm.
 struct DepthQuantizer {
   float origin;  ///< near, or its logarithm
   float scale;   ///< bins per unit
@@ -35,7 +35,7 @@ struct DepthQuantizer {
 
 /// 1 <= bits <= 32, 0 < near < far.
 RGS_HD inline DepthQuantizer make_depth_quantizer(DepthMapping mapping, int bits, float near_depth, float far_depth) {
-  const bool is_log = mapping == DepthMapping::log;
+  const bool is_log = mapping == DepthMapping::logarithmic;
   const double low = is_log ? std::log(static_cast<double>(near_depth)) : static_cast<double>(near_depth);
   const double high = is_log ? std::log(static_cast<double>(far_depth)) : static_cast<double>(far_depth);
   const double bins = static_cast<double>((std::uint64_t{1} << bits) - 1);
@@ -46,7 +46,7 @@ RGS_HD inline DepthQuantizer make_depth_quantizer(DepthMapping mapping, int bits
 
 /// Bin of a depth, monotone in z; depths outside the range share the end bins.
 RGS_HD inline std::uint32_t quantize_depth(const DepthQuantizer& q, float z) {
-  const float t = q.mapping == DepthMapping::log ? std::log(z) : z;
+  const float t = q.mapping == DepthMapping::logarithmic ? std::log(z) : z;
   return static_cast<std::uint32_t>(clamp((t - q.origin) * q.scale, 0.0F, q.last));
 }
 

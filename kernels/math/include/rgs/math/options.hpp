@@ -4,6 +4,7 @@
 
 #include <cstdint>
 
+#include "rgs/layout.hpp"
 #include "rgs/math/constants.hpp"
 
 namespace rgs::math {
@@ -24,10 +25,8 @@ enum class DepthOrder : std::uint8_t {
   quantized,  ///< b_d bits of camera z; Gaussians of one bin by index
 };
 
-enum class DepthMapping : std::uint8_t {
-  linear,  ///< bins of equal depth (the paper)
-  log,     ///< bins of equal depth ratio
-};
+/// Bins of equal depth (linear, the paper) or of equal depth ratio (logarithmic); what an .rgs file states.
+using rgs::DepthMapping;
 
 /// How the exponent of a pair is evaluated.
 enum class Exponent : std::uint8_t {
