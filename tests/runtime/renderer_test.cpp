@@ -3,6 +3,7 @@
 #include "rgs/renderer.hpp"
 
 #include <doctest/doctest.h>
+#include <hwy/targets.h>
 
 #include <limits>
 #include <numeric>
@@ -110,6 +111,23 @@ TEST_CASE("vectors follow the scalar definition in every arithmetic") {
       }
     }
   }
+}
+
+TEST_CASE("every instruction set that the machine can run follows the definition") {
+  const Scene scene = scene_of(cloud_of(random_splats(27, 1500), 1));
+  const Camera camera = front_camera(150, 70);
+  const RenderOptions options{.exponent = Exponent::folded};
+  const Frame expected = render(scene, camera, options, kScalar);
+  for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
+    hwy::SetSupportedTargetsForTest(left & -left);
+    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+    const Frame frame = render(scene, camera, options, kVector);
+    CAPTURE(hwy::TargetName(left & -left));
+    CHECK(largest_difference(frame.rgb, expected.rgb) <= 1.0 / 255);
+    CHECK(psnr(frame.rgb, expected.rgb) >= 70);
+  }
+  hwy::SetSupportedTargetsForTest(0);
+  hwy::GetChosenTarget().Update(hwy::SupportedTargets());
 }
 
 TEST_CASE("the number of threads changes nothing, and a renderer can be used again for another scene and size") {
