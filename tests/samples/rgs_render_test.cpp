@@ -203,8 +203,9 @@ TEST_CASE("options change the picture as they say") {
                               "--key linear --depth-bits 8 --depth-range 2,8", "--extent square", "--scalar",
                               "--threads 1", "--backend cpu", "--backend auto"}) {
     CAPTURE(options);
-    CHECK(largest_difference(plain, picture(options)) < 0.5F);
-    CHECK(mean(picture(options)) == doctest::Approx(mean(plain)).epsilon(0.05));
+    const rgs::Image image = picture(options);
+    CHECK(largest_difference(plain, image) < 0.5F);
+    CHECK(mean(image) == doctest::Approx(mean(plain)).epsilon(0.05));
   }
   CHECK(largest_difference(plain, picture("--exp paper")) > 0);
 }
