@@ -7,9 +7,7 @@
 #include "reference_renderer.hpp"
 
 #include <hwy/cache_control.h>
-#include <tbb/blocked_range.h>
 #include <tbb/info.h>
-#include <tbb/parallel_for.h>
 #include <tbb/task_arena.h>
 
 #include <algorithm>
@@ -22,6 +20,7 @@
 #include <span>
 #include <vector>
 
+#include "parallel.hpp"
 #include "rgs/math/blend.hpp"
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/projection.hpp"
@@ -53,14 +52,6 @@ struct Block {
   std::uint64_t n_instances = 0;
   std::vector<Span16> spans;  // row by row for each visible Gaussian
 };
-
-// Calls f(i) for 0 <= i < n on the arena's threads.
-template <class F>
-void parallel_blocks(std::uint64_t n, const F& f) {
-  tbb::parallel_for(tbb::blocked_range<std::uint64_t>(0, n, 1), [&](const tbb::blocked_range<std::uint64_t>& range) {
-    for (std::uint64_t i = range.begin(); i < range.end(); ++i) f(i);
-  });
-}
 
 // Storage that only grows and whose pages are touched when written: sized for the worst case, resident for the actual.
 template <class T>

@@ -2,9 +2,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/scene.hpp"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-
 #include <algorithm>
 #include <array>
 #include <atomic>
@@ -12,6 +9,7 @@
 #include <cmath>
 #include <utility>
 
+#include "parallel.hpp"
 #include "rgs/file.hpp"
 #include "rgs/quantize.hpp"
 
@@ -20,8 +18,6 @@ namespace {
 
 constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
 constexpr std::uint64_t kGrain = 8192;
-
-using Range = tbb::blocked_range<std::uint64_t>;
 
 bool all_finite(const float* values, std::uint64_t n) {
   return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
@@ -35,8 +31,8 @@ Status check(const SplatView& s) {
   }
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(s.sh_degree));
   std::atomic<std::uint64_t> first_bad{s.n};
-  tbb::parallel_for(Range(0, s.n, kGrain), [&](const Range& range) {
-    for (std::uint64_t i = range.begin(); i < range.end(); ++i) {
+  detail::parallel_ranges(s.n, kGrain, [&](std::uint64_t begin, std::uint64_t end) {
+    for (std::uint64_t i = begin; i < end; ++i) {
       const bool good = all_finite(&s.mean[3 * i], 3) && all_finite(&s.log_scale[3 * i], 3) &&
                         all_finite(&s.rotation[4 * i], 4) && std::isfinite(s.opacity_logit[i]) &&
                         all_finite(&s.sh[floats * i], floats);
@@ -65,8 +61,8 @@ void normalize(float* q) {
 
 // Training parameters to rendered ones, in place.
 void activate(SplatCloud& s) {
-  tbb::parallel_for(Range(0, s.size(), kGrain), [&](const Range& range) {
-    for (std::uint64_t i = range.begin(); i < range.end(); ++i) {
+  detail::parallel_ranges(s.size(), kGrain, [&](std::uint64_t begin, std::uint64_t end) {
+    for (std::uint64_t i = begin; i < end; ++i) {
       for (std::uint64_t k = 3 * i; k < 3 * i + 3; ++k) s.log_scale[k] = scale_from_log(s.log_scale[k]);
       normalize(&s.rotation[4 * i]);
       s.opacity_logit[i] = opacity_from_logit(s.opacity_logit[i]);
@@ -115,10 +111,10 @@ Result<Scene> Scene::load(const FileView& file) {
   scene.opacity_.resize(n);
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree_));
   scene.sh_.resize(floats * n);
-  tbb::parallel_for(Range(0, n, kGrain), [&](const Range& range) {
+  detail::parallel_ranges(n, kGrain, [&](std::uint64_t begin, std::uint64_t end) {
     std::array<ActivatedSplat, 64> buffer;
-    for (std::uint64_t first = range.begin(); first < range.end(); first += buffer.size()) {
-      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), range.end() - first));
+    for (std::uint64_t first = begin; first < end; first += buffer.size()) {
+      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), end - first));
       [[maybe_unused]] const Status read = file.read(first, part);
       assert(read.has_value());  // the file is valid
       for (std::uint64_t k = 0; k < part.size(); ++k) {
