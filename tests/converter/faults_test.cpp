@@ -130,8 +130,9 @@ TEST_CASE("a full disk leaves the old output and no temporary file") {
     const fs::path& disk;
     ~Unmount() { ::umount2(disk.c_str(), MNT_DETACH); }
   } const unmount{disk};
-  for (const auto& [input, name] :
-       {std::pair{small_sample().ply, "out.rgs"}, std::pair{small_sample().rgs, "out.ply"}}) {
+  for (const auto& pair : {std::pair{small_sample().ply, "out.rgs"}, std::pair{small_sample().rgs, "out.ply"}}) {
+    const auto& input = pair.first;
+    const char* const name = pair.second;
     CAPTURE(name);
     const std::string out = (disk / name).string();
     ProgramResult run = overwrite(input, out);
@@ -246,8 +247,10 @@ TEST_CASE("an input that loses its name while it is read is converted to the end
 
 TEST_CASE("an input that is truncated while it is read exits with 3 and keeps the old output") {
   const TemporaryFolder folder;
-  for (const auto& [source, name] :
-       {std::pair{long_sample().ply, "out.rgs"}, std::pair{long_sample().rgs, "out.ply"}}) {
+  // No structured bindings: clang 14 does not let lambdas capture them.
+  for (const auto& pair : {std::pair{long_sample().ply, "out.rgs"}, std::pair{long_sample().rgs, "out.ply"}}) {
+    const auto& source = pair.first;
+    const char* const name = pair.second;
     CAPTURE(name);
     const std::string input = folder.file("input"), out = folder.file(name);
     const auto program =
