@@ -253,7 +253,7 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
   const auto failed = [&report](const Error& error) {
     if (!report.error) report.error = error;
   };
-  const auto keep = [&failed](auto&& result, auto& place) {
+  const auto keep = [&failed](auto result, auto& place) {
     if (result) {
       place = *std::move(result);
     } else {

@@ -239,7 +239,7 @@ class TextReport {
     const double fullest = static_cast<double>(std::max<std::uint64_t>(1, std::ranges::max(bins)));
     std::string text = "|";
     for (const std::uint64_t count : bins) {
-      const auto height = static_cast<std::size_t>(8 * static_cast<double>(count) / fullest + 0.5);
+      const auto height = static_cast<std::size_t>(std::lround(8 * static_cast<double>(count) / fullest));
       const std::size_t shown = count == 0 ? 0 : std::clamp<std::size_t>(height, 1, 8);
       text += (ascii_ ? kLetters : kBlocks)[shown];
     }

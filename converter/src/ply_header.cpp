@@ -161,7 +161,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
       {"rot_2", "the vertices have no property rot_2: not 3D Gaussian splats"},
       {"rot_3", "the vertices have no property rot_3: not 3D Gaussian splats"},
   }};
-  static constexpr std::array<std::int8_t, 14> kSplatFloat{0, 1, 2, 11, 12, 13, 10, 3, 4, 5, 6, 7, 8, 9};
+  static constexpr std::array<std::int16_t, 14> kSplatFloat{0, 1, 2, 11, 12, 13, 10, 3, 4, 5, 6, 7, 8, 9};
 
   const auto vertex = std::find_if(header.elements.begin(), header.elements.end(),
                                    [](const PlyElement& element) { return element.name == "vertex"; });
@@ -216,7 +216,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
     }
     // The file is channel-major (all R, all G, all B) over the coefficients 1 .. n - 1; a Splat is coefficient-major.
     const std::size_t per_channel = f_rest.size() / 3;
-    result.splat_float[f_rest[i].second] = static_cast<std::int8_t>(11 + 3 * (i % per_channel + 1) + i / per_channel);
+    result.splat_float[f_rest[i].second] = static_cast<std::int16_t>(11 + 3 * (i % per_channel + 1) + i / per_channel);
   }
   for (std::size_t i = 0; i < vertex->properties.size(); ++i) {
     if (result.splat_float[i] >= 0 && vertex->properties[i].is_list) {

@@ -66,7 +66,7 @@ constexpr int splat_floats(int sh_degree) {
 struct SplatProperties {
   std::size_t element = 0;  ///< index of the vertex element
   int sh_degree = 0;
-  std::vector<std::int8_t> splat_float;  ///< per vertex property: which of the 59 floats it is, -1 if none
+  std::vector<std::int16_t> splat_float;  ///< per vertex property: which of the 59 floats it is, -1 if none
 };
 
 /// Finds the 3DGS properties by name. Errors: not_gaussian_splats (no vertices, a property missing or a list, 2DGS:

@@ -187,7 +187,7 @@ std::span<const std::byte> next_line(Cursor& cursor) {
 }
 
 Status parse_ascii_row(std::span<const std::byte> line, std::uint64_t offset, const PlyElement& element,
-                       const std::vector<std::int8_t>& splat_float, std::span<float> out) {
+                       const std::vector<std::int16_t>& splat_float, std::span<float> out) {
   const auto too_few = [&](std::size_t i) {
     return fail(Errc::bad_syntax, offset, "a vertex line has fewer values than the header has properties",
                 element.properties.size(), i);
