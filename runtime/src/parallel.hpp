@@ -4,27 +4,30 @@
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
+#include <tbb/partitioner.h>
 
 #include <atomic>
 #include <cstdint>
 
 namespace rgs::detail {
 
-/// Calls f(begin, end) for ranges that cut [0, n), about `grain` long, on the threads of the current arena; returns
+/// Calls f(begin, end) for ranges that cut [0, n), at most `grain` long, on the threads of the current arena; returns
 /// when all are done. What the caller wrote before is seen by f, and what f wrote is seen by the caller after.
 template <class F>
 void parallel_ranges(std::uint64_t n, std::uint64_t grain, const F& f) {
   // oneTBB guarantees that order by itself. It is stated once more in terms that ThreadSanitizer sees, because
   // distributions ship the library without instrumentation; the cost is one atomic addition per range.
-  std::atomic<std::uint64_t> order{0};
-  order.store(1, std::memory_order_release);
+  std::atomic<bool> begun{false};
+  std::atomic<std::uint64_t> n_done{0};  // not one variable for both: that would order the ranges among themselves
+  begun.store(true, std::memory_order_release);
   using Range = tbb::blocked_range<std::uint64_t>;
-  tbb::parallel_for(Range(0, n, grain), [&order, &f](const Range& range) {
-    (void)order.load(std::memory_order_acquire);
+  const auto body = [&begun, &n_done, &f](const Range& range) {
+    (void)begun.load(std::memory_order_acquire);
     f(range.begin(), range.end());
-    order.fetch_add(1, std::memory_order_release);
-  });
-  (void)order.load(std::memory_order_acquire);
+    n_done.fetch_add(1, std::memory_order_release);
+  };
+  tbb::parallel_for(Range(0, n, grain), body, tbb::simple_partitioner());
+  (void)n_done.load(std::memory_order_acquire);
 }
 
 /// Calls f(i) for 0 <= i < n; each call is worth a task of its own.

@@ -131,7 +131,7 @@ TEST_CASE("every instruction set that the machine can run follows the definition
 }
 
 TEST_CASE("the number of threads changes nothing, and a renderer can be used again for another scene and size") {
-  const Scene scene = scene_of(cloud_of(random_splats(24, 20000), 1));
+  const Scene scene = scene_of(cloud_of(random_splats(24, 60000), 1));
   const Camera camera = front_camera(160, 120);
   const Frame one = render(scene, camera, {}, {.threads = 1});
   auto many = Renderer::create({.threads = 4});
