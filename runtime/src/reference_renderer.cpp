@@ -106,7 +106,12 @@ struct ReferenceRenderer::Workspace {
   void blend(const math::View<float>& view, const RenderTarget& target, const RenderOptions& options,
              const BlendTile& blend_tile, FrameStats& stats);
 
-  std::uint64_t workers() const { return static_cast<std::uint64_t>(arena.max_concurrency()); }
+  // Parts of the visible Gaussians that a counting sort with `bins` bins works on in parallel: four a thread, so that
+  // one that starts late is no hindrance, and no more than 32 MiB of histograms.
+  std::uint64_t parts(std::uint64_t bins) const {
+    const std::uint64_t wanted = 4 * static_cast<std::uint64_t>(arena.max_concurrency());
+    return std::clamp<std::uint64_t>(std::min(n_visible / kBlock, (std::uint64_t{1} << 22) / bins), 1, wanted);
+  }
   std::uint64_t n_tiles() const {
     return static_cast<std::uint64_t>(grid.columns) * static_cast<std::uint64_t>(grid.rows);
   }
@@ -237,7 +242,7 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
     }
   });
 
-  const std::uint64_t n_parts = std::clamp<std::uint64_t>(n_visible / kBlock, 1, workers());
+  const std::uint64_t n_parts = parts(kDigits);
   const auto part_begin = [&](std::uint64_t part) { return n_visible * part / n_parts; };
   for (int shift = 32; shift < 64; shift += kDigitBits) {
     const auto digit = [shift](SortItem item) { return (item >> shift) & (kDigits - 1); };
@@ -271,8 +276,7 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
 void ReferenceRenderer::Workspace::list_by_tile() {
   constexpr std::uint64_t kAhead = 12;
   const std::uint64_t tiles = n_tiles();
-  // Each part has a histogram over all tiles: at 8K that is 1 MiB.
-  const std::uint64_t n_parts = std::clamp<std::uint64_t>(n_visible / kBlock, 1, workers());
+  const std::uint64_t n_parts = parts(tiles);
   const auto part_begin = [&](std::uint64_t part) { return n_visible * part / n_parts; };
   const auto for_each_tile = [&](std::uint64_t part, const auto& f) {
     const std::uint64_t end = part_begin(part + 1);
