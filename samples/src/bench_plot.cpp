@@ -14,9 +14,9 @@ namespace {
 
 using Anchor = SvgWriter::Anchor;
 
-constexpr double kWidth = 960, kHeader = 60, kPanelHeight = 400;
-constexpr double kPlotLeft = 70, kPlotWidth = 500, kPlotTop = 36, kPlotHeight = 310;
-constexpr double kBarLeft = 690, kBarWidth = 150, kBarHeight = 13, kBarGap = 4, kGroupGap = 14;
+constexpr double kWidth = 980, kHeader = 60, kPanelHeight = 400;
+constexpr double kPlotLeft = 70, kPlotWidth = 470, kPlotTop = 36, kPlotHeight = 310;
+constexpr double kBarLeft = 620, kBarWidth = 160, kBarHeight = 13, kBarGap = 4, kGroupGap = 14;
 constexpr std::size_t kColors = 4;
 
 // A logarithmic axis of whole decades onto px.
@@ -84,29 +84,31 @@ void draw_grid(SvgWriter& svg, const Axis& x, const Axis& y) {
   svg.text_upwards(x.from - 48, (y.from + y.to) / 2, "GFLOP/s");
 }
 
-// A bandwidth (GB/s) up to the FP32 roof; where it enters the plot from below it is cut off.
+// A bandwidth (GB/s) up to the FP32 roof, labelled above or below; where it would leave the plot it is cut off.
 void draw_slope(SvgWriter& svg, const Axis& x, const Axis& y, double gigabytes, double peak, const char* style,
-                const std::string& label) {
+                bool label_above, const std::string& label) {
   const double first = std::max(std::pow(10.0, x.low), std::pow(10.0, y.low) / gigabytes);
   const double knee = std::min(peak / gigabytes, std::pow(10.0, x.high));
   if (first >= knee) return;
   svg.line(x.at(first), y.at(first * gigabytes), x.at(knee), y.at(knee * gigabytes), style);
-  svg.text(x.at(first) + 8, y.at(first * gigabytes) - 10, label, Anchor::start, "small");
+  const double middle = std::sqrt(first * knee);
+  svg.text(x.at(middle) + (label_above ? -8 : 10), y.at(middle * gigabytes) + 4, label,
+           label_above ? Anchor::end : Anchor::start, "small");
 }
 
 void draw_roofline(SvgWriter& svg, const Report& report, const SizeReport& size, double top) {
   const cuda::DeviceRates& rates = *report.rates;
   const double peak = 2e-9 * rates.fp32, copy = 1e-9 * rates.copy_bytes, l2 = 1e-9 * rates.l2_bytes;
   const std::vector<Point> points = points_of(report, size);
-  double left = 1, right = 10 * peak / copy, bottom = 0.3 * peak;
+  double left = 0.2, right = 10 * peak / copy, bottom = 0.3 * peak;
   for (const Point& p : points) {
     left = std::min(left, p.intensity), right = std::max(right, p.intensity), bottom = std::min(bottom, p.gflops);
   }
   const Axis x = axis_over(left, right, kPlotLeft, kPlotLeft + kPlotWidth);
   const Axis y = axis_over(0.5 * bottom, 1.5 * peak, top + kPlotTop + kPlotHeight, top + kPlotTop);
   draw_grid(svg, x, y);
-  draw_slope(svg, x, y, copy, peak, "roof", fmt::format("memory {:.0f} GB/s", copy));
-  draw_slope(svg, x, y, l2, peak, "roof dashed", fmt::format("L2 {:.0f} GB/s", l2));
+  draw_slope(svg, x, y, copy, peak, "roof", false, fmt::format("memory {:.0f} GB/s", copy));
+  draw_slope(svg, x, y, l2, peak, "roof dashed", true, fmt::format("L2 {:.0f} GB/s", l2));
   svg.line(x.at(std::min(peak / l2, std::pow(10.0, x.high))), y.at(peak), x.to, y.at(peak), "roof");
   svg.text(x.to, y.at(peak) - 6, fmt::format("FP32 FMA {:.1f} TFLOP/s", 1e-3 * peak), Anchor::end, "small");
   for (const Point& p : points) {
