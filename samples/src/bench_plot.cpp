@@ -114,9 +114,9 @@ void draw_roofline(SvgWriter& svg, const Report& report, const SizeReport& size,
   for (const Point& p : points) {
     const double px = x.at(p.intensity), py = y.at(p.gflops);
     svg.circle(px, py, 5, series_style(p.series));
-    // Two modes often lie close: one writes to the left of its points, the other to the right.
-    const bool before = p.series % 2 == 0;
-    svg.text(before ? px - 9 : px + 9, py + 4, p.label, before ? Anchor::end : Anchor::start,
+    // Away from the roofs, and where two modes lie close, away from each other.
+    const bool below = p.series % 2 == 0;
+    svg.text(below ? px : px + 9, below ? py + 18 : py + 4, p.label, below ? Anchor::middle : Anchor::start,
              "small " + series_style(p.series));
   }
 }
