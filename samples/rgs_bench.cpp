@@ -33,7 +33,7 @@ using rgs::bench::Report;
 
 struct Options {
   std::string scene, source, cameras, quality_cameras, photos;
-  std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper"};
+  std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper", "turbo"};
   std::string exp, key;
   std::string json, csv, svg;
   int frames = 100;

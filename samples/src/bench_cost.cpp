@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "rgs/cuda/frame.hpp"
+#include "rgs/cuda/turbo.hpp"
 #include "rgs/math/coverage.hpp"
 
 namespace rgs::bench {
@@ -106,6 +107,12 @@ constexpr PairOps folded_ops(math::Exp exp, int pixels) {
 // and the colour where it is blended.
 constexpr double kSharedBytes = 6 * kWord, kSharedColorBytes = 3 * kWord;
 
+// The turbo loop: a column of four pixels has 3 FMA in x, then a pixel 2 FMA and a test; blended: ex2, weight,
+// difference, three FMA. The clamp is for rare Gaussians and not counted.
+constexpr double kTurboColumn = 4, kTurboCellPixels = 16 * 8;
+constexpr PairOps kTurboOps{{2 * (3 / kTurboColumn + 2), 3 / kTurboColumn + 2 + 1, 0}, {1 + 1 + 6, 1 + 1 + 1 + 3, 1}};
+constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP16
+
 void add(Cost& cost, const Ops& ops, double times) {
   cost.flops += ops.flops * times;
   cost.operations += ops.operations * times;
@@ -147,6 +154,37 @@ Cost project_cost(const FrameWork& w, const Counts& n) {
   } else {
     c.bytes += n.gaussians * kWord + n.visible * cover_bytes(w.options.extent);  // tile counts, covers
   }
+  return c;
+}
+
+// Chunks outside the view are not read, so that nobody but the visible ones is sure to be. Pairs carry their list.
+Cost turbo_project_cost(const FrameWork& w, const Counts& n) {
+  Cost c;
+  const double geometry = w.compact ? kCompactGeometryBytes : kFp32GeometryBytes;
+  c.bytes = (w.compact ? n.visible : n.gaussians) * kMeanBytes +
+            n.visible * (geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes) + n.pairs * sizeof(cuda::TurboPair);
+  add(c, kToCamera + kProject + kEllipse + kEllipseRow + kEllipseRow, n.visible);
+  add(c, color_ops(std::min(w.sh_degree, w.options.sh_degree_limit), w.compact), n.visible);
+  return c;
+}
+
+// Pairs to entries of the lists.
+Cost turbo_bin_cost(const Counts& n) {
+  Cost c;
+  c.bytes = n.pairs * (sizeof(cuda::TurboPair) + sizeof(cuda::TurboEntry));
+  return c;
+}
+
+// Each cell of 16x8 pixels stages its Gaussians for itself. The ordering of the lists is not counted: how much of them
+// is ordered depends on when their pixels are opaque.
+Cost turbo_blend_cost(const Counts& n) {
+  Cost c;
+  const double staged = n.evaluated / kTurboCellPixels;
+  c.bytes = std::min(n.visible, staged) * kSplatBytes + n.pixels * 3 * kWord;
+  c.l2_bytes = staged * kSplatBytes;
+  c.shared_loads = staged * (kTurboCellPixels / kTurboColumn / kWarp) * kTurboSharedBytes / 16;
+  add(c, kTurboOps.evaluated, n.evaluated);
+  add(c, kTurboOps.blended, n.blended);
   return c;
 }
 
@@ -216,6 +254,9 @@ Cost& Cost::operator+=(const Cost& other) {
 
 StageCosts stage_costs(const FrameWork& work) {
   const Counts n(work);
+  if (work.options.cuda.turbo && work.stats.gaussians < cuda::kMaxTurboGaussians) {
+    return {turbo_project_cost(work, n), turbo_bin_cost(n), Cost{}, turbo_blend_cost(n)};
+  }
   return {project_cost(work, n), bin_cost(work, n), sort_cost(work, n), blend_cost(work, n)};
 }
 
