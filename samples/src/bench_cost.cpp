@@ -54,7 +54,7 @@ constexpr Ops kRotation = uncontracted(39, 0);   // rotation_matrix(): 3 x 5 on 
 constexpr Ops kCovariance = uncontracted(78, 1)  // project_covariance(): 1/z; 2 slopes of mul, min, max; jx, jy;
                             + kRotation;         // du, dv: 2 x 9; M: 6 x (dot 5, mul); cov: 3 dots
 constexpr Ops kFootprint = uncontracted(9, 1);   // footprint(): low-pass 2, det 3, 1/det, conic 3
-constexpr Ops kCutoff = uncontracted(2, 2);      // power_cutoff(): div, log
+constexpr Ops kCutoff{26, 21, 1};                // power_cutoff(): div; logf() of the CUDA library has 11 FMA
 constexpr Ops kProject = kToPixel + kCovariance + kFootprint + kCutoff;
 
 // square_extent(): mid 2, lambda 5 with one root, radius 3 with one root, four sides 12 and their clamps 8.
@@ -78,8 +78,9 @@ struct PairOps {
   Ops evaluated, blended;
 };
 
-// expf() of the CUDA library: 4 FMA, add, shift, ex2, mul. exp2f(): test, scale, ex2, scale back.
-constexpr Ops kExp{10, 8, 1}, kExp2{3, 6, 1};
+// expf() of the CUDA library: 4 FMA, addition, shift, ex2, product. exp2f(): ex2 and a test with two products around it
+// that small exponents alone need.
+constexpr Ops kExp{10, 8, 1}, kExp2{0, 4, 1};
 // exp2_bits(): FMA and a conversion, which the special function units make; the shift of negative_exp2() instead.
 constexpr Ops kExpBits{2, 2, 1}, kExpShift{0, 1, 0};
 // blend(): 1 - alpha, times T; test; weight; three FMA.
