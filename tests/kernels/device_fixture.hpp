@@ -10,6 +10,8 @@
 #include <cstdio>
 #include <cstdlib>
 #include <span>
+#include <string>
+#include <utility>
 #include <vector>
 
 #include "renderer_fixture.hpp"
@@ -36,12 +38,15 @@ inline bool small_sizes() {
 }
 
 inline void require_cuda(cudaError_t error) {
-  REQUIRE_MESSAGE(error == cudaSuccess, "CUDA: ", cudaGetErrorString(error));
+  REQUIRE_MESSAGE(error == cudaSuccess, "CUDA: ", std::string(cudaGetErrorString(error)));
+}
+inline std::string text_of(const Error& e) {
+  return std::string(errc_name(e.code)) + ": " + e.what;
 }
 template <class Result>
 void require_ok(const Result& result) {
-  REQUIRE_MESSAGE(result, errc_name(result.error().code), ": ", result.error().what, ", expected ",
-                  result.error().expected, ", found ", result.error().found);
+  REQUIRE_MESSAGE(result, text_of(result.error()), ", expected ", result.error().expected, ", found ",
+                  result.error().found);
 }
 /// Waits for the device; a kernel's fault shows here.
 inline void synchronize() {

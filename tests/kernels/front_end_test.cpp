@@ -31,7 +31,7 @@ constexpr std::int64_t kCutoffUlps = 2;
 
 enum class FrontEnd { separate, chained, atomic };
 constexpr FrontEnd kFrontEnds[] = {FrontEnd::separate, FrontEnd::chained, FrontEnd::atomic};
-const char* name_of(FrontEnd f) {
+std::string name_of(FrontEnd f) {
   return f == FrontEnd::separate ? "separate" : f == FrontEnd::chained ? "fused, deterministic" : "fused, atomic";
 }
 

@@ -66,7 +66,8 @@ double share(std::uint64_t part, std::uint64_t whole) {
 }
 
 /// Counts per pixel: pairs near a threshold may fall to either side, few of them and not all to the same.
-void check_counts(const char* what, const std::vector<std::uint32_t>& device, const std::vector<std::uint32_t>& host) {
+void check_counts(const std::string& what, const std::vector<std::uint32_t>& device,
+                  const std::vector<std::uint32_t>& host) {
   std::uint64_t n_different = 0, sum_device = 0, sum_host = 0, n_unwritten = 0;
   for (std::size_t i = 0; i < host.size(); ++i) {
     n_different += device[i] != host[i];
@@ -102,8 +103,8 @@ struct Variant {
 
 void check_variant(const BlendInput& input, const Variant& variant, const Frame& host, double& lowest_psnr,
                    double& largest) {
-  const char* const exponents[] = {"direct", "folded"};
-  const char* const exps[] = {"exact", "paper", "zero-mean"};
+  const std::string exponents[] = {"direct", "folded"};
+  const std::string exps[] = {"exact", "paper", "zero-mean"};
   CAPTURE(exponents[static_cast<int>(variant.exponent)]);
   CAPTURE(exps[static_cast<int>(variant.exp)]);
   CAPTURE(variant.pixels_per_thread);
@@ -185,8 +186,9 @@ TEST_CASE("every arithmetic, thread layout and set of outputs gives the scalar r
             check_variant(input, {exponent, exp, pixels, details}, host, lowest, largest);
           }
         }
-        MESSAGE(size.width, "x", size.height, exponent == Exponent::direct ? " direct" : " folded", " exp ",
-                static_cast<int>(exp), ": at least ", lowest, " dB, at most ", 255 * largest, "/255 off the host");
+        MESSAGE(size.width, "x", size.height, std::string(exponent == Exponent::direct ? " direct" : " folded"),
+                " exp ", static_cast<int>(exp), ": at least ", lowest, " dB, at most ", 255 * largest,
+                "/255 off the host");
       }
     }
     frame.splats.check_guards();

@@ -107,8 +107,8 @@ RGS_HD inline float negative_exp2(float biased) {
   return result;
 }
 /// The biased exponent at which negative_exp2() is -kAlphaMax: the clamp of the opacity, made on the exponent, which
-/// also keeps it in range. The last step of FP32 is upwards, so that two opaque Gaussians end a pixel as they do with
-/// kAlphaMax itself: 0.01 * 0.01 is rounded to below kTransmittanceMin there, and must not stay above it here.
+/// also keeps it in range. Its last bit is rounded up, so that a second such Gaussian ends the pixel, as it does with
+/// kAlphaMax itself: 0.01 * 0.01 in FP32 is below kTransmittanceMin.
 inline constexpr float kBiasedAlphaMax = 254.98001F;
 
 template <Exp E>
