@@ -52,6 +52,7 @@ std::vector<Configuration> ablation(const rgs::RenderOptions& paper) {
     c.options.cuda.pixels_per_thread = 2;
   });
   step("+ fast exp = paper", [&paper](Configuration& c) { c.options.exp = paper.exp; });
+  rows.push_back({"turbo", rgs::turbo_options(), true});
   return rows;
 }
 
@@ -110,7 +111,7 @@ int bench(const Options& o) {
 
   const rgs::RenderOptions paper = paper_options(o, scenes.compact.declarations());
   std::vector<Configuration> rows = ablation(paper);
-  if (!o.ablate) rows.erase(rows.begin() + 1, rows.end() - 1);
+  if (!o.ablate) rows.erase(rows.begin() + 1, rows.end() - 2);
 
   std::vector<Quality> quality;
   if (!quality_cameras.empty()) {

@@ -14,6 +14,7 @@
 #include "rgs/cuda/blend.hpp"
 #include "rgs/cuda/front_end.hpp"
 #include "rgs/cuda/sort.hpp"
+#include "rgs/cuda/turbo.hpp"
 
 namespace rgs {
 namespace {
@@ -29,6 +30,14 @@ constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
 // Ends of the stages, as FrameStats names them.
 enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
 
+math::Vec3<float> background_of(const RenderOptions& options) {
+  return {options.background[0], options.background[1], options.background[2]};
+}
+
+cuda::PixelArrays arrays_of(const DeviceTarget& target) {
+  return {target.rgb, target.alpha, target.depth, target.evaluated, target.blended};
+}
+
 // Numbers that the host waits for, in memory that the device can write asynchronously.
 struct HostCounters {
   cuda::Counters counters;
@@ -42,6 +51,7 @@ struct CudaRenderer::Impl {
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
+    if (counted != nullptr) cudaEventDestroy(counted);
     cudaFreeHost(host);
   }
 
@@ -53,6 +63,10 @@ struct CudaRenderer::Impl {
                               const RenderOptions& options, bool narrow, CudaStream stream);
   Result<std::uint64_t> separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
                                  const RenderOptions& options, bool narrow, CudaStream stream);
+  Result<std::uint64_t> turbo(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
+                              const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
+  Result<std::uint64_t> sorted(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
+                               const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
   Status order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow, const RenderOptions& options,
                CudaStream stream, cuda::SortBuffers& sorted);
   Status fetch(void* to, const void* from, std::uint64_t bytes, CudaStream stream) const;
@@ -61,9 +75,11 @@ struct CudaRenderer::Impl {
 
   std::string name;
   std::array<cudaEvent_t, kMarks> events{};
+  cudaEvent_t counted = nullptr;  // the turbo pipeline has counted its pairs
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
+  DeviceBuffer turbo_pairs, turbo_entries, list_begin, tile_order;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -90,6 +106,9 @@ Result<CudaRenderer> CudaRenderer::create() {
   for (cudaEvent_t& event : impl->events) {
     if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
   }
+  if (ok) {
+    ok = device_status(cudaEventCreateWithFlags(&impl->counted, cudaEventDisableTiming), "an event could not be made");
+  }
   if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
   if (!ok) return tl::unexpected(ok.error());
   return CudaRenderer(std::move(impl));
@@ -104,8 +123,9 @@ const char* CudaRenderer::name() const {
 
 std::uint64_t CudaRenderer::Impl::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&counters, &splats, &covers, &tiles, &sums, &sum_temporary, &block_state, &keys,
-                                &spare_keys, &gaussians, &spare_gaussians, &sort_temporary, &ranges}) {
+  for (const DeviceBuffer* b :
+       {&counters, &splats, &covers, &tiles, &sums, &sum_temporary, &block_state, &keys, &spare_keys, &gaussians,
+        &spare_gaussians, &sort_temporary, &ranges, &turbo_pairs, &turbo_entries, &list_begin, &tile_order}) {
     sum += b->bytes();
   }
   return sum;
@@ -242,6 +262,93 @@ Status CudaRenderer::Impl::order(const cuda::ViewParameters& view, std::uint64_t
   return ok;
 }
 
+// The original's and the paper's pipelines: pairs, one sort over the frame, ranges, pixels.
+Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& scene, const Camera& camera,
+                                                 const DeviceTarget& target, const cuda::ViewParameters& view,
+                                                 const RenderOptions& options, CudaStream stream) {
+  const bool narrow = view.key.bits() <= 32;
+  const bool is_separate = options.cuda.front_end == CudaOptions::FrontEnd::separate;
+  const auto n_tiles = static_cast<std::uint64_t>(view.grid.columns) * static_cast<std::uint64_t>(view.grid.rows);
+  Status ok = reserve_scene(scene.n, is_separate, options.cuda.deterministic);
+  if (ok) ok = reserve_pairs(std::max(kFirstPairs, 4 * scene.n), narrow);
+  if (ok) ok = ranges.reserve(n_tiles * sizeof(cuda::TileRange));
+  if (ok) ok = mark(kStart, options, stream);
+  if (!ok) return tl::unexpected(ok.error());
+
+  const auto pairs =
+      is_separate ? separate(scene, view, options, narrow, stream) : fused(scene, view, options, narrow, stream);
+  if (!pairs || *pairs > kMaxPairs) return pairs;
+  cuda::SortBuffers ordered{};
+  ok = order(view, *pairs, narrow, options, stream, ordered);
+  if (ok) {
+    ok = cuda::launch_blend({ranges.as<cuda::TileRange>(), ordered.gaussians, splats.as<cuda::ScreenSplat>(), view.grid,
+                             camera.width, camera.height, background_of(options), arrays_of(target),
+                             options.cuda.count_pairs ? counters.as<cuda::Counters>() : nullptr, options.exponent,
+                             options.exp, options.cuda.pixels_per_thread},
+                            stream);
+  }
+  if (!ok) return tl::unexpected(ok.error());
+  return pairs;
+}
+
+// Everything is queued before the number of pairs is known. If they did not fit, which the host learns while the frame
+// is still being made, the lists were left empty and the frame is made again.
+Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scene, const Camera& camera,
+                                                const DeviceTarget& target, const cuda::ViewParameters& view,
+                                                const RenderOptions& options, CudaStream stream) {
+  const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
+  const std::uint64_t state_bytes = sizeof(cuda::Counters) + n_tiles * sizeof(std::uint32_t);
+  Status ok = splats.reserve(scene.n * sizeof(cuda::ScreenSplat));
+  if (ok) ok = counters.reserve(state_bytes);
+  if (ok) ok = list_begin.reserve((n_tiles + 1) * sizeof(std::uint32_t));
+  if (ok) ok = tile_order.reserve(n_tiles * sizeof(std::uint32_t));
+  for (std::uint64_t wanted = std::max(kFirstPairs, 2 * scene.n); ok;) {
+    const std::uint64_t held = turbo_entries.bytes() / sizeof(cuda::TurboEntry);
+    if (wanted > held) {
+      const std::uint64_t n = std::min(std::max(wanted, held + held / 2), kMaxPairs);
+      ok = turbo_entries.reserve(n * sizeof(cuda::TurboEntry));
+      if (ok) ok = turbo_pairs.reserve(n * sizeof(cuda::TurboPair));
+      if (!ok) break;
+    }
+    const std::uint64_t capacity =
+        std::min(turbo_entries.bytes() / sizeof(cuda::TurboEntry), turbo_pairs.bytes() / sizeof(cuda::TurboPair));
+    auto* const device_counters = counters.as<cuda::Counters>();
+    auto* const list_length = reinterpret_cast<std::uint32_t*>(device_counters + 1);
+    ok = mark(kStart, options, stream);
+    if (ok) {
+      ok = device_status(cudaMemsetAsync(device_counters, 0, state_bytes, stream), "counters could not be cleared");
+    }
+    if (ok) {
+      ok = cuda::launch_turbo_emit(
+          {scene.attributes, static_cast<std::uint32_t>(scene.n), view, splats.as<cuda::ScreenSplat>(),
+           turbo_pairs.as<cuda::TurboPair>(), capacity, list_length, device_counters},
+          stream);
+    }
+    if (ok) ok = mark(kProjected, options, stream);
+    if (ok) {
+      ok = cuda::launch_turbo_lists({list_length, list_begin.as<std::uint32_t>(), tile_order.as<std::uint32_t>(),
+                                     n_tiles, turbo_pairs.as<cuda::TurboPair>(), turbo_entries.as<cuda::TurboEntry>(),
+                                     capacity, device_counters, &host->counters},
+                                    counted, stream);
+    }
+    for (const Mark m : {kDuplicated, kSorted, kRanged}) {
+      if (ok) ok = mark(m, options, stream);
+    }
+    if (ok) {
+      ok = cuda::launch_turbo_blend(
+          {list_begin.as<std::uint32_t>(), tile_order.as<std::uint32_t>(), turbo_entries.as<cuda::TurboEntry>(),
+           splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height, background_of(options),
+           arrays_of(target), options.cuda.count_pairs ? device_counters : nullptr},
+          stream);
+    }
+    if (ok) ok = device_status(cudaEventSynchronize(counted), "a kernel failed");
+    if (!ok) break;
+    wanted = host->counters.instances;
+    if (wanted > kMaxPairs || wanted <= capacity) return wanted;
+  }
+  return tl::unexpected(ok.error());
+}
+
 Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                                         const RenderOptions& options, CudaStream stream) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
@@ -256,45 +363,25 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   view.low_pass = options.low_pass;
   view.anti_aliasing = options.anti_aliasing;
   view.sh_degree = std::min(storage.sh_degree, options.sh_degree_limit);
-  const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
-  view.key = math::key_layout(options.depth_order, options.depth_bits, n_tiles);
+  const bool is_turbo = options.cuda.turbo && storage.n < cuda::kMaxTurboGaussians;
+  if (is_turbo) {
+    view.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
+  } else {
+    const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
+    view.key = math::key_layout(options.depth_order, options.depth_bits, n_tiles);
+  }
   if (view.key.quantized) {
     view.quantizer = math::make_depth_quantizer(options.depth_mapping, view.key.depth_bits, options.depth_range[0],
                                                 options.depth_range[1]);
   }
-  const bool narrow = view.key.bits() <= 32;
-  const bool is_separate = options.cuda.front_end == CudaOptions::FrontEnd::separate;
 
-  Status ok = w.reserve_scene(storage.n, is_separate, options.cuda.deterministic);
-  if (ok) ok = w.reserve_pairs(std::max(kFirstPairs, 4 * storage.n), narrow);
-  if (ok) ok = w.ranges.reserve(n_tiles * sizeof(cuda::TileRange));
-  if (ok) ok = w.mark(kStart, options, stream);
-  if (!ok) return tl::unexpected(ok.error());
-
-  const auto pairs = is_separate ? w.separate(storage, view, options, narrow, stream)
-                                 : w.fused(storage, view, options, narrow, stream);
+  const auto pairs = is_turbo ? w.turbo(storage, camera, target, view, options, stream)
+                              : w.sorted(storage, camera, target, view, options, stream);
   if (!pairs) return tl::unexpected(pairs.error());
   if (*pairs > kMaxPairs) {
     return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, *pairs);
   }
-  cuda::SortBuffers sorted{};
-  ok = w.order(view, *pairs, narrow, options, stream, sorted);
-  if (ok) {
-    ok = cuda::launch_blend({w.ranges.as<cuda::TileRange>(),
-                             sorted.gaussians,
-                             w.splats.as<cuda::ScreenSplat>(),
-                             view.grid,
-                             camera.width,
-                             camera.height,
-                             {options.background[0], options.background[1], options.background[2]},
-                             {target.rgb, target.alpha, target.depth, target.evaluated, target.blended},
-                             options.cuda.count_pairs ? w.counters.as<cuda::Counters>() : nullptr,
-                             options.exponent,
-                             options.exp,
-                             options.cuda.pixels_per_thread},
-                            stream);
-  }
-  if (ok) ok = w.mark(kBlended, options, stream);
+  Status ok = w.mark(kBlended, options, stream);
 
   FrameStats stats;
   stats.gaussians = storage.n;
