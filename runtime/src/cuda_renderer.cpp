@@ -164,6 +164,9 @@ Status CudaRenderer::Impl::reserve_pairs(std::uint64_t n, bool narrow) {
   for (DeviceBuffer* b : {&gaussians, &spare_gaussians}) {
     if (ok) ok = b->reserve(wanted * sizeof(std::uint32_t));
   }
+  if (ok) return {};
+  // All or nothing: of the arrays that have grown and those that have not, the next frame would see the latter alone.
+  for (DeviceBuffer* b : {&keys, &spare_keys, &gaussians, &spare_gaussians, &sort_temporary}) *b = {};
   return ok;
 }
 
