@@ -110,7 +110,7 @@ constexpr double kSharedBytes = 6 * kWord, kSharedColorBytes = 3 * kWord;
 
 // The turbo loop: a column of four pixels has 3 FMA in x, then a pixel 2 FMA and a test; blended: ex2, weight,
 // difference, three FMA. The clamp is for rare Gaussians and not counted.
-constexpr double kTurboColumn = 4, kTurboCellPixels = 16 * 8;
+constexpr double kTurboColumn = 4, kTurboCellPixels = math::kCellWidth * math::kCellHeight;
 constexpr PairOps kTurboOps{{2 * (3 / kTurboColumn + 2), 3 / kTurboColumn + 2 + 1, 0}, {1 + 1 + 6, 1 + 1 + 1 + 3, 1}};
 constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP16
 
@@ -158,21 +158,25 @@ Cost project_cost(const FrameWork& w, const Counts& n) {
   return c;
 }
 
-// Chunks outside the view are not read, so that nobody but the visible ones is sure to be. Pairs carry their list.
+// Chunks outside the view are not read, so that nobody but the visible ones is sure to be. Runs of entries are not
+// counted: they are few.
 Cost turbo_project_cost(const FrameWork& w, const Counts& n) {
   Cost c;
   const double geometry = w.compact ? kCompactGeometryBytes : kFp32GeometryBytes;
   c.bytes = (w.compact ? n.visible : n.gaussians) * kMeanBytes +
-            n.visible * (geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes) + n.pairs * sizeof(cuda::TurboPair);
+            n.visible * (geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes) +
+            n.pairs * sizeof(cuda::TurboEntry);
   add(c, kToCamera + kProject + kEllipse + kEllipseRow + kEllipseRow, n.visible);
   add(c, color_ops(std::min(w.sh_degree, w.options.sh_degree_limit), w.compact), n.visible);
   return c;
 }
 
-// Pairs to entries of the lists.
-Cost turbo_bin_cost(const Counts& n) {
+// Counts of entries and runs to a list and a place in a class, tile by tile.
+Cost turbo_bin_cost(const FrameWork& w) {
   Cost c;
-  c.bytes = n.pairs * (sizeof(cuda::TurboPair) + sizeof(cuda::TurboEntry));
+  const auto grid = math::tile_grid<cuda::kTurboTile>(w.width, w.height);
+  c.bytes = static_cast<double>(grid.columns) * static_cast<double>(grid.rows) *
+            (2 * kWord + sizeof(cuda::TurboList) + kWord);
   return c;
 }
 
@@ -181,7 +185,8 @@ Cost turbo_bin_cost(const Counts& n) {
 Cost turbo_blend_cost(const Counts& n) {
   Cost c;
   const double staged = n.evaluated / kTurboCellPixels;
-  c.bytes = std::min(n.visible, staged) * kSplatBytes + n.pixels * 3 * kWord;
+  const double entries = n.evaluated / (cuda::kTurboTile * cuda::kTurboTile);
+  c.bytes = std::min(n.visible, staged) * kSplatBytes + entries * sizeof(cuda::TurboEntry) + n.pixels * 3 * kWord;
   c.l2_bytes = staged * kSplatBytes;
   c.shared_loads = staged * (kTurboCellPixels / kTurboColumn / kWarp) * kTurboSharedBytes / 16;
   add(c, kTurboOps.evaluated, n.evaluated);
@@ -256,7 +261,7 @@ Cost& Cost::operator+=(const Cost& other) {
 StageCosts stage_costs(const FrameWork& work) {
   const Counts n(work);
   if (work.options.cuda.turbo && work.stats.gaussians < cuda::kMaxTurboGaussians) {
-    return {turbo_project_cost(work, n), turbo_bin_cost(n), Cost{}, turbo_blend_cost(n)};
+    return {turbo_project_cost(work, n), turbo_bin_cost(work), Cost{}, turbo_blend_cost(n)};
   }
   return {project_cost(work, n), bin_cost(work, n), sort_cost(work, n), blend_cost(work, n)};
 }

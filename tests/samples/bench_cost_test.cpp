@@ -60,12 +60,12 @@ TEST_CASE("bytes of the paper's stages") {
 TEST_CASE("bytes and operations of turbo's stages") {
   FrameWork w = small_work(make_mode("turbo", {}));
   const StageCosts costs = stage_costs(w);
-  CHECK(of(costs, Stage::project).bytes == 4 * (12 + 16 + 48 + 48) + 3 * 16);
-  CHECK(of(costs, Stage::bin).bytes == 3 * (16 + 8));
+  CHECK(of(costs, Stage::project).bytes == 4 * (12 + 16 + 48 + 48) + 3 * 8);
+  CHECK(of(costs, Stage::bin).bytes == 8 + 12 + 4);  // one tile of 32x32
   CHECK(of(costs, Stage::sort).bytes == 0);
-  // 512 / 128 = 4 staged; 256 pixels.
+  // 512 / 128 = 4 staged, half an entry of 1,024 pixels; 256 pixels.
   const Cost& blend = of(costs, Stage::blend);
-  CHECK(blend.bytes == 4 * 48 + 256 * 12);
+  CHECK(blend.bytes == 4 * 48 + 4 + 256 * 12);
   CHECK(blend.l2_bytes == 4 * 48);
   CHECK(blend.shared_loads == 4 * 2);  // a warp, two words
   CHECK(blend.flops == 512 * 5.5 + 100 * 8);
