@@ -14,6 +14,10 @@ if [ -e "$out" ]; then
   echo "bundle.sh: $out exists; remove it or name another folder" >&2
   exit 3
 fi
+if ! ls "$build"/bin/rgs* >/dev/null 2>&1; then
+  echo "bundle.sh: no programs in $build/bin; build them first" >&2
+  exit 3
+fi
 archive=
 case $out in
   *.tar.gz)
@@ -34,7 +38,6 @@ for program in rgs-bench rgs-convert rgs-info rgs-make-scene rgs_test_kernels; d
     echo "left out: $program is not in $build/bin"
   fi
 done
-[ -n "$(ls "$out/bin")" ] || { echo "bundle.sh: build the programs first" >&2; exit 3; }
 
 # "libfmt.so.9 => /lib/x86_64-linux-gnu/libfmt.so.9 (0x...)", for libraries of libraries as well
 ldd "$out"/bin/* | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
