@@ -9,6 +9,7 @@
 #include "bench_cost.hpp"
 #include "bench_modes.hpp"
 #include "bench_sample_report.hpp"
+#include "rgs/cuda/turbo.hpp"
 
 namespace {
 
@@ -61,7 +62,7 @@ TEST_CASE("bytes and operations of turbo's stages") {
   FrameWork w = small_work(make_mode("turbo", {}));
   const StageCosts costs = stage_costs(w);
   CHECK(of(costs, Stage::project).bytes == 4 * (12 + 16 + 48 + 48) + 3 * 8);
-  CHECK(of(costs, Stage::bin).bytes == 8 + 12 + 4);  // one tile of 32x32
+  CHECK(of(costs, Stage::bin).bytes == 8 + sizeof(rgs::cuda::TurboList) + 4);  // one tile of 32x32
   CHECK(of(costs, Stage::sort).bytes == 0);
   // 512 / 128 = 4 staged, half an entry of 1,024 pixels; 256 pixels.
   const Cost& blend = of(costs, Stage::blend);
