@@ -24,8 +24,8 @@ constexpr double kTilePixels = math::kTileSize * math::kTileSize;
 constexpr double kWarp = 32;
 
 constexpr double sh_bytes(bool compact, int degree) {
-  const int codes = 3 * (degree + 1) * (degree + 1);
-  return compact ? (codes + 3) / 4 * kWord : codes * kWord;
+  const int codes = 3 * (degree + 1) * (degree + 1), words = compact ? (codes + 3) / 4 : codes;
+  return words * kWord;
 }
 
 // What the separate front end keeps between its kernels: the rectangle, or the ellipse and its rows.
