@@ -154,7 +154,9 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, Turb
 Status launch_turbo_emit(const TurboEmitArguments& a, Stream stream) {
   if (a.n == 0) return {};
   std::visit(
-      [&](const auto& attributes) { emit_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, a); },
+      [&](const auto& attributes) {
+        turbo_emit_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, a);
+      },
       a.attributes);
   return launched("the turbo front end could not be launched");
 }

@@ -308,7 +308,10 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
       const std::uint64_t n = std::min(std::max(wanted, held + held / 2), kMaxPairs);
       ok = turbo_entries.reserve(n * sizeof(cuda::TurboEntry));
       if (ok) ok = turbo_pairs.reserve(n * sizeof(cuda::TurboPair));
-      if (!ok) break;
+      if (!ok) {  // all or nothing, as in reserve_pairs()
+        turbo_entries = {}, turbo_pairs = {};
+        break;
+      }
     }
     const std::uint64_t capacity =
         std::min(turbo_entries.bytes() / sizeof(cuda::TurboEntry), turbo_pairs.bytes() / sizeof(cuda::TurboPair));
