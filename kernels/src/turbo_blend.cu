@@ -29,8 +29,9 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr int kRows = 4;  // pixels of a thread
-constexpr int kCellWidth = 16, kCellHeight = 2 * kRows;
-static_assert(2 * kCellWidth == kTurboTile && 4 * kCellHeight == kTurboTile);
+using math::kCellHeight;
+using math::kCellWidth;
+static_assert(kCellHeight == 2 * kRows);
 constexpr std::uint32_t kEntries = 2048;  // ordered at a time; a power of two
 constexpr int kBinBits = 8;               // of the histogram, a bin a thread
 constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
@@ -47,6 +48,7 @@ struct Shared {
   Staged staged[kWarps][32];
   std::uint32_t queue[kWarps][64];  // Gaussians that touch the cell, in order
   std::uint32_t bins[kBins];
+  std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
   std::uint32_t warp_sums[kWarps];
   std::uint32_t n;  // entries of the round
 };
@@ -76,20 +78,45 @@ __device__ void sort_entries(Shared& s) {
   __syncthreads();
 }
 
+// A tile's entries: runs of them.
+struct List {
+  const TurboRun* runs;
+  const TurboEntry* entries;
+  std::uint32_t n_runs;
+
+  // Calls f(entry, position in the list) for every entry. All threads of the block call it.
+  template <class F>
+  __device__ void for_each(Shared& s, const F& f) const {
+    std::uint32_t done = 0;
+    for (std::uint32_t begin = 0; begin < n_runs; begin += kThreads) {
+      const TurboRun run = begin + threadIdx.x < n_runs ? runs[begin + threadIdx.x] : TurboRun{0, 0};
+      s.run_end[threadIdx.x] = inclusive_block_sum<kThreads>(run.n, s.warp_sums);
+      s.run_begin[threadIdx.x] = run.begin;
+      __syncthreads();
+      const std::uint32_t n = s.run_end[kThreads - 1];
+      for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
+        const std::uint32_t owner = owner_of<kThreads>(s.run_end, k);
+        const std::uint32_t before = owner == 0 ? 0 : s.run_end[owner - 1];
+        f(entries[s.run_begin[owner] + (k - before)], done + k);
+      }
+      done += n;
+      __syncthreads();
+    }
+  }
+};
+
 // End of the round that begins at `begin`, from where more than kEntries entries are left: at most kEntries entries of
 // the list, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the
 // one that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
-__device__ TurboEntry round_end(Shared& s, const TurboEntry* list, std::uint32_t length, TurboEntry begin) {
+__device__ TurboEntry round_end(Shared& s, const List& list, TurboEntry begin) {
   int shift = 64 - kBinBits;
   for (;;) {
     s.bins[threadIdx.x] = 0;
     __syncthreads();
-    for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) {
-      const TurboEntry bin =
-          (list[k] - begin) >> shift;  // of an entry before `begin`: beyond all bins, or the last ones
-      if (list[k] >= begin && bin < kBins) atomicAdd(s.bins + bin, 1u);
-    }
-    __syncthreads();
+    list.for_each(s, [&](TurboEntry entry, std::uint32_t) {
+      const TurboEntry bin = (entry - begin) >> shift;
+      if (entry >= begin && bin < kBins) atomicAdd(s.bins + bin, 1u);
+    });
     const std::uint32_t end = inclusive_block_sum<kThreads>(s.bins[threadIdx.x], s.warp_sums);
     const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
     const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
@@ -123,7 +150,8 @@ __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float c
 // Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
 // its whole cell has fallen below it: what comes after adds less than 1e-4.
 template <bool Clamp, bool Details>
-__device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s, float x, float y, float z) {
+__device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s, float x, const float (&y)[kRows],
+                                    float z) {
   const math::Folded<float> f{s.quadratic.x, s.quadratic.y, s.quadratic.z, s.quadratic.w, s.rest.x, s.rest.y};
   const std::uint32_t red_green = __float_as_uint(s.rest.z), blue_flag = __float_as_uint(s.rest.w);
   const float2 rg = __half22float2(*reinterpret_cast<const __half2*>(&red_green));
@@ -133,8 +161,7 @@ __device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
     Accumulated& p = pixel[k];
-    const float row = y + static_cast<float>(k);
-    const float exponent = fmaf(fmaf(f.yy, row, linear), row, constant);
+    const float exponent = fmaf(fmaf(f.yy, y[k], linear), y[k], constant);
     if (Details && p.t >= math::kTransmittanceMin) ++p.evaluated;
     if (exponent >= math::kLog2AlphaMin) {
       float alpha = exp2_approximate(exponent);
@@ -154,7 +181,7 @@ template <bool Details>
 struct Cell {
   Accumulated pixel[kRows];
   float corner_x, corner_y;  // first pixel of the cell, px
-  float x, y;                // the thread's first pixel, relative to it
+  float x, y[kRows];         // the thread's pixels, relative to it
   bool done = false;         // the same in all lanes
 
   // Blends `n` <= 32 queued Gaussians.
@@ -211,7 +238,7 @@ struct Cell {
 template <bool Details>
 __device__ void store(const TurboBlendArguments& a, const Cell<Details>& cell) {
   const PixelArrays& t = a.target;
-  const int x = static_cast<int>(cell.corner_x + cell.x), y = static_cast<int>(cell.corner_y + cell.y);
+  const int x = static_cast<int>(cell.corner_x + cell.x), y = static_cast<int>(cell.corner_y + cell.y[0]);
   if (x >= a.width) return;
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
@@ -228,48 +255,60 @@ __device__ void store(const TurboBlendArguments& a, const Cell<Details>& cell) {
       if (t.depth != nullptr) t.depth[i] = math::expected_depth(pixel);
       if (t.evaluated != nullptr) t.evaluated[i] = p.evaluated;
       if (t.blended != nullptr) t.blended[i] = p.blended;
-      if (a.counters != nullptr) {
-        atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->evaluated), p.evaluated);
-        atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->blended), p.blended);
+      if (a.count_pairs) {
+        Counters& counters = a.arrays.state->counters;
+        atomicAdd(reinterpret_cast<unsigned long long*>(&counters.evaluated), p.evaluated);
+        atomicAdd(reinterpret_cast<unsigned long long*>(&counters.blended), p.blended);
       }
     }
   }
 }
 
+// The block's tile: the longest lists come first.
+__device__ std::uint32_t tile_of_block(const TurboArrays& a) {
+  const std::uint32_t lane = threadIdx.x % 32;
+  const std::uint32_t size = a.state->class_size[lane];
+  const std::uint32_t end = inclusive_warp_sum(size);
+  const int length = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > blockIdx.x))) - 1;
+  const std::uint32_t begin = __shfl_sync(kFullWarp, end - size, length);
+  return a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + blockIdx.x - begin];
+}
+static_assert(kTurboClasses == 32, "a lane a class");
+
 template <bool Details>
 __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArguments a) {
-  __shared__ Shared s;
+  __shared__ Shared memory;
+  Shared& s = memory;
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
-  const std::uint32_t tile = a.tile_order[blockIdx.x];
-  const std::uint32_t list_begin = a.list_begin[tile], length = a.list_begin[tile + 1] - list_begin;
-  const TurboEntry* const list = a.entries + list_begin;
+  const std::uint32_t tile = tile_of_block(a.arrays);
+  const TurboList head = a.arrays.lists[tile];
+  const List list{a.arrays.tile_runs + head.begin, a.arrays.entries, head.n_runs};
   const int tile_x = static_cast<int>(tile) % a.grid.columns, tile_y = static_cast<int>(tile) / a.grid.columns;
 
   Cell<Details> cell;
   cell.corner_x = static_cast<float>(tile_x * kTurboTile + kCellWidth * (warp % 2));
   cell.corner_y = static_cast<float>(tile_y * kTurboTile + kCellHeight * (warp / 2));
   cell.x = static_cast<float>(lane % kCellWidth);
-  cell.y = static_cast<float>(kRows * (lane / kCellWidth));
+  for (int k = 0; k < kRows; ++k) cell.y[k] = static_cast<float>(kRows * (lane / kCellWidth) + k);
   cell.done = cell.corner_x >= static_cast<float>(a.width) || cell.corner_y >= static_cast<float>(a.height);
   for (int k = 0; k < kRows; ++k) {  // a pixel outside the image keeps nobody waiting
     const bool inside = cell.corner_x + cell.x < static_cast<float>(a.width) &&
-                        cell.corner_y + cell.y + static_cast<float>(k) < static_cast<float>(a.height);
+                        cell.corner_y + cell.y[k] < static_cast<float>(a.height);
     cell.pixel[k].t = inside ? 1.0F : 0.0F;
   }
 
   TurboEntry begin = 0;
-  for (std::uint32_t left = length; left > 0;) {
-    if (left <= kEntries && left == length) {
-      for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) s.entries[k] = list[k];
-      if (threadIdx.x == 0) s.n = length;
+  for (std::uint32_t left = head.n_entries; left > 0;) {
+    if (left == head.n_entries && left <= kEntries) {
+      list.for_each(s, [&s](TurboEntry entry, std::uint32_t k) { s.entries[k] = entry; });
+      if (threadIdx.x == 0) s.n = left;
     } else {
-      const TurboEntry end = left <= kEntries ? ~TurboEntry{0} : round_end(s, list, length, begin);
+      const TurboEntry end = left <= kEntries ? ~TurboEntry{0} : round_end(s, list, begin);
       if (threadIdx.x == 0) s.n = 0;
       __syncthreads();
-      for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) {
-        const TurboEntry entry = list[k];
+      list.for_each(s, [&](TurboEntry entry, std::uint32_t) {
         if (entry >= begin && entry < end) s.entries[atomicAdd(&s.n, 1u)] = entry;
-      }
+      });
       begin = end;
     }
     __syncthreads();
@@ -285,7 +324,7 @@ __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArgu
 
 Status launch_turbo_blend(const TurboBlendArguments& a, Stream stream) {
   const PixelArrays& t = a.target;
-  const bool details = t.depth != nullptr || t.evaluated != nullptr || t.blended != nullptr || a.counters != nullptr;
+  const bool details = t.depth != nullptr || t.evaluated != nullptr || t.blended != nullptr || a.count_pairs;
   const auto blocks = static_cast<std::uint32_t>(a.grid.columns * a.grid.rows);
   details ? turbo_blend_kernel<true><<<blocks, kThreads, 0, stream>>>(a)
           : turbo_blend_kernel<false><<<blocks, kThreads, 0, stream>>>(a);
