@@ -12,9 +12,9 @@
 // Shared  Shared: entries in order, Gaussians staged by each warp; 27 KiB
 // Order   exact: by depth, then by index, in every pixel, whatever the order of the list: deterministic
 //
-// Lists are as long as the scene makes them, shared memory is not: a list longer than kEntries is taken in rounds, each
-// of them the nearest entries that are left, found by a histogram of what is left. Most pixels are opaque before the
-// last.
+// Lists are as long as the scene makes them, shared memory is not: a list longer than kEntries is first moved to
+// scratch memory in the order of 1,024 bins of depth, and then taken in rounds of as many bins as fit. Most pixels are
+// opaque before the last. A bin that does not fit is cut in finer ones, and so on.
 #include <cuda_fp16.h>
 
 #include <cstdint>
@@ -32,10 +32,12 @@ constexpr int kRows = 4;  // pixels of a thread
 using math::kCellHeight;
 using math::kCellWidth;
 static_assert(kCellHeight == 2 * kRows);
-constexpr std::uint32_t kEntries = 2048;  // ordered at a time; a power of two
-constexpr int kBinBits = 8;               // of the histogram, a bin a thread
+constexpr std::uint32_t kEntries = kTurboEntries;
+constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
 constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
 static_assert(kBins == kThreads);
+constexpr int kDepthBins = 1024;  // of the histogram that cuts a long list, by depth
+constexpr int kBinsPerThread = kDepthBins / kThreads;
 
 // A Gaussian as a cell's pixels need it; coordinates relative to the cell's first pixel.
 struct Staged {
@@ -47,7 +49,7 @@ struct Shared {
   TurboEntry entries[kEntries];
   Staged staged[kWarps][32];
   std::uint32_t queue[kWarps][64];  // Gaussians that touch the cell, in order
-  std::uint32_t bins[kBins];
+  std::uint32_t bins[kDepthBins];
   std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
   std::uint32_t warp_sums[kWarps];
   std::uint32_t n;  // entries of the round
@@ -84,9 +86,11 @@ struct List {
   const TurboEntry* entries;
   std::uint32_t n_runs;
 
-  // Calls f(entry, position in the list) for every entry. All threads of the block call it.
+  // Calls f(entry, position in the list) for every entry. All threads of the block call it. Four loads of a thread are
+  // on their way at a time.
   template <class F>
   __device__ void for_each(Shared& s, const F& f) const {
+    constexpr int kAhead = 4;
     std::uint32_t done = 0;
     for (std::uint32_t begin = 0; begin < n_runs; begin += kThreads) {
       const TurboRun run = begin + threadIdx.x < n_runs ? runs[begin + threadIdx.x] : TurboRun{0, 0};
@@ -94,10 +98,21 @@ struct List {
       s.run_begin[threadIdx.x] = run.begin;
       __syncthreads();
       const std::uint32_t n = s.run_end[kThreads - 1];
-      for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
-        const std::uint32_t owner = owner_of<kThreads>(s.run_end, k);
-        const std::uint32_t before = owner == 0 ? 0 : s.run_end[owner - 1];
-        f(entries[s.run_begin[owner] + (k - before)], done + k);
+      for (std::uint32_t first = threadIdx.x; first < n; first += kAhead * kThreads) {
+        TurboEntry loaded[kAhead];
+#pragma unroll
+        for (int j = 0; j < kAhead; ++j) {
+          const std::uint32_t k = first + static_cast<std::uint32_t>(j * kThreads);
+          if (k >= n) break;
+          const std::uint32_t owner = owner_of<kThreads>(s.run_end, k);
+          const std::uint32_t before = owner == 0 ? 0 : s.run_end[owner - 1];
+          loaded[j] = entries[s.run_begin[owner] + (k - before)];
+        }
+#pragma unroll
+        for (int j = 0; j < kAhead; ++j) {
+          const std::uint32_t k = first + static_cast<std::uint32_t>(j * kThreads);
+          if (k < n) f(loaded[j], done + k);
+        }
       }
       done += n;
       __syncthreads();
@@ -105,19 +120,76 @@ struct List {
   }
 };
 
-// End of the round that begins at `begin`, from where more than kEntries entries are left: at most kEntries entries of
-// the list, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the
-// one that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
-__device__ TurboEntry round_end(Shared& s, const List& list, TurboEntry begin) {
+// Bins of equal ratio of depth, 64 for each power of two from 1/8 on; what lies nearer or farther shares the end bins.
+__device__ inline std::uint32_t depth_bin(TurboEntry entry) {
+  constexpr int kShift = 23 - 6;
+  constexpr int kFirst = (127 - 3) << 6;
+  const auto bits = static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
+  return static_cast<std::uint32_t>(math::min(math::max(static_cast<int>(bits >> kShift) - kFirst, 0), kDepthBins - 1));
+}
+
+// Moves a list to `sorted` in the order of its bins; s.bins then holds the end of each.
+__device__ void order_by_bins(Shared& s, const List& list, TurboEntry* sorted) {
+  for (int k = 0; k < kBinsPerThread; ++k) s.bins[kThreads * k + threadIdx.x] = 0;
+  __syncthreads();
+  list.for_each(s, [&s](TurboEntry entry, std::uint32_t) { atomicAdd(s.bins + depth_bin(entry), 1u); });
+  std::uint32_t sum = 0;
+  for (int k = 0; k < kBinsPerThread; ++k) sum += s.bins[kBinsPerThread * threadIdx.x + k];
+  std::uint32_t at = inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
+  for (int k = 0; k < kBinsPerThread; ++k) {
+    std::uint32_t& bin = s.bins[kBinsPerThread * threadIdx.x + k];
+    const std::uint32_t n = bin;
+    bin = at;
+    at += n;
+  }
+  __syncthreads();
+  list.for_each(s, [&](TurboEntry entry, std::uint32_t) { sorted[atomicAdd(s.bins + depth_bin(entry), 1u)] = entry; });
+}
+
+// End of the largest number of whole bins from position `begin` on that hold at most kEntries entries, and at least
+// one; or, if the next bin holds more, its end, to be cut further.
+__device__ std::uint32_t group_end(const Shared& s, std::uint32_t begin) {
+  std::uint32_t fitting = begin, next = ~0u;  // ends of bins: the last that fits, the first that does not
+  for (int k = 0; k < kBinsPerThread; ++k) {
+    const std::uint32_t end = s.bins[kBinsPerThread * threadIdx.x + k];
+    if (end <= begin) continue;
+    if (end - begin <= kEntries) {
+      fitting = math::max(fitting, end);
+    } else {
+      next = math::min(next, end);
+    }
+  }
+  __shared__ std::uint32_t ends[2];
+  if (threadIdx.x == 0) ends[0] = begin, ends[1] = ~0u;
+  __syncthreads();
+  fitting = reduce_warp(fitting, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
+  next = reduce_warp(next, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
+  if (threadIdx.x % 32 == 0) {
+    atomicMax(ends, fitting);
+    atomicMin(ends + 1, next);
+  }
+  __syncthreads();
+  const std::uint32_t end = ends[0] > begin ? ends[0] : ends[1];
+  __syncthreads();
+  return end;
+}
+
+// End of the round that begins at `begin`, from where more than kEntries of the n entries are left: at most kEntries of
+// them, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the one
+// that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
+__device__ TurboEntry round_end(Shared& s, const TurboEntry* entries, std::uint32_t n, TurboEntry begin) {
+  __shared__ std::uint32_t bins[kBins];
   int shift = 64 - kBinBits;
   for (;;) {
-    s.bins[threadIdx.x] = 0;
+    bins[threadIdx.x] = 0;
     __syncthreads();
-    list.for_each(s, [&](TurboEntry entry, std::uint32_t) {
+    for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
+      const TurboEntry entry = entries[k];
       const TurboEntry bin = (entry - begin) >> shift;
-      if (entry >= begin && bin < kBins) atomicAdd(s.bins + bin, 1u);
-    });
-    const std::uint32_t end = inclusive_block_sum<kThreads>(s.bins[threadIdx.x], s.warp_sums);
+      if (entry >= begin && bin < kBins) atomicAdd(bins + bin, 1u);
+    }
+    __syncthreads();
+    const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
     const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
     const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
     begin += fitting << shift;
@@ -297,25 +369,45 @@ __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArgu
     cell.pixel[k].t = inside ? 1.0F : 0.0F;
   }
 
-  TurboEntry begin = 0;
-  for (std::uint32_t left = head.n_entries; left > 0;) {
-    if (left == head.n_entries && left <= kEntries) {
-      list.for_each(s, [&s](TurboEntry entry, std::uint32_t k) { s.entries[k] = entry; });
-      if (threadIdx.x == 0) s.n = left;
-    } else {
-      const TurboEntry end = left <= kEntries ? ~TurboEntry{0} : round_end(s, list, begin);
-      if (threadIdx.x == 0) s.n = 0;
-      __syncthreads();
-      list.for_each(s, [&](TurboEntry entry, std::uint32_t) {
-        if (entry >= begin && entry < end) s.entries[atomicAdd(&s.n, 1u)] = entry;
-      });
-      begin = end;
-    }
-    __syncthreads();
-    left -= s.n;
+  // Orders the round's s.n entries and blends them; true once all pixels are opaque.
+  const auto blend_round = [&] {
     sort_entries(s);
     if (!cell.done) cell.blend_round(a.splats, s, warp, lane);
-    if (__syncthreads_and(cell.done)) break;
+    return __syncthreads_and(cell.done) != 0;
+  };
+  if (head.n_entries <= kEntries) {
+    list.for_each(s, [&s](TurboEntry entry, std::uint32_t k) { s.entries[k] = entry; });
+    if (threadIdx.x == 0) s.n = head.n_entries;
+    __syncthreads();
+    if (head.n_entries > 0) blend_round();
+  } else {
+    TurboEntry* const sorted = a.arrays.scratch + head.scratch;
+    order_by_bins(s, list, sorted);
+    bool opaque = false;
+    for (std::uint32_t begin = 0; begin < head.n_entries && !opaque;) {
+      const std::uint32_t end = group_end(s, begin);
+      const TurboEntry* const group = sorted + begin;
+      const std::uint32_t n = end - begin;
+      TurboEntry from = 0;
+      for (std::uint32_t left = n; left > 0 && !opaque;) {
+        if (threadIdx.x == 0) s.n = n <= kEntries ? n : 0;
+        if (n <= kEntries) {
+          for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) s.entries[k] = group[k];
+        } else {
+          const TurboEntry to = left <= kEntries ? ~TurboEntry{0} : round_end(s, group, n, from);
+          __syncthreads();
+          for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
+            const TurboEntry entry = group[k];
+            if (entry >= from && entry < to) s.entries[atomicAdd(&s.n, 1u)] = entry;
+          }
+          from = to;
+        }
+        __syncthreads();
+        left -= s.n;
+        opaque = blend_round();
+      }
+      begin = end;
+    }
   }
   store(a, cell);
 }

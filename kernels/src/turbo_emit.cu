@@ -7,7 +7,7 @@
 // entries Launch  256 threads, ceil(n / 256) blocks Shared  Shared: ellipses, the sums that map tile rows to their
 // Gaussians, a counter for each tile of a window; 19 KiB Order   of entries and runs: any. The lists' order is made
 // later, by depth and index, so that the image is the same on
-//         every run. Compiled without contraction to FMA, see project.cu.
+//         every run.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
 // block sorts its entries by tile before they leave it, by counting: once over the rows to count, once to place. A
@@ -26,7 +26,9 @@ namespace {
 
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
-constexpr int kWindow = 32;  // tiles along a window's side
+constexpr int kWindow = 32;      // tiles along a window's side
+constexpr int kLargeTiles = 32;  // of a bounding box that a block's own Gaussian may have
+constexpr int kLargeBlocks = 132 * 4;
 constexpr int kTilesPerThread = kWindow * kWindow / kThreads;
 
 struct Shared {
@@ -40,6 +42,14 @@ struct Shared {
   int bounds[4][kWarps];  // of the tiles that the block touches, from each warp: -x0, -y0, x1, y1
   std::uint64_t entry_base, run_base;
 };
+
+__device__ std::uint64_t add(std::uint64_t& to, std::uint64_t n) {
+  return atomicAdd(reinterpret_cast<unsigned long long*>(&to), static_cast<unsigned long long>(n));
+}
+
+__device__ TurboEntry make_entry(std::uint32_t depth, std::uint32_t index, std::uint32_t cells) {
+  return static_cast<std::uint64_t>(depth) << (kTurboIndexBits + 8) | static_cast<std::uint64_t>(index) << 8 | cells;
+}
 
 // Tiles of the window that starts at (column, row), which the block's rows meet.
 struct Window {
@@ -80,9 +90,6 @@ __device__ void place_window(Shared& s, Window window, const TurboArrays& out, m
   const std::uint32_t end = inclusive_block_sum<kThreads>(sum, s.warp_sums);
   if (threadIdx.x == kThreads - 1) {
     TurboState& state = *out.state;
-    const auto add = [](std::uint64_t& to, std::uint64_t n) {
-      return atomicAdd(reinterpret_cast<unsigned long long*>(&to), static_cast<unsigned long long>(n));
-    };
     s.entry_base = add(state.counters.instances, end & ((1u << kRunShift) - 1));
     s.run_base = add(state.runs, end >> kRunShift);
   }
@@ -96,8 +103,8 @@ __device__ void place_window(Shared& s, Window window, const TurboArrays& out, m
     const int in_window = kTilesPerThread * static_cast<int>(threadIdx.x) + k;
     s.counts[in_window] = at;
     if (counts[k] == 0) continue;
-    const auto tile =
-        static_cast<std::uint32_t>((window.row + in_window / kWindow) * grid.columns + window.column + in_window % kWindow);
+    const auto tile = static_cast<std::uint32_t>((window.row + in_window / kWindow) * grid.columns + window.column +
+                                                 in_window % kWindow);
     atomicAdd(n_entries + tile, counts[k]);
     const std::uint32_t rank = atomicAdd(n_runs + tile, 1u);
     if (run < out.run_capacity) {
@@ -128,11 +135,24 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, Turb
       const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
       const auto touched = math::bounding_tiles<kTurboTile>(ellipse, v.grid);
       if (!touched.empty()) {
-        rect = touched;
-        rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
-        s.ellipse[threadIdx.x] = ellipse;
-        s.first_row[threadIdx.x] = static_cast<std::uint16_t>(rect.y0);
-        s.depth[threadIdx.x] = math::depth_bits(p.z);
+        const int touched_rows = touched.y1 - touched.y0;
+        if (touched_rows * (touched.x1 - touched.x0) > kLargeTiles) {
+          const std::uint32_t at = atomicAdd(&a.arrays.state->n_large, 1u);
+          if (at < a.arrays.large_capacity) {
+            a.arrays.large[at] = {ellipse,
+                                  math::depth_bits(p.z),
+                                  i,
+                                  static_cast<std::uint16_t>(touched.y0),
+                                  static_cast<std::uint16_t>(touched_rows),
+                                  {}};
+          }
+        } else {
+          rect = touched;
+          rows = static_cast<std::uint32_t>(touched_rows);
+          s.ellipse[threadIdx.x] = ellipse;
+          s.first_row[threadIdx.x] = static_cast<std::uint16_t>(rect.y0);
+          s.depth[threadIdx.x] = math::depth_bits(p.z);
+        }
         a.splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
       }
     }
@@ -164,9 +184,7 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, Turb
     const std::uint64_t base = s.entry_base;
     for_each_tile(s, n_rows, window, v.grid, [&](std::uint32_t owner, std::uint32_t tile, std::uint32_t cells) {
       const std::uint64_t at = base + atomicAdd(s.counts + tile, 1u);
-      const TurboEntry entry = static_cast<std::uint64_t>(s.depth[owner]) << (kTurboIndexBits + 8) |
-                               static_cast<std::uint64_t>(first + owner) << 8 | cells;
-      if (at < a.arrays.entry_capacity) a.arrays.entries[at] = entry;
+      if (at < a.arrays.entry_capacity) a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells);
     });
     window.column += kWindow;
     if (window.column >= all[2]) window = {-all[0], window.row + kWindow};
@@ -174,9 +192,60 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, Turb
   }
   const int visible = __syncthreads_count(s.listed[threadIdx.x] != 0);
   if (threadIdx.x == 0 && visible > 0) {
-    atomicAdd(reinterpret_cast<unsigned long long*>(&a.arrays.state->counters.visible),
-              static_cast<unsigned long long>(visible));
+    add(a.arrays.state->counters.visible, static_cast<std::uint64_t>(visible));
   }
+}
+
+// Calls f(tile, cells) in the lanes whose tile a large Gaussian touches; all lanes call it with cells == 0 otherwise.
+template <class F>
+__device__ void for_each_tile_of(const TurboLarge& large, math::TileGrid grid, const F& f) {
+  for (int row = large.first_row; row < large.first_row + large.n_rows; ++row) {
+    const auto cells = math::cell_rows(large.ellipse, row);
+    const auto span = math::tiles_of(cells, grid);
+    for (int column = span.first; column < span.last; column += 32) {
+      const int own = column + static_cast<int>(threadIdx.x % 32);
+      f(static_cast<std::uint32_t>(row * grid.columns + own), own < span.last ? math::cells_of(cells, own) : 0);
+    }
+  }
+}
+
+__global__ void __launch_bounds__(kThreads) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
+  const std::uint32_t lane = threadIdx.x % 32;
+  const std::uint32_t n = math::min(a.state->n_large, static_cast<std::uint32_t>(a.large_capacity));
+  auto* const n_entries = reinterpret_cast<std::uint32_t*>(a.state + 1);
+  std::uint32_t* const n_runs = n_entries + a.n_tiles;
+  std::uint32_t visible = 0;
+  for (std::uint32_t k = (blockIdx.x * kThreads + threadIdx.x) / 32; k < n; k += gridDim.x * kWarps) {
+    const TurboLarge large = a.large[k];
+    std::uint32_t total = 0;
+    for_each_tile_of(large, grid, [&total](std::uint32_t, std::uint32_t cells) {
+      total += static_cast<std::uint32_t>(__popc(__ballot_sync(kFullWarp, cells != 0)));
+    });
+    if (total == 0) continue;
+    ++visible;
+    std::uint64_t entry = 0, run = 0;
+    if (lane == 0) {
+      entry = add(a.state->counters.instances, total);
+      run = add(a.state->runs, total);
+    }
+    entry = __shfl_sync(kFullWarp, entry, 0);
+    run = __shfl_sync(kFullWarp, run, 0);
+    for_each_tile_of(large, grid, [&](std::uint32_t tile, std::uint32_t cells) {
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, cells != 0);
+      const auto before = static_cast<std::uint32_t>(__popc(lanes & ((1u << lane) - 1)));
+      if (cells != 0) {
+        atomicAdd(n_entries + tile, 1u);
+        const std::uint32_t rank = atomicAdd(n_runs + tile, 1u);
+        if (entry + before < a.entry_capacity && run + before < a.run_capacity) {
+          a.entries[entry + before] = make_entry(large.depth, large.index, cells);
+          a.runs[run + before] = {{static_cast<std::uint32_t>(entry) + before, 1}, tile, rank};
+        }
+      }
+      entry += static_cast<std::uint32_t>(__popc(lanes));
+      run += static_cast<std::uint32_t>(__popc(lanes));
+    });
+  }
+  if (lane == 0 && visible > 0) add(a.state->counters.visible, visible);
 }
 
 }  // namespace
@@ -188,6 +257,7 @@ Status launch_turbo_emit(const TurboEmitArguments& a, Stream stream) {
         turbo_emit_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, a);
       },
       a.attributes);
+  turbo_emit_large_kernel<<<kLargeBlocks, kThreads, 0, stream>>>(a.view.grid, a.arrays);
   return launched("the turbo front end could not be launched");
 }
 

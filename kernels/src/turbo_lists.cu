@@ -21,6 +21,13 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kPlaceBlocks = 132 * 2;
 
+// Whether the front end could write all that it had.
+__device__ bool turbo_fits(const TurboArrays& a) {
+  const TurboState& state = *a.state;
+  return state.counters.instances <= a.entry_capacity && state.runs <= a.run_capacity &&
+         state.n_large <= a.large_capacity;
+}
+
 // Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
 __device__ int length_class(std::uint32_t length) {
   if (length < 32) return kTurboClasses - 1;
@@ -33,7 +40,7 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   __shared__ std::uint32_t warp_sums[kThreads / 32];
   __shared__ std::uint32_t base;
   TurboState& state = *a.state;
-  const bool fits = state.counters.instances <= a.entry_capacity && state.runs <= a.run_capacity;
+  const bool fits = turbo_fits(a);
   const auto* const n_entries = reinterpret_cast<const std::uint32_t*>(a.state + 1);
   const std::uint32_t tile = blockIdx.x * kThreads + threadIdx.x;
   const bool has_list = tile < a.n_tiles && fits;
@@ -46,14 +53,14 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
     __threadfence_system();
   }
   if (tile >= a.n_tiles) return;
-  a.lists[tile] = {base + end - runs, runs, n};
+  a.lists[tile] = {base + end - runs, runs, n, n > kTurboEntries ? atomicAdd(&state.scratch, n) : 0};
   const auto length = static_cast<std::uint32_t>(length_class(n));
   a.classes[length * a.n_tiles + atomicAdd(state.class_size + length, 1u)] = tile;
 }
 
 __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
   const TurboState& state = *a.state;
-  if (state.counters.instances > a.entry_capacity || state.runs > a.run_capacity) return;
+  if (!turbo_fits(a)) return;
   for (std::uint64_t k = blockIdx.x * kThreads + threadIdx.x; k < state.runs; k += gridDim.x * kThreads) {
     const TurboTileRun run = a.runs[k];
     a.tile_runs[a.lists[run.tile].begin + run.rank] = run.run;

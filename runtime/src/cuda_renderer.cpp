@@ -58,7 +58,7 @@ struct CudaRenderer::Impl {
 
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t n, bool narrow);
-  Status reserve_turbo(std::uint64_t n, std::uint64_t n_runs);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
@@ -81,7 +81,7 @@ struct CudaRenderer::Impl {
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
-  DeviceBuffer turbo_state, turbo_entries, turbo_runs, tile_runs, lists, classes;
+  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -294,16 +294,18 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
   return pairs;
 }
 
-// Room for n entries and n_runs runs of them; grows by half at least.
-Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n, std::uint64_t n_runs) {
-  const auto grown = [](std::uint64_t wanted, std::uint64_t held) {
-    return wanted <= held ? held : std::min(std::max(wanted, held + held / 2), kMaxPairs);
+// Room for so many entries, runs and large Gaussians; grows by half at least.
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large) {
+  Status ok;
+  const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
+    const std::uint64_t held = buffer.bytes() / size;
+    if (ok && wanted > held) ok = buffer.reserve(std::min(std::max(wanted, held + held / 2), kMaxPairs) * size);
   };
-  Status ok =
-      turbo_entries.reserve(grown(n, turbo_entries.bytes() / sizeof(cuda::TurboEntry)) * sizeof(cuda::TurboEntry));
-  const std::uint64_t runs = grown(n_runs, turbo_runs.bytes() / sizeof(cuda::TurboTileRun));
-  if (ok) ok = turbo_runs.reserve(runs * sizeof(cuda::TurboTileRun));
-  if (ok) ok = tile_runs.reserve(runs * sizeof(cuda::TurboRun));
+  reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
+  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
+  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge));
   return ok;
 }
 
@@ -319,7 +321,7 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
   if (ok) ok = lists.reserve(arrays.n_tiles * sizeof(cuda::TurboList));
   if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
   const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
-  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 4);
+  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32);
   while (ok) {
     arrays.state = turbo_state.as<cuda::TurboState>();
     arrays.entries = turbo_entries.as<cuda::TurboEntry>();
@@ -327,9 +329,12 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     arrays.tile_runs = tile_runs.as<cuda::TurboRun>();
     arrays.lists = lists.as<cuda::TurboList>();
     arrays.classes = classes.as<std::uint32_t>();
-    arrays.entry_capacity = turbo_entries.bytes() / sizeof(cuda::TurboEntry);
+    arrays.scratch = turbo_scratch.as<cuda::TurboEntry>();
+    arrays.large = turbo_large.as<cuda::TurboLarge>();
+    arrays.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
     arrays.run_capacity =
         std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+    arrays.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
     ok = mark(kStart, options, stream);
     if (ok) {
       ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), stream),
@@ -355,8 +360,10 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     if (!ok) break;
     host->counters = host->turbo.counters;
     const std::uint64_t n = host->counters.instances;
-    if (n > kMaxPairs || (n <= arrays.entry_capacity && host->turbo.runs <= arrays.run_capacity)) return n;
-    ok = reserve_turbo(n, host->turbo.runs);
+    const cuda::TurboState& seen = host->turbo;
+    const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
+    if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
+    ok = reserve_turbo(n, seen.runs, seen.n_large);
   }
   return tl::unexpected(ok.error());
 }

@@ -33,10 +33,22 @@ struct alignas(16) TurboTileRun {
 };
 static_assert(sizeof(TurboTileRun) == 16);
 
-/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all.
+/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `scratch` is the place of as many entries in
+/// TurboArrays::scratch, if there are more than kTurboEntries.
 struct TurboList {
-  std::uint32_t begin, n_runs, n_entries;
+  std::uint32_t begin, n_runs, n_entries, scratch;
 };
+inline constexpr std::uint32_t kTurboEntries = 2048;  ///< ordered at a time; a power of two
+
+/// A Gaussian that touches many tiles: kept for a kernel that spreads it over a warp.
+struct alignas(16) TurboLarge {
+  math::Ellipse<float> ellipse;
+  std::uint32_t depth;  ///< bits
+  std::uint32_t index;
+  std::uint16_t first_row, n_rows;  ///< of tiles
+  std::uint32_t unused[2];
+};
+static_assert(sizeof(TurboLarge) == 64);
 
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
 inline constexpr int kTurboClasses = 32;
@@ -44,9 +56,11 @@ inline constexpr int kTurboClasses = 32;
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
   Counters counters;
-  std::uint64_t runs;    ///< written or not
-  std::uint32_t placed;  ///< runs that have a place in their tile's list
-  std::uint32_t padding;
+  std::uint64_t runs;     ///< written or not
+  std::uint32_t n_large;  ///< the same of TurboArrays::large
+  std::uint32_t placed;   ///< runs that have a place in their tile's list
+  std::uint32_t scratch;  ///< entries of the long lists
+  std::uint32_t padding[3];
   std::uint32_t class_size[kTurboClasses];
 
   /// With n_entries and n_runs of each tile.
@@ -61,9 +75,11 @@ struct TurboArrays {
   TurboEntry* entries;     ///< [entry_capacity]
   TurboTileRun* runs;      ///< [run_capacity]
   TurboRun* tile_runs;     ///< [run_capacity] the same by tile
+  TurboLarge* large;       ///< [large_capacity]
+  TurboEntry* scratch;     ///< [entry_capacity]
   TurboList* lists;        ///< [n_tiles]
   std::uint32_t* classes;  ///< [kTurboClasses, n_tiles] tiles of each class
-  std::uint64_t entry_capacity, run_capacity;
+  std::uint64_t entry_capacity, run_capacity, large_capacity;
 };
 
 /// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
