@@ -185,6 +185,11 @@ void check(const cuda::Attributes& attributes, const SceneView& scene, const Cam
       const float cutoff = tighter(math::power_cutoff(p.footprint.opacity));
       if (cutoff >= 0) continue;
       const auto region = without_slack(math::ellipse(p.mean, p.footprint, cutoff), cutoff);
+      // The last tiles reach beyond the image; what touches them there alone may be passed over too.
+      if (region.mean.u - region.half_width > static_cast<float>(camera.width - 1) ||
+          region.mean.v - region.half_height > static_cast<float>(camera.height - 1)) {
+        continue;
+      }
       for_each_entry(p, region, i, v.grid, [&](std::size_t, TurboEntry) {
         if (n_missing++ == 0) first_missing = i;
       });
