@@ -9,7 +9,7 @@
 // Launch  256 threads a tile, longest lists first. A warp has a cell of 16x8 pixels, a thread four pixels of one
 // column:
 //         what it reads of a Gaussian, and its polynomial in y, serve all four
-// Shared  Shared: entries in order, Gaussians staged by each warp; 27 KiB
+// Shared  Shared: entries, their order, Gaussians staged by each warp, histograms; 41 KiB
 // Order   exact: by depth, then by index, in every pixel, whatever the order of the list: deterministic
 //
 // Lists are as long as the scene makes them, shared memory is not: a list longer than kEntries is first moved to
@@ -42,12 +42,21 @@ constexpr int kBinsPerThread = kDepthBins / kThreads;
 // A Gaussian as a cell's pixels need it; coordinates relative to the cell's first pixel.
 struct Staged {
   float4 quadratic;  // xx, xy, yy, x
-  float4 rest;       // y, one, colour in FP16 (r g), (b and a flag: opacities may exceed kAlphaMax)
+  float4 rest;       // y, one, colour in FP16: r g, b
+};
+
+// A round's order, and the Gaussians that each warp has at hand.
+struct Ordered {
+  std::uint32_t order[kEntries];  // depth << 11 | position among the entries
+  Staged staged[kWarps][32];
 };
 
 struct Shared {
   TurboEntry entries[kEntries];
-  Staged staged[kWarps][32];
+  union {  // first one, then the other
+    std::uint32_t exchange[2 * kEntries];
+    Ordered ordered;
+  };
   std::uint32_t queue[kWarps][64];  // Gaussians that touch the cell, in order
   std::uint32_t bins[kDepthBins];
   std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
@@ -55,29 +64,107 @@ struct Shared {
   std::uint32_t n;  // entries of the round
 };
 
-// Sorting network (Batcher 1968) over the power of two at or above s.n. Strides up to 32 stay within the 64 entries
-// that a warp has to itself.
-__device__ void sort_entries(Shared& s) {
-  std::uint32_t size = 64;
-  while (size < s.n) size *= 2;
-  for (std::uint32_t k = s.n + threadIdx.x; k < size; k += kThreads) s.entries[k] = ~TurboEntry{0};
-  __syncthreads();
-  for (std::uint32_t run = 2; run <= size; run *= 2) {
+// Orders the keys of the block's threads: element k of thread t is number 256 k + t. A sorting network (Batcher 1968):
+// its long strides are between elements of one thread, its short ones between lanes of a warp, and those in between go
+// through shared memory, the two halves of `exchange` taking turns.
+template <int Elements>
+__device__ void sort_keys(std::uint32_t (&key)[Elements], std::uint32_t* exchange) {
+  const std::uint32_t thread = threadIdx.x;
+  int half = 0;
+  const auto compare = [](std::uint32_t own, std::uint32_t other, bool smaller) {
+    return smaller ? math::min(own, other) : math::max(own, other);
+  };
+#pragma unroll
+  for (std::uint32_t run = 2; run <= Elements * kThreads; run *= 2) {
+#pragma unroll
     for (std::uint32_t stride = run / 2; stride > 0; stride /= 2) {
-      for (std::uint32_t k = threadIdx.x; k < size / 2; k += kThreads) {
-        const std::uint32_t low = 2 * k - (k & (stride - 1));
-        const bool ascending = (low & run) == 0;
-        const TurboEntry a = s.entries[low], b = s.entries[low + stride];
-        if ((a > b) == ascending) {
-          s.entries[low] = b;
-          s.entries[low + stride] = a;
+      if (stride >= kThreads) {
+        const int apart = static_cast<int>(stride / kThreads);
+#pragma unroll
+        for (int k = 0; k < Elements; ++k) {
+          if ((k & apart) != 0) continue;
+          const bool ascending = ((static_cast<std::uint32_t>(k) * kThreads) & run) == 0;
+          const std::uint32_t low = key[k], high = key[k + apart];
+          key[k] = compare(low, high, ascending);
+          key[k + apart] = compare(low, high, !ascending);
         }
+      } else {
+        if (stride >= 32) {
+#pragma unroll
+          for (int k = 0; k < Elements; ++k) exchange[half * Elements * kThreads + k * kThreads + thread] = key[k];
+          __syncthreads();
+        }
+#pragma unroll
+        for (int k = 0; k < Elements; ++k) {
+          const std::uint32_t other = stride >= 32
+                                          ? exchange[half * Elements * kThreads + k * kThreads + (thread ^ stride)]
+                                          : __shfl_xor_sync(kFullWarp, key[k], stride);
+          const bool ascending = ((static_cast<std::uint32_t>(k) * kThreads + thread) & run) == 0;
+          key[k] = compare(key[k], other, ascending == ((thread & stride) == 0));
+        }
+        if (stride >= 32) half ^= 1;
       }
-      stride > 32 ? __syncthreads() : __syncwarp();
     }
-    if (run >= 64) __syncthreads();
   }
+}
+
+// Position of each of the s.n entries in the order of the entries, into s.ordered.order. Keys of 32 bits, depth above
+// and position below, are ordered first. Their depth is relative to the list's own range and may have lost its last
+// bits: neighbours of equal depth are then put right by looking at the entries themselves.
+template <int Elements>
+__device__ void order_entries(Shared& s) {
+  constexpr int kPositionBits = 11;
+  static_assert(kEntries == 1u << kPositionBits);
+  std::uint32_t low = ~0u, high = 0;
+  std::uint32_t key[Elements];
+#pragma unroll
+  for (int k = 0; k < Elements; ++k) {
+    const std::uint32_t position = k * kThreads + threadIdx.x;
+    key[k] = position < s.n ? static_cast<std::uint32_t>(s.entries[position] >> (kTurboIndexBits + 8)) : ~0u;
+    if (position < s.n) low = math::min(low, key[k]), high = math::max(high, key[k]);
+  }
+  low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
+  high = reduce_warp(high, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
+  if (threadIdx.x % 32 == 0) s.run_begin[threadIdx.x / 32] = low, s.run_end[threadIdx.x / 32] = high;
   __syncthreads();
+#pragma unroll
+  for (int w = 0; w < kWarps; ++w) low = math::min(low, s.run_begin[w]), high = math::max(high, s.run_end[w]);
+  // One value less than the depth bits hold stays free: padding comes last.
+  const int shift = math::max(0, 32 - __clz(static_cast<int>(high - low + 1)) - (32 - kPositionBits));
+#pragma unroll
+  for (int k = 0; k < Elements; ++k) {
+    const std::uint32_t position = k * kThreads + threadIdx.x;
+    key[k] = position < s.n ? (key[k] - low) >> shift << kPositionBits | position : ~0u;
+  }
+  sort_keys(key, s.exchange);
+  __syncthreads();
+#pragma unroll
+  for (int k = 0; k < Elements; ++k) s.ordered.order[k * kThreads + threadIdx.x] = key[k];
+  __syncthreads();
+  for (std::uint32_t odd = 0, quiet = 0; quiet < 2; odd ^= 1) {
+    bool swapped = false;
+    for (std::uint32_t at = 2 * threadIdx.x + odd; at + 1 < s.n; at += 2 * kThreads) {
+      const std::uint32_t a = s.ordered.order[at], b = s.ordered.order[at + 1];
+      constexpr std::uint32_t kPosition = kEntries - 1;
+      if (((a ^ b) & ~kPosition) == 0 && s.entries[a & kPosition] > s.entries[b & kPosition]) {
+        s.ordered.order[at] = b, s.ordered.order[at + 1] = a;
+        swapped = true;
+      }
+    }
+    quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
+  }
+}
+
+__device__ void sort_entries(Shared& s) {
+  if (s.n <= kThreads) {
+    order_entries<1>(s);
+  } else if (s.n <= 2 * kThreads) {
+    order_entries<2>(s);
+  } else if (s.n <= 4 * kThreads) {
+    order_entries<4>(s);
+  } else {
+    order_entries<8>(s);
+  }
 }
 
 // A tile's entries: runs of them.
@@ -213,10 +300,10 @@ struct Accumulated {
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
   const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
   const __half2 red_green = __floats2half2_rn(splat.color.x, splat.color.y);
-  const __half2 blue_flag = __floats2half2_rn(splat.color.z, splat.opacity > math::kAlphaMax ? 1.0F : 0.0F);
+  const __half2 blue = __floats2half2_rn(splat.color.z, 0.0F);
   return {{f.xx, f.xy, f.yy, f.x},
           {f.y, f.one, __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&red_green)),
-           __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&blue_flag))}};
+           __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&blue))}};
 }
 
 // Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
@@ -225,9 +312,9 @@ template <bool Clamp, bool Details>
 __device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s, float x, const float (&y)[kRows],
                                     float z) {
   const math::Folded<float> f{s.quadratic.x, s.quadratic.y, s.quadratic.z, s.quadratic.w, s.rest.x, s.rest.y};
-  const std::uint32_t red_green = __float_as_uint(s.rest.z), blue_flag = __float_as_uint(s.rest.w);
+  const std::uint32_t red_green = __float_as_uint(s.rest.z), blue_word = __float_as_uint(s.rest.w);
   const float2 rg = __half22float2(*reinterpret_cast<const __half2*>(&red_green));
-  const float blue = __low2float(*reinterpret_cast<const __half2*>(&blue_flag));
+  const float blue = __low2float(*reinterpret_cast<const __half2*>(&blue_word));
   const float constant = fmaf(fmaf(f.xx, x, f.x), x, f.one);
   const float linear = fmaf(f.xy, x, f.y);
 #pragma unroll
@@ -256,24 +343,28 @@ struct Cell {
   float x, y[kRows];         // the thread's pixels, relative to it
   bool done = false;         // the same in all lanes
 
+  template <bool Clamp>
+  __device__ void blend_staged(const Staged* staged, int n, float z) {
+#pragma unroll 4
+    for (int j = 0; j < n; ++j) {
+      blend_column<Clamp, Details>(pixel, staged[j], x, y, Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
+    }
+  }
+
   // Blends `n` <= 32 queued Gaussians.
   __device__ void blend(const ScreenSplat* splats, Shared& s, int warp, int lane, int n) {
     float z = 0;
+    bool clamp = false;
     if (lane < n) {
       const ScreenSplat splat = splats[s.queue[warp][lane]];
-      s.staged[warp][lane] = stage(splat, corner_x, corner_y);
+      s.ordered.staged[warp][lane] = stage(splat, corner_x, corner_y);
       z = splat.z;
+      clamp = splat.opacity > math::kAlphaMax;
     }
     __syncwarp();
-    for (int j = 0; j < n; ++j) {
-      const Staged staged = s.staged[warp][j];
-      const float depth = Details ? __shfl_sync(kFullWarp, z, j) : 0.0F;
-      if (__float_as_uint(staged.rest.w) >> 16 != 0) {
-        blend_column<true, Details>(pixel, staged, x, y, depth);
-      } else {
-        blend_column<false, Details>(pixel, staged, x, y, depth);
-      }
-    }
+    // One opacity above kAlphaMax, and all of the 32 are clamped; mostly there is none.
+    __any_sync(kFullWarp, clamp) ? blend_staged<true>(s.ordered.staged[warp], n, z)
+                                 : blend_staged<false>(s.ordered.staged[warp], n, z);
     bool opaque = true;
 #pragma unroll
     for (const Accumulated& p : pixel) opaque = opaque && p.t < math::kTransmittanceMin;
@@ -285,7 +376,9 @@ struct Cell {
     std::uint32_t* const queue = s.queue[warp];
     int queued = 0;
     for (std::uint32_t begin = 0; begin < s.n && !done; begin += 32) {
-      const TurboEntry entry = begin + static_cast<std::uint32_t>(lane) < s.n ? s.entries[begin + lane] : 0;
+      const TurboEntry entry = begin + static_cast<std::uint32_t>(lane) < s.n
+                                   ? s.entries[s.ordered.order[begin + lane] & (kEntries - 1)]
+                                   : 0;
       const bool touches = (entry >> warp & 1) != 0;
       const std::uint32_t lanes = __ballot_sync(kFullWarp, touches);
       if (touches) {

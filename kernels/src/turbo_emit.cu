@@ -26,8 +26,9 @@ namespace {
 
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
-constexpr int kWindow = 32;      // tiles along a window's side
-constexpr int kLargeTiles = 32;  // of a bounding box that a block's own Gaussian may have
+constexpr int kWindow = 32;            // tiles along a window's side
+constexpr int kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
+constexpr std::uint32_t kKept = 4096;  // entries of a window kept between counting and placing
 constexpr int kLargeBlocks = 132 * 4;
 constexpr int kTilesPerThread = kWindow * kWindow / kThreads;
 
@@ -38,6 +39,8 @@ struct Shared {
   std::uint16_t first_row[kThreads];        // of each Gaussian
   std::uint8_t listed[kThreads];            // the Gaussian has an entry
   std::uint32_t counts[kWindow * kWindow];  // entries of each tile of the window; then the place of its next one
+  std::uint32_t kept[kKept];                // tile in the window << 16 | owner << 8 | cells; 0: none
+  std::uint32_t n_kept;                     // wanted, may be more than there is room for
   std::uint32_t warp_sums[kWarps];
   int bounds[4][kWarps];  // of the tiles that the block touches, from each warp: -x0, -y0, x1, y1
   std::uint64_t entry_base, run_base;
@@ -56,9 +59,10 @@ struct Window {
   int column, row;
 };
 
-// Calls f(owner, tile in the window, cells) for every tile that a Gaussian of the block touches in the window.
+// Calls f(owner, tiles, cells, first column) for every tile row of the block's Gaussians that the window meets; tiles
+// are those columns of the window that the row may touch.
 template <class F>
-__device__ void for_each_tile(const Shared& s, std::uint32_t n_rows, Window window, math::TileGrid grid, const F& f) {
+__device__ void for_each_row(const Shared& s, std::uint32_t n_rows, Window window, math::TileGrid grid, const F& f) {
   for (std::uint32_t r = threadIdx.x; r < n_rows; r += kThreads) {
     const std::uint32_t owner = owner_of<kThreads>(s.row_end, r);
     const std::uint32_t begin = owner == 0 ? 0 : s.row_end[owner - 1];
@@ -66,13 +70,9 @@ __device__ void for_each_tile(const Shared& s, std::uint32_t n_rows, Window wind
     if (row < window.row || row >= window.row + kWindow) continue;
     const auto cells = math::cell_rows(s.ellipse[owner], row);
     const auto span = math::tiles_of(cells, grid);
-    const int last = math::min(span.last, window.column + kWindow);
-    for (int column = math::max(span.first, window.column); column < last; ++column) {
-      const std::uint32_t touched = math::cells_of(cells, column);
-      if (touched != 0) {
-        f(owner, static_cast<std::uint32_t>((row - window.row) * kWindow + column - window.column), touched);
-      }
-    }
+    const math::TileSpan inside{math::max(span.first, window.column), math::min(span.last, window.column + kWindow)};
+    if (inside.first >= inside.last) continue;
+    f(owner, inside, cells, static_cast<std::uint32_t>((row - window.row) * kWindow - window.column));
   }
 }
 
@@ -174,18 +174,41 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, Turb
 
   for (Window window{-all[0], -all[1]}; window.row < all[3];) {
     for (int k = 0; k < kTilesPerThread; ++k) s.counts[kThreads * k + threadIdx.x] = 0;
+    if (threadIdx.x == 0) s.n_kept = 0;
     __syncthreads();
-    for_each_tile(s, n_rows, window, v.grid, [&s](std::uint32_t owner, std::uint32_t tile, std::uint32_t) {
-      s.listed[owner] = 1;
-      atomicAdd(s.counts + tile, 1u);
-    });
+    for_each_row(s, n_rows, window, v.grid,
+                 [&s](std::uint32_t owner, math::TileSpan span, const math::CellRows<float>& cells, std::uint32_t row) {
+                   std::uint32_t at = atomicAdd(&s.n_kept, static_cast<std::uint32_t>(span.last - span.first));
+                   for (int column = span.first; column < span.last; ++column, ++at) {
+                     const std::uint32_t touched = math::cells_of(cells, column);
+                     const std::uint32_t tile = row + static_cast<std::uint32_t>(column);
+                     if (touched != 0) atomicAdd(s.counts + tile, 1u);
+                     if (at < kKept) s.kept[at] = touched == 0 ? 0 : tile << 16 | owner << 8 | touched;
+                   }
+                 });
     __syncthreads();
     place_window(s, window, a.arrays, v.grid);
     const std::uint64_t base = s.entry_base;
-    for_each_tile(s, n_rows, window, v.grid, [&](std::uint32_t owner, std::uint32_t tile, std::uint32_t cells) {
+    const auto place = [&](std::uint32_t tile, std::uint32_t owner, std::uint32_t cells) {
+      s.listed[owner] = 1;
       const std::uint64_t at = base + atomicAdd(s.counts + tile, 1u);
       if (at < a.arrays.entry_capacity) a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells);
-    });
+    };
+    if (s.n_kept <= kKept) {
+      for (std::uint32_t k = threadIdx.x; k < s.n_kept; k += kThreads) {
+        const std::uint32_t kept = s.kept[k];
+        if (kept != 0) place(kept >> 16, kept >> 8 & 0xFF, kept & 0xFF);
+      }
+    } else {
+      for_each_row(
+          s, n_rows, window, v.grid,
+          [&](std::uint32_t owner, math::TileSpan span, const math::CellRows<float>& cells, std::uint32_t row) {
+            for (int column = span.first; column < span.last; ++column) {
+              const std::uint32_t touched = math::cells_of(cells, column);
+              if (touched != 0) place(row + static_cast<std::uint32_t>(column), owner, touched);
+            }
+          });
+    }
     window.column += kWindow;
     if (window.column >= all[2]) window = {-all[0], window.row + kWindow};
     __syncthreads();
@@ -196,20 +219,16 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, Turb
   }
 }
 
-// Calls f(tile, cells) in the lanes whose tile a large Gaussian touches; all lanes call it with cells == 0 otherwise.
-template <class F>
-__device__ void for_each_tile_of(const TurboLarge& large, math::TileGrid grid, const F& f) {
-  for (int row = large.first_row; row < large.first_row + large.n_rows; ++row) {
-    const auto cells = math::cell_rows(large.ellipse, row);
-    const auto span = math::tiles_of(cells, grid);
-    for (int column = span.first; column < span.last; column += 32) {
-      const int own = column + static_cast<int>(threadIdx.x % 32);
-      f(static_cast<std::uint32_t>(row * grid.columns + own), own < span.last ? math::cells_of(cells, own) : 0);
-    }
-  }
-}
+// Rows of a large Gaussian, up to one a lane.
+struct LargeRows {
+  math::CellRows<float> cells[32];
+  int first_column[32];
+  std::uint32_t tile_end[32];  // inclusive sums of their tiles
+};
 
 __global__ void __launch_bounds__(kThreads) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
+  __shared__ LargeRows all_rows[kWarps];
+  LargeRows& rows = all_rows[threadIdx.x / 32];
   const std::uint32_t lane = threadIdx.x % 32;
   const std::uint32_t n = math::min(a.state->n_large, static_cast<std::uint32_t>(a.large_capacity));
   auto* const n_entries = reinterpret_cast<std::uint32_t*>(a.state + 1);
@@ -217,33 +236,46 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_large_kernel(math::TileGr
   std::uint32_t visible = 0;
   for (std::uint32_t k = (blockIdx.x * kThreads + threadIdx.x) / 32; k < n; k += gridDim.x * kWarps) {
     const TurboLarge large = a.large[k];
-    std::uint32_t total = 0;
-    for_each_tile_of(large, grid, [&total](std::uint32_t, std::uint32_t cells) {
-      total += static_cast<std::uint32_t>(__popc(__ballot_sync(kFullWarp, cells != 0)));
-    });
-    if (total == 0) continue;
-    ++visible;
-    std::uint64_t entry = 0, run = 0;
-    if (lane == 0) {
-      entry = add(a.state->counters.instances, total);
-      run = add(a.state->runs, total);
-    }
-    entry = __shfl_sync(kFullWarp, entry, 0);
-    run = __shfl_sync(kFullWarp, run, 0);
-    for_each_tile_of(large, grid, [&](std::uint32_t tile, std::uint32_t cells) {
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, cells != 0);
-      const auto before = static_cast<std::uint32_t>(__popc(lanes & ((1u << lane) - 1)));
-      if (cells != 0) {
+    bool touches = false;
+    for (int begin = 0; begin < large.n_rows; begin += 32) {
+      std::uint32_t tiles = 0;
+      const int own = begin + static_cast<int>(lane);
+      if (own < large.n_rows) {
+        const auto cells = math::cell_rows(large.ellipse, large.first_row + own);
+        const auto span = math::tiles_of(cells, grid);
+        rows.cells[lane] = cells;
+        rows.first_column[lane] = span.first;
+        tiles = static_cast<std::uint32_t>(math::max(span.last - span.first, 0));
+      }
+      const std::uint32_t end = inclusive_warp_sum(tiles);
+      rows.tile_end[lane] = end;
+      const std::uint32_t total = __shfl_sync(kFullWarp, end, 31);
+      if (total == 0) continue;
+      touches = true;
+      std::uint64_t entry = 0, run = 0;
+      if (lane == 0) {
+        entry = add(a.state->counters.instances, total);
+        run = add(a.state->runs, total);
+      }
+      entry = __shfl_sync(kFullWarp, entry, 0);
+      run = __shfl_sync(kFullWarp, run, 0);
+      __syncwarp();
+      // A tile between the first and the last of its row may after all have no cell: its entry is blended nowhere.
+      for (std::uint32_t t = lane; t < total; t += 32) {
+        const std::uint32_t r = owner_of<32>(rows.tile_end, t);
+        const int column = rows.first_column[r] + static_cast<int>(t - (r == 0 ? 0 : rows.tile_end[r - 1]));
+        const int row = large.first_row + begin + static_cast<int>(r);
+        const auto tile = static_cast<std::uint32_t>(row * grid.columns + column);
         atomicAdd(n_entries + tile, 1u);
         const std::uint32_t rank = atomicAdd(n_runs + tile, 1u);
-        if (entry + before < a.entry_capacity && run + before < a.run_capacity) {
-          a.entries[entry + before] = make_entry(large.depth, large.index, cells);
-          a.runs[run + before] = {{static_cast<std::uint32_t>(entry) + before, 1}, tile, rank};
+        if (entry + t < a.entry_capacity && run + t < a.run_capacity) {
+          a.entries[entry + t] = make_entry(large.depth, large.index, math::cells_of(rows.cells[r], column));
+          a.runs[run + t] = {{static_cast<std::uint32_t>(entry + t), 1}, tile, rank};
         }
       }
-      entry += static_cast<std::uint32_t>(__popc(lanes));
-      run += static_cast<std::uint32_t>(__popc(lanes));
-    });
+      __syncwarp();
+    }
+    visible += touches ? 1 : 0;
   }
   if (lane == 0 && visible > 0) add(a.state->counters.visible, visible);
 }
