@@ -49,10 +49,11 @@ __device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i
               right = (static_cast<float>(view.width) - view.cx + margin) / view.fx;
   const float top = (view.cy + margin) / view.fy,
               bottom = (static_cast<float>(view.height) - view.cy + margin) / view.fy;
-  return center.x - right * center.z - extent(1, 0, -right) <= reach_x &&
-         -center.x - left * center.z - extent(-1, 0, -left) <= reach_x &&
-         center.y - bottom * center.z - extent(0, 1, -bottom) <= reach_y &&
-         -center.y - top * center.z - extent(0, -1, -top) <= reach_y;
+  // Written so that boxes whose numbers overflow stay in view.
+  return !(center.x - right * center.z - extent(1, 0, -right) > reach_x) &&
+         !(-center.x - left * center.z - extent(-1, 0, -left) > reach_x) &&
+         !(center.y - bottom * center.z - extent(0, 1, -bottom) > reach_y) &&
+         !(-center.y - top * center.z - extent(0, -1, -top) > reach_y);
 }
 
 }  // namespace rgs::cuda

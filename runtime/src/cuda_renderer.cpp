@@ -363,7 +363,8 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     const cuda::TurboState& seen = host->turbo;
     const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
     if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
-    ok = reserve_turbo(n, seen.runs, seen.n_large);
+    // Counts without all large Gaussians are too low to be worth memory.
+    ok = all_large ? reserve_turbo(n, seen.runs, 0) : reserve_turbo(0, 0, seen.n_large);
   }
   return tl::unexpected(ok.error());
 }
