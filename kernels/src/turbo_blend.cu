@@ -306,31 +306,44 @@ __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float c
            __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&blue))}};
 }
 
-// Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
-// its whole cell has fallen below it: what comes after adds less than 1e-4.
-template <bool Clamp, bool Details>
-__device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s, float x, const float (&y)[kRows],
-                                    float z) {
+// A Gaussian's exponents in a thread's column of pixels, and its colour.
+struct Column {
+  float exponent[kRows];
+  float r, g, b;
+};
+
+__device__ inline Column column_of(const Staged& s, float x, const float (&y)[kRows]) {
   const math::Folded<float> f{s.quadratic.x, s.quadratic.y, s.quadratic.z, s.quadratic.w, s.rest.x, s.rest.y};
-  const std::uint32_t red_green = __float_as_uint(s.rest.z), blue_word = __float_as_uint(s.rest.w);
+  const std::uint32_t red_green = __float_as_uint(s.rest.z), blue = __float_as_uint(s.rest.w);
   const float2 rg = __half22float2(*reinterpret_cast<const __half2*>(&red_green));
-  const float blue = __low2float(*reinterpret_cast<const __half2*>(&blue_word));
+  Column c;
+  c.r = rg.x, c.g = rg.y, c.b = __low2float(*reinterpret_cast<const __half2*>(&blue));
   const float constant = fmaf(fmaf(f.xx, x, f.x), x, f.one);
   const float linear = fmaf(f.xy, x, f.y);
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
+    c.exponent[k] = fmaf(fmaf(f.yy, y[k], linear), y[k], constant);
+  }
+  return c;
+}
+
+// Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
+// its whole cell has fallen below it: what comes after adds less than 1e-4.
+template <bool Clamp, bool Details>
+__device__ inline void blend_column(Accumulated (&pixel)[kRows], const Column& c, float z) {
+#pragma unroll
+  for (int k = 0; k < kRows; ++k) {
     Accumulated& p = pixel[k];
-    const float exponent = fmaf(fmaf(f.yy, y[k], linear), y[k], constant);
     if (Details && p.t >= math::kTransmittanceMin) ++p.evaluated;
-    if (exponent >= math::kLog2AlphaMin) {
-      float alpha = exp2_approximate(exponent);
+    if (c.exponent[k] >= math::kLog2AlphaMin) {
+      float alpha = exp2_approximate(c.exponent[k]);
       if (Clamp) alpha = math::min(alpha, math::kAlphaMax);
-      const float weight = alpha * p.t;
       if (Details && p.t >= math::kTransmittanceMin) ++p.blended;
+      const float weight = alpha * p.t;
       p.t -= weight;
-      p.r = fmaf(weight, rg.x, p.r);
-      p.g = fmaf(weight, rg.y, p.g);
-      p.b = fmaf(weight, blue, p.b);
+      p.r = fmaf(weight, c.r, p.r);
+      p.g = fmaf(weight, c.g, p.g);
+      p.b = fmaf(weight, c.b, p.b);
       if (Details) p.depth = fmaf(weight, z, p.depth);
     }
   }
@@ -343,11 +356,16 @@ struct Cell {
   float x, y[kRows];         // the thread's pixels, relative to it
   bool done = false;         // the same in all lanes
 
+  // The exponents of one Gaussian are on their way while the one before is blended: a long list has few warps to hide
+  // their latency behind.
   template <bool Clamp>
   __device__ void blend_staged(const Staged* staged, int n, float z) {
-#pragma unroll 4
+    Column current = column_of(staged[0], x, y);
+#pragma unroll 2
     for (int j = 0; j < n; ++j) {
-      blend_column<Clamp, Details>(pixel, staged[j], x, y, Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
+      const Column next = column_of(staged[math::min(j + 1, 31)], x, y);
+      blend_column<Clamp, Details>(pixel, current, Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
+      current = next;
     }
   }
 

@@ -29,7 +29,7 @@ constexpr int kWarps = kThreads / 32;
 constexpr int kWindow = 32;            // tiles along a window's side
 constexpr int kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
 constexpr std::uint32_t kKept = 4096;  // entries of a window kept between counting and placing
-constexpr int kLargeBlocks = 132 * 4;
+constexpr int kLargeBlocks = 132 * 6;
 constexpr int kTilesPerThread = kWindow * kWindow / kThreads;
 
 struct Shared {
@@ -226,7 +226,7 @@ struct LargeRows {
   std::uint32_t tile_end[32];  // inclusive sums of their tiles
 };
 
-__global__ void __launch_bounds__(kThreads) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
+__global__ void __launch_bounds__(kThreads, 6) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
   __shared__ LargeRows all_rows[kWarps];
   LargeRows& rows = all_rows[threadIdx.x / 32];
   const std::uint32_t lane = threadIdx.x % 32;
@@ -252,13 +252,9 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_large_kernel(math::TileGr
       const std::uint32_t total = __shfl_sync(kFullWarp, end, 31);
       if (total == 0) continue;
       touches = true;
-      std::uint64_t entry = 0, run = 0;
-      if (lane == 0) {
-        entry = add(a.state->counters.instances, total);
-        run = add(a.state->runs, total);
-      }
-      entry = __shfl_sync(kFullWarp, entry, 0);
-      run = __shfl_sync(kFullWarp, run, 0);
+      std::uint64_t base = 0;  // of the entries in lane 0, of the runs in lane 1
+      if (lane < 2) base = add(lane == 0 ? a.state->counters.instances : a.state->runs, total);
+      const std::uint64_t entry = __shfl_sync(kFullWarp, base, 0), run = __shfl_sync(kFullWarp, base, 1);
       __syncwarp();
       // A tile between the first and the last of its row may after all have no cell: its entry is blended nowhere.
       for (std::uint32_t t = lane; t < total; t += 32) {

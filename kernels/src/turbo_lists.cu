@@ -19,7 +19,7 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr int kPlaceBlocks = 132 * 2;
+constexpr int kPlaceBlocks = 132 * 8;
 
 // Whether the front end could write all that it had.
 __device__ bool turbo_fits(const TurboArrays& a) {
@@ -38,7 +38,8 @@ __device__ int length_class(std::uint32_t length) {
 
 __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboState* seen) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
-  __shared__ std::uint32_t base;
+  __shared__ std::uint32_t base, class_size[kTurboClasses], class_base[kTurboClasses];
+  if (threadIdx.x < kTurboClasses) class_size[threadIdx.x] = 0;
   TurboState& state = *a.state;
   const bool fits = turbo_fits(a);
   const auto* const n_entries = reinterpret_cast<const std::uint32_t*>(a.state + 1);
@@ -47,15 +48,20 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   const std::uint32_t n = has_list ? n_entries[tile] : 0, runs = has_list ? n_entries[a.n_tiles + tile] : 0;
   const std::uint32_t end = inclusive_block_sum<kThreads>(runs, warp_sums);
   if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.placed, end);
+  const int length = length_class(n);
+  const std::uint32_t rank = tile < a.n_tiles ? atomicAdd(class_size + length, 1u) : 0;
   __syncthreads();
-  if (blockIdx.x == 0 && threadIdx.x == 0) {
+  if (threadIdx.x < kTurboClasses) {
+    class_base[threadIdx.x] = atomicAdd(state.class_size + threadIdx.x, class_size[threadIdx.x]);
+  }
+  if (blockIdx.x == 0 && threadIdx.x == kTurboClasses) {
     *seen = state;
     __threadfence_system();
   }
+  __syncthreads();
   if (tile >= a.n_tiles) return;
   a.lists[tile] = {base + end - runs, runs, n, n > kTurboEntries ? atomicAdd(&state.scratch, n) : 0};
-  const auto length = static_cast<std::uint32_t>(length_class(n));
-  a.classes[length * a.n_tiles + atomicAdd(state.class_size + length, 1u)] = tile;
+  a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + class_base[length] + rank] = tile;
 }
 
 __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
