@@ -295,14 +295,14 @@ struct Accumulated {
   std::uint32_t evaluated = 0, blended = 0;
 };
 
-// Whether an opacity may exceed kAlphaMax in the cell, also by what rounding can add to the exponent: its terms cancel.
-__device__ inline bool may_exceed(const Staged& s, float log2_opacity) {
+// Whether an opacity may exceed kAlphaMax in the cell, also by what rounding can add to the exponent: terms as large as
+// these cancel in it, and they are large for needles.
+__device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, float corner_y) {
   constexpr float kLog2AlphaMax = -0.0144996F;
-  constexpr float kWidth = kCellWidth, kHeight = kCellHeight;
-  const float terms = fabsf(s.quadratic.x) * (kWidth * kWidth) + fabsf(s.quadratic.y) * (kWidth * kHeight) +
-                      fabsf(s.quadratic.z) * (kHeight * kHeight) + fabsf(s.quadratic.w) * kWidth +
-                      fabsf(s.rest.x) * kHeight + fabsf(s.rest.y);
-  return !(log2_opacity + 1e-6F * terms < kLog2AlphaMax);
+  constexpr float kRounding = 4 * math::kLog2E * 6e-8F;
+  const float dx = fabsf(splat.mean.u - corner_x) + kCellWidth, dy = fabsf(splat.mean.v - corner_y) + kCellHeight;
+  const float terms = splat.conic.a * dx * dx + splat.conic.c * dy * dy;
+  return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
 }
 
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
@@ -384,10 +384,9 @@ struct Cell {
     bool clamp = false;
     if (lane < n) {
       const ScreenSplat splat = splats[s.queue[warp][lane]];
-      const Staged own = stage(splat, corner_x, corner_y);
-      s.ordered.staged[warp][lane] = own;
+      s.ordered.staged[warp][lane] = stage(splat, corner_x, corner_y);
       z = splat.z;
-      clamp = may_exceed(own, splat.log2_opacity);
+      clamp = may_exceed(splat, corner_x, corner_y);
     }
     __syncwarp();
     // One opacity above kAlphaMax, and all of the 32 are clamped; mostly there is none.

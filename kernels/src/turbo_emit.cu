@@ -229,7 +229,7 @@ struct LargeRows {
   std::uint32_t tile_end[32];  // inclusive sums of their tiles
 };
 
-__global__ void __launch_bounds__(kThreads, 6) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
+__global__ void __launch_bounds__(kThreads, 4) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
   __shared__ LargeRows all_rows[kWarps];
   LargeRows& rows = all_rows[threadIdx.x / 32];
   const std::uint32_t lane = threadIdx.x % 32;
