@@ -201,3 +201,16 @@ TEST_CASE("a picture in memory is the file that would be written") {
   CHECK(encode_image(picture(8, 8, 4), ImageFormat::jpeg).error().code == Errc::bad_argument);
   CHECK(encode_image(Image::make(8, 8, 2), ImageFormat::png).error().code == Errc::bad_argument);
 }
+
+TEST_CASE("a picture's size is known without its pixels") {
+  const TemporaryFolder folder;
+  REQUIRE(write_image(folder.file("a.jpg"), picture(61, 43, 3)));
+  const auto extent = read_image_extent(folder.file("a.jpg"));
+  REQUIRE(extent);
+  CHECK(extent->width == 61);
+  CHECK(extent->height == 43);
+  CHECK(extent->channels == 3);
+  CHECK(read_image_extent(folder.file("b.jpg")).error().code == Errc::open_failed);
+  std::ofstream(folder.file("c.png")) << "text";
+  CHECK(read_image_extent(folder.file("c.png")).error().code == Errc::bad_syntax);
+}
