@@ -6,16 +6,19 @@
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <string>
 #include <thread>
 
 #include "audit.hpp"
+#include "audit_folder.hpp"
 #include "audit_gate.hpp"
 #include "audit_json.hpp"
 #include "audit_report.hpp"
 #include "audit_text.hpp"
 #include "console.hpp"
+#include "info_escape.hpp"
 #include "rgs/file.hpp"
 
 namespace {
@@ -83,6 +86,21 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   return report_gate(*report);
 }
 
+int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
+  if (a.report.empty() || a.report == "-")
+    return tool::report_usage("two folders need a folder for the reports: --report FOLDER");
+  if (!a.json.empty()) return tool::report_usage("with two folders JSON goes into the folder of --report; drop --json");
+  if (!a.audit.also.empty()) return tool::report_usage("--also goes with one pair, not with two folders");
+  const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.overwrite, a.quiet});
+  if (!rows) return report_failure(rows.error());
+  for (const audit::FolderRow& row : *rows)
+    if (row.exit_code != tool::kSuccess)
+      fmt::print(stderr, "rgs-audit: {}: {}\n", tool::escape_untrusted(row.stem, false),
+                 tool::escape_untrusted(row.error.empty() ? row.headline : row.error, false, 4096));
+  if (!a.quiet) fmt::print("table: {}\n", (std::filesystem::path(a.report) / "index.html").string());
+  return audit::exit_code_of(*rows);
+}
+
 int audit_main(Arguments& a) {
   rgs::remove_temporaries_on_signal();
   a.audit.render = !a.no_render;
@@ -97,6 +115,7 @@ int audit_main(Arguments& a) {
     auto parsed = audit::parse_conditions(text);
     if (!parsed) return tool::report_usage(parsed.error());
     conditions.insert(conditions.end(), parsed->begin(), parsed->end());
+    a.audit.gate += text + ",";
   }
   if (const std::string wrong = audit::unmeasurable(conditions, a.audit); !wrong.empty())
     return tool::report_usage(wrong);
@@ -106,7 +125,11 @@ int audit_main(Arguments& a) {
   const std::size_t threads = a.audit.threads > 0 ? static_cast<std::size_t>(a.audit.threads)
                                                   : std::max(1u, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
-  return audit_pair(a, std::move(conditions));
+  std::error_code ignored;
+  const bool folders = std::filesystem::is_directory(a.audit.source, ignored);
+  if (folders != std::filesystem::is_directory(a.audit.asset, ignored))
+    return tool::report_usage("source and asset are two files or two folders, not one of each");
+  return folders ? audit_pairs(a, std::move(conditions)) : audit_pair(a, std::move(conditions));
 }
 
 void add_options(CLI::App& app, Arguments& a) {
@@ -114,11 +137,13 @@ void add_options(CLI::App& app, Arguments& a) {
   std::string names;
   for (const audit::ConditionKind& kind : audit::condition_kinds())
     names += fmt::format("\n  {:<24}{} {}", kind.name, kind.at_least ? "at least:" : "at most: ", kind.meaning);
-  app.add_option("source", o.source, "3DGS PLY that the asset was made from")->required();
-  app.add_option("asset", o.asset, "What was made from it: .rgs, or another .ply")->required();
+  app.add_option("source", o.source, "3DGS PLY that the asset was made from, or a folder of such")->required();
+  app.add_option("asset", o.asset,
+                 "What was made from it: .rgs, another .ply, or a folder of .rgs files of the same names")
+      ->required();
   app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");
-  app.add_option("--report,-o", a.report, "Write the report as one HTML file");
+  app.add_option("--report,-o", a.report, "Write the report as one HTML file; for two folders, a folder");
   app.add_option("--json", a.json, "Write the results as JSON (docs/AUDIT_JSON.md); - for standard output");
   app.add_option("--fail-below", a.conditions, "Conditions such as psnr=50,loss=0.03; exit code 5 if one does not hold")
       ->option_text("NAME=LIMIT,...");

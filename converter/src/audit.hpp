@@ -41,6 +41,7 @@ struct Options {
   bool render = true;             ///< false: sizes and attributes only
   bool attribution = true;
   bool compare_scales = false;  ///< also one SH scale set for the file against one per chunk
+  std::string gate;             ///< the conditions as text; part of the fingerprint, evaluated by evaluate()
   Backend backend = Backend::automatic;
   int threads = 0;
 };

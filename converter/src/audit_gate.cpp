@@ -151,10 +151,11 @@ Verdict verdict(const Report& report) {
     } else {
       out.detail = fmt::format("{} views are equal in every bit.", r.views.size());
     }
-    if (r.loss)
-      out.detail += *r.loss >= 0
-                        ? fmt::format(" Against the photographs {:.4f} dB are lost.", *r.loss)
-                        : fmt::format(" Against the photographs nothing is lost: {:.4f} dB are won.", -*r.loss);
+    if (r.loss && *r.loss > 0.0005) {
+      out.detail += fmt::format(" Against the photographs {:.3f} dB are lost.", *r.loss);
+    } else if (r.loss) {
+      out.detail += " Against the photographs nothing is lost.";
+    }
   }
   const auto add = [&out](const std::string& sentence) { out.detail += (out.detail.empty() ? "" : " ") + sentence; };
   if (report.attributes && report.attributes->n_source_only != 0)
