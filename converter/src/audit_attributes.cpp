@@ -81,7 +81,7 @@ struct Distribution {
     if (seen >= wanted) return 0;
     for (std::size_t i = 0; i < kBins; ++i) {
       seen += bins[i];
-      if (seen >= wanted) return std::min(upper_edge(i), static_cast<double>(max));
+      if (seen >= wanted && i + 1 < kBins) return std::min(upper_edge(i), static_cast<double>(max));
     }
     return static_cast<double>(max);
   }
@@ -225,11 +225,11 @@ class Comparison {
   // squared colour error is the sum of the squared coefficient errors over 4 pi, exactly and without sampling.
   template <class Note>
   float add_sh(const float* source, const float* stored, Seen& seen, const Note& note) const {
-    std::array<float, 12> squares{};
+    std::array<double, 12> squares{};  // FP32 would overflow for the largest legal coefficients
     for (std::size_t i = 0; i < floats_; ++i) {
       const auto degree = static_cast<std::size_t>(sh_degree_of(static_cast<int>(i / 3))), channel = i % 3;
       const float error = std::abs(stored[i] - source[i]);
-      squares[3 * degree + channel] += error * error;
+      squares[3 * degree + channel] += static_cast<double>(error) * static_cast<double>(error);
       note(kShValue + 3 * degree + channel, error);
     }
     for (std::size_t i = 0; i < stored_floats_; ++i) {
@@ -240,16 +240,16 @@ class Comparison {
       seen.ranges.sh_flushed += code == 0 && source[i] != 0;
       seen.ranges.sh_clipped += std::abs(source[i]) > 127.5F * step_[i] && step_[i] > 0;
     }
-    float all = 0;
+    double all = 0;
     const std::size_t n = floats_ == 3 ? 3 : floats_ == 12 ? 6 : floats_ == 27 ? 9 : 12;
     for (std::size_t i = 0; i < n; ++i) {
-      note(kShLevels + i, kLevels * std::sqrt(squares[i]));
+      note(kShLevels + i, static_cast<float>(kLevels * std::sqrt(squares[i])));
       all += squares[i];
     }
-    return kLevels * std::sqrt(all / 3);
+    return static_cast<float>(kLevels * std::sqrt(all / 3));
   }
 
-  static constexpr float kLevels = 255 * 0.28209479177F;  // 8-bit levels over sqrt(4 pi)
+  static constexpr double kLevels = 255 * 0.28209479177387814;  // 8-bit levels over sqrt(4 pi)
   int asset_degree_;
   std::size_t floats_, stored_floats_;
   float smallest_normal_;
