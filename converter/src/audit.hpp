@@ -150,6 +150,7 @@ struct AttributionRow {
   double worst = 0;  ///< worst view, dB
   double mse = 0;    ///< mean over the views
   double share = 0;  ///< of the mse of all together; shares need not sum to 1, because errors add up or cancel
+  std::optional<double> loss{};  ///< against the photographs, mean over the views, dB
 };
 
 struct ViewPictures {

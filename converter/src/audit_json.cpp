@@ -142,7 +142,8 @@ Json json(const RenderReport& r) {
                            {"psnr", number(row.psnr)},
                            {"worst_psnr", number(row.worst)},
                            {"mse", row.mse},
-                           {"share", row.share}});
+                           {"share", row.share},
+                           {"loss", optional(row.loss)}});
   Json out{{"backend", r.backend},
            {"automatic_views", r.automatic_views},
            {"psnr", number(r.psnr)},

@@ -70,7 +70,12 @@ double mean_psnr(std::span<const double> values) {
 // What is known of one variant, view by view.
 struct Series {
   std::string key, name;
-  std::vector<double> psnr, mse;
+  std::vector<double> psnr{}, mse{}, loss{};
+  void add(double view_psnr, double view_mse, double view_loss) {
+    psnr.push_back(view_psnr);
+    mse.push_back(view_mse);
+    loss.push_back(view_loss);
+  }
 };
 
 class PictureAudit {
@@ -128,18 +133,17 @@ class PictureAudit {
       report_.attribution_note = "Gaussians of the asset have no partner in the source";
     }
     if (!attribute()) return;
-    if (inputs_.pairing->n_paired != inputs_.source->size())
-      variants_.push_back({"left_out", "Gaussians left out", {}, {}});
-    variants_.push_back({"sh", "SH as INT8", {}, {}});
-    variants_.push_back({"geometry", "Geometry as FP16", {}, {}});
-    variants_.push_back({"conversion", "SH and geometry: the conversion", {}, {}});
-    variants_.push_back({"key", "Sort key quantised", {}, {}});
-    variants_.push_back({"exp", "Fast exponential", {}, {}});
-    variants_.push_back({"lists", "Tile lists by ellipse, folded exponent", {}, {}});
-    variants_.push_back({"together", "All together", {}, {}});
+    if (inputs_.pairing->n_paired != inputs_.source->size()) variants_.push_back({"left_out", "Gaussians left out"});
+    variants_.push_back({"sh", "SH as INT8"});
+    variants_.push_back({"geometry", "Geometry as FP16"});
+    variants_.push_back({"conversion", "SH and geometry: the conversion"});
+    variants_.push_back({"key", "Sort key quantised"});
+    variants_.push_back({"exp", "Fast exponential"});
+    variants_.push_back({"lists", "Tile lists by ellipse, folded exponent"});
+    variants_.push_back({"together", "All together"});
     if (!options_.compare_scales) return;
-    variants_.push_back({"file_scales", "SH as INT8, one scale set for the file", {}, {}});
-    variants_.push_back({"chunk_scales", "SH as INT8, one scale set per 256", {}, {}});
+    variants_.push_back({"file_scales", "SH as INT8, one scale set for the file"});
+    variants_.push_back({"chunk_scales", "SH as INT8, one scale set per 256"});
   }
 
   std::uint64_t frames_per_view() const {
@@ -260,14 +264,9 @@ class PictureAudit {
       if (!d || !s) return fail(other.path, d ? s.error() : d.error());
       sums.psnr.push_back(d->psnr);
       sums.ssim += *s;
-      if (!views_[i].photo.empty()) {
-        const auto photo = read_photo(views_[i]);
-        if (!photo) return tl::unexpected(photo.error());
-        const auto before = difference(*photo, clamped(references_[i - first])),
-                   after = difference(*photo, clamped(*image));
-        if (!before || !after) return fail(views_[i].photo, before ? after.error() : before.error());
-        sums.loss += before->psnr - after->psnr;
-      }
+      const auto loss = photo_loss(views_[i], references_[i - first], *image);
+      if (!loss) return tl::unexpected(loss.error());
+      sums.loss += *loss;
     }
     scene_ = Scene();
     return {};
@@ -290,8 +289,9 @@ class PictureAudit {
       if (!image) return tl::unexpected(image.error());
       const auto d = difference(references_[i - first], *image);
       if (!d) return fail("view " + views_[i].camera.name, d.error());
-      series.psnr.push_back(d->psnr);
-      series.mse.push_back(d->mse);
+      const auto loss = photo_loss(views_[i], references_[i - first], *image);
+      if (!loss) return tl::unexpected(loss.error());
+      series.add(d->psnr, d->mse, *loss);
     }
     return {};
   }
@@ -310,11 +310,9 @@ class PictureAudit {
       if (!photo) return tl::unexpected(photo.error());
       result.photo = *photo;
     }
+    if (Series* conversion = find("conversion"))
+      conversion->add(d->psnr, d->mse, result.photo ? result.photo->loss() : 0);
     report_.views.push_back(std::move(result));
-    if (Series* conversion = find("conversion")) {
-      conversion->psnr.push_back(d->psnr);
-      conversion->mse.push_back(d->mse);
-    }
     keep({view, reference, std::move(image)});
     return {};
   }
@@ -333,6 +331,16 @@ class PictureAudit {
       (of_source ? score.source_ssim : score.asset_ssim) = *s;
     }
     return score;
+  }
+
+  // What `image` loses against the photograph, dB; 0 without one.
+  static Outcome<double> photo_loss(const View& view, const Image& reference, const Image& image) {
+    if (view.photo.empty()) return 0;
+    const auto photo = read_photo(view);
+    if (!photo) return tl::unexpected(photo.error());
+    const auto before = difference(*photo, clamped(reference)), after = difference(*photo, clamped(image));
+    if (!before || !after) return fail(view.photo, before ? after.error() : before.error());
+    return before->psnr == after->psnr ? 0 : before->psnr - after->psnr;
   }
 
   // The worst views so far, within a number and a size.
@@ -356,9 +364,11 @@ class PictureAudit {
     double all = 0;
     if (const Series* together = find("together")) all = mean(together->mse);
     for (const Series& s : variants_) {
-      const double mse = mean(s.mse);
-      report_.attribution.push_back({s.key, s.name, mean_psnr(s.psnr), *std::min_element(s.psnr.begin(), s.psnr.end()),
-                                     mse, all > 0 ? mse / all : 0});
+      AttributionRow row{s.key, s.name, mean_psnr(s.psnr), *std::min_element(s.psnr.begin(), s.psnr.end()),
+                         mean(s.mse)};
+      row.share = all > 0 ? row.mse / all : 0;
+      if (!options_.photos.empty()) row.loss = mean(s.loss);
+      report_.attribution.push_back(std::move(row));
     }
     for (std::size_t i = 0; i < also_.size(); ++i) {
       const AlsoSums& sums = also_sums_[i];

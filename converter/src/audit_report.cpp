@@ -328,18 +328,22 @@ class Page {
         "error of "
         "everything at once; they need not add up to 100 %, because errors add up or cancel.</p>\n");
     table("Attribution of the loss");
+    const bool photos = r.photo.has_value();
     add("<thead><tr><th>Step</th><th>PSNR, dB</th><th>Worst view, dB</th><th>Error, levels RMS</th><th>Share of the "
         "squared "
-        "error</th></tr></thead><tbody>\n");
+        "error</th>{}</tr></thead><tbody>\n",
+        photos ? "<th>Lost to photos, dB</th>" : "");
     const char* group = "";
     for (const AttributionRow& row : r.attribution) {
       const char* belongs = group_of(row.key);
       if (std::string_view(belongs) != group && *belongs != '\0')
-        add("<tr class=\"group\"><td colspan=\"5\">{}</td></tr>\n", belongs);
+        add("<tr class=\"group\"><td colspan=\"{}\">{}</td></tr>\n", photos ? 6 : 5, belongs);
       group = belongs;
-      add("<tr{}><td>{}</td><td>{}</td><td>{}</td><td>{:.3f}</td><td>{}<b>{:.1f} %</b></td></tr>\n",
+      add("<tr{}><td>{}</td><td>{}</td><td>{}</td><td>{:.3f}</td><td>{}<b>{:.1f} %</b></td>",
           row.key == "together" ? " class=\"sum\"" : "", html(row.name), number(row.psnr, 2), number(row.worst, 2),
           levels(row.mse), meter(row.share), 100 * row.share);
+      if (photos) add("<td>{}</td>", number(row.loss.value_or(0), 4));
+      add("</tr>\n");
     }
     end_table();
     if (const auto& d = report_.declarations)

@@ -169,7 +169,7 @@ TEST_CASE("the attribution has every step alone and all together") {
 TEST_CASE("a scene against itself is identical: infinite PSNR, SSIM 1, and no NaN anywhere") {
   const SceneFolder scene;
   const ProgramResult run = run_audit({scene.ply, scene.ply, "--cameras", scene.cameras, "--json", "-", "--fail-below",
-                                   "psnr=200,worst-psnr=200,ssim=1,largest=0", "--report", scene.file("r.html")});
+                                       "psnr=200,worst-psnr=200,ssim=1,largest=0", "--report", scene.file("r.html")});
   REQUIRE(run.exit_code == 0);
   const json j = json::parse(run.out);
   CHECK(j["verdict"]["grade"] == "identical");
@@ -190,7 +190,7 @@ TEST_CASE("the report is one page that works in a browser, whatever the files ar
   write_photos(scene.file("photos"), 3);
   const std::string page = scene.file("report.html");
   const ProgramResult run = run_audit({hostile, scene.rgs, "--cameras", scene.cameras, "--photos", scene.file("photos"),
-                                   "--compare-scales", "--also", scene.ply, "--report", page});
+                                       "--compare-scales", "--also", scene.ply, "--report", page});
   INFO(run.err);
   REQUIRE(run.exit_code == 0);
   CHECK(run.out.find("report: " + page) != std::string::npos);
@@ -231,7 +231,7 @@ TEST_CASE("conditions that fail are exit code 5 and are named") {
   const SceneFolder scene;
   const ProgramResult run =
       run_audit({scene.ply, scene.rgs, "--cameras", scene.cameras, "--no-attribution", "--fail-below",
-             "psnr=20,worst-ssim=0.999999999", "--fail-below", "bytes-per-gaussian=60", "--quiet"});
+                 "psnr=20,worst-ssim=0.999999999", "--fail-below", "bytes-per-gaussian=60", "--quiet"});
   CHECK(run.exit_code == 5);
   CHECK(run.out.empty());
   CHECK(run.err.find("worst-ssim") != std::string::npos);
@@ -301,8 +301,8 @@ TEST_CASE("photographs are found by name and compared with both sides") {
 
 TEST_CASE("views without cameras, other sizes and splits") {
   const SceneFolder scene;
-  const ProgramResult run =
-      run_audit({scene.ply, scene.rgs, "--views", "2", "--size", "64x48", "--json", "-", "--no-attribution", "--quiet"});
+  const ProgramResult run = run_audit(
+      {scene.ply, scene.rgs, "--views", "2", "--size", "64x48", "--json", "-", "--no-attribution", "--quiet"});
   REQUIRE(run.exit_code == 0);
   const json j = json::parse(run.out);
   CHECK(j["rendered"]["automatic_views"] == true);
@@ -361,8 +361,8 @@ TEST_CASE("an empty scene is audited without a division by zero") {
   const TemporaryFolder folder;
   const SplatCloud none = audit_cloud(0, 1);
   const std::string ply = write_ply(folder.file("e.ply"), none), rgs = write_rgs(folder.file("e.rgs"), none);
-  const ProgramResult run =
-      run_audit({ply, rgs, "--views", "1", "--size", "32x32", "--json", "-", "--report", folder.file("e.html"), "--quiet"});
+  const ProgramResult run = run_audit(
+      {ply, rgs, "--views", "1", "--size", "32x32", "--json", "-", "--report", folder.file("e.html"), "--quiet"});
   INFO(run.err);
   REQUIRE(run.exit_code == 0);
   CHECK(json::parse(run.out)["verdict"]["grade"] == "identical");
