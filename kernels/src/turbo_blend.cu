@@ -1,0 +1,295 @@
+// turbo_blend.cu - orders a tile's list in shared memory and blends it, a block a tile of 32x32 pixels.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Math    rgs/math/blend.hpp: fold(), folded_exponent(); docs/RENDERING.md "A pixel"
+// In/Out  lists, splats -> pixels
+// Cost    an entry: 8 B read a round, about 12 instructions a step of the sorting network; a (cell, Gaussian) pair that
+// is
+//         blended: 48 B gathered by one lane, 32 B of shared memory to each lane, and about 10 instructions a pixel
+// Launch  256 threads a tile, longest lists first. A warp has a cell of 16x8 pixels, a thread four pixels of one
+// column:
+//         what it reads of a Gaussian, and its polynomial in y, serve all four
+// Shared  Shared: entries in order, Gaussians staged by each warp; 27 KiB
+// Order   exact: by depth, then by index, in every pixel, whatever the order of the list: deterministic
+//
+// Lists are as long as the scene makes them, shared memory is not: a list longer than kEntries is taken in rounds, each
+// of them the nearest entries that are left, found by a histogram of what is left. Most pixels are opaque before the
+// last.
+#include <cuda_fp16.h>
+
+#include <cstdint>
+
+#include "block_scan.cuh"
+#include "launch.cuh"
+#include "rgs/cuda/turbo.hpp"
+
+namespace rgs::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+constexpr int kWarps = kThreads / 32;
+constexpr int kRows = 4;  // pixels of a thread
+constexpr int kCellWidth = 16, kCellHeight = 2 * kRows;
+static_assert(2 * kCellWidth == kTurboTile && 4 * kCellHeight == kTurboTile);
+constexpr std::uint32_t kEntries = 2048;  // ordered at a time; a power of two
+constexpr int kBinBits = 8;               // of the histogram, a bin a thread
+constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
+static_assert(kBins == kThreads);
+
+// A Gaussian as a cell's pixels need it; coordinates relative to the cell's first pixel.
+struct Staged {
+  float4 quadratic;  // xx, xy, yy, x
+  float4 rest;       // y, one, colour in FP16 (r g), (b and a flag: opacities may exceed kAlphaMax)
+};
+
+struct Shared {
+  TurboEntry entries[kEntries];
+  Staged staged[kWarps][32];
+  std::uint32_t queue[kWarps][64];  // Gaussians that touch the cell, in order
+  std::uint32_t bins[kBins];
+  std::uint32_t warp_sums[kWarps];
+  std::uint32_t n;  // entries of the round
+};
+
+// Sorting network (Batcher 1968) over the power of two at or above s.n. Strides up to 32 stay within the 64 entries
+// that a warp has to itself.
+__device__ void sort_entries(Shared& s) {
+  std::uint32_t size = 64;
+  while (size < s.n) size *= 2;
+  for (std::uint32_t k = s.n + threadIdx.x; k < size; k += kThreads) s.entries[k] = ~TurboEntry{0};
+  __syncthreads();
+  for (std::uint32_t run = 2; run <= size; run *= 2) {
+    for (std::uint32_t stride = run / 2; stride > 0; stride /= 2) {
+      for (std::uint32_t k = threadIdx.x; k < size / 2; k += kThreads) {
+        const std::uint32_t low = 2 * k - (k & (stride - 1));
+        const bool ascending = (low & run) == 0;
+        const TurboEntry a = s.entries[low], b = s.entries[low + stride];
+        if ((a > b) == ascending) {
+          s.entries[low] = b;
+          s.entries[low + stride] = a;
+        }
+      }
+      stride > 32 ? __syncthreads() : __syncwarp();
+    }
+    if (run >= 64) __syncthreads();
+  }
+  __syncthreads();
+}
+
+// End of the round that begins at `begin`, from where more than kEntries entries are left: at most kEntries entries of
+// the list, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the
+// one that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
+__device__ TurboEntry round_end(Shared& s, const TurboEntry* list, std::uint32_t length, TurboEntry begin) {
+  int shift = 64 - kBinBits;
+  for (;;) {
+    s.bins[threadIdx.x] = 0;
+    __syncthreads();
+    for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) {
+      const TurboEntry bin =
+          (list[k] - begin) >> shift;  // of an entry before `begin`: beyond all bins, or the last ones
+      if (list[k] >= begin && bin < kBins) atomicAdd(s.bins + bin, 1u);
+    }
+    __syncthreads();
+    const std::uint32_t end = inclusive_block_sum<kThreads>(s.bins[threadIdx.x], s.warp_sums);
+    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
+    const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
+    begin += fitting << shift;
+    if (any) return begin;
+    shift = shift > kBinBits ? shift - kBinBits : 0;
+  }
+}
+
+__device__ inline float exp2_approximate(float x) {
+  float y;
+  asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(y) : "f"(x));
+  return y;
+}
+
+struct Accumulated {
+  float r = 0, g = 0, b = 0, depth = 0;
+  float t = 1;
+  std::uint32_t evaluated = 0, blended = 0;
+};
+
+__device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
+  const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
+  const __half2 red_green = __floats2half2_rn(splat.color.x, splat.color.y);
+  const __half2 blue_flag = __floats2half2_rn(splat.color.z, splat.opacity > math::kAlphaMax ? 1.0F : 0.0F);
+  return {{f.xx, f.xy, f.yy, f.x},
+          {f.y, f.one, __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&red_green)),
+           __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&blue_flag))}};
+}
+
+// Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
+// its whole cell has fallen below it: what comes after adds less than 1e-4.
+template <bool Clamp, bool Details>
+__device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s, float x, float y, float z) {
+  const math::Folded<float> f{s.quadratic.x, s.quadratic.y, s.quadratic.z, s.quadratic.w, s.rest.x, s.rest.y};
+  const std::uint32_t red_green = __float_as_uint(s.rest.z), blue_flag = __float_as_uint(s.rest.w);
+  const float2 rg = __half22float2(*reinterpret_cast<const __half2*>(&red_green));
+  const float blue = __low2float(*reinterpret_cast<const __half2*>(&blue_flag));
+  const float constant = fmaf(fmaf(f.xx, x, f.x), x, f.one);
+  const float linear = fmaf(f.xy, x, f.y);
+#pragma unroll
+  for (int k = 0; k < kRows; ++k) {
+    Accumulated& p = pixel[k];
+    const float row = y + static_cast<float>(k);
+    const float exponent = fmaf(fmaf(f.yy, row, linear), row, constant);
+    if (Details && p.t >= math::kTransmittanceMin) ++p.evaluated;
+    if (exponent >= math::kLog2AlphaMin) {
+      float alpha = exp2_approximate(exponent);
+      if (Clamp) alpha = math::min(alpha, math::kAlphaMax);
+      const float weight = alpha * p.t;
+      if (Details && p.t >= math::kTransmittanceMin) ++p.blended;
+      p.t -= weight;
+      p.r = fmaf(weight, rg.x, p.r);
+      p.g = fmaf(weight, rg.y, p.g);
+      p.b = fmaf(weight, blue, p.b);
+      if (Details) p.depth = fmaf(weight, z, p.depth);
+    }
+  }
+}
+
+template <bool Details>
+struct Cell {
+  Accumulated pixel[kRows];
+  float corner_x, corner_y;  // first pixel of the cell, px
+  float x, y;                // the thread's first pixel, relative to it
+  bool done = false;         // the same in all lanes
+
+  // Blends `n` <= 32 queued Gaussians.
+  __device__ void blend(const ScreenSplat* splats, Shared& s, int warp, int lane, int n) {
+    float z = 0;
+    if (lane < n) {
+      const ScreenSplat splat = splats[s.queue[warp][lane]];
+      s.staged[warp][lane] = stage(splat, corner_x, corner_y);
+      z = splat.z;
+    }
+    __syncwarp();
+    for (int j = 0; j < n; ++j) {
+      const Staged staged = s.staged[warp][j];
+      const float depth = Details ? __shfl_sync(kFullWarp, z, j) : 0.0F;
+      if (__float_as_uint(staged.rest.w) >> 16 != 0) {
+        blend_column<true, Details>(pixel, staged, x, y, depth);
+      } else {
+        blend_column<false, Details>(pixel, staged, x, y, depth);
+      }
+    }
+    bool opaque = true;
+#pragma unroll
+    for (const Accumulated& p : pixel) opaque = opaque && p.t < math::kTransmittanceMin;
+    done = __all_sync(kFullWarp, opaque);
+  }
+
+  // Blends what the round's ordered entries hold for this cell.
+  __device__ void blend_round(const ScreenSplat* splats, Shared& s, int warp, int lane) {
+    std::uint32_t* const queue = s.queue[warp];
+    int queued = 0;
+    for (std::uint32_t begin = 0; begin < s.n && !done; begin += 32) {
+      const TurboEntry entry = begin + static_cast<std::uint32_t>(lane) < s.n ? s.entries[begin + lane] : 0;
+      const bool touches = (entry >> warp & 1) != 0;
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, touches);
+      if (touches) {
+        queue[queued + __popc(lanes & ((1u << lane) - 1))] =
+            static_cast<std::uint32_t>(entry >> 8) & static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
+      }
+      queued += __popc(lanes);
+      __syncwarp();
+      if (queued >= 32) {
+        blend(splats, s, warp, lane, 32);
+        queued -= 32;
+        const std::uint32_t left = queue[32 + lane];
+        __syncwarp();
+        queue[lane] = left;
+        __syncwarp();
+      }
+    }
+    if (!done && queued > 0) blend(splats, s, warp, lane, queued);
+  }
+};
+
+template <bool Details>
+__device__ void store(const TurboBlendArguments& a, const Cell<Details>& cell) {
+  const PixelArrays& t = a.target;
+  const int x = static_cast<int>(cell.corner_x + cell.x), y = static_cast<int>(cell.corner_y + cell.y);
+  if (x >= a.width) return;
+#pragma unroll
+  for (int k = 0; k < kRows; ++k) {
+    if (y + k >= a.height) return;
+    const Accumulated& p = cell.pixel[k];
+    const math::Pixel<float> pixel{p.r, p.g, p.b, p.depth, p.t};
+    const auto i = static_cast<std::size_t>(y + k) * static_cast<std::size_t>(a.width) + static_cast<std::size_t>(x);
+    if (t.rgb != nullptr) {
+      const auto color = math::resolve(pixel, a.background);
+      t.rgb[3 * i] = color.x, t.rgb[3 * i + 1] = color.y, t.rgb[3 * i + 2] = color.z;
+    }
+    if (t.alpha != nullptr) t.alpha[i] = 1 - pixel.transmittance;
+    if constexpr (Details) {
+      if (t.depth != nullptr) t.depth[i] = math::expected_depth(pixel);
+      if (t.evaluated != nullptr) t.evaluated[i] = p.evaluated;
+      if (t.blended != nullptr) t.blended[i] = p.blended;
+      if (a.counters != nullptr) {
+        atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->evaluated), p.evaluated);
+        atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->blended), p.blended);
+      }
+    }
+  }
+}
+
+template <bool Details>
+__global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArguments a) {
+  __shared__ Shared s;
+  const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
+  const std::uint32_t tile = a.tile_order[blockIdx.x];
+  const std::uint32_t list_begin = a.list_begin[tile], length = a.list_begin[tile + 1] - list_begin;
+  const TurboEntry* const list = a.entries + list_begin;
+  const int tile_x = static_cast<int>(tile) % a.grid.columns, tile_y = static_cast<int>(tile) / a.grid.columns;
+
+  Cell<Details> cell;
+  cell.corner_x = static_cast<float>(tile_x * kTurboTile + kCellWidth * (warp % 2));
+  cell.corner_y = static_cast<float>(tile_y * kTurboTile + kCellHeight * (warp / 2));
+  cell.x = static_cast<float>(lane % kCellWidth);
+  cell.y = static_cast<float>(kRows * (lane / kCellWidth));
+  cell.done = cell.corner_x >= static_cast<float>(a.width) || cell.corner_y >= static_cast<float>(a.height);
+  for (int k = 0; k < kRows; ++k) {  // a pixel outside the image keeps nobody waiting
+    const bool inside = cell.corner_x + cell.x < static_cast<float>(a.width) &&
+                        cell.corner_y + cell.y + static_cast<float>(k) < static_cast<float>(a.height);
+    cell.pixel[k].t = inside ? 1.0F : 0.0F;
+  }
+
+  TurboEntry begin = 0;
+  for (std::uint32_t left = length; left > 0;) {
+    if (left <= kEntries && left == length) {
+      for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) s.entries[k] = list[k];
+      if (threadIdx.x == 0) s.n = length;
+    } else {
+      const TurboEntry end = left <= kEntries ? ~TurboEntry{0} : round_end(s, list, length, begin);
+      if (threadIdx.x == 0) s.n = 0;
+      __syncthreads();
+      for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) {
+        const TurboEntry entry = list[k];
+        if (entry >= begin && entry < end) s.entries[atomicAdd(&s.n, 1u)] = entry;
+      }
+      begin = end;
+    }
+    __syncthreads();
+    left -= s.n;
+    sort_entries(s);
+    if (!cell.done) cell.blend_round(a.splats, s, warp, lane);
+    if (__syncthreads_and(cell.done)) break;
+  }
+  store(a, cell);
+}
+
+}  // namespace
+
+Status launch_turbo_blend(const TurboBlendArguments& a, Stream stream) {
+  const PixelArrays& t = a.target;
+  const bool details = t.depth != nullptr || t.evaluated != nullptr || t.blended != nullptr || a.counters != nullptr;
+  const auto blocks = static_cast<std::uint32_t>(a.grid.columns * a.grid.rows);
+  details ? turbo_blend_kernel<true><<<blocks, kThreads, 0, stream>>>(a)
+          : turbo_blend_kernel<false><<<blocks, kThreads, 0, stream>>>(a);
+  return launched("the turbo blending kernel could not be launched");
+}
+
+}  // namespace rgs::cuda
