@@ -165,12 +165,14 @@ TEST_CASE("attribute errors agree with a plain computation from the decoded file
     CHECK(found.max == doctest::Approx(errors.back()).epsilon(epsilon));
     CHECK(found.mean == doctest::Approx(sum / n).epsilon(epsilon));
     CHECK(found.rms == doctest::Approx(std::sqrt(squares / n)).epsilon(epsilon));
-    for (const auto& [quantile, share] :
-         {std::pair(found.p50, 0.5), std::pair(found.p99, 0.99), std::pair(found.p999, 0.999)}) {
+    const auto check_quantile = [&](double quantile, double share) {
       const double exact = errors[static_cast<std::size_t>(std::ceil(share * n)) - 1];
       CHECK(quantile >= exact * (1 - epsilon));
       CHECK(quantile <= exact * (1 + 1 / 63.0 + epsilon));
-    }
+    };
+    check_quantile(found.p50, 0.5);
+    check_quantile(found.p99, 0.99);
+    check_quantile(found.p999, 0.999);
   };
   check(error_of(report, "sh2.green").value, green2, 1e-5);
   check(error_of(report, "sh2.green").meaning, levels, 1e-5);
@@ -320,11 +322,14 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   CHECK(verdict(report).grade == Verdict::Grade::identical);
   CHECK(verdict(report).headline.starts_with("3.00x smaller"));
   r.psnr = 60;
-  for (const auto& [worst, grade] : {std::pair(55.0, Verdict::Grade::lossless), std::pair(45.0, Verdict::Grade::close),
-                                     std::pair(35.0, Verdict::Grade::visible), std::pair(25.0, Verdict::Grade::poor)}) {
+  const auto grade_at = [&](double worst) {
     r.worst_psnr = worst;
-    CHECK(verdict(report).grade == grade);
-  }
+    return verdict(report).grade;
+  };
+  CHECK(grade_at(55) == Verdict::Grade::lossless);
+  CHECK(grade_at(45) == Verdict::Grade::close);
+  CHECK(grade_at(35) == Verdict::Grade::visible);
+  CHECK(grade_at(25) == Verdict::Grade::poor);
   r.worst_psnr = 55;
   r.worst_ssim = 0.9;
   CHECK(verdict(report).grade == Verdict::Grade::visible);
