@@ -22,13 +22,13 @@ __device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const
 /// and a pixel. The mean of each plane's linear form over a box is at its centre, and its least value lies |normal|
 /// half extents below.
 __device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const ViewParameters& v) {
-  const float* const entry = reinterpret_cast<const float*>(a.chunks + 12 * (i / a.chunk_size));
-  const float4 box0 = __ldg(reinterpret_cast<const float4*>(entry));
-  const float4 box1 = __ldg(reinterpret_cast<const float4*>(entry) + 1);  // its third word: 3 standard deviations
+  const auto* const entry = reinterpret_cast<const float4*>(a.chunks + 12 * (i / a.chunk_size));
+  const float4 low = __ldg(entry);  // x, y, z; w: three standard deviations
+  const float4 high = __ldg(entry + 1);
   const math::View<float>& view = v.view;
   const math::Vec3<float> center =
-      math::to_camera(view, {0.5F * (box0.x + box0.w), 0.5F * (box0.y + box1.x), 0.5F * (box0.z + box1.y)});
-  const math::Vec3<float> half{0.5F * (box0.w - box0.x), 0.5F * (box1.x - box0.y), 0.5F * (box1.y - box0.z)};
+      math::to_camera(view, {0.5F * (low.x + high.x), 0.5F * (low.y + high.y), 0.5F * (low.z + high.z)});
+  const math::Vec3<float> half{0.5F * (high.x - low.x), 0.5F * (high.y - low.y), 0.5F * (high.z - low.z)};
   const float* const w = view.rotation;
   // Half extent of the box along camera direction (x, y, z), with room for the rounding of large coordinates.
   const auto extent = [&](float x, float y, float z) {
@@ -41,7 +41,7 @@ __device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i
 
   const float slope_x = math::max(fabsf(view.slope_low_x), fabsf(view.slope_high_x));
   const float slope_y = math::max(fabsf(view.slope_low_y), fabsf(view.slope_high_y));
-  const float sigma = box1.z * (1.0F / 3.0F);
+  const float sigma = low.w * (1.0F / 3.0F);
   const float reach_x = 3.34F * sqrtf(1.0F + slope_x * slope_x) * sigma;
   const float reach_y = 3.34F * sqrtf(1.0F + slope_y * slope_y) * sigma;
   const float margin = 3.34F * sqrtf(v.low_pass) + 1.0F;

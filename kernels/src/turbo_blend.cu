@@ -12,9 +12,9 @@
 // Shared  Shared: entries in order, Gaussians staged by each warp; 27 KiB
 // Order   exact: by depth, then by index, in every pixel, whatever the order of the list: deterministic
 //
-// Lists are as long as the scene makes them, shared memory is not: a list longer than kEntries is taken in rounds, each
-// of them the nearest entries that are left, found by a histogram of what is left. Most pixels are opaque before the
-// last.
+// Lists are as long as the scene makes them, shared memory is not: a list longer than kEntries is first moved to
+// scratch memory in the order of 1,024 bins of depth, and then taken in rounds of as many bins as fit. Most pixels are
+// opaque before the last. A bin that does not fit is cut in finer ones, and so on.
 #include <cuda_fp16.h>
 
 #include <cstdint>
@@ -29,12 +29,15 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr int kRows = 4;  // pixels of a thread
-constexpr int kCellWidth = 16, kCellHeight = 2 * kRows;
-static_assert(2 * kCellWidth == kTurboTile && 4 * kCellHeight == kTurboTile);
-constexpr std::uint32_t kEntries = 2048;  // ordered at a time; a power of two
-constexpr int kBinBits = 8;               // of the histogram, a bin a thread
+using math::kCellHeight;
+using math::kCellWidth;
+static_assert(kCellHeight == 2 * kRows);
+constexpr std::uint32_t kEntries = kTurboEntries;
+constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
 constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
 static_assert(kBins == kThreads);
+constexpr int kDepthBins = 1024;  // of the histogram that cuts a long list, by depth
+constexpr int kBinsPerThread = kDepthBins / kThreads;
 
 // A Gaussian as a cell's pixels need it; coordinates relative to the cell's first pixel.
 struct Staged {
@@ -46,7 +49,8 @@ struct Shared {
   TurboEntry entries[kEntries];
   Staged staged[kWarps][32];
   std::uint32_t queue[kWarps][64];  // Gaussians that touch the cell, in order
-  std::uint32_t bins[kBins];
+  std::uint32_t bins[kDepthBins];
+  std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
   std::uint32_t warp_sums[kWarps];
   std::uint32_t n;  // entries of the round
 };
@@ -76,21 +80,116 @@ __device__ void sort_entries(Shared& s) {
   __syncthreads();
 }
 
-// End of the round that begins at `begin`, from where more than kEntries entries are left: at most kEntries entries of
-// the list, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the
-// one that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
-__device__ TurboEntry round_end(Shared& s, const TurboEntry* list, std::uint32_t length, TurboEntry begin) {
+// A tile's entries: runs of them.
+struct List {
+  const TurboRun* runs;
+  const TurboEntry* entries;
+  std::uint32_t n_runs;
+
+  // Calls f(entry, position in the list) for every entry. All threads of the block call it. Four loads of a thread are
+  // on their way at a time.
+  template <class F>
+  __device__ void for_each(Shared& s, const F& f) const {
+    constexpr int kAhead = 4;
+    std::uint32_t done = 0;
+    for (std::uint32_t begin = 0; begin < n_runs; begin += kThreads) {
+      const TurboRun run = begin + threadIdx.x < n_runs ? runs[begin + threadIdx.x] : TurboRun{0, 0};
+      s.run_end[threadIdx.x] = inclusive_block_sum<kThreads>(run.n, s.warp_sums);
+      s.run_begin[threadIdx.x] = run.begin;
+      __syncthreads();
+      const std::uint32_t n = s.run_end[kThreads - 1];
+      for (std::uint32_t first = threadIdx.x; first < n; first += kAhead * kThreads) {
+        TurboEntry loaded[kAhead];
+#pragma unroll
+        for (int j = 0; j < kAhead; ++j) {
+          const std::uint32_t k = first + static_cast<std::uint32_t>(j * kThreads);
+          if (k >= n) break;
+          const std::uint32_t owner = owner_of<kThreads>(s.run_end, k);
+          const std::uint32_t before = owner == 0 ? 0 : s.run_end[owner - 1];
+          loaded[j] = entries[s.run_begin[owner] + (k - before)];
+        }
+#pragma unroll
+        for (int j = 0; j < kAhead; ++j) {
+          const std::uint32_t k = first + static_cast<std::uint32_t>(j * kThreads);
+          if (k < n) f(loaded[j], done + k);
+        }
+      }
+      done += n;
+      __syncthreads();
+    }
+  }
+};
+
+// Bins of equal ratio of depth, 64 for each power of two from 1/8 on; what lies nearer or farther shares the end bins.
+__device__ inline std::uint32_t depth_bin(TurboEntry entry) {
+  constexpr int kShift = 23 - 6;
+  constexpr int kFirst = (127 - 3) << 6;
+  const auto bits = static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
+  return static_cast<std::uint32_t>(math::min(math::max(static_cast<int>(bits >> kShift) - kFirst, 0), kDepthBins - 1));
+}
+
+// Moves a list to `sorted` in the order of its bins; s.bins then holds the end of each.
+__device__ void order_by_bins(Shared& s, const List& list, TurboEntry* sorted) {
+  for (int k = 0; k < kBinsPerThread; ++k) s.bins[kThreads * k + threadIdx.x] = 0;
+  __syncthreads();
+  list.for_each(s, [&s](TurboEntry entry, std::uint32_t) { atomicAdd(s.bins + depth_bin(entry), 1u); });
+  std::uint32_t sum = 0;
+  for (int k = 0; k < kBinsPerThread; ++k) sum += s.bins[kBinsPerThread * threadIdx.x + k];
+  std::uint32_t at = inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
+  for (int k = 0; k < kBinsPerThread; ++k) {
+    std::uint32_t& bin = s.bins[kBinsPerThread * threadIdx.x + k];
+    const std::uint32_t n = bin;
+    bin = at;
+    at += n;
+  }
+  __syncthreads();
+  list.for_each(s, [&](TurboEntry entry, std::uint32_t) { sorted[atomicAdd(s.bins + depth_bin(entry), 1u)] = entry; });
+}
+
+// End of the largest number of whole bins from position `begin` on that hold at most kEntries entries, and at least
+// one; or, if the next bin holds more, its end, to be cut further.
+__device__ std::uint32_t group_end(const Shared& s, std::uint32_t begin) {
+  std::uint32_t fitting = begin, next = ~0u;  // ends of bins: the last that fits, the first that does not
+  for (int k = 0; k < kBinsPerThread; ++k) {
+    const std::uint32_t end = s.bins[kBinsPerThread * threadIdx.x + k];
+    if (end <= begin) continue;
+    if (end - begin <= kEntries) {
+      fitting = math::max(fitting, end);
+    } else {
+      next = math::min(next, end);
+    }
+  }
+  __shared__ std::uint32_t ends[2];
+  if (threadIdx.x == 0) ends[0] = begin, ends[1] = ~0u;
+  __syncthreads();
+  fitting = reduce_warp(fitting, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
+  next = reduce_warp(next, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
+  if (threadIdx.x % 32 == 0) {
+    atomicMax(ends, fitting);
+    atomicMin(ends + 1, next);
+  }
+  __syncthreads();
+  const std::uint32_t end = ends[0] > begin ? ends[0] : ends[1];
+  __syncthreads();
+  return end;
+}
+
+// End of the round that begins at `begin`, from where more than kEntries of the n entries are left: at most kEntries of
+// them, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the one
+// that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
+__device__ TurboEntry round_end(Shared& s, const TurboEntry* entries, std::uint32_t n, TurboEntry begin) {
+  __shared__ std::uint32_t bins[kBins];
   int shift = 64 - kBinBits;
   for (;;) {
-    s.bins[threadIdx.x] = 0;
+    bins[threadIdx.x] = 0;
     __syncthreads();
-    for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) {
-      const TurboEntry bin =
-          (list[k] - begin) >> shift;  // of an entry before `begin`: beyond all bins, or the last ones
-      if (list[k] >= begin && bin < kBins) atomicAdd(s.bins + bin, 1u);
+    for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
+      const TurboEntry entry = entries[k];
+      const TurboEntry bin = (entry - begin) >> shift;
+      if (entry >= begin && bin < kBins) atomicAdd(bins + bin, 1u);
     }
     __syncthreads();
-    const std::uint32_t end = inclusive_block_sum<kThreads>(s.bins[threadIdx.x], s.warp_sums);
+    const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
     const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
     const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
     begin += fitting << shift;
@@ -123,7 +222,8 @@ __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float c
 // Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
 // its whole cell has fallen below it: what comes after adds less than 1e-4.
 template <bool Clamp, bool Details>
-__device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s, float x, float y, float z) {
+__device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s, float x, const float (&y)[kRows],
+                                    float z) {
   const math::Folded<float> f{s.quadratic.x, s.quadratic.y, s.quadratic.z, s.quadratic.w, s.rest.x, s.rest.y};
   const std::uint32_t red_green = __float_as_uint(s.rest.z), blue_flag = __float_as_uint(s.rest.w);
   const float2 rg = __half22float2(*reinterpret_cast<const __half2*>(&red_green));
@@ -133,8 +233,7 @@ __device__ inline void blend_column(Accumulated (&pixel)[kRows], const Staged& s
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
     Accumulated& p = pixel[k];
-    const float row = y + static_cast<float>(k);
-    const float exponent = fmaf(fmaf(f.yy, row, linear), row, constant);
+    const float exponent = fmaf(fmaf(f.yy, y[k], linear), y[k], constant);
     if (Details && p.t >= math::kTransmittanceMin) ++p.evaluated;
     if (exponent >= math::kLog2AlphaMin) {
       float alpha = exp2_approximate(exponent);
@@ -154,7 +253,7 @@ template <bool Details>
 struct Cell {
   Accumulated pixel[kRows];
   float corner_x, corner_y;  // first pixel of the cell, px
-  float x, y;                // the thread's first pixel, relative to it
+  float x, y[kRows];         // the thread's pixels, relative to it
   bool done = false;         // the same in all lanes
 
   // Blends `n` <= 32 queued Gaussians.
@@ -211,7 +310,7 @@ struct Cell {
 template <bool Details>
 __device__ void store(const TurboBlendArguments& a, const Cell<Details>& cell) {
   const PixelArrays& t = a.target;
-  const int x = static_cast<int>(cell.corner_x + cell.x), y = static_cast<int>(cell.corner_y + cell.y);
+  const int x = static_cast<int>(cell.corner_x + cell.x), y = static_cast<int>(cell.corner_y + cell.y[0]);
   if (x >= a.width) return;
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
@@ -228,55 +327,87 @@ __device__ void store(const TurboBlendArguments& a, const Cell<Details>& cell) {
       if (t.depth != nullptr) t.depth[i] = math::expected_depth(pixel);
       if (t.evaluated != nullptr) t.evaluated[i] = p.evaluated;
       if (t.blended != nullptr) t.blended[i] = p.blended;
-      if (a.counters != nullptr) {
-        atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->evaluated), p.evaluated);
-        atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->blended), p.blended);
+      if (a.count_pairs) {
+        Counters& counters = a.arrays.state->counters;
+        atomicAdd(reinterpret_cast<unsigned long long*>(&counters.evaluated), p.evaluated);
+        atomicAdd(reinterpret_cast<unsigned long long*>(&counters.blended), p.blended);
       }
     }
   }
 }
 
+// The block's tile: the longest lists come first.
+__device__ std::uint32_t tile_of_block(const TurboArrays& a) {
+  const std::uint32_t lane = threadIdx.x % 32;
+  const std::uint32_t size = a.state->class_size[lane];
+  const std::uint32_t end = inclusive_warp_sum(size);
+  const int length = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > blockIdx.x))) - 1;
+  const std::uint32_t begin = __shfl_sync(kFullWarp, end - size, length);
+  return a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + blockIdx.x - begin];
+}
+static_assert(kTurboClasses == 32, "a lane a class");
+
 template <bool Details>
 __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArguments a) {
-  __shared__ Shared s;
+  __shared__ Shared memory;
+  Shared& s = memory;
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
-  const std::uint32_t tile = a.tile_order[blockIdx.x];
-  const std::uint32_t list_begin = a.list_begin[tile], length = a.list_begin[tile + 1] - list_begin;
-  const TurboEntry* const list = a.entries + list_begin;
+  const std::uint32_t tile = tile_of_block(a.arrays);
+  const TurboList head = a.arrays.lists[tile];
+  const List list{a.arrays.tile_runs + head.begin, a.arrays.entries, head.n_runs};
   const int tile_x = static_cast<int>(tile) % a.grid.columns, tile_y = static_cast<int>(tile) / a.grid.columns;
 
   Cell<Details> cell;
   cell.corner_x = static_cast<float>(tile_x * kTurboTile + kCellWidth * (warp % 2));
   cell.corner_y = static_cast<float>(tile_y * kTurboTile + kCellHeight * (warp / 2));
   cell.x = static_cast<float>(lane % kCellWidth);
-  cell.y = static_cast<float>(kRows * (lane / kCellWidth));
+  for (int k = 0; k < kRows; ++k) cell.y[k] = static_cast<float>(kRows * (lane / kCellWidth) + k);
   cell.done = cell.corner_x >= static_cast<float>(a.width) || cell.corner_y >= static_cast<float>(a.height);
   for (int k = 0; k < kRows; ++k) {  // a pixel outside the image keeps nobody waiting
     const bool inside = cell.corner_x + cell.x < static_cast<float>(a.width) &&
-                        cell.corner_y + cell.y + static_cast<float>(k) < static_cast<float>(a.height);
+                        cell.corner_y + cell.y[k] < static_cast<float>(a.height);
     cell.pixel[k].t = inside ? 1.0F : 0.0F;
   }
 
-  TurboEntry begin = 0;
-  for (std::uint32_t left = length; left > 0;) {
-    if (left <= kEntries && left == length) {
-      for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) s.entries[k] = list[k];
-      if (threadIdx.x == 0) s.n = length;
-    } else {
-      const TurboEntry end = left <= kEntries ? ~TurboEntry{0} : round_end(s, list, length, begin);
-      if (threadIdx.x == 0) s.n = 0;
-      __syncthreads();
-      for (std::uint32_t k = threadIdx.x; k < length; k += kThreads) {
-        const TurboEntry entry = list[k];
-        if (entry >= begin && entry < end) s.entries[atomicAdd(&s.n, 1u)] = entry;
+  // Orders the round's s.n entries and blends them; true once all pixels are opaque.
+  const auto blend_round = [&] {
+    sort_entries(s);
+    if (!cell.done) cell.blend_round(a.splats, s, warp, lane);
+    return __syncthreads_and(cell.done) != 0;
+  };
+  if (head.n_entries <= kEntries) {
+    list.for_each(s, [&s](TurboEntry entry, std::uint32_t k) { s.entries[k] = entry; });
+    if (threadIdx.x == 0) s.n = head.n_entries;
+    __syncthreads();
+    if (head.n_entries > 0) blend_round();
+  } else {
+    TurboEntry* const sorted = a.arrays.scratch + head.scratch;
+    order_by_bins(s, list, sorted);
+    bool opaque = false;
+    for (std::uint32_t begin = 0; begin < head.n_entries && !opaque;) {
+      const std::uint32_t end = group_end(s, begin);
+      const TurboEntry* const group = sorted + begin;
+      const std::uint32_t n = end - begin;
+      TurboEntry from = 0;
+      for (std::uint32_t left = n; left > 0 && !opaque;) {
+        if (threadIdx.x == 0) s.n = n <= kEntries ? n : 0;
+        if (n <= kEntries) {
+          for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) s.entries[k] = group[k];
+        } else {
+          const TurboEntry to = left <= kEntries ? ~TurboEntry{0} : round_end(s, group, n, from);
+          __syncthreads();
+          for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
+            const TurboEntry entry = group[k];
+            if (entry >= from && entry < to) s.entries[atomicAdd(&s.n, 1u)] = entry;
+          }
+          from = to;
+        }
+        __syncthreads();
+        left -= s.n;
+        opaque = blend_round();
       }
       begin = end;
     }
-    __syncthreads();
-    left -= s.n;
-    sort_entries(s);
-    if (!cell.done) cell.blend_round(a.splats, s, warp, lane);
-    if (__syncthreads_and(cell.done)) break;
   }
   store(a, cell);
 }
@@ -285,7 +416,7 @@ __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArgu
 
 Status launch_turbo_blend(const TurboBlendArguments& a, Stream stream) {
   const PixelArrays& t = a.target;
-  const bool details = t.depth != nullptr || t.evaluated != nullptr || t.blended != nullptr || a.counters != nullptr;
+  const bool details = t.depth != nullptr || t.evaluated != nullptr || t.blended != nullptr || a.count_pairs;
   const auto blocks = static_cast<std::uint32_t>(a.grid.columns * a.grid.rows);
   details ? turbo_blend_kernel<true><<<blocks, kThreads, 0, stream>>>(a)
           : turbo_blend_kernel<false><<<blocks, kThreads, 0, stream>>>(a);

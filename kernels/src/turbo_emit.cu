@@ -1,14 +1,17 @@
-// turbo_emit.cu - attributes to (tile, Gaussian) pairs of the turbo pipeline, each with its place in the tile's list.
+// turbo_emit.cu - attributes to the entries of the tiles' lists, in runs of one tile each.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp
-// In/Out  attributes [n] -> splats [n], pairs [instances], list_length [tiles]
-// Cost    as front_end.cu, with 16 B written a pair and one atomic addition a run of equal tiles in a warp
-// Launch  256 threads, ceil(n / 256) blocks
-// Shared  Shared: ellipses, depths and the sums that map rows and pairs to their owners; 22 KiB
-// Order   of the pairs: as blocks happen to run; the lists' order is made later, by depth and index, so that the image
-// is
-//         the same on every run. Compiled without contraction to FMA, see project.cu.
+// In/Out  attributes [n] -> splats [n], entries [instances], runs
+// Cost    as front_end.cu, with 8 B written an entry, and 16 B and two atomic additions a run; a run holds about 20
+// entries Launch  256 threads, ceil(n / 256) blocks Shared  Shared: ellipses, the sums that map tile rows to their
+// Gaussians, a counter for each tile of a window; 19 KiB Order   of entries and runs: any. The lists' order is made
+// later, by depth and index, so that the image is the same on
+//         every run.
+//
+// Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
+// block sorts its entries by tile before they leave it, by counting: once over the rows to count, once to place. A
+// window of 32x32 tiles is counted at a time; most blocks need one.
 #include <cstdint>
 
 #include "block_scan.cuh"
@@ -23,130 +26,226 @@ namespace {
 
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
+constexpr int kWindow = 32;      // tiles along a window's side
+constexpr int kLargeTiles = 32;  // of a bounding box that a block's own Gaussian may have
+constexpr int kLargeBlocks = 132 * 4;
+constexpr int kTilesPerThread = kWindow * kWindow / kThreads;
 
 struct Shared {
   math::Ellipse<float> ellipse[kThreads];
-  float depth[kThreads];
-  int first_row[kThreads];
-  std::uint32_t row_end[kThreads];   // inclusive sums of the Gaussians' rows
-  std::uint32_t pair_end[kThreads];  // inclusive sums of the pairs of 256 rows
-  std::uint32_t tile[kThreads];      // first tile of each of these rows
-  std::uint8_t row_owner[kThreads];  // and its Gaussian
-  std::uint8_t listed[kThreads];     // the Gaussian has a pair
-  std::uint32_t warp_sums[2][kWarps];
-  std::uint64_t base;  // of the block's pairs
+  std::uint32_t depth[kThreads];            // bits
+  std::uint32_t row_end[kThreads];          // inclusive sums of the Gaussians' rows
+  std::uint16_t first_row[kThreads];        // of each Gaussian
+  std::uint8_t listed[kThreads];            // the Gaussian has an entry
+  std::uint32_t counts[kWindow * kWindow];  // entries of each tile of the window; then the place of its next one
+  std::uint32_t warp_sums[kWarps];
+  int bounds[4][kWarps];  // of the tiles that the block touches, from each warp: -x0, -y0, x1, y1
+  std::uint64_t entry_base, run_base;
 };
 
-struct Row {
-  std::uint32_t owner;
-  std::uint32_t first_tile, n_tiles;
-};
-
-__device__ Row row_at(const Shared& s, std::uint32_t r, math::TileGrid grid) {
-  const std::uint32_t owner = owner_of<kThreads>(s.row_end, r);
-  const std::uint32_t begin = owner == 0 ? 0 : s.row_end[owner - 1];
-  const int row = s.first_row[owner] + static_cast<int>(r - begin);
-  const auto span = math::tiles_in_row<kTurboTile>(s.ellipse[owner], row, grid);
-  return {owner, static_cast<std::uint32_t>(row * grid.columns + span.first),
-          static_cast<std::uint32_t>(math::max(span.last - span.first, 0))};
+__device__ std::uint64_t add(std::uint64_t& to, std::uint64_t n) {
+  return atomicAdd(reinterpret_cast<unsigned long long*>(&to), static_cast<unsigned long long>(n));
 }
 
-// Place in the list of `tile`, for each lane of `lanes`: one addition for all that have the same tile.
-__device__ std::uint32_t next_rank(std::uint32_t lanes, std::uint32_t* list_length, std::uint32_t tile) {
-  const std::uint32_t same = __match_any_sync(lanes, tile);
-  const int leader = __ffs(static_cast<int>(same)) - 1;
-  std::uint32_t first = 0;
-  const auto lane = threadIdx.x % 32;
-  if (lane == static_cast<unsigned>(leader)) {
-    first = atomicAdd(list_length + tile, static_cast<std::uint32_t>(__popc(same)));
+__device__ TurboEntry make_entry(std::uint32_t depth, std::uint32_t index, std::uint32_t cells) {
+  return static_cast<std::uint64_t>(depth) << (kTurboIndexBits + 8) | static_cast<std::uint64_t>(index) << 8 | cells;
+}
+
+// Tiles of the window that starts at (column, row), which the block's rows meet.
+struct Window {
+  int column, row;
+};
+
+// Calls f(owner, tile in the window, cells) for every tile that a Gaussian of the block touches in the window.
+template <class F>
+__device__ void for_each_tile(const Shared& s, std::uint32_t n_rows, Window window, math::TileGrid grid, const F& f) {
+  for (std::uint32_t r = threadIdx.x; r < n_rows; r += kThreads) {
+    const std::uint32_t owner = owner_of<kThreads>(s.row_end, r);
+    const std::uint32_t begin = owner == 0 ? 0 : s.row_end[owner - 1];
+    const int row = s.first_row[owner] + static_cast<int>(r - begin);
+    if (row < window.row || row >= window.row + kWindow) continue;
+    const auto cells = math::cell_rows(s.ellipse[owner], row);
+    const auto span = math::tiles_of(cells, grid);
+    const int last = math::min(span.last, window.column + kWindow);
+    for (int column = math::max(span.first, window.column); column < last; ++column) {
+      const std::uint32_t touched = math::cells_of(cells, column);
+      if (touched != 0) {
+        f(owner, static_cast<std::uint32_t>((row - window.row) * kWindow + column - window.column), touched);
+      }
+    }
   }
-  first = __shfl_sync(same, first, leader);
-  return first + static_cast<std::uint32_t>(__popc(same & ((1u << lane) - 1)));
+}
+
+// Entries and runs of the window's tiles get their places; counts become the entries' positions after s.entry_base.
+__device__ void place_window(Shared& s, Window window, const TurboArrays& out, math::TileGrid grid) {
+  // Both sums in one word: at most 2^18 entries and 2^10 runs.
+  constexpr int kRunShift = 20;
+  std::uint32_t counts[kTilesPerThread];
+  std::uint32_t sum = 0;
+#pragma unroll
+  for (int k = 0; k < kTilesPerThread; ++k) {
+    counts[k] = s.counts[kTilesPerThread * threadIdx.x + k];
+    sum += counts[k] + (counts[k] > 0 ? 1u << kRunShift : 0);
+  }
+  const std::uint32_t end = inclusive_block_sum<kThreads>(sum, s.warp_sums);
+  if (threadIdx.x == kThreads - 1) {
+    TurboState& state = *out.state;
+    s.entry_base = add(state.counters.instances, end & ((1u << kRunShift) - 1));
+    s.run_base = add(state.runs, end >> kRunShift);
+  }
+  __syncthreads();
+  std::uint32_t at = (end - sum) & ((1u << kRunShift) - 1);
+  std::uint64_t run = s.run_base + ((end - sum) >> kRunShift);
+  auto* const n_entries = reinterpret_cast<std::uint32_t*>(out.state + 1);
+  std::uint32_t* const n_runs = n_entries + out.n_tiles;
+#pragma unroll
+  for (int k = 0; k < kTilesPerThread; ++k) {
+    const int in_window = kTilesPerThread * static_cast<int>(threadIdx.x) + k;
+    s.counts[in_window] = at;
+    if (counts[k] == 0) continue;
+    const auto tile = static_cast<std::uint32_t>((window.row + in_window / kWindow) * grid.columns + window.column +
+                                                 in_window % kWindow);
+    atomicAdd(n_entries + tile, counts[k]);
+    const std::uint32_t rank = atomicAdd(n_runs + tile, 1u);
+    if (run < out.run_capacity) {
+      out.runs[run] = {{static_cast<std::uint32_t>(s.entry_base) + at, counts[k]}, tile, rank};
+    }
+    at += counts[k];
+    ++run;
+  }
+  __syncthreads();
 }
 
 template <class A>
 __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, TurboEmitArguments a) {
-  __shared__ Shared s;
+  __shared__ Shared memory;
+  Shared& s = memory;
   const ViewParameters& v = a.view;
   const std::uint32_t first = blockIdx.x * kThreads;
   const std::uint32_t i = first + threadIdx.x;
   s.listed[threadIdx.x] = 0;
 
-  math::Projected<float> p{};
-  math::Vec3<float> mean{};
-  float cutoff = 0;
   std::uint32_t rows = 0;
+  math::TileRect rect{0x7FFF, 0x7FFF, 0, 0};
   if (i < a.n && chunk_in_view(attributes, i, v)) {
-    mean = load_mean(attributes.mean, i);
-    p = project_splat(attributes, i, v, mean);
+    const math::Vec3<float> mean = load_mean(attributes.mean, i);
+    const auto p = project_splat(attributes, i, v, mean);
     if (p.footprint.valid) {
-      cutoff = math::power_cutoff(p.footprint.opacity);
+      const float cutoff = math::power_cutoff(p.footprint.opacity);
       const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
-      const auto rect = math::bounding_tiles<kTurboTile>(ellipse, v.grid);
-      if (!rect.empty()) {
-        rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
-        s.ellipse[threadIdx.x] = ellipse;
-        s.first_row[threadIdx.x] = rect.y0;
-        s.depth[threadIdx.x] = p.z;
+      const auto touched = math::bounding_tiles<kTurboTile>(ellipse, v.grid);
+      if (!touched.empty()) {
+        const int touched_rows = touched.y1 - touched.y0;
+        if (touched_rows * (touched.x1 - touched.x0) > kLargeTiles) {
+          const std::uint32_t at = atomicAdd(&a.arrays.state->n_large, 1u);
+          if (at < a.arrays.large_capacity) {
+            a.arrays.large[at] = {ellipse,
+                                  math::depth_bits(p.z),
+                                  i,
+                                  static_cast<std::uint16_t>(touched.y0),
+                                  static_cast<std::uint16_t>(touched_rows),
+                                  {}};
+          }
+        } else {
+          rect = touched;
+          rows = static_cast<std::uint32_t>(touched_rows);
+          s.ellipse[threadIdx.x] = ellipse;
+          s.first_row[threadIdx.x] = static_cast<std::uint16_t>(rect.y0);
+          s.depth[threadIdx.x] = math::depth_bits(p.z);
+        }
+        a.splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
       }
     }
   }
-  s.row_end[threadIdx.x] = inclusive_block_sum<kThreads>(rows, s.warp_sums[0]);
+  const auto larger = [](int x, int y) { return math::max(x, y); };
+  const int bounds[4] = {reduce_warp(-rect.x0, larger), reduce_warp(-rect.y0, larger), reduce_warp(rect.x1, larger),
+                         reduce_warp(rect.y1, larger)};
+  if (threadIdx.x % 32 == 0) {
+    for (int k = 0; k < 4; ++k) s.bounds[k][threadIdx.x / 32] = bounds[k];
+  }
+  s.row_end[threadIdx.x] = inclusive_block_sum<kThreads>(rows, s.warp_sums);
   __syncthreads();
   const std::uint32_t n_rows = s.row_end[kThreads - 1];
   if (n_rows == 0) return;
+  int all[4] = {-0x7FFF, -0x7FFF, 0, 0};
+  for (int k = 0; k < 4; ++k) {
+    for (const int bound : s.bounds[k]) all[k] = math::max(all[k], bound);
+  }
 
-  std::uint32_t n_tiles = 0;
-  for (std::uint32_t r = threadIdx.x; r < n_rows; r += kThreads) {
-    const Row row = row_at(s, r, v.grid);
-    if (row.n_tiles > 0) s.listed[row.owner] = 1;
-    n_tiles += row.n_tiles;
+  for (Window window{-all[0], -all[1]}; window.row < all[3];) {
+    for (int k = 0; k < kTilesPerThread; ++k) s.counts[kThreads * k + threadIdx.x] = 0;
+    __syncthreads();
+    for_each_tile(s, n_rows, window, v.grid, [&s](std::uint32_t owner, std::uint32_t tile, std::uint32_t) {
+      s.listed[owner] = 1;
+      atomicAdd(s.counts + tile, 1u);
+    });
+    __syncthreads();
+    place_window(s, window, a.arrays, v.grid);
+    const std::uint64_t base = s.entry_base;
+    for_each_tile(s, n_rows, window, v.grid, [&](std::uint32_t owner, std::uint32_t tile, std::uint32_t cells) {
+      const std::uint64_t at = base + atomicAdd(s.counts + tile, 1u);
+      if (at < a.arrays.entry_capacity) a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells);
+    });
+    window.column += kWindow;
+    if (window.column >= all[2]) window = {-all[0], window.row + kWindow};
+    __syncthreads();
   }
-  // 256 Gaussians in at most 2048 x 2048 tiles each: 2^30.
-  n_tiles = __reduce_add_sync(kFullWarp, n_tiles);
-  if (threadIdx.x % 32 == 0) s.warp_sums[1][threadIdx.x / 32] = n_tiles;
-  __syncthreads();
-  const bool listed = s.listed[threadIdx.x] != 0;
-  if (threadIdx.x == 0) {
-    std::uint32_t total = 0;
-    for (int w = 0; w < kWarps; ++w) total += s.warp_sums[1][w];
-    s.base = atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->instances),
-                       static_cast<unsigned long long>(total));
-  }
-  if (listed) a.splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
-  const int visible = __syncthreads_count(listed);
+  const int visible = __syncthreads_count(s.listed[threadIdx.x] != 0);
   if (threadIdx.x == 0 && visible > 0) {
-    atomicAdd(reinterpret_cast<unsigned long long*>(&a.counters->visible), static_cast<unsigned long long>(visible));
+    add(a.arrays.state->counters.visible, static_cast<std::uint64_t>(visible));
   }
+}
 
-  std::uint64_t base = s.base;
-  for (std::uint32_t begin = 0; begin < n_rows; begin += kThreads) {
-    const std::uint32_t r = begin + threadIdx.x;
-    const Row row = r < n_rows ? row_at(s, r, v.grid) : Row{0, 0, 0};
-    s.row_owner[threadIdx.x] = static_cast<std::uint8_t>(row.owner);
-    s.tile[threadIdx.x] = row.first_tile;
-    s.pair_end[threadIdx.x] = inclusive_block_sum<kThreads>(row.n_tiles, s.warp_sums[0]);
-    __syncthreads();
-    const std::uint32_t n_pairs = s.pair_end[kThreads - 1];
-    const std::uint32_t lane = threadIdx.x % 32;
-    for (std::uint32_t k = threadIdx.x; k - lane < n_pairs; k += kThreads) {
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, k < n_pairs);
-      if (k >= n_pairs) continue;
-      const std::uint32_t at_row = owner_of<kThreads>(s.pair_end, k);
-      const std::uint32_t row_begin = at_row == 0 ? 0 : s.pair_end[at_row - 1];
-      const std::uint32_t owner = s.row_owner[at_row];
-      const std::uint32_t tile = s.tile[at_row] + (k - row_begin);
-      const auto columns = static_cast<std::uint32_t>(v.grid.columns);
-      const int x = static_cast<int>(tile % columns) * kTurboTile, y = static_cast<int>(tile / columns) * kTurboTile;
-      const std::uint64_t cells = math::cells_touched(s.ellipse[owner], x, y);
-      const std::uint32_t rank = next_rank(lanes, a.list_length, tile);
-      const TurboEntry entry = static_cast<std::uint64_t>(math::depth_bits(s.depth[owner])) << (kTurboIndexBits + 8) |
-                               static_cast<std::uint64_t>(first + owner) << 8 | cells;
-      if (base + k < a.capacity) a.pairs[base + k] = {entry, tile, rank};
+// Calls f(tile, cells) in the lanes whose tile a large Gaussian touches; all lanes call it with cells == 0 otherwise.
+template <class F>
+__device__ void for_each_tile_of(const TurboLarge& large, math::TileGrid grid, const F& f) {
+  for (int row = large.first_row; row < large.first_row + large.n_rows; ++row) {
+    const auto cells = math::cell_rows(large.ellipse, row);
+    const auto span = math::tiles_of(cells, grid);
+    for (int column = span.first; column < span.last; column += 32) {
+      const int own = column + static_cast<int>(threadIdx.x % 32);
+      f(static_cast<std::uint32_t>(row * grid.columns + own), own < span.last ? math::cells_of(cells, own) : 0);
     }
-    base += n_pairs;
-    __syncthreads();
   }
+}
+
+__global__ void __launch_bounds__(kThreads) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
+  const std::uint32_t lane = threadIdx.x % 32;
+  const std::uint32_t n = math::min(a.state->n_large, static_cast<std::uint32_t>(a.large_capacity));
+  auto* const n_entries = reinterpret_cast<std::uint32_t*>(a.state + 1);
+  std::uint32_t* const n_runs = n_entries + a.n_tiles;
+  std::uint32_t visible = 0;
+  for (std::uint32_t k = (blockIdx.x * kThreads + threadIdx.x) / 32; k < n; k += gridDim.x * kWarps) {
+    const TurboLarge large = a.large[k];
+    std::uint32_t total = 0;
+    for_each_tile_of(large, grid, [&total](std::uint32_t, std::uint32_t cells) {
+      total += static_cast<std::uint32_t>(__popc(__ballot_sync(kFullWarp, cells != 0)));
+    });
+    if (total == 0) continue;
+    ++visible;
+    std::uint64_t entry = 0, run = 0;
+    if (lane == 0) {
+      entry = add(a.state->counters.instances, total);
+      run = add(a.state->runs, total);
+    }
+    entry = __shfl_sync(kFullWarp, entry, 0);
+    run = __shfl_sync(kFullWarp, run, 0);
+    for_each_tile_of(large, grid, [&](std::uint32_t tile, std::uint32_t cells) {
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, cells != 0);
+      const auto before = static_cast<std::uint32_t>(__popc(lanes & ((1u << lane) - 1)));
+      if (cells != 0) {
+        atomicAdd(n_entries + tile, 1u);
+        const std::uint32_t rank = atomicAdd(n_runs + tile, 1u);
+        if (entry + before < a.entry_capacity && run + before < a.run_capacity) {
+          a.entries[entry + before] = make_entry(large.depth, large.index, cells);
+          a.runs[run + before] = {{static_cast<std::uint32_t>(entry) + before, 1}, tile, rank};
+        }
+      }
+      entry += static_cast<std::uint32_t>(__popc(lanes));
+      run += static_cast<std::uint32_t>(__popc(lanes));
+    });
+  }
+  if (lane == 0 && visible > 0) add(a.state->counters.visible, visible);
 }
 
 }  // namespace
@@ -154,8 +253,11 @@ __global__ void __launch_bounds__(kThreads) turbo_emit_kernel(A attributes, Turb
 Status launch_turbo_emit(const TurboEmitArguments& a, Stream stream) {
   if (a.n == 0) return {};
   std::visit(
-      [&](const auto& attributes) { emit_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, a); },
+      [&](const auto& attributes) {
+        turbo_emit_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, a);
+      },
       a.attributes);
+  turbo_emit_large_kernel<<<kLargeBlocks, kThreads, 0, stream>>>(a.view.grid, a.arrays);
   return launched("the turbo front end could not be launched");
 }
 

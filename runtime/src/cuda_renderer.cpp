@@ -42,6 +42,7 @@ cuda::PixelArrays arrays_of(const DeviceTarget& target) {
 struct HostCounters {
   cuda::Counters counters;
   std::uint64_t pairs;  // of the separate front end: the last of its sums
+  cuda::TurboState turbo;
 };
 
 }  // namespace
@@ -57,6 +58,7 @@ struct CudaRenderer::Impl {
 
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t n, bool narrow);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
@@ -79,7 +81,7 @@ struct CudaRenderer::Impl {
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
-  DeviceBuffer turbo_pairs, turbo_entries, list_begin, tile_order;
+  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -123,9 +125,9 @@ const char* CudaRenderer::name() const {
 
 std::uint64_t CudaRenderer::Impl::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b :
-       {&counters, &splats, &covers, &tiles, &sums, &sum_temporary, &block_state, &keys, &spare_keys, &gaussians,
-        &spare_gaussians, &sort_temporary, &ranges, &turbo_pairs, &turbo_entries, &list_begin, &tile_order}) {
+  for (const DeviceBuffer* b : {&counters, &splats, &covers, &tiles, &sums, &sum_temporary, &block_state, &keys,
+                                &spare_keys, &gaussians, &spare_gaussians, &sort_temporary, &ranges, &turbo_state,
+                                &turbo_entries, &turbo_runs, &tile_runs, &lists, &classes}) {
     sum += b->bytes();
   }
   return sum;
@@ -162,6 +164,9 @@ Status CudaRenderer::Impl::reserve_pairs(std::uint64_t n, bool narrow) {
   for (DeviceBuffer* b : {&gaussians, &spare_gaussians}) {
     if (ok) ok = b->reserve(wanted * sizeof(std::uint32_t));
   }
+  if (ok) return {};
+  // All or nothing: of the arrays that have grown and those that have not, the next frame would see the latter alone.
+  for (DeviceBuffer* b : {&keys, &spare_keys, &gaussians, &spare_gaussians, &sort_temporary}) *b = {};
   return ok;
 }
 
@@ -284,64 +289,81 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
                              options.exp, options.cuda.pixels_per_thread},
                             stream);
   }
+  if (ok) ok = mark(kBlended, options, stream);
   if (!ok) return tl::unexpected(ok.error());
   return pairs;
 }
 
-// Everything is queued before the number of pairs is known. If they did not fit, which the host learns while the frame
-// is still being made, the lists were left empty and the frame is made again.
+// Room for so many entries, runs and large Gaussians; grows by half at least.
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large) {
+  Status ok;
+  const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
+    const std::uint64_t held = buffer.bytes() / size;
+    if (ok && wanted > held) ok = buffer.reserve(std::min(std::max(wanted, held + held / 2), kMaxPairs) * size);
+  };
+  reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
+  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
+  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge));
+  return ok;
+}
+
+// Everything is queued before the number of entries is known. If they did not fit, which the host learns while the
+// frame is still being made, the lists were left empty and the frame is made again.
 Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scene, const Camera& camera,
                                                 const DeviceTarget& target, const cuda::ViewParameters& view,
                                                 const RenderOptions& options, CudaStream stream) {
-  const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
-  const std::uint64_t state_bytes = sizeof(cuda::Counters) + n_tiles * sizeof(std::uint32_t);
+  cuda::TurboArrays arrays{};
+  arrays.n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
   Status ok = splats.reserve(scene.n * sizeof(cuda::ScreenSplat));
-  if (ok) ok = counters.reserve(state_bytes);
-  if (ok) ok = list_begin.reserve((n_tiles + 1) * sizeof(std::uint32_t));
-  if (ok) ok = tile_order.reserve(n_tiles * sizeof(std::uint32_t));
-  for (std::uint64_t wanted = std::max(kFirstPairs, 2 * scene.n); ok;) {
-    const std::uint64_t held = turbo_entries.bytes() / sizeof(cuda::TurboEntry);
-    if (wanted > held) {
-      const std::uint64_t n = std::min(std::max(wanted, held + held / 2), kMaxPairs);
-      ok = turbo_entries.reserve(n * sizeof(cuda::TurboEntry));
-      if (ok) ok = turbo_pairs.reserve(n * sizeof(cuda::TurboPair));
-      if (!ok) break;
-    }
-    const std::uint64_t capacity =
-        std::min(turbo_entries.bytes() / sizeof(cuda::TurboEntry), turbo_pairs.bytes() / sizeof(cuda::TurboPair));
-    auto* const device_counters = counters.as<cuda::Counters>();
-    auto* const list_length = reinterpret_cast<std::uint32_t*>(device_counters + 1);
+  if (ok) ok = turbo_state.reserve(cuda::TurboState::bytes(arrays.n_tiles));
+  if (ok) ok = lists.reserve(arrays.n_tiles * sizeof(cuda::TurboList));
+  if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
+  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32);
+  while (ok) {
+    arrays.state = turbo_state.as<cuda::TurboState>();
+    arrays.entries = turbo_entries.as<cuda::TurboEntry>();
+    arrays.runs = turbo_runs.as<cuda::TurboTileRun>();
+    arrays.tile_runs = tile_runs.as<cuda::TurboRun>();
+    arrays.lists = lists.as<cuda::TurboList>();
+    arrays.classes = classes.as<std::uint32_t>();
+    arrays.scratch = turbo_scratch.as<cuda::TurboEntry>();
+    arrays.large = turbo_large.as<cuda::TurboLarge>();
+    arrays.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
+    arrays.run_capacity =
+        std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+    arrays.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
     ok = mark(kStart, options, stream);
     if (ok) {
-      ok = device_status(cudaMemsetAsync(device_counters, 0, state_bytes, stream), "counters could not be cleared");
+      ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), stream),
+                         "the frame's state could not be cleared");
     }
     if (ok) {
       ok = cuda::launch_turbo_emit(
-          {scene.attributes, static_cast<std::uint32_t>(scene.n), view, splats.as<cuda::ScreenSplat>(),
-           turbo_pairs.as<cuda::TurboPair>(), capacity, list_length, device_counters},
+          {scene.attributes, static_cast<std::uint32_t>(scene.n), view, splats.as<cuda::ScreenSplat>(), arrays},
           stream);
     }
     if (ok) ok = mark(kProjected, options, stream);
-    if (ok) {
-      ok = cuda::launch_turbo_lists({list_length, list_begin.as<std::uint32_t>(), tile_order.as<std::uint32_t>(),
-                                     n_tiles, turbo_pairs.as<cuda::TurboPair>(), turbo_entries.as<cuda::TurboEntry>(),
-                                     capacity, device_counters, &host->counters},
-                                    counted, stream);
-    }
+    if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
     for (const Mark m : {kDuplicated, kSorted, kRanged}) {
       if (ok) ok = mark(m, options, stream);
     }
     if (ok) {
-      ok = cuda::launch_turbo_blend(
-          {list_begin.as<std::uint32_t>(), tile_order.as<std::uint32_t>(), turbo_entries.as<cuda::TurboEntry>(),
-           splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height, background_of(options),
-           arrays_of(target), options.cuda.count_pairs ? device_counters : nullptr},
-          stream);
+      ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height,
+                                     background_of(options), arrays_of(target), options.cuda.count_pairs},
+                                    stream);
     }
+    if (ok) ok = mark(kBlended, options, stream);
     if (ok) ok = device_status(cudaEventSynchronize(counted), "a kernel failed");
     if (!ok) break;
-    wanted = host->counters.instances;
-    if (wanted > kMaxPairs || wanted <= capacity) return wanted;
+    host->counters = host->turbo.counters;
+    const std::uint64_t n = host->counters.instances;
+    const cuda::TurboState& seen = host->turbo;
+    const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
+    if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
+    ok = reserve_turbo(n, seen.runs, seen.n_large);
   }
   return tl::unexpected(ok.error());
 }
@@ -378,7 +400,6 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   if (*pairs > kMaxPairs) {
     return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, *pairs);
   }
-  Status ok = w.mark(kBlended, options, stream);
 
   FrameStats stats;
   stats.gaussians = storage.n;
@@ -387,8 +408,10 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   stats.depth_bits = view.key.quantized ? view.key.depth_bits : 0;
   stats.key_bits = view.key.bits();
   stats.bytes = w.bytes();
-  if (ok && options.cuda.count_pairs) {
-    ok = w.fetch(&w.host->counters, w.counters.as<void>(), sizeof(cuda::Counters), stream);
+  Status ok;
+  if (options.cuda.count_pairs) {
+    const void* const counters = is_turbo ? &w.turbo_state.as<cuda::TurboState>()->counters : w.counters.as<void>();
+    ok = w.fetch(&w.host->counters, counters, sizeof(cuda::Counters), stream);
   }
   if (ok && (options.cuda.timings || options.cuda.count_pairs)) ok = w.wait(stream);
   if (!ok) return tl::unexpected(ok.error());

@@ -146,22 +146,52 @@ RGS_HD inline TileSpan tiles_in_row(const Ellipse<T>& e, int row, TileGrid grid)
   return detail::tiles_between<Size>(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
 }
 
-/// Which cells of a tile of 32x32 pixels, whose first pixel is (x, y), a Gaussian touches: bit c + 2 r is the cell of
-/// 16x8 pixels at column c, row r. As exact as tiles_in_row(), for a row of cells in place of a row of tiles.
+/// A row of tiles of 32x32 pixels, cut into four rows of cells of 16x8 pixels: the pixels from `low` to `high` that the
+/// ellipse covers between the first and last pixel centres of each row of cells; low > high where there is none.
 template <class T>
-RGS_HD inline std::uint32_t cells_touched(const Ellipse<T>& e, int x, int y) {
-  constexpr int kWidth = 16, kHeight = 8;
-  const T slack = T(1e-3) + T(1e-6) * e.half_width;
-  const T left = static_cast<T>(x) - e.mean.u;
+struct CellRows {
+  T low[4], high[4];
+};
+inline constexpr int kCellTile = 32, kCellWidth = 16, kCellHeight = 8;
+
+/// Row `row` of tiles. As exact as tiles_in_row().
+template <class T>
+RGS_HD inline CellRows<T> cell_rows(const Ellipse<T>& e, int row) {
+  const T slack = T(1e-3) + T(1e-6) * e.half_width;  // as in tiles_in_row()
+  CellRows<T> rows;
+  for (int r = 0; r < 4; ++r) {
+    const T y = static_cast<T>(row * kCellTile + kCellHeight * r) - e.mean.v;
+    const T y_low = max(y, -e.half_height), y_high = min(y + T(kCellHeight - 1), e.half_height);
+    rows.low[r] = T(1), rows.high[r] = T(0);
+    if (y_low > y_high) continue;
+    const Chord<T> c = chord(e, y_low, y_high);
+    rows.low[r] = e.mean.u + c.low - slack;
+    rows.high[r] = e.mean.u + c.high + slack;
+  }
+  return rows;
+}
+
+/// Tiles of the row that may have a cell that is touched.
+template <class T>
+RGS_HD inline TileSpan tiles_of(const CellRows<T>& rows, TileGrid grid) {
+  T low = static_cast<T>(grid.columns * kCellTile), high = T(-1);
+  for (int r = 0; r < 4; ++r) {
+    if (rows.low[r] > rows.high[r]) continue;
+    low = min(low, rows.low[r]);
+    high = max(high, rows.high[r]);
+  }
+  return detail::tiles_between<kCellTile>(low, high, grid.columns);
+}
+
+/// Cells of the tile in column `column` that are touched: bit c + 2 r for the cell in column c of row r.
+template <class T>
+RGS_HD inline std::uint32_t cells_of(const CellRows<T>& rows, int column) {
+  const T x = static_cast<T>(column * kCellTile);
   std::uint32_t cells = 0;
   for (int r = 0; r < 4; ++r) {
-    const T low = max(static_cast<T>(y + kHeight * r) - e.mean.v, -e.half_height);
-    const T high = min(static_cast<T>(y + kHeight * r + kHeight - 1) - e.mean.v, e.half_height);
-    if (low > high) continue;
-    const Chord<T> c = chord(e, low, high);
-    const T from = c.low - slack - left, to = c.high + slack - left;
-    if (from <= T(kWidth - 1) && to >= T(0)) cells |= 1u << (2 * r);
-    if (from <= T(2 * kWidth - 1) && to >= T(kWidth)) cells |= 2u << (2 * r);
+    if (rows.low[r] > rows.high[r]) continue;
+    if (rows.low[r] <= x + T(kCellWidth - 1) && rows.high[r] >= x) cells |= 1u << (2 * r);
+    if (rows.low[r] <= x + T(2 * kCellWidth - 1) && rows.high[r] >= x + T(kCellWidth)) cells |= 2u << (2 * r);
   }
   return cells;
 }
