@@ -27,8 +27,8 @@ std::uint64_t picture_bytes(const Camera& camera) {
 
 // The image's definition by Kerbl et al. 2023 (docs/RENDERING.md): what source and asset are compared in.
 RenderOptions reference_arithmetic(const std::optional<Declarations>& declared) {
-  RenderOptions options;
-  options.extent = math::Extent::square;
+  RenderOptions options = baseline_options();
+  options.cuda.deterministic = true;
   if (declared && declared->aa_mode == AaMode::mip_splatting) {
     options.anti_aliasing = math::AntiAliasing::mip_splatting;
     options.low_pass = declared->low_pass_px2;
