@@ -65,6 +65,7 @@ std::string error_histogram(const ErrorStatistics& e, const std::string& unit, c
   bins.resize(std::max<std::size_t>(16, (bins.size() + 3) / 4 * 4));
   const auto highest = static_cast<double>(*std::max_element(bins.begin(), bins.end()));
   std::vector<double> heights;
+  heights.reserve(bins.size());
   for (const std::uint64_t n : bins) heights.push_back(static_cast<double>(n) / highest);
   svg += columns(heights);
   const double octaves = static_cast<double>(bins.size()) / 4;
@@ -97,6 +98,7 @@ std::string code_histogram(const CodeUsage& usage, const std::string& label) {
       fmt::format("{}: {} of 255 codes are used, {:.2f} bits of entropy", label, usage.used(), usage.entropy_bits()));
   const double highest = std::log1p(static_cast<double>(*std::max_element(usage.count.begin(), usage.count.end())));
   std::vector<double> heights;
+  heights.reserve(usage.count.size());
   for (const std::uint64_t n : usage.count)
     heights.push_back(highest > 0 ? std::log1p(static_cast<double>(n)) / highest : 0);
   svg += columns(heights);

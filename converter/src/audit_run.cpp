@@ -134,7 +134,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.tool = kTool;
   report.source_name = file_name(options.source);
   report.asset_name = file_name(options.asset);
-  progress.begin("reading", 0, "B");
+  progress.begin("reading", source->bytes() + file->bytes().size(), "B");
   Result<FileView> view = is_rgs(file->bytes()) ? open(file->bytes()) : Result<FileView>();
   if (!view) return fail(options.asset, view.error());
   const bool rgs_asset = is_rgs(file->bytes());
@@ -145,6 +145,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
                          if (rgs_asset) valid = validate(*view);
                        });
   if (!valid) return fail(options.asset, valid.error());
+  progress.advance(source->bytes() + file->bytes().size());
   progress.finish();
 
   SizeReport& size = report.size;
