@@ -71,6 +71,7 @@ th,td{padding:7px 12px;text-align:right;border-top:1px solid var(--line);white-s
 thead th{border-top:0;white-space:normal;color:var(--soft);font-weight:600;font-size:.82rem;vertical-align:bottom}
 th:first-child,td:first-child,.left{text-align:left}
 td:first-child,tbody th{font-weight:500}
+thead th:first-child{white-space:nowrap}
 tbody tr:hover{background:var(--tint)}
 tr.sum>*{border-top:2px solid var(--soft);font-weight:650}
 tr.group>*{color:var(--soft);font-size:.82rem;font-weight:600;text-align:left;background:var(--tint)}

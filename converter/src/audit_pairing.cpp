@@ -8,7 +8,6 @@
 #include <algorithm>
 #include <array>
 #include <bit>
-#include <cstring>
 #include <optional>
 
 namespace rgs::audit {
@@ -34,6 +33,11 @@ std::uint64_t key_of(const float* mean) {
     key ^= key >> 31;
   }
   return key;
+}
+
+bool same_bits(const float* a, const float* b) {
+  return std::equal(
+      a, a + 3, b, [](float x, float y) { return std::bit_cast<std::uint32_t>(x) == std::bit_cast<std::uint32_t>(y); });
 }
 
 // Calls use(row, mean) for all rows, in blocks on all threads.
@@ -88,7 +92,7 @@ std::optional<Pairing> pair_by_order(const PlyFile& source, const FileView& asse
         n_stored = std::min<std::uint64_t>(kAtOnce, pairing.source_of.size() - i);
         (void)asset.read(i, std::span(stored).first(n_stored));
       }
-      if (std::memcmp(part[k].mean, stored[i - first_stored].mean, sizeof part[k].mean) != 0) continue;
+      if (!same_bits(part[k].mean, stored[i - first_stored].mean)) continue;
       pairing.source_of[i++] = static_cast<std::uint32_t>(first + k);
     }
   }
