@@ -37,7 +37,7 @@ const char* colour_of(const Report& report, Verdict::Grade grade) {
   if (!report.gate_holds()) return "bad";
   switch (grade) {
     case Verdict::Grade::identical:
-    case Verdict::Grade::lossless: return "good";
+    case Verdict::Grade::lossless:
     case Verdict::Grade::close: return "good";
     case Verdict::Grade::visible: return "fair";
     case Verdict::Grade::poor: return "bad";
