@@ -207,6 +207,7 @@ struct Report {
 struct Verdict {
   enum class Grade : std::uint8_t { identical, lossless, close, visible, poor, unrated };
   Grade grade = Grade::unrated;
+  bool depth_range_misfit = false;  ///< the quantised sort key alone is below 35 dB in some view
   std::string headline, detail;
 };
 Verdict verdict(const Report& report);

@@ -67,6 +67,14 @@ Verdict::Grade grade(const RenderReport& r) {
   return Grade::poor;
 }
 
+// The quantised sort key, where it alone does visible damage: depths outside the declared range share its end bins.
+const AttributionRow* misfit_key(const Report& report) {
+  if (!report.render || !report.declarations) return nullptr;
+  for (const AttributionRow& row : report.render->attribution)
+    if (row.key == "key" && row.worst < 35) return &row;
+  return nullptr;
+}
+
 const char* words(Verdict::Grade grade) {
   switch (grade) {
     case Verdict::Grade::identical: return "identical to the original";
@@ -164,6 +172,14 @@ Verdict verdict(const Report& report) {
   if (report.attributes && report.attributes->n_asset_only != 0)
     add(fmt::format("{} Gaussians of the asset are not in the source.",
                     tool::format_count(report.attributes->n_asset_only)));
+  if (const AttributionRow* key = misfit_key(report)) {
+    out.depth_range_misfit = true;
+    out.headline += ", but its depth range does not fit these views";
+    add(fmt::format(
+        "A renderer that sorts by the declared range of depths, {:.4g} to {:.4g}, falls to {:.1f} dB: convert with "
+        "--cameras, or with --near and --far.",
+        report.declarations->z_near, report.declarations->z_far, key->worst));
+  }
   if (report.made_from_source == false) add("The asset states that it was made from another file than this source.");
   if (!report.gate_holds()) {
     std::string failed;

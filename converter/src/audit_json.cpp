@@ -182,7 +182,11 @@ std::string audit_json(const Report& report) {
            {"gaussians", report.size.n_asset},
            {"sh_degree", report.size.asset_sh_degree},
            {"made_from_source", report.made_from_source ? Json(*report.made_from_source) : Json()}}},
-         {"verdict", {{"grade", name_of(v.grade)}, {"headline", v.headline}, {"detail", v.detail}}},
+         {"verdict",
+          {{"grade", name_of(v.grade)},
+           {"depth_range_misfit", v.depth_range_misfit},
+           {"headline", v.headline},
+           {"detail", v.detail}}},
          {"size", json(report.size)}};
   if (report.attributes) j["attributes"] = json(*report.attributes);
   if (report.render) j["rendered"] = json(*report.render);

@@ -250,7 +250,7 @@ class PictureAudit {
     if (!other.note.empty()) return {};
     auto file = load_scene_file(other.path);
     if (!file) {
-      other.note = file.error().what;
+      other.note = file.error().code == Errc::bad_magic ? "no reader for this format" : file.error().what;
       return {};
     }
     scene_ = std::move(file->scene);

@@ -33,9 +33,10 @@ constexpr std::size_t kListedViews = 1000, kListedSections = 64;
 constexpr std::array kSectionColours{"#4e79a7", "#e08a3c", "#c85c5f", "#6aa7a2", "#5e9950",
                                      "#d9b93f", "#a9789b", "#9c755f", "#8a8f96"};
 
-const char* colour_of(const Report& report, Verdict::Grade grade) {
+const char* colour_of(const Report& report, const Verdict& verdict) {
   if (!report.gate_holds()) return "bad";
-  switch (grade) {
+  if (verdict.depth_range_misfit) return "fair";
+  switch (verdict.grade) {
     case Verdict::Grade::identical:
     case Verdict::Grade::lossless:
     case Verdict::Grade::close: return "good";
@@ -119,8 +120,7 @@ class Page {
   void head() {
     add("<header>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n", html(report_.source_name),
         html(report_.asset_name));
-    add("<p style=\"margin:0\"><span class=\"badge {}\">{}</span></p>\n", colour_of(report_, verdict_.grade),
-        report_.gate_holds() ? badge_of(verdict_.grade) : "Gate failed");
+    add("<p style=\"margin:0\"><span class=\"badge {}\">{}</span></p>\n", colour_of(report_, verdict_), badge());
     add("<h1>{}.</h1>\n<p class=\"lead\">{}</p>\n", headline(), html(verdict_.detail));
     if (!report_.gate.empty()) {
       add("<ul class=\"gate\" aria-label=\"Conditions\">\n");
@@ -130,6 +130,11 @@ class Page {
       add("</ul>\n");
     }
     add("</header>\n");
+  }
+
+  const char* badge() const {
+    if (!report_.gate_holds()) return "Gate failed";
+    return verdict_.depth_range_misfit ? "Depth range does not fit" : badge_of(verdict_.grade);
   }
 
   std::string headline() const {
