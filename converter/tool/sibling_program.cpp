@@ -4,12 +4,10 @@
 
 #include <spawn.h>
 #include <sys/wait.h>
-#include <unistd.h>
+#include <unistd.h>  // environ, as g++ and clang++ ask for GNU's extensions
 
 #include <cerrno>
 #include <filesystem>
-
-extern char** environ;
 
 namespace rgs::tool {
 
