@@ -5,7 +5,7 @@
 // In/Out  ranges, sorted Gaussians, splats -> pixels
 // Cost    48 B gathered a pair, mostly from L2; about 25 instructions a (pixel, Gaussian) pair evaluated
 // Launch  a block a tile; 256 threads of one pixel or 128 of two, (x, y) and (x, y + 1)
-// Shared  Staged [threads]: the batch of Gaussians that all pixels go through next; 12 or 6 KiB
+// Shared  Staged [threads]: the batch of Gaussians that all pixels go through next; 11 or 5.5 KiB
 // Order   front to back in each pixel; counters are sums of integers: deterministic
 #include <cstdint>
 

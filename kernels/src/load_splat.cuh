@@ -45,7 +45,7 @@ template <int Degree>
 __device__ inline math::Vec3<float> load_color(const Fp32Attributes& a, std::uint32_t i,
                                                const math::ShBasis<float>& basis) {
   constexpr int kFloats = 3 * (Degree + 1) * (Degree + 1);
-  float sh[(kFloats + 3) / 4 * 4];
+  alignas(16) float sh[(kFloats + 3) / 4 * 4];
   const float* from = a.sh + static_cast<std::uint64_t>(i) * kFloats;
   if constexpr (kFloats % 4 == 0) {
 #pragma unroll

@@ -1,7 +1,7 @@
 // turbo_blend.cu - orders a tile's list in shared memory and blends it, a block a tile of 32x32 pixels.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/blend.hpp: fold(), folded_exponent(); docs/RENDERING.md "A pixel"
+// Math    rgs/math/blend.hpp: fold(), its polynomial by columns; docs/RENDERING.md "A pixel"
 // In/Out  lists, splats -> pixels
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; a (cell, Gaussian) pair that is
 //         blended: 48 B gathered by one lane, 32 B of shared memory to each lane, and about 12 instructions a pixel
@@ -20,6 +20,7 @@
 #include "block_scan.cuh"
 #include "launch.cuh"
 #include "rgs/cuda/turbo.hpp"
+#include "rgs/quantize.hpp"
 
 namespace rgs::cuda {
 namespace {
@@ -61,6 +62,10 @@ struct Shared {
   std::uint32_t warp_sums[kWarps];
   std::uint32_t n;  // entries of the round
 };
+
+__device__ inline std::uint32_t depth_of(TurboEntry entry) {
+  return static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
+}
 
 // Orders the keys of the block's threads: element k of thread t is number 256 k + t. A sorting network (Batcher 1968):
 // its long strides are between elements of one thread, its short ones between lanes of a warp, and those in between go
@@ -118,7 +123,7 @@ __device__ void order_entries(Shared& s) {
 #pragma unroll
   for (int k = 0; k < Elements; ++k) {
     const std::uint32_t position = k * kThreads + threadIdx.x;
-    key[k] = position < s.n ? static_cast<std::uint32_t>(s.entries[position] >> (kTurboIndexBits + 8)) : ~0u;
+    key[k] = position < s.n ? depth_of(s.entries[position]) : ~0u;
     if (position < s.n) low = math::min(low, key[k]), high = math::max(high, key[k]);
   }
   low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
@@ -127,7 +132,7 @@ __device__ void order_entries(Shared& s) {
   __syncthreads();
 #pragma unroll
   for (int w = 0; w < kWarps; ++w) low = math::min(low, s.run_begin[w]), high = math::max(high, s.run_end[w]);
-  // One value less than the depth bits hold stays free: padding comes last.
+  // Padding, all ones, comes last: it shares its depth with no position as high.
   const int shift = math::max(0, 32 - __clz(static_cast<int>(high - low + 1)) - (32 - kPositionBits));
 #pragma unroll
   for (int k = 0; k < Elements; ++k) {
@@ -205,19 +210,37 @@ struct List {
   }
 };
 
-// Bins of equal ratio of depth, 64 for each power of two from 1/8 on; what lies nearer or farther shares the end bins.
-__device__ inline std::uint32_t depth_bin(TurboEntry entry) {
-  constexpr int kShift = 23 - 6;
-  constexpr int kFirst = (127 - 3) << 6;
-  const auto bits = static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
-  return static_cast<std::uint32_t>(math::min(math::max(static_cast<int>(bits >> kShift) - kFirst, 0), kDepthBins - 1));
+// Bins of a list's depths: of equal width in their bits, which is nearly equal ratio, from the nearest to the farthest.
+struct DepthBins {
+  std::uint32_t nearest;
+  int shift;
+  __device__ std::uint32_t of(TurboEntry entry) const { return (depth_of(entry) - nearest) >> shift; }
+};
+
+__device__ DepthBins depth_bins(Shared& s, const List& list) {
+  std::uint32_t low = ~0u, high = 0;
+  list.for_each(s, [&](TurboEntry entry, std::uint32_t) {
+    low = math::min(low, depth_of(entry));
+    high = math::max(high, depth_of(entry));
+  });
+  low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
+  high = reduce_warp(high, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
+  if (threadIdx.x % 32 == 0) s.run_begin[threadIdx.x / 32] = low, s.run_end[threadIdx.x / 32] = high;
+  __syncthreads();
+#pragma unroll
+  for (int w = 0; w < kWarps; ++w) low = math::min(low, s.run_begin[w]), high = math::max(high, s.run_end[w]);
+  __syncthreads();
+  constexpr int kBits = 10;
+  static_assert(kDepthBins == 1 << kBits);
+  return {low, math::max(0, 32 - __clz(static_cast<int>(high - low)) - kBits)};
 }
 
 // Moves a list to `sorted` in the order of its bins; s.bins then holds the end of each.
 __device__ void order_by_bins(Shared& s, const List& list, TurboEntry* sorted) {
+  const DepthBins bins = depth_bins(s, list);
   for (int k = 0; k < kBinsPerThread; ++k) s.bins[kThreads * k + threadIdx.x] = 0;
   __syncthreads();
-  list.for_each(s, [&s](TurboEntry entry, std::uint32_t) { atomicAdd(s.bins + depth_bin(entry), 1u); });
+  list.for_each(s, [&](TurboEntry entry, std::uint32_t) { atomicAdd(s.bins + bins.of(entry), 1u); });
   std::uint32_t sum = 0;
   for (int k = 0; k < kBinsPerThread; ++k) sum += s.bins[kBinsPerThread * threadIdx.x + k];
   std::uint32_t at = inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
@@ -228,7 +251,7 @@ __device__ void order_by_bins(Shared& s, const List& list, TurboEntry* sorted) {
     at += n;
   }
   __syncthreads();
-  list.for_each(s, [&](TurboEntry entry, std::uint32_t) { sorted[atomicAdd(s.bins + depth_bin(entry), 1u)] = entry; });
+  list.for_each(s, [&](TurboEntry entry, std::uint32_t) { sorted[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
 }
 
 // End of the largest number of whole bins from position `begin` on that hold at most kEntries entries, and at least
@@ -307,8 +330,9 @@ __device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, floa
 
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
   const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
-  const __half2 red_green = __floats2half2_rn(splat.color.x, splat.color.y);
-  const __half2 blue = __floats2half2_rn(splat.color.z, 0.0F);
+  // Finite also where the colour is not: a weight of 0 then leaves a pixel as it is.
+  const __half2 red_green = __floats2half2_rn(math::min(splat.color.x, kHalfMax), math::min(splat.color.y, kHalfMax));
+  const __half2 blue = __floats2half2_rn(math::min(splat.color.z, kHalfMax), 0.0F);
   return {{f.xx, f.xy, f.yy, f.x},
           {f.y, f.one, __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&red_green)),
            __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&blue))}};

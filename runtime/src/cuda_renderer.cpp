@@ -52,7 +52,9 @@ struct CudaRenderer::Impl {
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
-    if (counted != nullptr) cudaEventDestroy(counted);
+    for (cudaEvent_t event : {counted, finished}) {
+      if (event != nullptr) cudaEventDestroy(event);
+    }
     cudaFreeHost(host);
   }
 
@@ -77,7 +79,8 @@ struct CudaRenderer::Impl {
 
   std::string name;
   std::array<cudaEvent_t, kMarks> events{};
-  cudaEvent_t counted = nullptr;  // the turbo pipeline has counted its pairs
+  cudaEvent_t counted = nullptr;   // the turbo pipeline has counted its pairs
+  cudaEvent_t finished = nullptr;  // the last frame no longer uses the workspace
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
@@ -108,8 +111,8 @@ Result<CudaRenderer> CudaRenderer::create() {
   for (cudaEvent_t& event : impl->events) {
     if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
   }
-  if (ok) {
-    ok = device_status(cudaEventCreateWithFlags(&impl->counted, cudaEventDisableTiming), "an event could not be made");
+  for (cudaEvent_t* event : {&impl->counted, &impl->finished}) {
+    if (ok) ok = device_status(cudaEventCreateWithFlags(event, cudaEventDisableTiming), "an event could not be made");
   }
   if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
   if (!ok) return tl::unexpected(ok.error());
@@ -125,9 +128,10 @@ const char* CudaRenderer::name() const {
 
 std::uint64_t CudaRenderer::Impl::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&counters, &splats, &covers, &tiles, &sums, &sum_temporary, &block_state, &keys,
-                                &spare_keys, &gaussians, &spare_gaussians, &sort_temporary, &ranges, &turbo_state,
-                                &turbo_entries, &turbo_runs, &tile_runs, &lists, &classes}) {
+  for (const DeviceBuffer* b :
+       {&counters,      &splats,        &covers,     &tiles,           &sums,           &sum_temporary, &block_state,
+        &keys,          &spare_keys,    &gaussians,  &spare_gaussians, &sort_temporary, &ranges,        &turbo_state,
+        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes}) {
     sum += b->bytes();
   }
   return sum;
@@ -155,9 +159,11 @@ Status CudaRenderer::Impl::reserve_pairs(std::uint64_t n, bool narrow) {
   const std::uint64_t held = std::min(gaussians.bytes() / 4, keys.bytes() / key_bytes);
   if (n <= held) return {};
   const std::uint64_t wanted = std::min(std::max(n, held + held / 2), kMaxPairs);
-  const auto temporary = cuda::sort_bytes(wanted, narrow);
+  // For keys of either width: those of the next frame may be the other.
+  const auto temporary = cuda::sort_bytes(wanted, narrow), other = cuda::sort_bytes(wanted, !narrow);
   if (!temporary) return tl::unexpected(temporary.error());
-  Status ok = sort_temporary.reserve(*temporary);
+  if (!other) return tl::unexpected(other.error());
+  Status ok = sort_temporary.reserve(std::max(*temporary, *other));
   for (DeviceBuffer* b : {&keys, &spare_keys}) {
     if (ok) ok = b->reserve(wanted * key_bytes);
   }
@@ -395,9 +401,14 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
                                                 options.depth_range[1]);
   }
 
+  // The last frame may be on another stream, and still at work.
+  const auto begun = device_status(cudaStreamWaitEvent(stream, w.finished), "the last frame cannot be waited for");
+  if (!begun) return tl::unexpected(begun.error());
   const auto pairs = is_turbo ? w.turbo(storage, camera, target, view, options, stream)
                               : w.sorted(storage, camera, target, view, options, stream);
+  const auto ended = device_status(cudaEventRecord(w.finished, stream), "an event could not be recorded");
   if (!pairs) return tl::unexpected(pairs.error());
+  if (!ended) return tl::unexpected(ended.error());
   if (*pairs > kMaxPairs) {
     return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, *pairs);
   }

@@ -11,9 +11,10 @@
 
 namespace rgs::detail {
 
-/// device_failed with the runtime's error number in Error::found.
+/// device_failed with the runtime's error number in Error::found. The runtime forgets the error: it is none of later calls.
 inline Status device_status(cudaError_t error, const char* what) {
   if (error == cudaSuccess) return {};
+  cudaGetLastError();
   return fail(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 

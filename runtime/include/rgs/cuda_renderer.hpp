@@ -58,8 +58,10 @@ struct DeviceTarget {
 };
 
 /// Renders frames into device memory. Holds the workspace, which is sized for the first scene and grows by half when a
-/// frame needs more; no frame allocates otherwise. One CudaRenderer serves one thread at a time; several may run on
-/// streams of their own and share scenes. Everything is freed with it.
+/// frame needs more; no frame allocates otherwise. One CudaRenderer serves one thread at a time; its frames follow each
+/// other also on different streams. Several may run on streams of their own and share scenes. The device current at
+/// create() must be current at every call. Everything is freed with it; a moved-from one may only be destroyed or
+/// assigned to.
 class CudaRenderer {
  public:
   /// On the current device. Errors: unavailable (no device or driver answers), device_out_of_memory, device_failed.
@@ -70,10 +72,10 @@ class CudaRenderer {
   ~CudaRenderer();
 
   /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. Waits once,
-  /// for the number of (tile, Gaussian) pairs; with options.cuda.timings or .count_pairs also for the end of the frame.
-  /// All counts but evaluated and blended (0 unless counted) are exact on return. Errors: bad_camera, bad_argument (see
-  /// Renderer::render()), limit_exceeded (2^31 pairs or more), device_out_of_memory (Error::expected: bytes wanted; the
-  /// renderer remains usable), device_failed.
+  /// for the number of (tile, Gaussian) pairs, and once more if they did not fit and the frame is made again; with
+  /// options.cuda.timings or .count_pairs also for the end of the frame. All counts but evaluated and blended (0 unless
+  /// counted) are exact on return. Errors: bad_camera, bad_argument (see Renderer::render()), limit_exceeded (2^31 pairs
+  /// or more), device_out_of_memory (Error::expected: bytes wanted; the renderer remains usable), device_failed.
   Result<FrameStats> render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                             const RenderOptions& options = {}, CudaStream stream = nullptr);
 

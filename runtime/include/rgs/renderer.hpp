@@ -31,9 +31,9 @@ struct CudaOptions {
     fused,     ///< one kernel: the paper
   };
   FrontEnd front_end = FrontEnd::fused;
-  /// Lists per tile of 32x32 pixels, ordered exactly where they are blended, in place of a sort over the frame; always
-  /// deterministic. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
-  /// 2^25 Gaussians and more are drawn by the other kernels.
+  /// Lists per tile of 32x32 pixels, ordered exactly where they are blended, in place of a sort over the frame;
+  /// deterministic by itself. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
+  /// 2^25 Gaussians and more are drawn by the other kernels. FrameStats: lists count as bin_ms, there is no sort, no key.
   bool turbo = false;
   int pixels_per_thread = 2;  ///< 1 (the original) or 2 (the paper)
   /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
@@ -93,7 +93,8 @@ struct FrameStats {
 /// number of Renderers may share a Scene.
 class Renderer {
  public:
-  /// Errors: bad_argument (negative thread count), unavailable (the backend is not built or no device answers).
+  /// Errors: bad_argument (negative thread count), unavailable (the backend is not built or no device answers),
+  /// device_out_of_memory, device_failed. A moved-from Renderer may only be destroyed or assigned to.
   static Result<Renderer> create(const RendererOptions& options = {});
 
   Renderer(Renderer&&) noexcept;
@@ -101,7 +102,8 @@ class Renderer {
   ~Renderer();
 
   /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option or the size
-  /// of a target span), limit_exceeded (2^32 (tile, Gaussian) pairs or more).
+  /// of a target span), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
+  /// device_failed.
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
 

@@ -55,7 +55,8 @@ struct ProjectArguments {
 Status launch_project(const ProjectArguments& arguments, Stream stream);
 std::uint64_t cover_bytes();
 
-/// Third, after a sum over `tiles` (sort.hpp): a thread writes the pairs of a Gaussian. Adds to counters.instances.
+/// Third, after a sum over `tiles` (sort.hpp): a thread writes the pairs of a Gaussian. Pairs beyond the capacity are not
+/// written. Errors: device_failed.
 struct DuplicateArguments {
   std::uint32_t n;
   ViewParameters view;
