@@ -59,6 +59,11 @@ void normalize(float* q) {
   }
 }
 
+std::uint64_t next_identity() {
+  static std::atomic<std::uint64_t> last{0};
+  return ++last;
+}
+
 // Training parameters to rendered ones, in place.
 void activate(SplatCloud& s) {
   detail::parallel_ranges(s.size(), kGrain, [&](std::uint64_t begin, std::uint64_t end) {
@@ -87,6 +92,7 @@ Result<Scene> Scene::load(SplatCloud&& splats) {
 Scene Scene::adopt(SplatCloud splats) {
   activate(splats);
   Scene scene;
+  scene.identity_ = next_identity();
   scene.sh_degree_ = splats.sh_degree;
   scene.mean_ = std::move(splats.mean);
   scene.rotation_ = std::move(splats.rotation);
@@ -103,6 +109,7 @@ Result<Scene> Scene::load(const FileView& file) {
   }
   if (const Status s = validate(file); !s) return tl::unexpected(s.error());
   Scene scene;
+  scene.identity_ = next_identity();
   scene.sh_degree_ = file.header().sh_degree;
   scene.declarations_ = file.declarations();
   scene.mean_.resize(3 * n);
