@@ -160,7 +160,7 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
     return fail(Errc::limit_exceeded, 0, "the file is larger than the caller allows", options.limits.max_file_bytes,
                 bytes.size());
   }
-  const SplatFormat format = detect_format(bytes);
+  const SplatFormat format = options.format != SplatFormat::unknown ? options.format : detect_format(bytes);
   if (format == SplatFormat::sog && detail::is_sog_meta(bytes)) {
     return fail(Errc::unsupported_feature, 0, "a SOG's meta.json without its images: name the file, or zip the folder");
   }
@@ -170,7 +170,7 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options) {
   const auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  if (detect_format(file->bytes()) != SplatFormat::sog || !detail::is_sog_meta(file->bytes())) {
+  if (!detail::is_sog_meta(file->bytes())) {
     return read_splats(file->bytes(), options);
   }
   const std::string folder = std::filesystem::path(path).parent_path().string();

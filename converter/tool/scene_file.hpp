@@ -1,4 +1,4 @@
-// scene_file.hpp - a scene from an .rgs or a 3DGS PLY file, ready to be rendered.
+// scene_file.hpp - a scene from a splat file of any format, ready to be rendered.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,8 +18,9 @@ struct SceneFile {
   Vec3 up = kWorldUp;  ///< what an .rgs states, or that of 3DGS worlds
 };
 
-/// Reads `path`; its first bytes decide what it is. Errors: those of read_ply() and of Scene::load(); for a bad_value
-/// of a PLY, Error::found is the index of the Gaussian.
+/// Reads `path`; its first bytes decide what it is. Scenes of other formats than .rgs are in the axes of
+/// 3DGS. Errors: those of read_splats() and of Scene::load(); for a bad_value of the latter, Error::found is the index
+/// of the Gaussian.
 Result<SceneFile> load_scene_file(const std::string& path);
 
 }  // namespace rgs

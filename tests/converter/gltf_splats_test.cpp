@@ -34,7 +34,7 @@ Bytes with_json(const Bytes& glb, const json& root) {
 Result<SplatFile> read_edited(const Bytes& glb, const std::function<void(json&)>& edit) {
   json root = json_of(glb);
   edit(root);
-  return read_splats(with_json(glb, root), {.limits = {}, .keep_axes = true});
+  return read_splats(with_json(glb, root), kKeepAxes);
 }
 
 }  // namespace
@@ -47,7 +47,7 @@ TEST_CASE(".glb round trip: everything to the last places of a float") {
       const SplatCloud cloud = ordinary_cloud(n, degree, n + 1);
       const auto bytes = encode_splats(cloud.view(), SplatFormat::glb, {.colour_space = ColourSpace::linear_display});
       REQUIRE(bytes);
-      const auto file = read_splats(*bytes, {.limits = {}, .keep_axes = true});
+      const auto file = read_splats(*bytes, kKeepAxes);
       REQUIRE(file);
       CHECK(file->format == SplatFormat::glb);
       CHECK(file->axes == kAxesGltf);

@@ -169,6 +169,8 @@ inline bool has_peer_files() {
   return found;
 }
 
+inline constexpr ReadOptions kKeepAxes{{}, SplatFormat::unknown, true};
+
 inline Result<SplatFile> read_exact(std::span<const std::byte> bytes) {
   // A heap block of the exact size, so that the address sanitizer sees a read past its end.
   const auto block = std::make_unique<std::byte[]>(bytes.size());

@@ -66,7 +66,7 @@ TEST_CASE("Gaussians arrive in the frame of 3DGS unless asked otherwise or undec
     SplatCloud turned = cloud;
     convert_axes(turned, kAxes3dgs, format_axes(format));
     const Bytes bytes = encode_splats(turned.view(), format).value();
-    const auto there = read_splats(bytes, {.limits = {}, .keep_axes = true}), here = read_splats(bytes);
+    const auto there = read_splats(bytes, kKeepAxes), here = read_splats(bytes);
     REQUIRE(there);
     REQUIRE(here);
     CHECK(there->axes == format_axes(format));

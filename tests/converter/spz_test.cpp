@@ -94,7 +94,7 @@ TEST_CASE("SPZ version 4 round trip within half a step, whatever the degree") {
       const SplatCloud cloud = ordinary_cloud(n, degree, n + 7);
       const auto bytes = encode_splats(cloud.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
       REQUIRE(bytes);
-      const auto file = read_splats(*bytes, {.limits = {}, .keep_axes = true});
+      const auto file = read_splats(*bytes, kKeepAxes);
       REQUIRE(file);
       CHECK(file->axes == kAxesOpenGl);
       CHECK(file->aa_mode == AaMode::mip_splatting);
@@ -102,7 +102,7 @@ TEST_CASE("SPZ version 4 round trip within half a step, whatever the degree") {
       check_within_steps(compare(file->cloud, cloud), 4, 8);
       const auto again = encode_splats(file->cloud.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
       REQUIRE(again);  // decoded values give the same codes; a rotation may change which of two equals is the largest
-      const SplatError e = compare(read_splats(*again, {.limits = {}, .keep_axes = true}).value().cloud, file->cloud);
+      const SplatError e = compare(read_splats(*again, kKeepAxes).value().cloud, file->cloud);
       CHECK(e.sum() == e.rotation);
       CHECK(e.rotation <= 0.70711 / 511);
     }
@@ -114,7 +114,7 @@ TEST_CASE("SPZ gives up fractional bits for distant means, and refuses what no b
   cloud.mean[4] = -50000.F;
   const auto bytes = encode_splats(cloud.view(), SplatFormat::spz);
   REQUIRE(bytes);
-  const auto file = read_splats(*bytes, {.limits = {}, .keep_axes = true});
+  const auto file = read_splats(*bytes, kKeepAxes);
   REQUIRE(file);
   const SplatError e = compare(file->cloud, cloud);
   CHECK(e.mean[0] <= 0.5 / 128);  // 2^23 / 50,000 leaves 7 bits
@@ -127,7 +127,7 @@ TEST_CASE("SPZ gives up fractional bits for distant means, and refuses what no b
 }
 
 TEST_CASE("SPZ version 2 by hand") {
-  const auto file = read_splats(gzip(hand_made_v2()), {.limits = {}, .keep_axes = true});
+  const auto file = read_splats(gzip(hand_made_v2()), kKeepAxes);
   REQUIRE(file);
   const SplatCloud& c = file->cloud;
   REQUIRE(c.size() == 2);

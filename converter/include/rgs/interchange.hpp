@@ -57,6 +57,7 @@ struct SplatFile {
 
 struct ReadOptions {
   DecodeLimits limits;
+  SplatFormat format = SplatFormat::unknown;  ///< read as this; unknown: as the content says
   bool keep_axes = false;  ///< leave Gaussians in the file's frame; otherwise declared axes are turned into kAxes3dgs
 };
 
