@@ -70,7 +70,7 @@ def main():
     parser.add_argument("--bin", type=pathlib.Path, default=pathlib.Path("build/release/bin"))
     parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("build/formats"))
     parser.add_argument("--json", type=pathlib.Path)
-    arguments = parser.parse_args()
+    arguments = parser.parse_intermixed_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     cameras = [camera for camera in json.loads(arguments.cameras.read_text()) if camera.get("split", "test") == "test"]
     size = f"{cameras[0]['width'] // 2}x{cameras[0]['height'] // 2}"

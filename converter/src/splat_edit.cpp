@@ -256,6 +256,7 @@ void filter(SplatCloud& cloud, const SplatFilter& filter) {
   }
   if (kept.size() > filter.max_n) {
     std::vector<std::pair<double, std::uint64_t>> ranked;
+    ranked.reserve(kept.size());
     for (const std::uint64_t i : kept) ranked.emplace_back(-weight(cloud, i), i);
     const auto end = ranked.begin() + static_cast<std::ptrdiff_t>(filter.max_n);
     std::nth_element(ranked.begin(), end, ranked.end());

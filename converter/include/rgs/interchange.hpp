@@ -74,7 +74,7 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
 struct WriteOptions {
   ColourSpace colour_space = ColourSpace::srgb_display;  ///< declared where the format can (glb)
   AaMode aa_mode = AaMode::classic;                      ///< declared where the format can (spz)
-  bool keep_order = false;  ///< compressed.ply: do not sort along a Morton curve, which its 256-wide chunks gain from
+  bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
 };
 
 /// True for what encode_splats() writes: ply, compressed_ply, spz, splat and glb.
