@@ -18,6 +18,17 @@ __device__ inline std::uint32_t inclusive_warp_sum(std::uint32_t value) {
   return value;
 }
 
+/// Sum, smallest or largest over the warp, in every lane (the single instructions for it need sm_80).
+template <class T, class Combine>
+__device__ inline T reduce_warp(T value, const Combine& combine) {
+#pragma unroll
+  for (int step = 16; step > 0; step /= 2) value = combine(value, __shfl_xor_sync(kFullWarp, value, step));
+  return value;
+}
+__device__ inline std::uint32_t warp_sum(std::uint32_t value) {
+  return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a + b; });
+}
+
 /// Inclusive sum over the block's threads; `warp_sums` holds one word a warp. The caller separates two calls that share
 /// `warp_sums` by a barrier.
 template <int Threads>

@@ -69,7 +69,7 @@ __device__ Row row_at(const Shared<E>& s, std::uint32_t r, math::TileGrid grid) 
 // Sum over the block in 64 bits: 256 Gaussians may cover more than 2^32 tiles. Valid in thread 0.
 __device__ std::uint64_t block_total(std::uint32_t value, std::uint32_t* warp_sums) {
   // 32 threads of at most 2^24 tiles each (4096 rows of 4096): a warp's sum fits 32 bits.
-  const std::uint32_t sum = __reduce_add_sync(kFullWarp, value);
+  const std::uint32_t sum = warp_sum(value);
   if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = sum;
   __syncthreads();
   std::uint64_t total = 0;

@@ -19,7 +19,8 @@ struct Geometry {
 };
 
 __device__ inline math::Vec3<float> load_mean(const float* mean, std::uint32_t i) {
-  return {__ldg(mean + 3 * i), __ldg(mean + 3 * i + 1), __ldg(mean + 3 * i + 2)};
+  const float* const from = mean + 3 * static_cast<std::uint64_t>(i);
+  return {__ldg(from), __ldg(from + 1), __ldg(from + 2)};
 }
 
 __device__ inline Geometry load_geometry(const Fp32Attributes& a, std::uint32_t i) {

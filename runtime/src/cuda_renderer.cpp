@@ -14,6 +14,7 @@
 #include "rgs/cuda/blend.hpp"
 #include "rgs/cuda/front_end.hpp"
 #include "rgs/cuda/sort.hpp"
+#include "rgs/cuda/turbo.hpp"
 
 namespace rgs {
 namespace {
@@ -29,10 +30,19 @@ constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
 // Ends of the stages, as FrameStats names them.
 enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
 
+math::Vec3<float> background_of(const RenderOptions& options) {
+  return {options.background[0], options.background[1], options.background[2]};
+}
+
+cuda::PixelArrays arrays_of(const DeviceTarget& target) {
+  return {target.rgb, target.alpha, target.depth, target.evaluated, target.blended};
+}
+
 // Numbers that the host waits for, in memory that the device can write asynchronously.
 struct HostCounters {
   cuda::Counters counters;
   std::uint64_t pairs;  // of the separate front end: the last of its sums
+  cuda::TurboState turbo;
 };
 
 }  // namespace
@@ -42,17 +52,23 @@ struct CudaRenderer::Impl {
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
+    if (counted != nullptr) cudaEventDestroy(counted);
     cudaFreeHost(host);
   }
 
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t n, bool narrow);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
                               const RenderOptions& options, bool narrow, CudaStream stream);
   Result<std::uint64_t> separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
                                  const RenderOptions& options, bool narrow, CudaStream stream);
+  Result<std::uint64_t> turbo(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
+                              const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
+  Result<std::uint64_t> sorted(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
+                               const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
   Status order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow, const RenderOptions& options,
                CudaStream stream, cuda::SortBuffers& sorted);
   Status fetch(void* to, const void* from, std::uint64_t bytes, CudaStream stream) const;
@@ -61,9 +77,11 @@ struct CudaRenderer::Impl {
 
   std::string name;
   std::array<cudaEvent_t, kMarks> events{};
+  cudaEvent_t counted = nullptr;  // the turbo pipeline has counted its pairs
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
+  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -90,6 +108,9 @@ Result<CudaRenderer> CudaRenderer::create() {
   for (cudaEvent_t& event : impl->events) {
     if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
   }
+  if (ok) {
+    ok = device_status(cudaEventCreateWithFlags(&impl->counted, cudaEventDisableTiming), "an event could not be made");
+  }
   if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
   if (!ok) return tl::unexpected(ok.error());
   return CudaRenderer(std::move(impl));
@@ -105,7 +126,8 @@ const char* CudaRenderer::name() const {
 std::uint64_t CudaRenderer::Impl::bytes() const {
   std::uint64_t sum = 0;
   for (const DeviceBuffer* b : {&counters, &splats, &covers, &tiles, &sums, &sum_temporary, &block_state, &keys,
-                                &spare_keys, &gaussians, &spare_gaussians, &sort_temporary, &ranges}) {
+                                &spare_keys, &gaussians, &spare_gaussians, &sort_temporary, &ranges, &turbo_state,
+                                &turbo_entries, &turbo_runs, &tile_runs, &lists, &classes}) {
     sum += b->bytes();
   }
   return sum;
@@ -142,6 +164,9 @@ Status CudaRenderer::Impl::reserve_pairs(std::uint64_t n, bool narrow) {
   for (DeviceBuffer* b : {&gaussians, &spare_gaussians}) {
     if (ok) ok = b->reserve(wanted * sizeof(std::uint32_t));
   }
+  if (ok) return {};
+  // All or nothing: of the arrays that have grown and those that have not, the next frame would see the latter alone.
+  for (DeviceBuffer* b : {&keys, &spare_keys, &gaussians, &spare_gaussians, &sort_temporary}) *b = {};
   return ok;
 }
 
@@ -239,6 +264,111 @@ Status CudaRenderer::Impl::order(const cuda::ViewParameters& view, std::uint64_t
   return ok;
 }
 
+// The original's and the paper's pipelines: pairs, one sort over the frame, ranges, pixels.
+Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& scene, const Camera& camera,
+                                                 const DeviceTarget& target, const cuda::ViewParameters& view,
+                                                 const RenderOptions& options, CudaStream stream) {
+  const bool narrow = view.key.bits() <= 32;
+  const bool is_separate = options.cuda.front_end == CudaOptions::FrontEnd::separate;
+  const auto n_tiles = static_cast<std::uint64_t>(view.grid.columns) * static_cast<std::uint64_t>(view.grid.rows);
+  Status ok = reserve_scene(scene.n, is_separate, options.cuda.deterministic);
+  if (ok) ok = reserve_pairs(std::max(kFirstPairs, 4 * scene.n), narrow);
+  if (ok) ok = ranges.reserve(n_tiles * sizeof(cuda::TileRange));
+  if (ok) ok = mark(kStart, options, stream);
+  if (!ok) return tl::unexpected(ok.error());
+
+  const auto pairs =
+      is_separate ? separate(scene, view, options, narrow, stream) : fused(scene, view, options, narrow, stream);
+  if (!pairs || *pairs > kMaxPairs) return pairs;
+  cuda::SortBuffers ordered{};
+  ok = order(view, *pairs, narrow, options, stream, ordered);
+  if (ok) {
+    ok = cuda::launch_blend({ranges.as<cuda::TileRange>(), ordered.gaussians, splats.as<cuda::ScreenSplat>(), view.grid,
+                             camera.width, camera.height, background_of(options), arrays_of(target),
+                             options.cuda.count_pairs ? counters.as<cuda::Counters>() : nullptr, options.exponent,
+                             options.exp, options.cuda.pixels_per_thread},
+                            stream);
+  }
+  if (ok) ok = mark(kBlended, options, stream);
+  if (!ok) return tl::unexpected(ok.error());
+  return pairs;
+}
+
+// Room for so many entries, runs and large Gaussians; grows by half at least.
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large) {
+  Status ok;
+  const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
+    const std::uint64_t held = buffer.bytes() / size;
+    if (ok && wanted > held) ok = buffer.reserve(std::min(std::max(wanted, held + held / 2), kMaxPairs) * size);
+  };
+  reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
+  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
+  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge));
+  return ok;
+}
+
+// Everything is queued before the number of entries is known. If they did not fit, which the host learns while the
+// frame is still being made, the lists were left empty and the frame is made again.
+Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scene, const Camera& camera,
+                                                const DeviceTarget& target, const cuda::ViewParameters& view,
+                                                const RenderOptions& options, CudaStream stream) {
+  cuda::TurboArrays arrays{};
+  arrays.n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
+  Status ok = splats.reserve(scene.n * sizeof(cuda::ScreenSplat));
+  if (ok) ok = turbo_state.reserve(cuda::TurboState::bytes(arrays.n_tiles));
+  if (ok) ok = lists.reserve(arrays.n_tiles * sizeof(cuda::TurboList));
+  if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
+  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32);
+  while (ok) {
+    arrays.state = turbo_state.as<cuda::TurboState>();
+    arrays.entries = turbo_entries.as<cuda::TurboEntry>();
+    arrays.runs = turbo_runs.as<cuda::TurboTileRun>();
+    arrays.tile_runs = tile_runs.as<cuda::TurboRun>();
+    arrays.lists = lists.as<cuda::TurboList>();
+    arrays.classes = classes.as<std::uint32_t>();
+    arrays.scratch = turbo_scratch.as<cuda::TurboEntry>();
+    arrays.large = turbo_large.as<cuda::TurboLarge>();
+    arrays.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
+    arrays.run_capacity =
+        std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+    arrays.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
+    ok = mark(kStart, options, stream);
+    if (ok) {
+      ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), stream),
+                         "the frame's state could not be cleared");
+    }
+    if (ok) {
+      ok = cuda::launch_turbo_emit(
+          {scene.attributes, static_cast<std::uint32_t>(scene.n), view, splats.as<cuda::ScreenSplat>(), arrays},
+          stream);
+    }
+    if (ok) ok = mark(kProjected, options, stream);
+    if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
+    for (const Mark m : {kDuplicated, kSorted, kRanged}) {
+      if (ok) ok = mark(m, options, stream);
+    }
+    if (ok) {
+      ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height,
+                                     background_of(options), arrays_of(target), options.cuda.count_pairs},
+                                    stream);
+    }
+    if (ok) ok = mark(kBlended, options, stream);
+    if (ok) ok = device_status(cudaEventSynchronize(counted), "a kernel failed");
+    if (!ok) break;
+    host->counters = host->turbo.counters;
+    const std::uint64_t n = host->counters.instances;
+    const cuda::TurboState& seen = host->turbo;
+    const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
+    if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
+    // Counts without all large Gaussians are too low to be worth memory.
+    ok = all_large ? reserve_turbo(n, seen.runs, 0) : reserve_turbo(0, 0, seen.n_large);
+  }
+  return tl::unexpected(ok.error());
+}
+
 Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                                         const RenderOptions& options, CudaStream stream) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
@@ -253,45 +383,24 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   view.low_pass = options.low_pass;
   view.anti_aliasing = options.anti_aliasing;
   view.sh_degree = std::min(storage.sh_degree, options.sh_degree_limit);
-  const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
-  view.key = math::key_layout(options.depth_order, options.depth_bits, n_tiles);
+  const bool is_turbo = options.cuda.turbo && storage.n < cuda::kMaxTurboGaussians;
+  if (is_turbo) {
+    view.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
+  } else {
+    const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
+    view.key = math::key_layout(options.depth_order, options.depth_bits, n_tiles);
+  }
   if (view.key.quantized) {
     view.quantizer = math::make_depth_quantizer(options.depth_mapping, view.key.depth_bits, options.depth_range[0],
                                                 options.depth_range[1]);
   }
-  const bool narrow = view.key.bits() <= 32;
-  const bool is_separate = options.cuda.front_end == CudaOptions::FrontEnd::separate;
 
-  Status ok = w.reserve_scene(storage.n, is_separate, options.cuda.deterministic);
-  if (ok) ok = w.reserve_pairs(std::max(kFirstPairs, 4 * storage.n), narrow);
-  if (ok) ok = w.ranges.reserve(n_tiles * sizeof(cuda::TileRange));
-  if (ok) ok = w.mark(kStart, options, stream);
-  if (!ok) return tl::unexpected(ok.error());
-
-  const auto pairs = is_separate ? w.separate(storage, view, options, narrow, stream)
-                                 : w.fused(storage, view, options, narrow, stream);
+  const auto pairs = is_turbo ? w.turbo(storage, camera, target, view, options, stream)
+                              : w.sorted(storage, camera, target, view, options, stream);
   if (!pairs) return tl::unexpected(pairs.error());
   if (*pairs > kMaxPairs) {
     return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, *pairs);
   }
-  cuda::SortBuffers sorted{};
-  ok = w.order(view, *pairs, narrow, options, stream, sorted);
-  if (ok) {
-    ok = cuda::launch_blend({w.ranges.as<cuda::TileRange>(),
-                             sorted.gaussians,
-                             w.splats.as<cuda::ScreenSplat>(),
-                             view.grid,
-                             camera.width,
-                             camera.height,
-                             {options.background[0], options.background[1], options.background[2]},
-                             {target.rgb, target.alpha, target.depth, target.evaluated, target.blended},
-                             options.cuda.count_pairs ? w.counters.as<cuda::Counters>() : nullptr,
-                             options.exponent,
-                             options.exp,
-                             options.cuda.pixels_per_thread},
-                            stream);
-  }
-  if (ok) ok = w.mark(kBlended, options, stream);
 
   FrameStats stats;
   stats.gaussians = storage.n;
@@ -300,8 +409,10 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   stats.depth_bits = view.key.quantized ? view.key.depth_bits : 0;
   stats.key_bits = view.key.bits();
   stats.bytes = w.bytes();
-  if (ok && options.cuda.count_pairs) {
-    ok = w.fetch(&w.host->counters, w.counters.as<void>(), sizeof(cuda::Counters), stream);
+  Status ok;
+  if (options.cuda.count_pairs) {
+    const void* const counters = is_turbo ? &w.turbo_state.as<cuda::TurboState>()->counters : w.counters.as<void>();
+    ok = w.fetch(&w.host->counters, counters, sizeof(cuda::Counters), stream);
   }
   if (ok && (options.cuda.timings || options.cuda.count_pairs)) ok = w.wait(stream);
   if (!ok) return tl::unexpected(ok.error());

@@ -28,6 +28,13 @@ RenderOptions paper_options(const std::optional<Declarations>& scene) {
   return o;
 }
 
+RenderOptions turbo_options() {
+  RenderOptions o;
+  o.exponent = math::Exponent::folded;
+  o.cuda.turbo = true;
+  return o;
+}
+
 namespace detail {
 
 Status validate(const RenderOptions& o) {
@@ -52,6 +59,10 @@ Status validate(const RenderOptions& o) {
     return refuse("an option has no such value");
   }
   if (o.cuda.pixels_per_thread != 1 && o.cuda.pixels_per_thread != 2) return refuse("pixels per thread are not 1 or 2");
+  if (o.cuda.turbo && (o.extent != math::Extent::ellipse || o.depth_order != math::DepthOrder::exact ||
+                       o.exponent != math::Exponent::folded || o.exp != math::Exp::exact)) {
+    return refuse("turbo draws ellipses in exact order with folded exponents and exact exponentials only");
+  }
   return {};
 }
 

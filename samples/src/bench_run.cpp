@@ -1,4 +1,4 @@
-// bench_run.cpp - frames of one configuration on the GPU.
+// bench_run.cpp - frames of one configuration on the GPU, and what GPU it is.
 // SPDX-License-Identifier: Apache-2.0
 #include "bench_run.hpp"
 
@@ -119,6 +119,29 @@ Result<std::vector<Image>> pictures(const Configuration& c, const DeviceScenes& 
     out.push_back(std::move(image));
   }
   return out;
+}
+
+Result<DeviceInfo> device_info() {
+  int device = 0;
+  cudaDeviceProp properties{};
+  if (cudaGetDevice(&device) != cudaSuccess || cudaGetDeviceProperties(&properties, device) != cudaSuccess) {
+    return fail(Errc::unavailable, Error::kNone, "no CUDA device answers");
+  }
+  const auto kilohertz = [device](cudaDeviceAttr attribute) {
+    int value = 0;
+    return cudaDeviceGetAttribute(&value, attribute, device) == cudaSuccess ? value : 0;
+  };
+  DeviceInfo info;
+  info.name = properties.name;
+  info.capability_major = properties.major, info.capability_minor = properties.minor;
+  info.multiprocessors = properties.multiProcessorCount;
+  info.clock_mhz = 1e-3 * kilohertz(cudaDevAttrClockRate);
+  info.memory_clock_mhz = 1e-3 * kilohertz(cudaDevAttrMemoryClockRate);
+  info.memory_bytes = properties.totalGlobalMem;
+  info.l2_bytes = static_cast<std::uint64_t>(properties.l2CacheSize);
+  cudaDriverGetVersion(&info.driver_version);
+  cudaRuntimeGetVersion(&info.runtime_version);
+  return info;
 }
 
 }  // namespace rgs::bench

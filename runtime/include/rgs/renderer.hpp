@@ -31,6 +31,10 @@ struct CudaOptions {
     fused,     ///< one kernel: the paper
   };
   FrontEnd front_end = FrontEnd::fused;
+  /// Lists per tile of 32x32 pixels, ordered exactly where they are blended, in place of a sort over the frame; always
+  /// deterministic. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
+  /// 2^25 Gaussians and more are drawn by the other kernels.
+  bool turbo = false;
   int pixels_per_thread = 2;  ///< 1 (the original) or 2 (the paper)
   /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
   /// end lists them in the order in which its blocks happen to run.
@@ -65,6 +69,8 @@ RenderOptions baseline_options();
 /// The paper's: tiles by ellipse, 32-bit keys, folded exponent of two pixels, approximate exponential. Range and
 /// mapping of the key are what `scene` declares, if it is given.
 RenderOptions paper_options(const std::optional<Declarations>& scene = std::nullopt);
+/// The fastest: ellipse, exact order, folded exponent, the hardware's exponential; CudaOptions::turbo.
+RenderOptions turbo_options();
 
 /// What one frame cost. Counts are exact; times are wall clock of the calling thread, or of the device's stream.
 struct FrameStats {

@@ -107,8 +107,9 @@ RGS_HD inline float negative_exp2(float biased) {
   return result;
 }
 /// The biased exponent at which negative_exp2() is -kAlphaMax: the clamp of the opacity, made on the exponent, which
-/// also keeps it in range.
-inline constexpr float kBiasedAlphaMax = 254.98F;
+/// also keeps it in range. Its last bit is rounded up, so that a second such Gaussian ends the pixel, as it does with
+/// kAlphaMax itself: 0.01 * 0.01 in FP32 is below kTransmittanceMin.
+inline constexpr float kBiasedAlphaMax = 254.98001F;
 
 template <Exp E>
 RGS_HD constexpr float exp_sigma() {
