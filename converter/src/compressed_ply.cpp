@@ -273,36 +273,52 @@ std::string make_header(std::uint64_t n, int sh_degree) {
   return text + "end_header\n";
 }
 
-// Cuts the Gaussians across the longest side of their box, at the multiple of a chunk nearest to the middle, until
-// chunks are left. Their boxes, and with them the steps, come out smaller than along a Morton curve: south at its test
-// views PSNR_KD dB against 45.8 dB.
-void split_into_chunks(std::span<std::uint32_t> indices, std::span<const float> mean) {
-  if (indices.size() <= kChunk) {
-    std::ranges::sort(indices);
-    return;
-  }
-  double longest = -1;
+// The longest side of the box of some Gaussians' means.
+struct Side {
   std::size_t axis = 0;
+  float low = 0, high = 0;
+};
+
+Side longest_side(std::span<const std::uint32_t> indices, std::span<const float> mean) {
+  Side longest;
   for (std::size_t k = 0; k < 3; ++k) {
-    const auto coordinate = [&](std::uint32_t i) { return mean[3 * std::size_t{i} + k]; };
-    const auto ends = std::ranges::minmax(indices, {}, coordinate);
-    const double side = static_cast<double>(coordinate(ends.max)) - static_cast<double>(coordinate(ends.min));
-    if (side > longest) longest = side, axis = k;
+    Side side{k, std::numeric_limits<float>::infinity(), -std::numeric_limits<float>::infinity()};
+    for (const std::uint32_t i : indices) {
+      side.low = std::min(side.low, mean[3 * std::size_t{i} + k]);
+      side.high = std::max(side.high, mean[3 * std::size_t{i} + k]);
+    }
+    if (k == 0 || side.high - side.low > longest.high - longest.low) longest = side;
   }
-  const std::size_t middle = (indices.size() / kChunk + 1) / 2 * kChunk;
-  const auto before = [&](std::uint32_t a, std::uint32_t b) {  // a total order: the same cut everywhere
-    const float x = mean[3 * std::size_t{a} + axis], y = mean[3 * std::size_t{b} + axis];
-    return x != y ? x < y : a < b;
-  };
-  std::ranges::nth_element(indices, indices.begin() + static_cast<std::ptrdiff_t>(middle), before);
-  split_into_chunks(indices.first(middle), mean);
-  split_into_chunks(indices.subspan(middle), mean);
+  return longest;
+}
+
+// Cuts the Gaussians half way along the longest side of their box, at the nearest multiple of a chunk, until chunks are
+// left. Half way in space, not in number: a chunk of near Gaussians and a few distant ones would be coarse for all.
+void gather_chunks(std::span<std::uint32_t> indices, std::span<const float> mean) {
+  while (indices.size() > kChunk) {
+    const Side side = longest_side(indices, mean);
+    const float cut = side.low + (side.high - side.low) / 2;
+    const auto at = [&](std::uint32_t i) { return mean[3 * std::size_t{i} + side.axis]; };
+    const auto n_below =
+        static_cast<std::uint64_t>(std::ranges::count_if(indices, [&](std::uint32_t i) { return at(i) < cut; }));
+    const std::uint64_t last = (indices.size() - 1) / kChunk;  // chunks before the last one
+    const std::uint64_t middle = std::clamp<std::uint64_t>((n_below + kChunk / 2) / kChunk, 1, last) * kChunk;
+    std::ranges::nth_element(indices, indices.begin() + static_cast<std::ptrdiff_t>(middle),
+                             [&](std::uint32_t a, std::uint32_t b) {  // a total order: the same cut everywhere
+                               return at(a) != at(b) ? at(a) < at(b) : a < b;
+                             });
+    // The smaller part by recursion: its depth stays logarithmic.
+    const auto below = indices.first(middle), above = indices.subspan(middle);
+    gather_chunks(below.size() < above.size() ? below : above, mean);
+    indices = below.size() < above.size() ? above : below;
+  }
+  std::ranges::sort(indices);
 }
 
 std::vector<std::uint32_t> order_of(const SplatView& splats, bool keep_order) {
   std::vector<std::uint32_t> order(splats.n);
   std::iota(order.begin(), order.end(), 0u);
-  if (!keep_order) split_into_chunks(order, splats.mean);
+  if (!keep_order) gather_chunks(order, splats.mean);
   return order;
 }
 
