@@ -294,6 +294,7 @@ Side longest_side(std::span<const std::uint32_t> indices, std::span<const float>
 
 // Cuts the Gaussians half way along the longest side of their box, at the nearest multiple of a chunk, until chunks are
 // left. Half way in space, not in number: a chunk of near Gaussians and a few distant ones would be coarse for all.
+// South at its test views: 48.1 dB; cut by number 36.9 dB; along a Morton curve 45.8 dB.
 void gather_chunks(std::span<std::uint32_t> indices, std::span<const float> mean) {
   while (indices.size() > kChunk) {
     const Side side = longest_side(indices, mean);
