@@ -15,12 +15,19 @@ namespace {
 
 constexpr std::uint64_t kRecordBytes = 32;
 
-bool plausible(std::span<const std::byte> record) {
+bool has_sound_numbers(std::span<const std::byte> record) {
   for (std::uint64_t i = 0; i < 6; ++i) {
     const float value = load<float>(record, 4 * i);
     if (!std::isfinite(value) || (i >= 3 && value < 0)) return false;
   }
   return true;
+}
+
+// Zeros, which many other files have plenty of, stand for a quaternion of length 2.
+bool has_unit_rotation(std::span<const std::byte> record) {
+  int squared = 0;
+  for (std::uint64_t i = 28; i < 32; ++i) squared += (load_u8(record, i) - 128) * (load_u8(record, i) - 128);
+  return squared > 128 * 128 / 2 && squared < 128 * 128 * 2;
 }
 
 // A unit quaternion in codes, w >= 0 so that w = 1 is the only component that 255 has to stand for.
@@ -38,12 +45,16 @@ void encode_rotation(const float* q, std::span<std::byte> out) {
 
 bool looks_like_splat_records(std::span<const std::byte> bytes) {
   if (bytes.empty() || bytes.size() % kRecordBytes != 0) return false;
-  const std::uint64_t n = bytes.size() / kRecordBytes;
-  for (std::uint64_t i = 0; i < std::min<std::uint64_t>(n, 256); ++i) {
-    if (!plausible(bytes.subspan(kRecordBytes * i, kRecordBytes))) return false;
-    if (!plausible(bytes.subspan(kRecordBytes * (n - 1 - i), kRecordBytes))) return false;
+  const std::uint64_t n = bytes.size() / kRecordBytes, sampled = std::min<std::uint64_t>(n, 256);
+  std::uint64_t n_unit = 0;
+  for (std::uint64_t i = 0; i < sampled; ++i) {
+    for (const std::uint64_t at : {i, n - 1 - i}) {
+      const auto record = bytes.subspan(kRecordBytes * at, kRecordBytes);
+      if (!has_sound_numbers(record)) return false;
+      n_unit += has_unit_rotation(record) ? 1u : 0u;
+    }
   }
-  return true;
+  return n_unit >= sampled;  // half of those looked at: some scenes have Gaussians without a rotation
 }
 
 Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const DecodeLimits& limits) {

@@ -170,10 +170,10 @@ TEST_CASE(".ksplat with several sections, room to spare and unlike degrees") {
 
 TEST_CASE("damaged .ksplat files are refused or read, never more") {
   const Bytes file = ksplat({{near_cloud(6, 1, 9), {1, 1, 1, {2}, 0}}});
-  // Prefixes that are a multiple of 32 may look like .splat records, but those begin with a version of 0.1 and zeros.
-  for (std::size_t size = 4000; size < file.size(); ++size) {
-    const auto read = read_exact(std::span(file).first(size));
-    if (read) CHECK(read->format == SplatFormat::splat);
+  for (std::size_t size = 0; size < file.size(); ++size) {
+    CAPTURE(size);
+    check_refusal(read_exact(std::span(file).first(size)), size);
+    check_refusal(read_splats(std::span(file).first(size), {{}, SplatFormat::ksplat, true}), size);
   }
   SplitMix random(10);
   for (int i = 0; i < 600; ++i) {
@@ -197,7 +197,8 @@ TEST_CASE(".ksplat headers that promise too much are no scene") {
       Bytes damaged = file;
       put(damaged, at, value);
       const auto read = read_splats(damaged);
-      CHECK((!read || read->format == SplatFormat::splat));
+      check_refusal(read, damaged.size());
+      check_refusal(read_splats(damaged, {{}, SplatFormat::ksplat, true}), damaged.size());
     }
   }
 }

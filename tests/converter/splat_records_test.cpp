@@ -12,7 +12,7 @@ TEST_CASE(".splat: a record by hand") {
   std::vector<std::byte> bytes(32);
   const float numbers[6] = {1, -2, 3.5F, 1, 2, 0};
   std::memcpy(bytes.data(), numbers, sizeof numbers);
-  const std::uint8_t codes[8] = {0, 255, 51, 102, 255, 128, 0, 64};
+  const std::uint8_t codes[8] = {0, 255, 51, 102, 230, 128, 80, 64};
   std::memcpy(&bytes[24], codes, sizeof codes);
   const auto file = read_splats(bytes);
   REQUIRE(file);
@@ -26,9 +26,9 @@ TEST_CASE(".splat: a record by hand") {
   CHECK(s.sh[1] == doctest::Approx(0.5 / 0.28209479));
   CHECK(s.sh[2] == doctest::Approx(-0.3 / 0.28209479));
   CHECK(opacity_from_logit(s.opacity_logit) == doctest::Approx(0.4));
-  CHECK(s.rotation[0] == 127.F / 128);
+  CHECK(s.rotation[0] == 102.F / 128);
   CHECK(s.rotation[1] == 0);
-  CHECK(s.rotation[2] == -1);
+  CHECK(s.rotation[2] == -48.F / 128);
   CHECK(s.rotation[3] == -0.5F);
 }
 
@@ -71,4 +71,5 @@ TEST_CASE(".splat files that are no multiple of 32 bytes, or hold nonsense, are 
     std::memcpy(&damaged[32 + 12], &value, 4);
     check_refusal(read_splats(damaged), damaged.size());
   }
+  check_refusal(read_splats(Bytes(4096)), 4096);  // zeros
 }
