@@ -189,6 +189,17 @@ def main():
             check(f"{kind}: written here, read there, against the scene", there, clamped.get(kind, scene), steps[kind])
             check(f"{kind}: written here, read there and here", there, load(ours, file, "here.ply"),
                   same(scene, 1 / 128 if kind == "splat" else 1e-5))
+        for degree in range(3):
+            flat = scene | {"sh": scene["sh"][:, :(degree + 1) ** 2]}
+            ours("--keep-order", "--sh-degree", degree, scene_path, path("flat.ply"))
+            for kind, bound, cut in (("compressed.ply", steps["compressed.ply"], flat), ("spz", steps["spz"], clamp_to_spz(flat))):
+                ours("--keep-order", path("flat.ply"), path(f"flat.{kind}"))
+                check(f"{kind} of degree {degree}: written here, read there, against the scene",
+                      load(theirs, path(f"flat.{kind}"), "there.ply"), cut, bound)
+                theirs(path("flat.ply"), path(f"flat.{kind}"))
+                check(f"{kind} of degree {degree}: written there, read here and there",
+                      load(ours, path(f"flat.{kind}"), "here.ply"), load(theirs, path(f"flat.{kind}"), "there.ply"),
+                      same(scene))
         ours("--keep-order", scene_path, path("ours.glb"))
         check("glb: written and read here", load(ours, path("ours.glb"), "here.ply"), scene, steps["glb"])
 

@@ -2,7 +2,7 @@
 //
 // Sources: the format's README (github.com/nianticlabs/spz) for versions 2 and 3; version 4's framing from files:
 //   0 "NGSP"  4 u32 version  8 u32 n  12 u8 SH degree  13 u8 fractional bits  14 u8 flags
-//   15 u8 streams, 6 (versions 2, 3: reserved)   16 u32 offset of the stream table   20 zeros up to 32
+//   15 u8 streams, 6, without SH 5 (versions 2, 3: reserved)   16 u32 offset of the stream table   20 zeros up to 32
 //   table: u64 stored bytes, u64 decoded bytes of each stream; then the streams without gaps
 // Streams: means 3 x i24 fixed point; alpha u8; colour 3 x u8; log-scale 3 x u8; rotation u32 (version 2: 3 x u8);
 // SH u8 [coefficients - 1, 3].
@@ -33,6 +33,7 @@ struct SpzHeader {
   std::uint32_t version = 0, n = 0;
   std::uint8_t sh_degree = 0, fractional_bits = 0, flags = 0;
 
+  std::uint64_t n_streams() const { return sh_degree == 0 ? kStreams - 1 : kStreams; }
   std::uint64_t rotation_bytes() const { return version == 2 ? 3 : 4; }
   /// Decoded bytes of each stream.
   std::array<std::uint64_t, kStreams> sizes() const {
@@ -180,14 +181,16 @@ Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimi
   const auto header = parse_header(bytes, limits, bytes.size());
   if (!header) return header;
   if (header->version < 4) return fail(Errc::bad_header, 4, "SPZ below version 4 without gzip", 4, header->version);
-  if (load_u8(bytes, 15) != kStreams) {
-    return fail(Errc::bad_header, 15, "the number of streams is not 6", kStreams, load_u8(bytes, 15));
+  const std::uint64_t n_streams = header->n_streams();
+  if (load_u8(bytes, 15) != n_streams) {
+    return fail(Errc::bad_header, 15, "the number of streams is not that of its SH degree", n_streams,
+                load_u8(bytes, 15));
   }
   if (std::ranges::any_of(bytes.subspan(20, 12), [](std::byte b) { return b != std::byte{0}; })) {
     return fail(Errc::reserved_bits, 20, "reserved bytes are not zero");
   }
   const std::uint64_t table = load<std::uint32_t>(bytes, 16);
-  if (table < kHeaderBytesV4 || table > bytes.size() || bytes.size() - table < 16 * kStreams) {
+  if (table < kHeaderBytesV4 || table > bytes.size() || bytes.size() - table < 16 * n_streams) {
     return fail(Errc::bad_header, 16, "the stream table lies outside the file", Error::kNone, table);
   }
   if (table != kHeaderBytesV4 && (header->flags & kFlagExtensions) == 0) {
@@ -195,8 +198,8 @@ Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimi
   }
   body.resize(header->decoded_bytes());
   const auto sizes = header->sizes();
-  std::uint64_t at = table + 16 * kStreams, to = 0;
-  for (std::uint64_t i = 0; i < kStreams; ++i) {
+  std::uint64_t at = table + 16 * n_streams, to = 0;
+  for (std::uint64_t i = 0; i < n_streams; ++i) {
     const std::uint64_t entry = table + 16 * i;
     const auto stored = load<std::uint64_t>(bytes, entry), decoded = load<std::uint64_t>(bytes, entry + 8);
     if (decoded != sizes[i]) {
@@ -377,18 +380,19 @@ Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mod
   header.fractional_bits = static_cast<std::uint8_t>(*fractional_bits);
   header.flags = aa_mode == AaMode::mip_splatting ? kFlagAntialiased : 0;
 
-  std::vector<std::byte> file(kHeaderBytesV4 + 16 * kStreams);
+  std::vector<std::byte> file(kHeaderBytesV4 + 16 * header.n_streams());
   store(std::span(file), 0, kMagicSpz);
   store(std::span(file), 4, header.version);
   store(std::span(file), 8, header.n);
   store(std::span(file), 12, header.sh_degree);
   store(std::span(file), 13, header.fractional_bits);
   store(std::span(file), 14, header.flags);
-  store(std::span(file), 15, static_cast<std::uint8_t>(kStreams));
+  store(std::span(file), 15, static_cast<std::uint8_t>(header.n_streams()));
   store(std::span(file), 16, static_cast<std::uint32_t>(kHeaderBytesV4));
   constexpr int kLevel = 12;  // south: 1.3 % smaller than level 3, 0.4 % larger than level 19 at a tenth of its time
   std::uint64_t entry = kHeaderBytesV4;
-  for (const std::vector<std::byte>& stream : encode_streams(splats, header)) {
+  const auto streams = encode_streams(splats, header);
+  for (const std::vector<std::byte>& stream : std::span(streams).first(header.n_streams())) {
     const std::size_t start = file.size();
     file.resize(start + ZSTD_compressBound(stream.size()));
     const std::size_t stored =
