@@ -192,8 +192,7 @@ Splat decode_vertex(std::span<const std::byte> row, const Table& table, const Bo
   return s;
 }
 
-// ---- encoding
-// --------------------------------------------------------------------------------------------------------
+// ---- encoding -------------------------------------------------------------------------------------------------------
 
 struct Packed {
   double mean[3], log_scale[3], colour[3];

@@ -13,6 +13,7 @@
 #include <optional>
 #include <string>
 
+#include "json_member.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/splat_edit.hpp"
@@ -39,8 +40,7 @@ std::string sh_attribute(int coefficient) {
   return attribute("SH_DEGREE_" + std::to_string(degree) + "_COEF_" + std::to_string(coefficient - degree * degree));
 }
 
-// ---- reading
-// ---------------------------------------------------------------------------------------------------------
+// ---- reading --------------------------------------------------------------------------------------------------------
 
 struct Glb {
   json root;
@@ -89,14 +89,9 @@ Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
   return glb;
 }
 
-const json* member(const json& object, const char* name) {
-  const auto found = object.is_object() ? object.find(name) : object.end();
-  return found == object.end() ? nullptr : &*found;
-}
-
 // Element `index` of the root's array `name`; nothing if either is absent or of another type.
 const json* element(const json& root, const char* name, const json* index) {
-  const json* array = member(root, name);
+  const json* array = json_member(root, name);
   if (array == nullptr || !array->is_array() || index == nullptr || !index->is_number_unsigned()) return nullptr;
   const auto i = index->get<std::uint64_t>();
   return i < array->size() ? &(*array)[i] : nullptr;
@@ -104,7 +99,7 @@ const json* element(const json& root, const char* name, const json* index) {
 
 // A member that is a count or an offset; `otherwise` if absent, nothing if it is something else or above 2^32.
 std::optional<std::uint64_t> whole(const json& object, const char* name, std::optional<std::uint64_t> otherwise) {
-  const json* value = member(object, name);
+  const json* value = json_member(object, name);
   if (value == nullptr) return otherwise;
   if (!value->is_number_unsigned()) return std::nullopt;
   const auto number = value->get<std::uint64_t>();
@@ -120,15 +115,15 @@ struct Accessor {
 
 Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std::string& name, const char* type,
                                std::uint64_t components) {
-  const json* accessor = element(glb.root, "accessors", member(attributes, name.c_str()));
+  const json* accessor = element(glb.root, "accessors", json_member(attributes, name.c_str()));
   if (accessor == nullptr) return bad_gltf("a splat primitive lacks an attribute of KHR_gaussian_splatting");
-  const json* stated = member(*accessor, "type");
+  const json* stated = json_member(*accessor, "type");
   if (whole(*accessor, "componentType", 0) != std::uint64_t{kComponentFloat} || stated == nullptr || *stated != type ||
-      member(*accessor, "sparse") != nullptr) {
+      json_member(*accessor, "sparse") != nullptr) {
     return fail(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
                 "an attribute is sparse, or not of the usual shape in 32-bit floats");
   }
-  const json* view = element(glb.root, "bufferViews", member(*accessor, "bufferView"));
+  const json* view = element(glb.root, "bufferViews", json_member(*accessor, "bufferView"));
   if (view == nullptr || whole(*view, "buffer", std::nullopt) != std::uint64_t{0}) {
     return fail(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
                 "an attribute is compressed or outside the file's binary chunk");
@@ -153,13 +148,13 @@ Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std
 
 int degree_of(const json& attributes) {
   int degree = 0;
-  while (degree < kMaxShDegree && member(attributes, sh_attribute(sh_coefficients(degree)).c_str()) != nullptr)
+  while (degree < kMaxShDegree && json_member(attributes, sh_attribute(sh_coefficients(degree)).c_str()) != nullptr)
     ++degree;
   return degree;
 }
 
 Result<SplatCloud> read_primitive(const Glb& glb, const json& primitive, std::uint64_t max_n) {
-  const json* attributes = member(primitive, "attributes");
+  const json* attributes = json_member(primitive, "attributes");
   if (attributes == nullptr || whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
     return bad_gltf("a splat primitive has no attributes or is not of mode POINTS");
   }
@@ -205,7 +200,7 @@ Result<SplatCloud> read_primitive(const Glb& glb, const json& primitive, std::ui
 
 template <std::size_t n>
 bool read_numbers(const json& object, const char* name, std::array<double, n>& out) {
-  const json* array = member(object, name);
+  const json* array = json_member(object, name);
   if (array == nullptr) return true;
   if (!array->is_array() || array->size() != n) return false;
   for (std::size_t i = 0; i < n; ++i) {
@@ -264,7 +259,7 @@ Result<Similarity> node_transform(const json& node) {
 class SceneWalk {
  public:
   SceneWalk(const Glb& glb, std::uint64_t max_n) : glb_(glb), max_n_(max_n) {
-    const json* nodes = member(glb.root, "nodes");
+    const json* nodes = json_member(glb.root, "nodes");
     visited_.resize(nodes != nullptr && nodes->is_array() ? nodes->size() : 0);
   }
 
@@ -280,10 +275,10 @@ class SceneWalk {
       const auto own = node_transform(*node);
       if (!own) return tl::unexpected(own.error());
       const Similarity both = compose(outer, *own);
-      if (const json* mesh = element(glb_.root, "meshes", member(*node, "mesh"))) {
+      if (const json* mesh = element(glb_.root, "meshes", json_member(*node, "mesh"))) {
         if (const Status s = add_mesh(*mesh, both); !s) return s;
       }
-      if (const Status s = visit(member(*node, "children"), both, depth + 1); !s) return s;
+      if (const Status s = visit(json_member(*node, "children"), both, depth + 1); !s) return s;
     }
     return {};
   }
@@ -293,17 +288,17 @@ class SceneWalk {
 
  private:
   Status add_mesh(const json& mesh, const Similarity& similarity) {
-    const json* primitives = member(mesh, "primitives");
+    const json* primitives = json_member(mesh, "primitives");
     if (primitives == nullptr || !primitives->is_array()) return {};
     for (const json& primitive : *primitives) {
-      const json* extensions = member(primitive, "extensions");
-      const json* splats = extensions != nullptr ? member(*extensions, kExtension) : nullptr;
+      const json* extensions = json_member(primitive, "extensions");
+      const json* splats = extensions != nullptr ? json_member(*extensions, kExtension) : nullptr;
       if (splats == nullptr) continue;
       auto part = read_primitive(glb_, primitive, max_n_ - cloud_.size());
       if (!part) return tl::unexpected(part.error());
       transform(*part, similarity);
       append(cloud_, *part);
-      const json* space = member(*splats, "colorSpace");
+      const json* space = json_member(*splats, "colorSpace");
       if (space != nullptr && *space == "lin_rec709_display") colour_space_ = ColourSpace::linear_display;
       found_ = true;
     }
@@ -318,8 +313,7 @@ class SceneWalk {
   bool found_ = false;
 };
 
-// ---- writing
-// ---------------------------------------------------------------------------------------------------------
+// ---- writing --------------------------------------------------------------------------------------------------------
 
 // Collects arrays of the binary chunk with their views and accessors.
 class BufferBuilder {
@@ -438,12 +432,12 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   const auto glb = parse_chunks(bytes);
   if (!glb) return tl::unexpected(glb.error());
   const json first = 0;
-  const json* stated = member(glb->root, "scene");
+  const json* stated = json_member(glb->root, "scene");
   const json* scene = element(glb->root, "scenes", stated != nullptr ? stated : &first);
   if (scene == nullptr) return bad_gltf("the glTF has no scene");
   constexpr std::uint64_t kLeastBytes = 56;  // of a Gaussian of degree 0
   SceneWalk walk(*glb, std::min(limits.max_gaussians, kMaxInstances * bytes.size() / kLeastBytes));
-  if (const Status s = walk.visit(member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
+  if (const Status s = walk.visit(json_member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
   if (!walk.found()) {
     return fail(Errc::not_gaussian_splats, kGlbHeaderBytes + kChunkHeaderBytes,
                 "the glTF's scene shows no primitive with KHR_gaussian_splatting");

@@ -20,6 +20,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 
+#include "json_member.hpp"
 #include "quantised.hpp"
 #include "rgs/quantize.hpp"
 
@@ -35,14 +36,7 @@ constexpr std::uint64_t kMaxMetaBytes = std::uint64_t{1} << 24;  // the codebook
 constexpr std::uint64_t kEntriesPerRow = 64;
 constexpr std::uint64_t kMaxPalette = 65536;
 
-// ---- meta.json
-// -------------------------------------------------------------------------------------------------------
-
-// Values are found by path; a missing one and one of another type are alike.
-const json* member(const json& object, const char* name) {
-  const auto found = object.is_object() ? object.find(name) : object.end();
-  return found == object.end() ? nullptr : &*found;
-}
+// ---- meta.json ------------------------------------------------------------------------------------------------------
 
 tl::unexpected<Error> bad_meta(const char* what) {
   return fail(Errc::bad_syntax, 0, what);
@@ -97,7 +91,7 @@ struct Meta {
 // Names of `count` images; one that points out of the scene's folder is refused.
 std::vector<std::string> file_names(const json* object, std::size_t count) {
   std::vector<std::string> names;
-  const json* files = object != nullptr ? member(*object, "files") : nullptr;
+  const json* files = object != nullptr ? json_member(*object, "files") : nullptr;
   if (files == nullptr || !files->is_array() || files->size() != count) return names;
   for (const json& name : *files) {
     if (!name.is_string()) return {};
@@ -113,16 +107,17 @@ std::vector<Lookup> lookups(const json* object, std::size_t channels, int versio
   std::vector<Lookup> out;
   if (object == nullptr) return out;
   if (version == 2) {
-    const std::vector<float> codebook = numbers(member(*object, "codebook"), 256);
+    const std::vector<float> codebook = numbers(json_member(*object, "codebook"), 256);
     if (!codebook.empty()) out.assign(channels, Lookup::codebook(codebook));
     return out;
   }
-  std::vector<float> low = numbers(member(*object, "mins"), channels),
-                     high = numbers(member(*object, "maxs"), channels);
-  const json *min = member(*object, "mins"), *max = member(*object, "maxs");
-  if (channels == 1 && min != nullptr && max != nullptr && min->is_number() && max->is_number()) {
-    low = {min->get<float>()}, high = {max->get<float>()};
-  }
+  // Bounds of one channel are numbers, of several arrays.
+  const auto bounds = [&](const char* name) {
+    const json* stated = json_member(*object, name);
+    const json one = stated != nullptr && stated->is_number() ? json::array({*stated}) : json();
+    return numbers(one.is_array() ? &one : stated, channels);
+  };
+  const std::vector<float> low = bounds("mins"), high = bounds("maxs");
   for (std::size_t c = 0; c < channels && low.size() == channels && high.size() == channels; ++c) {
     out.push_back(Lookup::range(low[c], high[c]));
   }
@@ -136,7 +131,7 @@ Status parse_shn(const json& shn, int version, Meta& meta) {
     return bad_meta("meta.json: shN has no codebook or bounds, or not two files");
   }
   if (version == 2) {
-    const auto bands = whole(member(shn, "bands")), count = whole(member(shn, "count"));
+    const auto bands = whole(json_member(shn, "bands")), count = whole(json_member(shn, "count"));
     if (!bands || *bands < 1 || *bands > 3) return bad_meta("meta.json: shN.bands is not 1 to 3");
     if (!count || *count < 1 || *count > kMaxPalette) return bad_meta("meta.json: shN.count is not 1 to 65536");
     meta.sh_degree = static_cast<int>(*bands);
@@ -150,46 +145,45 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes) {
   const char* text = reinterpret_cast<const char*>(bytes.data());
   const json root = json::parse(text, text + bytes.size(), nullptr, false);
   if (!root.is_object()) return bad_meta("meta.json is not a JSON object");
-  const json* means = member(root, "means");
+  const json* means = json_member(root, "means");
   int version = 1;
-  if (const json* stated = member(root, "version")) {
+  if (const json* stated = json_member(root, "version")) {
     if (whole(stated) != std::uint64_t{1} && whole(stated) != std::uint64_t{2}) {
       return fail(Errc::unsupported_version, 0, "meta.json: the version is not 1 or 2");
     }
     version = static_cast<int>(stated->get<std::uint64_t>());
   }
   Meta meta;
-  const json* shape = means != nullptr ? member(*means, "shape") : nullptr;
+  const json* shape = means != nullptr ? json_member(*means, "shape") : nullptr;
   const auto n = version == 2
-                     ? whole(member(root, "count"))
+                     ? whole(json_member(root, "count"))
                      : whole(shape != nullptr && shape->is_array() && !shape->empty() ? &(*shape)[0] : nullptr);
   if (!n) return bad_meta("meta.json: no number of Gaussians (count, in version 1 means.shape)");
   meta.n = *n;
-  meta.mean_low = numbers(means != nullptr ? member(*means, "mins") : nullptr, 3);
-  meta.mean_high = numbers(means != nullptr ? member(*means, "maxs") : nullptr, 3);
+  meta.mean_low = numbers(means != nullptr ? json_member(*means, "mins") : nullptr, 3);
+  meta.mean_high = numbers(means != nullptr ? json_member(*means, "maxs") : nullptr, 3);
   meta.mean_files = file_names(means, 2);
   if (meta.mean_low.empty() || meta.mean_high.empty() || meta.mean_files.empty()) {
     return bad_meta("meta.json: means has not three mins, three maxs and two files");
   }
-  const json *scales = member(root, "scales"), *sh0 = member(root, "sh0");
+  const json *scales = json_member(root, "scales"), *sh0 = json_member(root, "sh0");
   meta.scale = lookups(scales, 3, version);
   meta.scale_files = file_names(scales, 1);
   meta.sh0 = lookups(sh0, version == 2 ? 3 : 4, version);
   meta.sh0_files = file_names(sh0, 1);
   meta.opacity_is_logit = version == 1;
-  meta.quat_files = file_names(member(root, "quats"), 1);
+  meta.quat_files = file_names(json_member(root, "quats"), 1);
   if (meta.scale.empty() || meta.scale_files.empty() || meta.sh0.empty() || meta.sh0_files.empty() ||
       meta.quat_files.empty()) {
     return bad_meta("meta.json: scales, sh0 or quats lacks its files, or its codebook or bounds");
   }
-  if (const json* shn = member(root, "shN"); shn != nullptr && !shn->is_null()) {
+  if (const json* shn = json_member(root, "shN"); shn != nullptr && !shn->is_null()) {
     if (const Status s = parse_shn(*shn, version, meta); !s) return tl::unexpected(s.error());
   }
   return meta;
 }
 
-// ---- images
-// ----------------------------------------------------------------------------------------------------------
+// ---- images ---------------------------------------------------------------------------------------------------------
 
 struct Image {
   std::uint64_t width = 0, height = 0;
@@ -277,8 +271,7 @@ Status fetch_images(const FetchFile& fetch, Meta& meta, Images& images) {
   return meta.shn_files.empty() ? Status() : measure_palette(images.centroids, meta);
 }
 
-// ---- Gaussians
-// -------------------------------------------------------------------------------------------------------
+// ---- Gaussians ------------------------------------------------------------------------------------------------------
 
 float unfold_mean(double folded) {
   return static_cast<float>(std::copysign(std::expm1(std::abs(folded)), folded));
@@ -349,8 +342,7 @@ Result<SplatFile> decode_scene(std::span<const std::byte> meta_bytes, const Fetc
   return file;
 }
 
-// ---- zip
-// -------------------------------------------------------------------------------------------------------------
+// ---- zip ------------------------------------------------------------------------------------------------------------
 
 struct DiscardArchive {
   void operator()(zip_t* archive) const { zip_discard(archive); }

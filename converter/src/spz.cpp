@@ -74,8 +74,7 @@ Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLim
   return h;
 }
 
-// ---- gzip
-// ------------------------------------------------------------------------------------------------------------
+// ---- gzip -----------------------------------------------------------------------------------------------------------
 
 class Inflater {
  public:
@@ -170,8 +169,7 @@ Result<SpzHeader> unpack_gzip(std::span<const std::byte> bytes, const DecodeLimi
   return header;
 }
 
-// ---- zstd
-// ------------------------------------------------------------------------------------------------------------
+// ---- zstd -----------------------------------------------------------------------------------------------------------
 
 Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimits& limits,
                               std::vector<std::byte>& body) {
@@ -221,8 +219,7 @@ Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimi
   return header;
 }
 
-// ---- codes
-// -----------------------------------------------------------------------------------------------------------
+// ---- codes ----------------------------------------------------------------------------------------------------------
 
 double fixed24(std::span<const std::byte> bytes, std::uint64_t offset) {
   const std::uint32_t code = load_u8(bytes, offset) | static_cast<std::uint32_t>(load_u8(bytes, offset + 1)) << 8 |
