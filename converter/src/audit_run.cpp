@@ -177,7 +177,8 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   } else {
     const auto scene = load_scene_file(options.asset);
     if (!scene) return fail(options.asset, scene.error());
-    report.asset_format = "ply";
+    report.asset_format = format_name(scene->format);
+    size.asset_bytes = scene->file_bytes;
     size.n_asset = scene->scene.size();
     size.asset_sh_degree = scene->scene.sh_degree();
   }

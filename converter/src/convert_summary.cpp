@@ -53,8 +53,9 @@ std::string summary_text(const ConvertSummary& s) {
        format_bytes(s.source_bytes), s.output_format, format_bytes(s.output_bytes),
        s.output_bytes == 0 ? 0.0 : static_cast<double>(s.source_bytes) / static_cast<double>(s.output_bytes),
        per_gaussian(s.output_bytes, s.n_written));
-  line("  Gaussians  {} read, {} written, {} dropped, {} repaired", format_count(s.n_source), format_count(s.n_written),
-       format_count(s.n_source - s.n_written), format_count(s.n_repaired));
+  line("  Gaussians  {} read, {} written, {} dropped, {} repaired{}", format_count(s.n_source),
+       format_count(s.n_written), format_count(s.n_source - s.n_filtered - s.n_written), format_count(s.n_repaired),
+       s.n_filtered == 0 ? "" : fmt::format(", {} filtered out", format_count(s.n_filtered)));
   for (std::size_t i = 0; i < kDefectKinds; ++i) {
     if (s.defects[i] != 0)
       line("             damaged {}: {}", defect_name(static_cast<Defect>(i)), format_count(s.defects[i]));
@@ -108,7 +109,8 @@ std::string summary_json(const ConvertSummary& s) {
                     {"bytes_per_gaussian", per_gaussian(s.output_bytes, s.n_written)}};
   ordered_json damaged = ordered_json::object();
   for (std::size_t i = 0; i < kDefectKinds; ++i) damaged[defect_name(static_cast<Defect>(i))] = s.defects[i];
-  json["dropped"] = s.n_source - s.n_written;
+  json["filtered"] = s.n_filtered;
+  json["dropped"] = s.n_source - s.n_filtered - s.n_written;
   json["repaired"] = s.n_repaired;
   json["damaged"] = std::move(damaged);
   if (s.output_format == "rgs") {

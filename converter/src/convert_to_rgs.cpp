@@ -1,4 +1,4 @@
-// convert_to_rgs.cpp - PLY to .rgs in two streamed passes.
+// convert_to_rgs.cpp - a PLY file, or Gaussians in memory, to .rgs in two streamed passes.
 //
 // Pass 1 reads every row once: finds damage, bounds and ranges, and keeps the means (12 bytes a Gaussian).
 // Then Morton keys replace the means and are sorted with 32-bit indices (24 bytes a Gaussian at the peak).
@@ -34,7 +34,7 @@ struct Scanned {
   std::vector<float> means;         // [n_source, 3]; rows that are not kept are undefined
 };
 
-Scanned scan_source(const PlyFile& source, const EncodeOptions& options, const StageObserver& observer) {
+Scanned scan_source(const SplatSource& source, const EncodeOptions& options, const StageObserver& observer) {
   const std::uint64_t n = source.size();
   Scanned result{SceneScan(source.sh_degree(), options), std::vector<std::uint64_t>((n + 63) / 64), {}};
   result.means.resize(3 * n);
@@ -61,7 +61,7 @@ Scanned scan_source(const PlyFile& source, const EncodeOptions& options, const S
 }
 
 // Index of the first row that the scan did not keep or had to mend: what a refusal points at.
-std::uint64_t first_damaged(const PlyFile& source, int sh_degree) {
+std::uint64_t first_damaged(const SplatSource& source, int sh_degree) {
   Splat row;
   for (std::uint64_t i = 0; i < source.size(); ++i) {
     source.read(i, {&row, 1});
@@ -135,7 +135,7 @@ struct Batch {
 // Pass 2. Chunks are encoded in parallel; one thread at a time hashes and writes batches in file order.
 class ChunkStream {
  public:
-  ChunkStream(const PlyFile& source, const EncodePlan& plan, std::span<const std::uint32_t> indices, bool repairing,
+  ChunkStream(const SplatSource& source, const EncodePlan& plan, std::span<const std::uint32_t> indices, bool repairing,
               AtomicFile& file)
       : source_(source), plan_(plan), indices_(indices), repairing_(repairing), file_(file) {
     chunks_.resize(plan.header.n_chunks);
@@ -228,7 +228,7 @@ class ChunkStream {
     return put(SectionType::sh, sh_hash_, batch.sh, sh_bytes(plan_.header.sh_degree));
   }
 
-  const PlyFile& source_;
+  const SplatSource& source_;
   const EncodePlan& plan_;
   std::span<const std::uint32_t> indices_;
   bool repairing_;
@@ -242,7 +242,7 @@ class ChunkStream {
   Status status_;
 };
 
-// Positions in the source, 4 bytes each: a source that needs 8 is refused before (see convert_ply_to_rgs).
+// Positions in the source, 4 bytes each: a source that needs 8 is refused before (see convert_to_rgs).
 Result<std::uint64_t> write_permutation(const EncodePlan& plan, std::span<const std::uint32_t> indices,
                                         AtomicFile& file) {
   if (!plan.keep_permutation) return 0;
@@ -255,8 +255,8 @@ Result<std::uint64_t> write_permutation(const EncodePlan& plan, std::span<const 
 
 }  // namespace
 
-Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::string& output_path,
-                                          const ConvertOptions& options, const StageObserver& observer) {
+Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
+                                      const ConvertOptions& options, const StageObserver& observer) {
   if (source.size() > std::numeric_limits<std::uint32_t>::max()) {
     return fail(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                 std::numeric_limits<std::uint32_t>::max(), source.size());
@@ -274,7 +274,7 @@ Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::stri
   // The source's hash is one serial stream: it runs beside the first pass and the sort.
   std::uint64_t source_xxh3 = 0;
   tbb::task_group hashing;
-  if (encode.provenance) hashing.run([&] { source_xxh3 = xxh3(source.source()); });
+  if (encode.provenance) hashing.run([&] { source_xxh3 = source.hash(); });
   struct WaitAtExit {
     tbb::task_group& group;
     ~WaitAtExit() { group.wait(); }

@@ -38,7 +38,7 @@ Status convert_in_process(const std::string& ply_path, const std::string& output
   if (!ply) return tl::unexpected(ply.error());
   options.output.sync = false;
   options.output.overwrite = true;
-  return convert_ply_to_rgs(*ply, output, options).map([](const ConvertSummary&) {});
+  return convert_to_rgs(*ply, output, options).map([](const ConvertSummary&) {});
 }
 
 /// The bytes that encode() makes of the PLY file.
@@ -137,7 +137,8 @@ TEST_CASE("the program writes the bytes of encode() with the options it was give
   }
   add({"--near", "0.5", "--far", "42"}, [](auto& o) { o.depth = DepthRange{0.5F, 42.F, DepthSource::by_hand}; });
   add({"--depth-map", "linear"}, [](auto& o) { o.depth_mapping = DepthMapping::linear; });
-  add({"--axes", "gltf"}, [](auto& o) { o.axes = {Axis::right, Axis::up, Axis::backward}; });
+  add({"--axes", "gltf"}, [](auto& o) { o.axes = {Axis::left, Axis::up, Axis::forward}; });
+  add({"--axes", "opengl"}, [](auto& o) { o.axes = {Axis::right, Axis::up, Axis::backward}; });
   add({"--axes", "left,backward,up"}, [](auto& o) { o.axes = {Axis::left, Axis::backward, Axis::up}; });
   add({"--axes", "undeclared"}, [](auto& o) { o.axes.fill(Axis::undeclared); });
   add({"--aa-mode", "mip-splatting"}, [](auto& o) { o.aa_mode = AaMode::mip_splatting; });
@@ -400,13 +401,25 @@ TEST_CASE("wrong command lines exit with 2 and write nothing") {
   const std::vector<std::vector<std::string>> lines{{"--unknown", ply, out},
                                                     {ply},
                                                     {ply, out, "third"},
-                                                    {ply, folder.file("copy.ply")},
-                                                    {rgs, out},
+                                                    {"--merge", ply},
                                                     {ply, folder.file("nameless")},
                                                     {ply, "-"},
                                                     {"--json", "--to", "rgs", ply, "-"},
-                                                    {"--from", "rgs", ply, out},
-                                                    {"--to", "spz", ply, out},
+                                                    {"--to", "ksplat", ply, out},
+                                                    {ply, folder.file("out.sog")},
+                                                    {"--to-axes", "3dgs", ply, folder.file("out.spz")},
+                                                    {"--to-axes", "up", ply, out},
+                                                    {"--translate", "1,2", ply, out},
+                                                    {"--translate", "1,2,x", ply, out},
+                                                    {"--rotate", "0,0,0,0", ply, out},
+                                                    {"--rotate", "nan,0,0", ply, out},
+                                                    {"--scale", "0", ply, out},
+                                                    {"--scale", "2", "--scale", "3", ply, out},
+                                                    {"--crop", "0,0,0,1,1", ply, out},
+                                                    {"--crop", "0,0,0,1,1,-1", ply, out},
+                                                    {"--min-opacity", "1.5", ply, out},
+                                                    {"--max-count", "-1", ply, out},
+                                                    {"--merge", "-", "-", out},
                                                     {"--chunk-size", "33", ply, out},
                                                     {"--chunk-size", "0", ply, out},
                                                     {"--chunk-size", "131072", ply, out},
@@ -424,7 +437,7 @@ TEST_CASE("wrong command lines exit with 2 and write nothing") {
                                                     {"--metres-per-unit", "-1", ply, out},
                                                     {"--profile", "packed", ply, out},
                                                     {"--threads", "0", ply, out},
-                                                    {"--sh-degree", "0", rgs, folder.file("back.ply")}};
+                                                    {"--chunk-size", "64", rgs, folder.file("back.ply")}};
   for (const auto& line : lines) {
     CAPTURE(line);
     const ProgramResult run = rgs_convert(line);
