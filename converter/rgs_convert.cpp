@@ -26,7 +26,7 @@ namespace tool = rgs::tool;
 enum class Format { automatic, ply, rgs };
 
 struct Arguments {
-  std::string input, output, cameras, axes = "3dgs", profile = "direct";
+  std::string input, output, cameras, axes = "3dgs";
   Format from = Format::automatic, to = Format::automatic;
   rgs::ConvertOptions convert;
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
@@ -36,10 +36,10 @@ struct Arguments {
 };
 
 // What shapes an .rgs file. With a .ply output they are refused: leaving them without effect would mislead.
-constexpr const char* kRgsOptions[] = {"--profile",     "--keep-order",   "--keep-permutation", "--chunk-size",
-                                       "--file-scales", "--sh-degree",    "--on-bad",           "--cameras",
-                                       "--near",        "--far",          "--depth-map",        "--axes",
-                                       "--aa-mode",     "--colour-space", "--metres-per-unit"};
+constexpr const char* kRgsOptions[] = {"--profile",    "--level",       "--keep-order",   "--keep-permutation",
+                                       "--chunk-size", "--file-scales", "--sh-degree",    "--on-bad",
+                                       "--cameras",    "--near",        "--far",          "--depth-map",
+                                       "--axes",       "--aa-mode",     "--colour-space", "--metres-per-unit"};
 
 // "right,down,forward" or a name for a usual frame.
 rgs::Result<std::array<rgs::Axis, 3>> parse_axes(const std::string& text) {
@@ -210,6 +210,8 @@ int convert_main(Arguments& arguments) {
 void add_options(CLI::App& app, Arguments& a) {
   rgs::EncodeOptions& e = a.convert.encode;
   const std::map<std::string, Format> formats{{"ply", Format::ply}, {"rgs", Format::rgs}};
+  const std::map<std::string, rgs::Profile> profiles{{"direct", rgs::Profile::direct},
+                                                     {"packed", rgs::Profile::packed}};
   const std::map<std::string, rgs::BadPolicy> policies{
       {"refuse", rgs::BadPolicy::refuse}, {"drop", rgs::BadPolicy::drop}, {"repair", rgs::BadPolicy::repair}};
   const std::map<std::string, rgs::DepthMapping> mappings{{"linear", rgs::DepthMapping::linear},
@@ -228,9 +230,12 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--to", a.to, "Format of the output; default: by its name")
       ->transform(CLI::Transformer(formats))
       ->option_text("ply|rgs");
-  app.add_option("--profile", a.profile, "How attributes are stored: direct, as the GPU reads them")
-      ->check(CLI::IsMember({"direct"}))
-      ->option_text("direct");
+  e.profile = rgs::Profile::packed;
+  app.add_option("--profile", e.profile, "packed (the default), or direct: as the GPU reads it; same Gaussians")
+      ->transform(CLI::Transformer(profiles))
+      ->option_text("packed|direct");
+  app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: above 1 slower to write and a little smaller")
+      ->check(CLI::Range(1, rgs::kMaxLevel));
   app.add_flag("--keep-order", a.keep_order, "Keep the order of the input instead of a Morton curve");
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
   app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
