@@ -10,7 +10,6 @@
 #include <algorithm>
 #include <array>
 #include <cassert>
-#include <cmath>
 #include <cstring>
 #include <new>
 
@@ -21,6 +20,7 @@ namespace rgs::detail {
 namespace {
 
 constexpr std::size_t kHalves = kGeometryBytes / 2;
+constexpr std::size_t kBlock = 1024;  // rows whose intermediate results stay in the first-level cache
 
 // Bits of an FP32 number to an integer that orders like it, and back.
 constexpr std::uint32_t ordered(std::uint32_t bits) {
@@ -42,13 +42,6 @@ constexpr std::uint16_t fold16(std::uint16_t difference) {
 }
 constexpr std::uint16_t unfold16(std::uint16_t folded) {
   return static_cast<std::uint16_t>(folded >> 1 ^ (0u - (folded & 1u)));
-}
-
-// FP16 of the w that makes (w, x, y, z) a unit quaternion; 0 if there is none.
-std::uint16_t predicted_w(const std::uint16_t* row) {
-  const float x = float_from_half(row[1]), y = float_from_half(row[2]), z = float_from_half(row[3]);
-  const float squared = 1.f - ((x * x + y * y) + z * z);
-  return squared > 0.f ? half_from_float(std::sqrt(squared)) : std::uint16_t{0};
 }
 
 }  // namespace
@@ -132,7 +125,6 @@ Status FrameDecoder::words(std::span<const std::byte> stored, std::uint64_t offs
                            std::uint64_t row_bytes, std::span<std::byte> out) {
   assert(out.size() == n_rows * row_bytes && row_bytes % 4 == 0);
   if (Status s = inflate(stored, offset, out.size()); !s) return s;
-  constexpr std::size_t kBlock = 1024;  // the sums of a block stay in the first-level cache
   std::array<std::uint32_t, kBlock> differences;
   const std::size_t n = n_rows, n_words = row_bytes / 4;
   for (std::size_t word = 0; word < n_words; ++word) {
@@ -183,14 +175,20 @@ Status FrameDecoder::geometry(std::span<const std::byte> stored, std::uint64_t o
   assert(out.size() == n_rows * kGeometryBytes);
   if (Status s = inflate(stored, offset, out.size()); !s) return s;
   const std::size_t n = n_rows;
-  for (std::size_t i = 0; i < n; ++i) {
-    std::uint16_t row[kHalves];
-    for (std::size_t k = 0; k < kHalves; ++k) {
-      const std::uint8_t* plane = content_.data() + 2 * k * n + i;
-      row[k] = static_cast<std::uint16_t>(plane[0] | plane[n] << 8);
+  std::array<std::uint16_t, kBlock> w;
+  for (std::size_t first = 0; first < n; first += kBlock) {
+    const std::size_t count = std::min(kBlock, n - first);
+    const std::uint8_t* block = content_.data() + first;
+    codec_kernels().unit_w(block + 2 * n, n, static_cast<int>(count), w.data());
+    for (std::size_t i = 0; i < count; ++i) {
+      std::uint16_t row[kHalves];
+      for (std::size_t k = 0; k < kHalves; ++k) {
+        const std::uint8_t* plane = block + 2 * k * n + i;
+        row[k] = static_cast<std::uint16_t>(plane[0] | plane[n] << 8);
+      }
+      row[0] = static_cast<std::uint16_t>(w[i] + unfold16(row[0]));
+      std::memcpy(out.data() + (first + i) * kGeometryBytes, row, sizeof row);
     }
-    row[0] = static_cast<std::uint16_t>(predicted_w(row) + unfold16(row[0]));
-    std::memcpy(out.data() + i * kGeometryBytes, row, sizeof row);
   }
   return {};
 }
@@ -199,12 +197,19 @@ std::vector<std::byte> FrameEncoder::geometry(std::span<const std::byte> rows) {
   const std::size_t n = rows.size() / kGeometryBytes;
   content_.resize(rows.size());
   for (std::size_t i = 0; i < n; ++i) {
-    std::uint16_t row[kHalves];
-    std::memcpy(row, rows.data() + i * kGeometryBytes, sizeof row);
-    row[0] = fold16(static_cast<std::uint16_t>(row[0] - predicted_w(row)));
-    for (std::size_t k = 0; k < kHalves; ++k) {
-      content_[2 * k * n + i] = static_cast<std::uint8_t>(row[k]);
-      content_[(2 * k + 1) * n + i] = static_cast<std::uint8_t>(row[k] >> 8);
+    for (std::size_t k = 0; k < kGeometryBytes; ++k) {
+      content_[k * n + i] = static_cast<std::uint8_t>(rows[i * kGeometryBytes + k]);
+    }
+  }
+  std::array<std::uint16_t, kBlock> w;
+  for (std::size_t first = 0; first < n; first += kBlock) {
+    const std::size_t count = std::min(kBlock, n - first);
+    std::uint8_t* block = content_.data() + first;
+    codec_kernels().unit_w(block + 2 * n, n, static_cast<int>(count), w.data());
+    for (std::size_t i = 0; i < count; ++i) {
+      const std::uint16_t folded = fold16(static_cast<std::uint16_t>((block[i] | block[i + n] << 8) - w[i]));
+      block[i] = static_cast<std::uint8_t>(folded);
+      block[i + n] = static_cast<std::uint8_t>(folded >> 8);
     }
   }
   std::array<std::size_t, kGeometryBytes> ends;

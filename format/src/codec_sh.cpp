@@ -51,7 +51,7 @@ void walk(ShLanes& lanes, std::uint32_t n_rows, const ShFrame& frame, const Visi
       const std::uint32_t row = first + lane * distance, chunk = row / frame.chunk_rows;
       for (std::size_t k = 0; k < 12; ++k) {
         lanes.step[k][lane] = steps[chunk][k];
-        lanes.inverse[k][lane] = steps[chunk][k] == 0 ? 0.f : 2.f / static_cast<float>(steps[chunk][k]);
+        lanes.inverse[k][lane] = sh_inverse_step(steps[chunk][k]);
       }
       unchanged = std::min(unchanged, (chunk + 1) * frame.chunk_rows - row);
     }
@@ -117,10 +117,10 @@ Correlation correlate_codes(ShLanes& lanes, std::span<const std::byte> rows, con
              const std::size_t channel = static_cast<std::size_t>(sh_channel(static_cast<int>(i)));
              const std::size_t set = 3 * static_cast<std::size_t>(sh_degree_of(static_cast<int>(i / 3))) + channel;
              const int value = row[i - i % 3 + channel] * lanes.step[set][lane];
-             now[i] = static_cast<float>(value) * lanes.inverse[unit][lane];
+             now[i] = static_cast<float>(value) * static_cast<float>(lanes.inverse[unit][lane]) * 0x1p-16f;
            }
            float* last = &before[lane / kStride * n];
-           sh_kernels().correlate(now.data(), last, n_codes, c.same.data(), c.lagged.data());
+           codec_kernels().correlate(now.data(), last, n_codes, c.same.data(), c.lagged.data());
            std::ranges::copy(now, last);
          }
        });
@@ -193,16 +193,16 @@ void decode_sh_planes(ShLanes& lanes, std::span<const std::uint8_t> content, std
        [&](std::uint32_t position, std::uint32_t first, std::uint32_t distance, std::uint32_t count) {
          std::array<std::array<std::uint8_t, kShLanes>, kShMaxCodes> last;
          if (count == kShLanes) {
-           sh_kernels().decode(lanes, weights, planes + position, n_rows);
+           codec_kernels().decode(lanes, weights, planes + position, n_rows);
          } else {  // lanes without a row get something defined
            for (std::size_t i = 0; i < static_cast<std::size_t>(n_codes); ++i) {
              std::ranges::fill(std::copy_n(planes + position + i * n_rows, count, last[i].begin()), last[i].end(),
                                std::uint8_t{0});
            }
-           sh_kernels().decode(lanes, weights, last[0].data(), kShLanes);
+           codec_kernels().decode(lanes, weights, last[0].data(), kShLanes);
          }
-         sh_kernels().store(lanes, n_codes, static_cast<int>(count),
-                            reinterpret_cast<std::int8_t*>(rows.data() + first * row_bytes), distance * row_bytes);
+         codec_kernels().store(lanes, n_codes, static_cast<int>(count),
+                               reinterpret_cast<std::int8_t*>(rows.data() + first * row_bytes), distance * row_bytes);
        });
 }
 
@@ -217,11 +217,11 @@ void encode_sh_planes(ShLanes& lanes, std::span<const std::byte> rows, const ShF
        [&](std::uint32_t position, std::uint32_t first, std::uint32_t distance, std::uint32_t count) {
          load_codes(lanes, n_codes, rows.data() + first * row_bytes, distance * row_bytes, count);
          if (count == kShLanes) {
-           sh_kernels().encode(lanes, weights, planes + position, n_rows);
+           codec_kernels().encode(lanes, weights, planes + position, n_rows);
            return;
          }
          std::array<std::array<std::uint8_t, kShLanes>, kShMaxCodes> last;
-         sh_kernels().encode(lanes, weights, last[0].data(), kShLanes);
+         codec_kernels().encode(lanes, weights, last[0].data(), kShLanes);
          for (std::size_t i = 0; i < static_cast<std::size_t>(n_codes); ++i) {
            std::copy_n(last[i].begin(), count, planes + position + i * n_rows);
          }

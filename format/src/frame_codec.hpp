@@ -8,9 +8,9 @@
 #include <span>
 #include <vector>
 
+#include "codec_kernels.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/result.hpp"
-#include "sh_lanes.hpp"
 
 struct ZSTD_CCtx_s;
 struct ZSTD_DCtx_s;

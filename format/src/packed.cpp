@@ -78,7 +78,10 @@ SectionEntry& PackedLayout::find(SectionType type) {
 }
 
 std::span<const std::byte> PackedLayout::table(SectionType type) {
-  return std::ranges::find(pieces, find(type).offset, &FilePiece::offset)->bytes;
+  // Sections without bytes begin where the next one does; the table is the last piece there.
+  return std::find_if(pieces.rbegin(), pieces.rend(),
+                      [at = find(type).offset](const FilePiece& piece) { return piece.offset == at; })
+      ->bytes;
 }
 
 FilePiece PackedLayout::head() const {

@@ -1,4 +1,4 @@
-// sh_lanes.hpp - the inner loops of the SH codec: 64 Gaussians at once, compiled for several instruction sets.
+// codec_kernels.hpp - inner loops of the codec, compiled for several instruction sets: SH of 64 Gaussians at once.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -23,9 +23,14 @@ struct alignas(64) ShLanes {
   std::int16_t value[kShMaxCodes][kShLanes];  ///< code times step
   std::int16_t error[kShMaxCodes][kShLanes];  ///< half the value less its prediction, of the row before
   std::int16_t step[12][kShLanes];            ///< by degree and channel: 0 to 256
-  float inverse[12][kShLanes];                ///< 2 / step; 0 for step 0
+  std::int16_t inverse[12][kShLanes];         ///< sh_inverse_step(step)
   std::int8_t codes[kShMaxCodes][kShLanes];   ///< in the order of a row: 3 * coefficient + channel
 };
+
+/// 2^16 / step, rounded down; 0 for steps below 3, of which nothing is predicted.
+constexpr std::int16_t sh_inverse_step(std::int16_t step) {
+  return static_cast<std::int16_t>(step < 3 ? 0 : 65536 / step);
+}
 
 /// Green first: it predicts the others best.
 constexpr int sh_channel(int i) {
@@ -33,28 +38,31 @@ constexpr int sh_channel(int i) {
   return kOrder[i % 3];
 }
 
-struct ShKernels {
+struct CodecKernels {
   /// residual [n][stride]: byte planes of which 64 are read; gives codes, updates value and error.
   void (*decode)(ShLanes& lanes, const ShWeights& weights, const std::uint8_t* residual, std::size_t stride);
   /// The inverse.
   void (*encode)(ShLanes& lanes, const ShWeights& weights, std::uint8_t* residual, std::size_t stride);
   /// Rows of n codes, of `count` lanes, to rows + lane * lane_bytes.
   void (*store)(const ShLanes& lanes, int n, int count, std::int8_t* rows, std::size_t lane_bytes);
+  /// The w of unit quaternions as FP16, by x, y, z: byte planes xyz [6][stride], low byte first, of which `count` are
+  /// read. 0 where there is none.
+  void (*unit_w)(const std::uint8_t* xyz, std::size_t stride, int count, std::uint16_t* w);
   /// same [n][n] += a a^T, lagged [n][n] += a b^T.
   void (*correlate)(const float* a, const float* b, int n, float* same, float* lagged);
 };
 
 /// For the machine that this runs on. All give the same bits.
-const ShKernels& sh_kernels();
+const CodecKernels& codec_kernels();
 
-namespace lanes_base {
-extern const ShKernels kKernels;
+namespace kernels_base {
+extern const CodecKernels kKernels;
 }
-namespace lanes_avx2 {
-extern const ShKernels kKernels;
+namespace kernels_avx2 {
+extern const CodecKernels kKernels;
 }
-namespace lanes_avx512 {
-extern const ShKernels kKernels;
+namespace kernels_avx512 {
+extern const CodecKernels kKernels;
 }
 
 }  // namespace rgs::detail
