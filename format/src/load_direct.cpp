@@ -129,8 +129,10 @@ Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, 
     n_jobs += part.n_frames;
   }
   if (n_jobs != 0) {
-    std::vector<Worker> workers(detail::worker_count(n_jobs, options.threads));
-    const Status decoded = detail::run_jobs(n_jobs, options.threads, [&](unsigned worker, std::uint64_t job) {
+    const unsigned threads =
+        detail::threads_for(data.n_ * (kMeanBytes + kGeometryBytes + sh_bytes(h.sh_degree)), options.threads);
+    std::vector<Worker> workers(detail::worker_count(n_jobs, threads));
+    const Status decoded = detail::run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) {
       std::size_t k = 0;
       while (job >= parts[k].n_frames) job -= parts[k++].n_frames;
       return decode_frame(view, parts[k], parts[k].first_frame + job, workers[worker]);

@@ -16,6 +16,7 @@ namespace rgs {
 namespace {
 
 using detail::run_jobs;
+using detail::threads_for;
 using detail::worker_count;
 
 // Stored quaternions have a squared norm within 2^-8 of 1: twice what the encoder lets through unnormalised.
@@ -155,6 +156,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
 Status check_chunks(const DirectData& data, unsigned threads, Totals& totals) {
   const std::uint64_t chunks_a_job = std::max<std::uint64_t>(1, 8192 / data.header().chunk_size);
   const std::uint64_t n_jobs = (data.n_chunks() + chunks_a_job - 1) / chunks_a_job;
+  threads = threads_for(data.size() * (kMeanBytes + kGeometryBytes + sh_bytes(data.header().sh_degree)), threads);
   std::vector<Totals> parts(worker_count(n_jobs, threads));
   const Status status = run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) -> Status {
     const std::uint64_t end = std::min(data.n_chunks(), (job + 1) * chunks_a_job);
@@ -220,6 +222,7 @@ Status check_permutation(const FileView& view) {
 
 // Hashes of sections; of coded ones only if `coded`.
 Status check_sections(const FileView& view, unsigned threads, bool coded) {
+  threads = threads_for(view.bytes().size(), threads);
   return run_jobs(view.sections().size(), threads, [&](unsigned, std::uint64_t i) -> Status {
     const SectionEntry& s = view.sections()[i];
     if (!coded && view.frames(static_cast<SectionType>(s.type)).rows != 0) return {};

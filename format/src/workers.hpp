@@ -9,6 +9,11 @@
 
 namespace rgs::detail {
 
+/// Threads for work on `bytes` when `threads` are allowed: one while starting others would take longer than they save.
+constexpr unsigned threads_for(std::uint64_t bytes, unsigned threads) {
+  return bytes < (std::uint64_t{1} << 20) ? 1 : threads;
+}
+
 /// How many threads run_jobs() will use for `n` jobs; 0 asks for as many as the machine runs at once.
 unsigned worker_count(std::uint64_t n, unsigned threads);
 
