@@ -288,6 +288,14 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
   return report;
 }
 
+StoredRows stored_rows(const FileView& view, SectionType type, std::uint64_t first, std::uint64_t count,
+                       std::uint64_t row_bytes) {
+  const FrameTable& table = view.frames(type);
+  if (table.rows == 0) return {view.place(type, first), count * row_bytes, std::nullopt};
+  const std::uint64_t frame = first / table.rows;
+  return {table.frames[frame].offset, table.frames[frame].stored_bytes, frame};
+}
+
 std::uint64_t ply_bytes(const Header& header) {
   return header.n_gaussians * ply_row_bytes(header.sh_degree);
 }

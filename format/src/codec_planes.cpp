@@ -38,10 +38,10 @@ constexpr std::uint32_t unfold(std::uint32_t folded) {
   return folded >> 1 ^ (0u - (folded & 1u));
 }
 constexpr std::uint16_t fold16(std::uint16_t difference) {
-  return static_cast<std::uint16_t>(difference << 1 ^ (0u - (difference >> 15)));
+  return static_cast<std::uint16_t>(difference * 2u ^ (0u - (difference >> 15)));
 }
 constexpr std::uint16_t unfold16(std::uint16_t folded) {
-  return static_cast<std::uint16_t>(folded >> 1 ^ (0u - (folded & 1u)));
+  return static_cast<std::uint16_t>((folded >> 1) ^ (0u - (folded & 1u)));
 }
 
 }  // namespace
