@@ -95,23 +95,21 @@ std::uint8_t weight_byte(double weight) {
       static_cast<std::int8_t>(std::nearbyint(128 * std::clamp(weight, -127. / 128, 127. / 128))));
 }
 
-// Correlations of values in units of their chunk's step, among themselves and with the row before, over a quarter of
-// the lanes.
+// Correlations of values in units of their chunk's step, among themselves and with the row before.
 struct Correlation {
   std::vector<float> same, lagged;  // [n, n]
 };
 
 Correlation correlate_codes(ShLanes& lanes, std::span<const std::byte> rows, const ShFrame& frame, int n_codes) {
-  constexpr std::uint32_t kStride = 4;
   const auto n = static_cast<std::size_t>(n_codes);
   Correlation c{std::vector<float>(n * n), std::vector<float>(n * n)};
   const std::size_t row_bytes = sh_bytes(frame.degree);
-  std::vector<float> now(n), before(n * kShLanes / kStride);
+  std::vector<float> now(n), before(n * kShLanes);
   const std::size_t unit = static_cast<std::size_t>(3 * frame.degree + 1);
   walk(lanes, static_cast<std::uint32_t>(rows.size() / row_bytes), frame,
        [&](std::uint32_t, std::uint32_t first, std::uint32_t distance, std::uint32_t count) {
          if (count < kShLanes) return;
-         for (std::uint32_t lane = 0; lane < count; lane += kStride) {
+         for (std::uint32_t lane = 0; lane < count; ++lane) {
            const auto* row = reinterpret_cast<const std::int8_t*>(rows.data() + (first + lane * distance) * row_bytes);
            for (std::size_t i = 0; i < n; ++i) {
              const std::size_t channel = static_cast<std::size_t>(sh_channel(static_cast<int>(i)));
@@ -119,7 +117,7 @@ Correlation correlate_codes(ShLanes& lanes, std::span<const std::byte> rows, con
              const int value = row[i - i % 3 + channel] * lanes.step[set][lane];
              now[i] = static_cast<float>(value) * static_cast<float>(lanes.inverse[unit][lane]) * 0x1p-16f;
            }
-           float* last = &before[lane / kStride * n];
+           float* last = &before[lane * n];
            codec_kernels().correlate(now.data(), last, n_codes, c.same.data(), c.lagged.data());
            std::ranges::copy(now, last);
          }
