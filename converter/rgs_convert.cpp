@@ -249,7 +249,7 @@ void add_options(CLI::App& app, Arguments& a) {
                  "Depth range of the sort key as these cameras see the scene (docs/CAMERAS.md)");
   app.add_option("--near", a.convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--far", a.convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
-  app.add_option("--depth-map", e.depth_mapping, "Mapping of depth to the sort key")
+  app.add_option("--depth-map", e.depth_mapping, "Mapping of depth to the sort key [log]")
       ->transform(CLI::Transformer(mappings))
       ->option_text("linear|log");
   app.add_option("--axes", a.axes,

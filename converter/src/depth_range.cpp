@@ -1,4 +1,4 @@
-// depth_range.cpp - percentiles of visible depth.
+// depth_range.cpp - from the near plane to a percentile of visible depth.
 // SPDX-License-Identifier: Apache-2.0
 #include "depth_range.hpp"
 
@@ -46,9 +46,11 @@ Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std
     std::nth_element(depths.begin(), at, depths.end());
     return static_cast<double>(*at);
   };
-  const double low = percentile(1), high = percentile(999);
+  const double high = percentile(999);
   DepthRange range;
-  range.z_near = static_cast<float>(std::max(kNearPlane, low * (1 - kMargin)));
+  // No percentile at the near end: the few Gaussians right before a camera cover much of its image, and one that falls
+  // below the range loses its order (measured: one test view of 16 at 24 dB), while bins down to the near plane are few.
+  range.z_near = static_cast<float>(kNearPlane);
   range.z_far = static_cast<float>(high * (1 + kMargin));
   range.source = DepthSource::cameras;
   return range;

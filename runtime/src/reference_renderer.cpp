@@ -21,6 +21,7 @@
 #include <vector>
 
 #include "parallel.hpp"
+#include "render_options.hpp"
 #include "rgs/math/blend.hpp"
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/projection.hpp"
@@ -84,13 +85,6 @@ class Stopwatch {
  private:
   std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
 };
-
-math::View<float> make_view(const Camera& camera, const RenderOptions& options) {
-  double matrix[16];
-  std::copy(camera.world_to_camera.begin(), camera.world_to_camera.end(), matrix);
-  return math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-                                options.near_plane, options.far_plane);
-}
 
 }  // namespace
 
@@ -386,10 +380,10 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
   FrameStats stats;
   Workspace& w = *workspace_;
   w.grid = math::tile_grid(camera.width, camera.height);
-  w.quantized = options.depth_order == math::DepthOrder::quantized;
+  const auto key = math::key_layout(options.depth_order, options.depth_bits, static_cast<std::uint32_t>(w.n_tiles()));
+  w.quantized = key.quantized;
   if (w.quantized) {
-    stats.depth_bits =
-        options.depth_bits > 0 ? options.depth_bits : 32 - math::tile_bits(static_cast<std::uint32_t>(w.n_tiles()));
+    stats.depth_bits = key.depth_bits;
     w.quantizer = math::make_depth_quantizer(options.depth_mapping, stats.depth_bits, options.depth_range[0],
                                              options.depth_range[1]);
   }

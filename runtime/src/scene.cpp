@@ -59,6 +59,11 @@ void normalize(float* q) {
   }
 }
 
+std::uint64_t next_identity() {
+  static std::atomic<std::uint64_t> last{0};
+  return ++last;
+}
+
 // Training parameters to rendered ones, in place.
 void activate(SplatCloud& s) {
   detail::parallel_ranges(s.size(), kGrain, [&](std::uint64_t begin, std::uint64_t end) {
@@ -87,6 +92,7 @@ Result<Scene> Scene::load(SplatCloud&& splats) {
 Scene Scene::adopt(SplatCloud splats) {
   activate(splats);
   Scene scene;
+  scene.identity_ = next_identity();
   scene.sh_degree_ = splats.sh_degree;
   scene.mean_ = std::move(splats.mean);
   scene.rotation_ = std::move(splats.rotation);
@@ -104,6 +110,7 @@ Result<Scene> Scene::load(const FileView& file) {
   const auto data = load_direct(file);
   if (!data) return tl::unexpected(data.error());
   Scene scene;
+  scene.identity_ = next_identity();
   scene.sh_degree_ = file.header().sh_degree;
   scene.declarations_ = file.declarations();
   scene.mean_.resize(3 * n);

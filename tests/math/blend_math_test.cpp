@@ -72,6 +72,46 @@ TEST_CASE("bit-built exponentials keep to their error over [-ln 255, 0]") {
   CHECK(std::abs(zero_mean[2]) < 1e-4);
 }
 
+TEST_CASE("the exponential by a shift is the bit-built one to 2^-16 over [-ln 255, 0]") {
+  for (const float sigma : {kSigmaPaper, kSigmaZeroMean}) {
+    double worst = 0, worst_at = 0;
+    const int n = 800000;
+    for (int i = 0; i <= n; ++i) {
+      const auto p = static_cast<float>(-std::log2(255.0) * i / n);
+      const double expected = static_cast<double>(exp2_bits(p, sigma));
+      const double e = std::abs(-static_cast<double>(negative_exp2(p + exp2_bias(sigma))) / expected - 1);
+      if (e > worst) worst = e, worst_at = static_cast<double>(p);
+    }
+    CAPTURE(worst_at);
+    // Half from the rounding of the biased exponent, half from the seven bits that the shift loses.
+    CHECK(worst <= 0x1p-16 * 1.001);
+    CHECK(worst > 0x1p-18);
+  }
+}
+
+TEST_CASE("the exponential by a shift keeps its sign and the clamp just below, at and above 0") {
+  for (const float sigma : {kSigmaPaper, kSigmaZeroMean}) {
+    const float bias = exp2_bias(sigma);
+    const auto alpha = [bias](float p) { return -negative_exp2(min(p + bias, kBiasedAlphaMax)); };
+    float last = 0;
+    for (float p = -0.3F; p < 1.5F; p += 1e-4F) {
+      const float a = alpha(p);
+      REQUIRE(a >= last);
+      REQUIRE(a <= kAlphaMax + 0x1p-16F);
+      REQUIRE(std::abs(a - min(kAlphaMax, exp2_bits(min(p, 1.0F), sigma))) <= 0x1p-16F);
+      last = a;
+    }
+    CHECK(alpha(1e-6F) == doctest::Approx(static_cast<double>(exp2_bits(1e-6F, sigma))).epsilon(2e-5));
+    CHECK(alpha(100) == last);
+    // As many opaque Gaussians end a pixel as with kAlphaMax itself: two.
+    CHECK((1 - kAlphaMax) * (1 - kAlphaMax) < kTransmittanceMin);
+    CHECK((1 - last) * (1 - last) < kTransmittanceMin);
+    // The ends of the range: 2^-126 still has its exponent, and nothing below the cutoff is ever asked for.
+    CHECK(alpha(-120.5F) > 0);
+    CHECK(alpha(-120.5F) < 0x1p-119F);
+  }
+}
+
 TEST_CASE("opacities stay in {0} and [1/255, 0.99] whatever the exponent") {
   for (const float opacity : {0.0F, 0.003F, 1.0F / 255, 0.5F, 0.99F, 1.0F}) {
     const float cutoff = power_cutoff(opacity);

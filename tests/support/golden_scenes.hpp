@@ -77,30 +77,37 @@ struct GoldenScene {
   EncodeOptions options;
 };
 
+/// The defaults of format 1.0's first files.
+inline EncodeOptions golden_options() {
+  EncodeOptions options;
+  options.depth_mapping = DepthMapping::linear;
+  return options;
+}
+
 inline std::vector<GoldenScene> golden_scenes() {
   std::vector<GoldenScene> scenes;
-  scenes.push_back({"empty", golden_cloud(0, 1, 0), {}});
-  scenes.push_back({"two", two_cloud(), {}});
+  scenes.push_back({"empty", golden_cloud(0, 1, 0), golden_options()});
+  scenes.push_back({"two", two_cloud(), golden_options()});
   scenes.back().options.order = Order::input;
   scenes.back().options.depth = DepthRange{0.25f, 64.f, DepthSource::by_hand};
-  scenes.push_back({"degree0", golden_cloud(5, 0, 10), {}});
-  scenes.push_back({"degree1", golden_cloud(7, 1, 11), {}});
+  scenes.push_back({"degree0", golden_cloud(5, 0, 10), golden_options()});
+  scenes.push_back({"degree1", golden_cloud(7, 1, 11), golden_options()});
   scenes.back().options.depth = DepthRange{0.5f, 32.f, DepthSource::cameras};
   scenes.back().options.depth_mapping = DepthMapping::logarithmic;
   scenes.back().options.aa_mode = AaMode::mip_splatting;
   scenes.back().options.axes = {Axis::right, Axis::up, Axis::backward};
   scenes.back().options.colour_space = ColourSpace::linear_display;
   scenes.back().options.metres_per_unit = 0.5f;
-  scenes.push_back({"degree2", golden_cloud(9, 2, 12), {}});
+  scenes.push_back({"degree2", golden_cloud(9, 2, 12), golden_options()});
   scenes.back().options.axes = {Axis::undeclared, Axis::undeclared, Axis::undeclared};
   scenes.back().options.colour_space = ColourSpace::undeclared;
   scenes.back().options.aa_mode = AaMode::undeclared;
-  scenes.push_back({"degree3", golden_cloud(40, 3, 13), {}});
+  scenes.push_back({"degree3", golden_cloud(40, 3, 13), golden_options()});
   scenes.back().options.chunk_size = 32;
-  scenes.push_back({"global", golden_cloud(40, 1, 14), {}});
+  scenes.push_back({"global", golden_cloud(40, 1, 14), golden_options()});
   scenes.back().options.chunk_size = 32;
   scenes.back().options.chunk_scales = false;
-  scenes.push_back({"optional", golden_cloud(6, 0, 15), {}});
+  scenes.push_back({"optional", golden_cloud(6, 0, 15), golden_options()});
   scenes.back().options.keep_permutation = true;
   scenes.back().options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
   {
@@ -116,7 +123,7 @@ inline std::vector<GoldenScene> golden_scenes() {
     cloud.rotation[0] = -0.f;
     cloud.sh[13] = 1024.f;
     cloud.opacity_logit[200] = std::numeric_limits<float>::quiet_NaN();  // dropped
-    scenes.push_back({"edges", std::move(cloud), {}});
+    scenes.push_back({"edges", std::move(cloud), golden_options()});
     scenes.back().options.chunk_size = 64;
     scenes.back().options.keep_permutation = true;
   }
@@ -126,11 +133,11 @@ inline std::vector<GoldenScene> golden_scenes() {
     scenes.back().name = "packed_" + scenes.back().name;
     scenes.back().options.profile = Profile::packed;
   }
-  scenes.push_back({"packed_degree3", golden_cloud(300, 3, 18), {}});
+  scenes.push_back({"packed_degree3", golden_cloud(300, 3, 18), golden_options()});
   scenes.back().options.profile = Profile::packed;
   scenes.back().options.chunk_size = 32;
   scenes.back().options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
-  scenes.push_back({"packed_degree2", golden_cloud(130, 2, 19), {}});
+  scenes.push_back({"packed_degree2", golden_cloud(130, 2, 19), golden_options()});
   scenes.back().options.profile = Profile::packed;
   return scenes;
 }

@@ -322,7 +322,7 @@ inline void reject_coded(RejectMaker& m) {
 inline std::vector<RejectCase> reject_cases() {
   std::vector<RejectCase> cases;
   // Six Gaussians of degree 0 with every section; no scale is subnormal, no opacity 0 or 1.
-  EncodeOptions options;
+  EncodeOptions options = golden_options();
   options.depth = DepthRange{0.25f, 64.f, DepthSource::by_hand};
   options.keep_permutation = true;
   options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
@@ -332,7 +332,7 @@ inline std::vector<RejectCase> reject_cases() {
   detail::reject_declarations(all);
   detail::reject_payload(all);
 
-  detail::RejectMaker empty(cases, detail::sound(golden_cloud(0, 0, 0), {}));
+  detail::RejectMaker empty(cases, detail::sound(golden_cloud(0, 0, 0), golden_options()));
   empty.set("empty_scale_sets", Errc::bad_header, 40, std::uint64_t{1});
   empty.set("empty_full_box", Errc::bad_value, empty.section("DECL") + 44, empty.section("DECL") + 56, 1.f);
   empty.set("empty_robust_box", Errc::bad_value, empty.section("DECL") + 68, empty.section("DECL") + 80, 1.f);

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <memory>
+#include <optional>
 
 #include "rgs/camera.hpp"
 #include "rgs/image.hpp"
@@ -23,6 +24,25 @@ struct RendererOptions {
   bool simd = true;  ///< CPU: false runs the scalar definition in rgs::math pixel by pixel, the reference for all else
 };
 
+/// How the CUDA renderer makes a frame. None of it changes the image beyond rounding; the CPU ignores it.
+struct CudaOptions {
+  enum class FrontEnd : std::uint8_t {
+    separate,  ///< kernels of their own for projection, sum and duplication: the original
+    fused,     ///< one kernel: the paper
+  };
+  FrontEnd front_end = FrontEnd::fused;
+  /// Lists per tile of 32x32 pixels, ordered exactly where they are blended, in place of a sort over the frame; always
+  /// deterministic. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
+  /// 2^25 Gaussians and more are drawn by the other kernels.
+  bool turbo = false;
+  int pixels_per_thread = 2;  ///< 1 (the original) or 2 (the paper)
+  /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
+  /// end lists them in the order in which its blocks happen to run.
+  bool deterministic = false;
+  bool timings = false;      ///< wait for the frame and fill FrameStats' times
+  bool count_pairs = false;  ///< wait for the frame and count evaluated and blended pairs, at a cost in time
+};
+
 /// What a frame shows and by which arithmetic. The defaults are the original 3DGS rasteriser, only with the tighter
 /// tile coverage; docs/RENDERING.md has the equations and the measured effect of each option.
 struct RenderOptions {
@@ -35,17 +55,28 @@ struct RenderOptions {
   math::Extent extent = math::Extent::ellipse;
   math::DepthOrder depth_order = math::DepthOrder::exact;
   DepthMapping depth_mapping = DepthMapping::linear;  ///< of the quantised key
-  int depth_bits = 0;                                 ///< of the quantised key; 0 = 32 - ceil(log2 tiles), else 1..32
-  std::array<float, 2> depth_range = {0.2F, 100};     ///< of the quantised key, depths outside share the end bins
+  /// Of the quantised key: 1..32, or 0 = 32 - ceil(log2 tiles); where the latter is below math::kMinDepthBits, as at
+  /// 7680x4320, the order is exact (FrameStats::depth_bits says 0).
+  int depth_bits = 0;
+  std::array<float, 2> depth_range = {0.2F, 100};  ///< of the quantised key, depths outside share the end bins
   math::Exponent exponent = math::Exponent::direct;
   math::Exp exp = math::Exp::exact;
+  CudaOptions cuda = {};
 };
 
-/// What one frame cost. Counts are exact; times are wall clock of the calling thread.
+/// The original 3DGS rasteriser: every option of it, and on CUDA its kernels.
+RenderOptions baseline_options();
+/// The paper's: tiles by ellipse, 32-bit keys, folded exponent of two pixels, approximate exponential. Range and
+/// mapping of the key are what `scene` declares, if it is given.
+RenderOptions paper_options(const std::optional<Declarations>& scene = std::nullopt);
+/// The fastest: ellipse, exact order, folded exponent, the hardware's exponential; CudaOptions::turbo.
+RenderOptions turbo_options();
+
+/// What one frame cost. Counts are exact; times are wall clock of the calling thread, or of the device's stream.
 struct FrameStats {
-  double project_ms = 0;  ///< cull, project, colour
-  double sort_ms = 0;     ///< order by depth
-  double bin_ms = 0;      ///< lists of Gaussians per tile
+  double project_ms = 0;  ///< cull, project, colour; the whole fused front end
+  double sort_ms = 0;     ///< order by depth, on CUDA by tile and depth
+  double bin_ms = 0;      ///< lists of Gaussians per tile; on CUDA pairs of the separate front end, and tile ranges
   double blend_ms = 0;    ///< pixels
   double total_ms = 0;
   std::uint64_t gaussians = 0;  ///< in the scene
@@ -55,6 +86,7 @@ struct FrameStats {
   std::uint64_t blended = 0;    ///< of these, pairs that contributed
   std::uint64_t bytes = 0;      ///< workspace held after the frame
   int depth_bits = 0;           ///< of the quantised key that was used, 0 for exact order
+  int key_bits = 0;             ///< CUDA: bits that were sorted, tile and depth
 };
 
 /// Renders frames. Holds the workspace, which grows and is reused; one Renderer serves one thread at a time, and any

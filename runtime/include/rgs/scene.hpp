@@ -50,11 +50,14 @@ class Scene {
   /// What the .rgs file declares (depth range, anti-aliasing, ...); absent for scenes from training parameters.
   const std::optional<Declarations>& declarations() const { return declarations_; }
   std::uint64_t bytes() const;  ///< memory held by the attributes
+  /// Equal for copies of one load, different for every load: lets a renderer keep what it made of a scene.
+  std::uint64_t identity() const { return identity_; }
   SceneView view() const { return {size(), sh_degree_, mean_, rotation_, scale_, opacity_, sh_}; }
 
  private:
   static Scene adopt(SplatCloud splats);
 
+  std::uint64_t identity_ = 0;
   int sh_degree_ = 0;
   std::optional<Declarations> declarations_;
   std::vector<float> mean_, rotation_, scale_, opacity_, sh_;

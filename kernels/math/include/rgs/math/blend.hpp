@@ -25,6 +25,27 @@ RGS_HD constexpr int tile_bits(std::uint32_t n_tiles) {
   return bits;
 }
 
+/// Fewest bits of quantised depth that a 32-bit key is used with: below, at 7680x4320, bins of a linear range are wide
+/// enough to see Gaussians swap.
+inline constexpr int kMinDepthBits = 16;
+
+/// How (tile, depth) pairs are keyed: tile above, depth below.
+struct KeyLayout {
+  int tile_bits;
+  int depth_bits;
+  bool quantized;  ///< false: depth_bits is 32 and holds the bits of FP32 z
+  RGS_HD constexpr int bits() const { return tile_bits + depth_bits; }
+};
+
+/// `requested` bits of depth, 0 for all that 32 leave beside the tile (the paper, III-A2). Where those are fewer than
+/// kMinDepthBits the order is exact instead.
+RGS_HD constexpr KeyLayout key_layout(DepthOrder order, int requested, std::uint32_t n_tiles) {
+  const int tile = tile_bits(n_tiles);
+  const int depth = requested > 0 ? requested : 32 - tile;
+  if (order == DepthOrder::exact || (requested == 0 && depth < kMinDepthBits)) return {tile, 32, false};
+  return {tile, depth, true};
+}
+
 /// Parameters of the quantised depth, eq. depth_quant of the paper; `logarithmic` replaces z by its logarithm.
 struct DepthQuantizer {
   float origin;  ///< near, or its logarithm
@@ -68,6 +89,27 @@ RGS_HD inline float exp2_bits(float p, float sigma) {
   std::memcpy(&result, &bits, sizeof result);
   return result;
 }
+
+/// What is added to an exponent for negative_exp2().
+RGS_HD constexpr float exp2_bias(float sigma) {
+  return 255.0F - sigma;
+}
+/// exp2_bits(p, sigma) with the wrong sign, from the biased exponent p + exp2_bias(sigma), in one shift: the sum's own
+/// exponent field is that of 2^7, so its mantissa is the result's exponent and mantissa but for the last seven bits
+/// (relative error 2^-16), and the field's lowest bits become the sign. No conversion, which would run at a quarter of
+/// the rate. For biased exponents in [128, 256), that is -126 < p < 1.
+RGS_HD inline float negative_exp2(float biased) {
+  std::uint32_t bits;
+  std::memcpy(&bits, &biased, sizeof bits);
+  bits <<= 7;
+  float result;
+  std::memcpy(&result, &bits, sizeof result);
+  return result;
+}
+/// The biased exponent at which negative_exp2() is -kAlphaMax: the clamp of the opacity, made on the exponent, which
+/// also keeps it in range. Its last bit is rounded up, so that a second such Gaussian ends the pixel, as it does with
+/// kAlphaMax itself: 0.01 * 0.01 in FP32 is below kTransmittanceMin.
+inline constexpr float kBiasedAlphaMax = 254.98001F;
 
 template <Exp E>
 RGS_HD constexpr float exp_sigma() {

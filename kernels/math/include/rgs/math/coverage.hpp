@@ -1,8 +1,9 @@
-// coverage.hpp - which 16x16 tiles list a Gaussian.
+// coverage.hpp - which tiles list a Gaussian.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <cmath>
+#include <cstdint>
 
 #include "rgs/hd.hpp"
 #include "rgs/math/camera.hpp"
@@ -13,13 +14,14 @@
 
 namespace rgs::math {
 
-/// Tiles of an image.
+/// Tiles of an image. Functions below take the side of their square tiles as `Size`; the definition's are kTileSize.
 struct TileGrid {
   int columns, rows;
 };
 
+template <int Size = kTileSize>
 RGS_HD constexpr TileGrid tile_grid(int width, int height) {
-  return {(width + kTileSize - 1) / kTileSize, (height + kTileSize - 1) / kTileSize};
+  return {(width + Size - 1) / Size, (height + Size - 1) / Size};
 }
 
 /// Tiles x0 <= x < x1, y0 <= y < y1.
@@ -41,12 +43,12 @@ RGS_HD inline int tile_index(T t, int limit) {
   return static_cast<int>(clamp(t, T(0), static_cast<T>(limit)));
 }
 
-// Tiles with a pixel centre in [low, high] along one axis: tile t has the centres 16 t .. 16 t + 15. Truncation after
-// the clamp at 0 is the floor, without a library call.
-template <class T>
+// Tiles with a pixel centre in [low, high] along one axis: tile t has the centres Size t .. Size t + Size - 1.
+// Truncation after the clamp at 0 is the floor, without a library call.
+template <int Size, class T>
 RGS_HD inline TileSpan tiles_between(T low, T high, int limit) {
-  const T inverse_tile = T(1) / T(kTileSize);
-  const T first = clamp((low - T(kTileSize - 1)) * inverse_tile, T(0), static_cast<T>(limit));
+  const T inverse_tile = T(1) / T(Size);
+  const T first = clamp((low - T(Size - 1)) * inverse_tile, T(0), static_cast<T>(limit));
   const int floor_first = static_cast<int>(first);
   const int ceil_first = floor_first + (first > static_cast<T>(floor_first) ? 1 : 0);
   const T last = high * inverse_tile;
@@ -108,11 +110,11 @@ RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& 
 }
 
 /// Tile rows, and a bound on the columns, that the ellipse touches: SnugBox.
-template <class T>
+template <int Size = kTileSize, class T>
 RGS_HD inline TileRect bounding_tiles(const Ellipse<T>& e, TileGrid grid) {
   if (!(e.level >= T(0))) return {0, 0, 0, 0};
-  const TileSpan x = detail::tiles_between(e.mean.u - e.half_width, e.mean.u + e.half_width, grid.columns);
-  const TileSpan y = detail::tiles_between(e.mean.v - e.half_height, e.mean.v + e.half_height, grid.rows);
+  const TileSpan x = detail::tiles_between<Size>(e.mean.u - e.half_width, e.mean.u + e.half_width, grid.columns);
+  const TileSpan y = detail::tiles_between<Size>(e.mean.v - e.half_height, e.mean.v + e.half_height, grid.rows);
   return {x.first, y.first, x.last, y.last};
 }
 
@@ -135,13 +137,63 @@ RGS_HD inline Chord<T> chord(const Ellipse<T>& e, T y_low, T y_high) {
 /// Tiles of row `row` (one of bounding_tiles()) with a point of the ellipse between their outermost pixel centres.
 /// Exact, not a bound: ellipse and row are convex, so their intersection's x range is met by every tile in it
 /// (AccuTile, Hanson et al. 2025, in one chord a row).
-template <class T>
+template <int Size = kTileSize, class T>
 RGS_HD inline TileSpan tiles_in_row(const Ellipse<T>& e, int row, TileGrid grid) {
-  const T y = static_cast<T>(row * kTileSize) - e.mean.v;
-  const T y_low = max(y, -e.half_height), y_high = min(y + T(kTileSize - 1), e.half_height);
+  const T y = static_cast<T>(row * Size) - e.mean.v;
+  const T y_low = max(y, -e.half_height), y_high = min(y + T(Size - 1), e.half_height);
   const Chord<T> c = chord(e, y_low, y_high);
   const T slack = T(1e-3) + T(1e-6) * e.half_width;  // rounding of the chord's ends, px
-  return detail::tiles_between(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
+  return detail::tiles_between<Size>(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
+}
+
+/// A row of tiles of 32x32 pixels, cut into four rows of cells of 16x8 pixels: the pixels from `low` to `high` that the
+/// ellipse covers between the first and last pixel centres of each row of cells; low > high where there is none.
+template <class T>
+struct CellRows {
+  T low[4], high[4];
+};
+inline constexpr int kCellTile = 32, kCellWidth = 16, kCellHeight = 8;
+
+/// Row `row` of tiles. As exact as tiles_in_row().
+template <class T>
+RGS_HD inline CellRows<T> cell_rows(const Ellipse<T>& e, int row) {
+  const T slack = T(1e-3) + T(1e-6) * e.half_width;  // as in tiles_in_row()
+  CellRows<T> rows;
+  for (int r = 0; r < 4; ++r) {
+    const T y = static_cast<T>(row * kCellTile + kCellHeight * r) - e.mean.v;
+    const T y_low = max(y, -e.half_height), y_high = min(y + T(kCellHeight - 1), e.half_height);
+    rows.low[r] = T(1), rows.high[r] = T(0);
+    if (y_low > y_high) continue;
+    const Chord<T> c = chord(e, y_low, y_high);
+    rows.low[r] = e.mean.u + c.low - slack;
+    rows.high[r] = e.mean.u + c.high + slack;
+  }
+  return rows;
+}
+
+/// Tiles of the row that may have a cell that is touched.
+template <class T>
+RGS_HD inline TileSpan tiles_of(const CellRows<T>& rows, TileGrid grid) {
+  T low = static_cast<T>(grid.columns * kCellTile), high = T(-1);
+  for (int r = 0; r < 4; ++r) {
+    if (rows.low[r] > rows.high[r]) continue;
+    low = min(low, rows.low[r]);
+    high = max(high, rows.high[r]);
+  }
+  return detail::tiles_between<kCellTile>(low, high, grid.columns);
+}
+
+/// Cells of the tile in column `column` that are touched: bit c + 2 r for the cell in column c of row r.
+template <class T>
+RGS_HD inline std::uint32_t cells_of(const CellRows<T>& rows, int column) {
+  const T x = static_cast<T>(column * kCellTile);
+  std::uint32_t cells = 0;
+  for (int r = 0; r < 4; ++r) {
+    if (rows.low[r] > rows.high[r]) continue;
+    if (rows.low[r] <= x + T(kCellWidth - 1) && rows.high[r] >= x) cells |= 1u << (2 * r);
+    if (rows.low[r] <= x + T(2 * kCellWidth - 1) && rows.high[r] >= x + T(kCellWidth)) cells |= 2u << (2 * r);
+  }
+  return cells;
 }
 
 }  // namespace rgs::math

@@ -25,7 +25,7 @@ class MemoryFile final : public OIIO::Filesystem::IOProxy {
   MemoryFile() : IOProxy("", Write) {}
   const char* proxytype() const override { return "memory"; }
   std::size_t size() const override { return bytes_.size(); }
-  const std::vector<std::byte>& bytes() const { return bytes_; }
+  std::vector<std::byte> bytes() && { return std::move(bytes_); }
 
   std::size_t read(void* out, std::size_t n) override {
     n = pread(out, n, m_pos);
@@ -92,6 +92,55 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
   return spec;
 }
 
+const char* extension(ImageFormat format) {
+  switch (format) {
+    case ImageFormat::png: return "png";
+    case ImageFormat::jpeg: return "jpg";
+    case ImageFormat::tiff: return "tif";
+    case ImageFormat::exr: return "exr";
+  }
+  return "";
+}
+
+Status check(const Image& image, ImageFormat format, const ImageFileOptions& options) {
+  if (image.channels != 1 && (options.depth || (image.channels != 3 && image.channels != 4)))
+    return fail(Errc::bad_argument, Error::kNone, "a picture has 1, 3 or 4 channels, and depth has 1");
+  if (options.depth && (format == ImageFormat::png || format == ImageFormat::jpeg))
+    return fail(Errc::bad_argument, Error::kNone, "depth needs floating point: name the file .exr or .tif");
+  if (image.channels == 4 && format == ImageFormat::jpeg)
+    return fail(Errc::bad_argument, Error::kNone, "JPEG has no alpha: name the file .png, .tif or .exr");
+  constexpr int kMaxJpegSide = 65500;
+  if (format == ImageFormat::jpeg && std::max(image.width, image.height) > kMaxJpegSide)
+    return fail(Errc::bad_argument, Error::kNone,
+                "JPEG ends at 65,500 pixels a side: name the file .png, .tif or .exr");
+  return {};
+}
+
+Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, const ImageFileOptions& options) {
+  const std::string name = extension(format);
+  const auto output = OIIO::ImageOutput::create(name);
+  if (!output)
+    return fail(Errc::write_failed, Error::kNone, "this build of OpenImageIO does not write the picture's format");
+  MemoryFile memory;
+  bool written = output->set_ioproxy(&memory) && output->open("picture." + name, specification(image, format, options));
+  if (written && format != ImageFormat::exr && !options.depth) {
+    const bool divide = format == ImageFormat::png && image.channels == 4;
+    const std::vector<float> straight = divide ? unassociated(image) : std::vector<float>();
+    const std::vector<float>& source = divide ? straight : image.pixels;
+    std::vector<std::uint8_t> codes(source.size());
+    std::transform(source.begin(), source.end(), codes.begin(), to_8bit);
+    written = output->write_image(OIIO::TypeDesc::UINT8, codes.data());
+  } else if (written) {
+    written = output->write_image(OIIO::TypeDesc::FLOAT, image.pixels.data());
+  }
+  written = output->close() && written;
+  if (!written) {
+    (void)output->geterror();  // fetched, or the library prints it when the object goes
+    return fail(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
+  }
+  return std::move(memory).bytes();
+}
+
 }  // namespace
 
 Result<ImageFormat> image_format(const std::string& path) {
@@ -117,44 +166,23 @@ std::uint8_t to_8bit(float value) {
 Status write_image(const std::string& path, const Image& image, const ImageFileOptions& options) {
   const auto format = image_format(path);
   if (!format) return tl::unexpected(format.error());
-  const bool eight_bit = *format != ImageFormat::exr && !options.depth;
-  if (image.channels != 1 && (options.depth || (image.channels != 3 && image.channels != 4)))
-    return fail(Errc::bad_argument, Error::kNone, "a picture has 1, 3 or 4 channels, and depth has 1");
-  if (options.depth && (*format == ImageFormat::png || *format == ImageFormat::jpeg))
-    return fail(Errc::bad_argument, Error::kNone, "depth needs floating point: name the file .exr or .tif");
-  if (image.channels == 4 && *format == ImageFormat::jpeg)
-    return fail(Errc::bad_argument, Error::kNone, "JPEG has no alpha: name the file .png, .tif or .exr");
-  constexpr int kMaxJpegSide = 65500;
-  if (*format == ImageFormat::jpeg && std::max(image.width, image.height) > kMaxJpegSide)
-    return fail(Errc::bad_argument, Error::kNone,
-                "JPEG ends at 65,500 pixels a side: name the file .png, .tif or .exr");
-
+  if (const Status s = check(image, *format, options); !s) return s;
   // Refuses existing outputs and unwritable folders before the work of encoding.
   auto file = AtomicFile::create(path, options.file);
   if (!file) return tl::unexpected(file.error());
-
-  const auto output = OIIO::ImageOutput::create(std::filesystem::path(path).extension().string().substr(1));
-  if (!output)
-    return fail(Errc::write_failed, Error::kNone, "this build of OpenImageIO does not write the picture's format");
-  MemoryFile memory;
-  bool written = output->set_ioproxy(&memory) && output->open(path, specification(image, *format, options));
-  if (written && eight_bit) {
-    const bool divide = *format == ImageFormat::png && image.channels == 4;
-    const std::vector<float> straight = divide ? unassociated(image) : std::vector<float>();
-    const std::vector<float>& source = divide ? straight : image.pixels;
-    std::vector<std::uint8_t> codes(source.size());
-    std::transform(source.begin(), source.end(), codes.begin(), to_8bit);
-    written = output->write_image(OIIO::TypeDesc::UINT8, codes.data());
-  } else if (written) {
-    written = output->write_image(OIIO::TypeDesc::FLOAT, image.pixels.data());
-  }
-  written = output->close() && written;
-  if (!written) {
-    (void)output->geterror();  // fetched, or the library prints it when the object goes
-    return fail(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
-  }
-  if (auto status = file->write_at(0, memory.bytes()); !status) return status;
+  const auto bytes = encode(image, *format, options);
+  if (!bytes) return tl::unexpected(bytes.error());
+  if (auto status = file->write_at(0, *bytes); !status) return status;
   return file->commit().map([](double) {});
+}
+
+Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat format, const ImageFileOptions& options) {
+  if (format != ImageFormat::png && format != ImageFormat::jpeg)
+    return fail(Errc::bad_argument, Error::kNone, "pictures in memory are PNG or JPEG");
+  ImageFileOptions colour = options;
+  colour.depth = false;
+  if (const Status s = check(image, format, colour); !s) return tl::unexpected(s.error());
+  return encode(image, format, colour);
 }
 
 Result<Image> read_image(const std::string& path) {

@@ -182,3 +182,22 @@ TEST_CASE("reading what is missing or no picture") {
   std::ofstream(folder.file("cut.exr"), std::ios::binary) << whole.substr(0, whole.size() / 2);
   CHECK(read_image(folder.file("cut.exr")).error().code == Errc::bad_syntax);
 }
+
+TEST_CASE("a picture in memory is the file that would be written") {
+  const TemporaryFolder folder;
+  const Image image = picture(61, 43, 3);
+  for (const auto& [format, name] : {std::pair(ImageFormat::png, "a.png"), std::pair(ImageFormat::jpeg, "a.jpg")}) {
+    const auto bytes = encode_image(image, format);
+    REQUIRE(bytes);
+    REQUIRE(write_image(folder.file(name), image));
+    const std::string written = contents(folder.file(name));
+    CHECK(written == std::string(reinterpret_cast<const char*>(bytes->data()), bytes->size()));
+    CHECK(largest_difference(read_image(folder.file(name)).value(), rounded(image)) < 0.05F);
+  }
+  CHECK(encode_image(image, ImageFormat::jpeg, {.jpeg_quality = 30})->size() <
+        encode_image(image, ImageFormat::jpeg)->size());
+  CHECK(encode_image(image, ImageFormat::tiff).error().code == Errc::bad_argument);
+  CHECK(encode_image(image, ImageFormat::exr).error().code == Errc::bad_argument);
+  CHECK(encode_image(picture(8, 8, 4), ImageFormat::jpeg).error().code == Errc::bad_argument);
+  CHECK(encode_image(Image::make(8, 8, 2), ImageFormat::png).error().code == Errc::bad_argument);
+}

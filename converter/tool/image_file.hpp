@@ -5,8 +5,10 @@
 // as they are, tagged as sRGB; nothing here applies a transfer curve. docs/RENDERING.md says more.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "rgs/file.hpp"
 #include "rgs/image.hpp"
@@ -37,6 +39,11 @@ struct ImageFileOptions {
 /// JPEG; channels), output_exists, output_unusable, open_failed,
 /// write_failed.
 Status write_image(const std::string& path, const Image& image, const ImageFileOptions& options = {});
+
+/// The bytes that write_image() would write, as PNG or JPEG; options.file and options.depth play no part.
+/// Errors: bad_argument (TIFF and OpenEXR, for which write_image() is; alpha or size in JPEG; channels), write_failed.
+Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat format,
+                                            const ImageFileOptions& options = {});
 
 /// Reads any picture as FP32, integer codes divided by their maximum: what write_image wrote comes back, 8-bit codes c
 /// as c / 255. Alpha, if there is any, is multiplied into colour. Errors: open_failed, bad_syntax.

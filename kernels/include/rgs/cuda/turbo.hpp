@@ -1,0 +1,115 @@
+// turbo.hpp - launches of the turbo pipeline: lists per tile of 32x32 pixels, ordered in shared memory where they are
+// blended. No sort over the frame, and nothing that the host must know before the last kernel is queued.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "rgs/cuda/frame.hpp"
+#include "rgs/cuda/front_end.hpp"
+#include "rgs/result.hpp"
+
+struct CUevent_st;
+
+namespace rgs::cuda {
+
+inline constexpr int kTurboTile = math::kCellTile;  ///< pixels along a tile's side
+
+/// What a list holds of a Gaussian: bits of its depth (positive: 31), its index, and the cells of the tile that it
+/// touches (math::cells_of()). Entries order by depth, then by index.
+using TurboEntry = std::uint64_t;
+inline constexpr int kTurboIndexBits = 25;
+inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;
+
+/// Entries begin .. begin + n - 1 of one tile, written by one block.
+struct TurboRun {
+  std::uint32_t begin, n;
+};
+/// A run on its way to its tile.
+struct alignas(16) TurboTileRun {
+  TurboRun run;
+  std::uint32_t tile;
+  std::uint32_t rank;  ///< among the tile's runs
+};
+static_assert(sizeof(TurboTileRun) == 16);
+
+/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `scratch` is the place of as many entries in
+/// TurboArrays::scratch, if there are more than kTurboEntries.
+struct TurboList {
+  std::uint32_t begin, n_runs, n_entries, scratch;
+};
+inline constexpr std::uint32_t kTurboEntries = 2048;  ///< ordered at a time; a power of two
+
+/// A Gaussian that touches many tiles: kept for a kernel that spreads it over a warp.
+struct alignas(16) TurboLarge {
+  math::Ellipse<float> ellipse;
+  std::uint32_t depth;  ///< bits
+  std::uint32_t index;
+  std::uint16_t first_row, n_rows;  ///< of tiles
+  std::uint32_t unused[2];
+};
+static_assert(sizeof(TurboLarge) == 64);
+
+/// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
+inline constexpr int kTurboClasses = 32;
+
+/// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
+struct TurboState {
+  Counters counters;
+  std::uint64_t runs;     ///< written or not
+  std::uint32_t n_large;  ///< the same of TurboArrays::large
+  std::uint32_t placed;   ///< runs that have a place in their tile's list
+  std::uint32_t scratch;  ///< entries of the long lists
+  std::uint32_t padding[3];
+  std::uint32_t class_size[kTurboClasses];
+
+  /// With n_entries and n_runs of each tile.
+  static std::uint64_t bytes(std::uint32_t n_tiles) { return sizeof(TurboState) + 8 * std::uint64_t{n_tiles}; }
+};
+static_assert(sizeof(TurboState) % 16 == 0);
+
+/// Where the front end leaves entries, and the lists made of them.
+struct TurboArrays {
+  TurboState* state;
+  std::uint32_t n_tiles;
+  TurboEntry* entries;     ///< [entry_capacity]
+  TurboTileRun* runs;      ///< [run_capacity]
+  TurboRun* tile_runs;     ///< [run_capacity] the same by tile
+  TurboLarge* large;       ///< [large_capacity]
+  TurboEntry* scratch;     ///< [entry_capacity]
+  TurboList* lists;        ///< [n_tiles]
+  std::uint32_t* classes;  ///< [kTurboClasses, n_tiles] tiles of each class
+  std::uint64_t entry_capacity, run_capacity, large_capacity;
+};
+
+/// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
+/// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
+/// attribute is read. What exceeds a capacity is counted, not written. v.grid is that of 32x32 tiles.
+/// n < kMaxTurboGaussians. Errors: device_failed.
+struct TurboEmitArguments {
+  Attributes attributes;
+  std::uint32_t n;
+  ViewParameters view;
+  ScreenSplat* splats;
+  TurboArrays arrays;
+};
+Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
+
+/// Gives every tile its runs and its class. If a capacity was exceeded, all lists are empty. `seen` gets a copy of the
+/// state for the host to read: page-locked memory that the device reaches; `counted` is recorded when it is there.
+/// Errors: device_failed.
+Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, CUevent_st* counted, Stream stream);
+
+/// Orders each list and blends it. Errors: device_failed.
+struct TurboBlendArguments {
+  TurboArrays arrays;
+  const ScreenSplat* splats;
+  math::TileGrid grid;  ///< of 32x32 tiles
+  int width, height;    ///< px
+  math::Vec3<float> background;
+  PixelArrays target;
+  bool count_pairs;  ///< into the state's counters.evaluated and .blended
+};
+Status launch_turbo_blend(const TurboBlendArguments& arguments, Stream stream);
+
+}  // namespace rgs::cuda

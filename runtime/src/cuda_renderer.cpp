@@ -1,0 +1,439 @@
+// cuda_renderer.cpp - a frame's stages on a stream, their workspace, and the one number that comes back in between.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/cuda_renderer.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <string>
+
+#include "device_buffer.hpp"
+#include "device_scene.hpp"
+#include "render_options.hpp"
+#include "rgs/cuda/blend.hpp"
+#include "rgs/cuda/front_end.hpp"
+#include "rgs/cuda/sort.hpp"
+#include "rgs/cuda/turbo.hpp"
+
+namespace rgs {
+namespace {
+
+using detail::device_status;
+using detail::DeviceBuffer;
+
+// CUB counts pairs with 31 bits.
+constexpr std::uint64_t kMaxPairs = std::numeric_limits<std::int32_t>::max();
+// Pairs that the workspace holds before a frame has shown how many there are.
+constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
+
+// Ends of the stages, as FrameStats names them.
+enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
+
+math::Vec3<float> background_of(const RenderOptions& options) {
+  return {options.background[0], options.background[1], options.background[2]};
+}
+
+cuda::PixelArrays arrays_of(const DeviceTarget& target) {
+  return {target.rgb, target.alpha, target.depth, target.evaluated, target.blended};
+}
+
+// Numbers that the host waits for, in memory that the device can write asynchronously.
+struct HostCounters {
+  cuda::Counters counters;
+  std::uint64_t pairs;  // of the separate front end: the last of its sums
+  cuda::TurboState turbo;
+};
+
+}  // namespace
+
+struct CudaRenderer::Impl {
+  ~Impl() {
+    for (cudaEvent_t event : events) {
+      if (event != nullptr) cudaEventDestroy(event);
+    }
+    if (counted != nullptr) cudaEventDestroy(counted);
+    cudaFreeHost(host);
+  }
+
+  Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
+  Status reserve_pairs(std::uint64_t n, bool narrow);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large);
+  cuda::PairArrays pair_arrays(bool narrow) const;
+  Status mark(Mark m, const RenderOptions& options, CudaStream stream);
+  Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
+                              const RenderOptions& options, bool narrow, CudaStream stream);
+  Result<std::uint64_t> separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
+                                 const RenderOptions& options, bool narrow, CudaStream stream);
+  Result<std::uint64_t> turbo(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
+                              const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
+  Result<std::uint64_t> sorted(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
+                               const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
+  Status order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow, const RenderOptions& options,
+               CudaStream stream, cuda::SortBuffers& sorted);
+  Status fetch(void* to, const void* from, std::uint64_t bytes, CudaStream stream) const;
+  Status wait(CudaStream stream) const;
+  std::uint64_t bytes() const;
+
+  std::string name;
+  std::array<cudaEvent_t, kMarks> events{};
+  cudaEvent_t counted = nullptr;  // the turbo pipeline has counted its pairs
+  HostCounters* host = nullptr;
+  DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
+  DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
+  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
+};
+
+CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+CudaRenderer::CudaRenderer(CudaRenderer&&) noexcept = default;
+CudaRenderer& CudaRenderer::operator=(CudaRenderer&&) noexcept = default;
+CudaRenderer::~CudaRenderer() = default;
+
+Result<CudaRenderer> CudaRenderer::create() {
+  int device = 0, n_devices = 0;
+  if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0 || cudaGetDevice(&device) != cudaSuccess) {
+    cudaGetLastError();
+    return fail(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
+  }
+  cudaDeviceProp properties{};
+  if (const auto ok =
+          device_status(cudaGetDeviceProperties(&properties, device), "the device does not describe itself");
+      !ok) {
+    return tl::unexpected(ok.error());
+  }
+  auto impl = std::make_unique<Impl>();
+  impl->name = std::string("cuda ") + properties.name;
+  Status ok = device_status(cudaMallocHost(reinterpret_cast<void**>(&impl->host), sizeof(HostCounters)),
+                            "page-locked memory is not to be had");
+  for (cudaEvent_t& event : impl->events) {
+    if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
+  }
+  if (ok) {
+    ok = device_status(cudaEventCreateWithFlags(&impl->counted, cudaEventDisableTiming), "an event could not be made");
+  }
+  if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
+  if (!ok) return tl::unexpected(ok.error());
+  return CudaRenderer(std::move(impl));
+}
+
+std::uint64_t CudaRenderer::bytes() const {
+  return impl_->bytes();
+}
+const char* CudaRenderer::name() const {
+  return impl_->name.c_str();
+}
+
+std::uint64_t CudaRenderer::Impl::bytes() const {
+  std::uint64_t sum = 0;
+  for (const DeviceBuffer* b : {&counters, &splats, &covers, &tiles, &sums, &sum_temporary, &block_state, &keys,
+                                &spare_keys, &gaussians, &spare_gaussians, &sort_temporary, &ranges, &turbo_state,
+                                &turbo_entries, &turbo_runs, &tile_runs, &lists, &classes}) {
+    sum += b->bytes();
+  }
+  return sum;
+}
+
+Status CudaRenderer::Impl::reserve_scene(std::uint64_t n, bool separate, bool deterministic) {
+  Status ok = splats.reserve(n * sizeof(cuda::ScreenSplat));
+  if (ok && deterministic && !separate) {
+    ok = block_state.reserve((cuda::fused_blocks(static_cast<std::uint32_t>(n)) + 1) * sizeof(std::uint64_t));
+  }
+  if (!ok || !separate) return ok;
+  const auto temporary = cuda::sum_bytes(static_cast<std::uint32_t>(n));
+  if (!temporary) return tl::unexpected(temporary.error());
+  ok = covers.reserve(n * cuda::cover_bytes());
+  if (ok) ok = tiles.reserve(n * sizeof(std::uint32_t));
+  if (ok) ok = sums.reserve(n * sizeof(std::uint64_t));
+  if (ok) ok = sum_temporary.reserve(*temporary);
+  return ok;
+}
+
+// Room for n pairs and the sort of them. Grows by half at least, so that a camera that approaches a scene does not
+// allocate frame after frame.
+Status CudaRenderer::Impl::reserve_pairs(std::uint64_t n, bool narrow) {
+  const std::uint64_t key_bytes = narrow ? 4 : 8;
+  const std::uint64_t held = std::min(gaussians.bytes() / 4, keys.bytes() / key_bytes);
+  if (n <= held) return {};
+  const std::uint64_t wanted = std::min(std::max(n, held + held / 2), kMaxPairs);
+  const auto temporary = cuda::sort_bytes(wanted, narrow);
+  if (!temporary) return tl::unexpected(temporary.error());
+  Status ok = sort_temporary.reserve(*temporary);
+  for (DeviceBuffer* b : {&keys, &spare_keys}) {
+    if (ok) ok = b->reserve(wanted * key_bytes);
+  }
+  for (DeviceBuffer* b : {&gaussians, &spare_gaussians}) {
+    if (ok) ok = b->reserve(wanted * sizeof(std::uint32_t));
+  }
+  if (ok) return {};
+  // All or nothing: of the arrays that have grown and those that have not, the next frame would see the latter alone.
+  for (DeviceBuffer* b : {&keys, &spare_keys, &gaussians, &spare_gaussians, &sort_temporary}) *b = {};
+  return ok;
+}
+
+cuda::PairArrays CudaRenderer::Impl::pair_arrays(bool narrow) const {
+  const std::uint64_t capacity = std::min({gaussians.bytes() / 4, keys.bytes() / (narrow ? 4 : 8), kMaxPairs});
+  return {keys.as<void>(), gaussians.as<std::uint32_t>(), capacity, narrow};
+}
+
+Status CudaRenderer::Impl::mark(Mark m, const RenderOptions& options, CudaStream stream) {
+  if (!options.cuda.timings) return {};
+  return device_status(cudaEventRecord(events[m], stream), "an event could not be recorded");
+}
+
+Status CudaRenderer::Impl::fetch(void* to, const void* from, std::uint64_t size, CudaStream stream) const {
+  return device_status(cudaMemcpyAsync(to, from, size, cudaMemcpyDeviceToHost, stream),
+                       "counters could not be copied from the device");
+}
+Status CudaRenderer::Impl::wait(CudaStream stream) const {
+  return device_status(cudaStreamSynchronize(stream), "a kernel failed");
+}
+
+// Pairs of the frame. They are all in the arrays on return; if they did not fit, the kernel has run a second time.
+Result<std::uint64_t> CudaRenderer::Impl::fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
+                                                const RenderOptions& options, bool narrow, CudaStream stream) {
+  for (;;) {
+    Status ok = device_status(cudaMemsetAsync(counters.as<void>(), 0, sizeof(cuda::Counters), stream),
+                              "counters could not be cleared");
+    if (ok && options.cuda.deterministic) {
+      ok = device_status(cudaMemsetAsync(block_state.as<void>(), 0, block_state.bytes(), stream),
+                         "the scan's state could not be cleared");
+    }
+    const cuda::PairArrays pairs = pair_arrays(narrow);
+    if (ok) {
+      ok = cuda::launch_fused({scene.attributes, static_cast<std::uint32_t>(scene.n), view, options.extent,
+                               splats.as<cuda::ScreenSplat>(), pairs, counters.as<cuda::Counters>(),
+                               options.cuda.deterministic ? block_state.as<std::uint64_t>() : nullptr},
+                              stream);
+    }
+    if (ok) ok = mark(kProjected, options, stream);
+    if (ok) ok = fetch(&host->counters, counters.as<void>(), sizeof(cuda::Counters), stream);
+    if (ok) ok = wait(stream);
+    if (!ok) return tl::unexpected(ok.error());
+    const std::uint64_t n = host->counters.instances;
+    if (n > kMaxPairs || n <= pairs.capacity) return n;
+    if (ok = reserve_pairs(n, narrow); !ok) return tl::unexpected(ok.error());
+  }
+}
+
+Result<std::uint64_t> CudaRenderer::Impl::separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
+                                                   const RenderOptions& options, bool narrow, CudaStream stream) {
+  const auto n = static_cast<std::uint32_t>(scene.n);
+  Status ok = device_status(cudaMemsetAsync(counters.as<void>(), 0, sizeof(cuda::Counters), stream),
+                            "counters could not be cleared");
+  if (ok) {
+    ok = cuda::launch_project({scene.attributes, n, view, options.extent, splats.as<cuda::ScreenSplat>(),
+                               covers.as<void>(), tiles.as<std::uint32_t>(), counters.as<cuda::Counters>()},
+                              stream);
+  }
+  if (ok) ok = mark(kProjected, options, stream);
+  if (ok) {
+    ok = cuda::launch_sum(tiles.as<std::uint32_t>(), sums.as<std::uint64_t>(), n, sum_temporary.as<void>(),
+                          sum_temporary.bytes(), stream);
+  }
+  if (ok) ok = fetch(&host->counters, counters.as<void>(), sizeof(cuda::Counters), stream);
+  if (ok && n > 0) ok = fetch(&host->pairs, sums.as<std::uint64_t>() + n - 1, sizeof(std::uint64_t), stream);
+  if (ok) ok = wait(stream);
+  if (!ok) return tl::unexpected(ok.error());
+  const std::uint64_t pairs = n == 0 ? 0 : host->pairs;
+  if (pairs > kMaxPairs) return pairs;
+  ok = reserve_pairs(pairs, narrow);
+  if (ok) {
+    ok = cuda::launch_duplicate({n, view, options.extent, splats.as<cuda::ScreenSplat>(), covers.as<void>(),
+                                 sums.as<std::uint64_t>(), pair_arrays(narrow)},
+                                stream);
+  }
+  if (!ok) return tl::unexpected(ok.error());
+  return pairs;
+}
+
+Status CudaRenderer::Impl::order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow,
+                                 const RenderOptions& options, CudaStream stream, cuda::SortBuffers& sorted) {
+  sorted = {keys.as<void>(), spare_keys.as<void>(), gaussians.as<std::uint32_t>(), spare_gaussians.as<std::uint32_t>(),
+            narrow};
+  Status ok = mark(kDuplicated, options, stream);
+  if (ok) {
+    ok = cuda::launch_sort(sorted, pairs, view.key.bits(), sort_temporary.as<void>(), sort_temporary.bytes(), stream);
+  }
+  if (ok) ok = mark(kSorted, options, stream);
+  const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
+  if (ok) {
+    ok = cuda::launch_ranges(sorted.keys, narrow, pairs, view.key.depth_bits, ranges.as<cuda::TileRange>(), n_tiles,
+                             stream);
+  }
+  if (ok) ok = mark(kRanged, options, stream);
+  return ok;
+}
+
+// The original's and the paper's pipelines: pairs, one sort over the frame, ranges, pixels.
+Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& scene, const Camera& camera,
+                                                 const DeviceTarget& target, const cuda::ViewParameters& view,
+                                                 const RenderOptions& options, CudaStream stream) {
+  const bool narrow = view.key.bits() <= 32;
+  const bool is_separate = options.cuda.front_end == CudaOptions::FrontEnd::separate;
+  const auto n_tiles = static_cast<std::uint64_t>(view.grid.columns) * static_cast<std::uint64_t>(view.grid.rows);
+  Status ok = reserve_scene(scene.n, is_separate, options.cuda.deterministic);
+  if (ok) ok = reserve_pairs(std::max(kFirstPairs, 4 * scene.n), narrow);
+  if (ok) ok = ranges.reserve(n_tiles * sizeof(cuda::TileRange));
+  if (ok) ok = mark(kStart, options, stream);
+  if (!ok) return tl::unexpected(ok.error());
+
+  const auto pairs =
+      is_separate ? separate(scene, view, options, narrow, stream) : fused(scene, view, options, narrow, stream);
+  if (!pairs || *pairs > kMaxPairs) return pairs;
+  cuda::SortBuffers ordered{};
+  ok = order(view, *pairs, narrow, options, stream, ordered);
+  if (ok) {
+    ok = cuda::launch_blend({ranges.as<cuda::TileRange>(), ordered.gaussians, splats.as<cuda::ScreenSplat>(), view.grid,
+                             camera.width, camera.height, background_of(options), arrays_of(target),
+                             options.cuda.count_pairs ? counters.as<cuda::Counters>() : nullptr, options.exponent,
+                             options.exp, options.cuda.pixels_per_thread},
+                            stream);
+  }
+  if (ok) ok = mark(kBlended, options, stream);
+  if (!ok) return tl::unexpected(ok.error());
+  return pairs;
+}
+
+// Room for so many entries, runs and large Gaussians; grows by half at least.
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large) {
+  Status ok;
+  const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
+    const std::uint64_t held = buffer.bytes() / size;
+    if (ok && wanted > held) ok = buffer.reserve(std::min(std::max(wanted, held + held / 2), kMaxPairs) * size);
+  };
+  reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
+  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
+  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge));
+  return ok;
+}
+
+// Everything is queued before the number of entries is known. If they did not fit, which the host learns while the
+// frame is still being made, the lists were left empty and the frame is made again.
+Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scene, const Camera& camera,
+                                                const DeviceTarget& target, const cuda::ViewParameters& view,
+                                                const RenderOptions& options, CudaStream stream) {
+  cuda::TurboArrays arrays{};
+  arrays.n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
+  Status ok = splats.reserve(scene.n * sizeof(cuda::ScreenSplat));
+  if (ok) ok = turbo_state.reserve(cuda::TurboState::bytes(arrays.n_tiles));
+  if (ok) ok = lists.reserve(arrays.n_tiles * sizeof(cuda::TurboList));
+  if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
+  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32);
+  while (ok) {
+    arrays.state = turbo_state.as<cuda::TurboState>();
+    arrays.entries = turbo_entries.as<cuda::TurboEntry>();
+    arrays.runs = turbo_runs.as<cuda::TurboTileRun>();
+    arrays.tile_runs = tile_runs.as<cuda::TurboRun>();
+    arrays.lists = lists.as<cuda::TurboList>();
+    arrays.classes = classes.as<std::uint32_t>();
+    arrays.scratch = turbo_scratch.as<cuda::TurboEntry>();
+    arrays.large = turbo_large.as<cuda::TurboLarge>();
+    arrays.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
+    arrays.run_capacity =
+        std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+    arrays.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
+    ok = mark(kStart, options, stream);
+    if (ok) {
+      ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), stream),
+                         "the frame's state could not be cleared");
+    }
+    if (ok) {
+      ok = cuda::launch_turbo_emit(
+          {scene.attributes, static_cast<std::uint32_t>(scene.n), view, splats.as<cuda::ScreenSplat>(), arrays},
+          stream);
+    }
+    if (ok) ok = mark(kProjected, options, stream);
+    if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
+    for (const Mark m : {kDuplicated, kSorted, kRanged}) {
+      if (ok) ok = mark(m, options, stream);
+    }
+    if (ok) {
+      ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height,
+                                     background_of(options), arrays_of(target), options.cuda.count_pairs},
+                                    stream);
+    }
+    if (ok) ok = mark(kBlended, options, stream);
+    if (ok) ok = device_status(cudaEventSynchronize(counted), "a kernel failed");
+    if (!ok) break;
+    host->counters = host->turbo.counters;
+    const std::uint64_t n = host->counters.instances;
+    const cuda::TurboState& seen = host->turbo;
+    const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
+    if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
+    // Counts without all large Gaussians are too low to be worth memory.
+    ok = all_large ? reserve_turbo(n, seen.runs, 0) : reserve_turbo(0, 0, seen.n_large);
+  }
+  return tl::unexpected(ok.error());
+}
+
+Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
+                                        const RenderOptions& options, CudaStream stream) {
+  if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
+  if (const auto ok = detail::validate(options); !ok) return tl::unexpected(ok.error());
+  Impl& w = *impl_;
+  static const DeviceScene::Storage kEmpty;
+  const DeviceScene::Storage& storage = scene.storage_ ? *scene.storage_ : kEmpty;
+
+  cuda::ViewParameters view{};
+  view.view = detail::make_view(camera, options);
+  view.grid = math::tile_grid(camera.width, camera.height);
+  view.low_pass = options.low_pass;
+  view.anti_aliasing = options.anti_aliasing;
+  view.sh_degree = std::min(storage.sh_degree, options.sh_degree_limit);
+  const bool is_turbo = options.cuda.turbo && storage.n < cuda::kMaxTurboGaussians;
+  if (is_turbo) {
+    view.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
+  } else {
+    const auto n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
+    view.key = math::key_layout(options.depth_order, options.depth_bits, n_tiles);
+  }
+  if (view.key.quantized) {
+    view.quantizer = math::make_depth_quantizer(options.depth_mapping, view.key.depth_bits, options.depth_range[0],
+                                                options.depth_range[1]);
+  }
+
+  const auto pairs = is_turbo ? w.turbo(storage, camera, target, view, options, stream)
+                              : w.sorted(storage, camera, target, view, options, stream);
+  if (!pairs) return tl::unexpected(pairs.error());
+  if (*pairs > kMaxPairs) {
+    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, *pairs);
+  }
+
+  FrameStats stats;
+  stats.gaussians = storage.n;
+  stats.visible = w.host->counters.visible;
+  stats.instances = *pairs;
+  stats.depth_bits = view.key.quantized ? view.key.depth_bits : 0;
+  stats.key_bits = view.key.bits();
+  stats.bytes = w.bytes();
+  Status ok;
+  if (options.cuda.count_pairs) {
+    const void* const counters = is_turbo ? &w.turbo_state.as<cuda::TurboState>()->counters : w.counters.as<void>();
+    ok = w.fetch(&w.host->counters, counters, sizeof(cuda::Counters), stream);
+  }
+  if (ok && (options.cuda.timings || options.cuda.count_pairs)) ok = w.wait(stream);
+  if (!ok) return tl::unexpected(ok.error());
+  if (options.cuda.count_pairs) {
+    stats.evaluated = w.host->counters.evaluated;
+    stats.blended = w.host->counters.blended;
+  }
+  if (options.cuda.timings) {
+    const auto between = [&](Mark from, Mark to) {
+      float ms = 0;
+      if (ok) ok = device_status(cudaEventElapsedTime(&ms, w.events[from], w.events[to]), "a stage has no time");
+      return static_cast<double>(ms);
+    };
+    stats.project_ms = between(kStart, kProjected);
+    stats.sort_ms = between(kDuplicated, kSorted);
+    stats.bin_ms = between(kProjected, kDuplicated) + between(kSorted, kRanged);
+    stats.blend_ms = between(kRanged, kBlended);
+    stats.total_ms = between(kStart, kBlended);
+    if (!ok) return tl::unexpected(ok.error());
+  }
+  return stats;
+}
+
+}  // namespace rgs

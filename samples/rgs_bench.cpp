@@ -1,0 +1,277 @@
+// rgs_bench.cpp - rgs-bench: what each step of the method is worth on this GPU, in time and in quality.
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bench_plot.hpp"
+#include "bench_report.hpp"
+#include "bench_run.hpp"
+#include "console.hpp"
+#include "ppm_file.hpp"
+#include "rgs/camera_file.hpp"
+#include "rgs/cuda_renderer.hpp"
+#include "rgs/file.hpp"
+#include "scene_file.hpp"
+
+namespace {
+
+namespace tool = rgs::tool;
+using rgs::Result;
+using rgs::bench::Configuration;
+using rgs::bench::Report;
+
+struct Options {
+  std::string scene, source, cameras, quality_cameras, photos;
+  std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper", "turbo"};
+  std::string exp, key;
+  std::string json, csv, svg;
+  int frames = 100;
+  bool ablate = false, roofline = false, overwrite = false;
+};
+
+// An output is opened before anything is measured, so that a name that cannot be written costs no minutes.
+struct Output {
+  std::string path;
+  rgs::AtomicFile file;
+  std::string (*text)(const Report&);
+};
+
+// A failure that has been reported already: the exit code.
+using Step = tl::expected<void, int>;
+tl::unexpected<int> failed(const std::string& file, const rgs::Error& error) {
+  return tl::unexpected<int>(tool::report(file, error));
+}
+
+// Both forms of the scene on the device, and what the report says about them.
+tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report& report) {
+  rgs::bench::DeviceScenes scenes;
+  const auto file = rgs::MappedFile::open(o.scene);
+  if (!file) return failed(o.scene, file.error());
+  const auto view = rgs::open(file->bytes());
+  if (!view) return failed(o.scene, view.error());
+  auto compact = rgs::DeviceScene::upload(*view);
+  if (!compact) return failed(o.scene, compact.error());
+  scenes.compact = *compact;
+  const std::string source = o.source.empty() ? o.scene : o.source;
+  const auto loaded = rgs::load_scene_file(source);
+  if (!loaded) return failed(source, loaded.error());
+  auto fp32 = rgs::DeviceScene::upload(loaded->scene.view());
+  if (!fp32) return failed(source, fp32.error());
+  scenes.fp32 = *fp32;
+  report.scene = std::filesystem::path(o.scene).filename().string();
+  report.source = std::filesystem::path(source).filename().string();
+  report.gaussians = scenes.compact.size();
+  report.sh_degree = scenes.compact.sh_degree();
+  return scenes;
+}
+
+// Quality cameras and, if asked for, their photographs.
+struct Views {
+  std::vector<rgs::Camera> cameras;
+  std::vector<rgs::Image> photos;
+};
+
+tl::expected<Views, int> load_views(const Options& o) {
+  Views views;
+  if (o.quality_cameras.empty()) return views;
+  const auto set = rgs::read_camera_set(o.quality_cameras);
+  if (!set) return failed(o.quality_cameras, set.error());
+  for (std::size_t i = 0; i < set->cameras.size(); ++i) {
+    if (set->split[i] == rgs::Split::test) views.cameras.push_back(set->cameras[i]);
+  }
+  if (o.photos.empty()) return views;
+  for (const rgs::Camera& camera : views.cameras) {
+    const std::string path = rgs::bench::photo_path(o.photos, camera);
+    auto photo = rgs::bench::read_ppm(path);
+    if (photo && (photo->width != camera.width || photo->height != camera.height)) {
+      photo = rgs::fail(rgs::Errc::size_mismatch, rgs::Error::kNone, "the photograph is not of its camera's size");
+    }
+    if (!photo) return failed(path, photo.error());
+    views.photos.push_back(std::move(*photo));
+  }
+  return views;
+}
+
+std::vector<Configuration> configurations(const Options& o, const std::optional<rgs::Declarations>& declared) {
+  rgs::bench::ModeInput input{declared, {}, {}};
+  if (!o.exp.empty()) {
+    input.exp = o.exp == "exact"   ? rgs::math::Exp::exact
+                : o.exp == "paper" ? rgs::math::Exp::paper
+                                   : rgs::math::Exp::zero_mean;
+  }
+  if (!o.key.empty()) input.depth_mapping = o.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
+  std::vector<Configuration> rows;
+  if (o.ablate) {
+    rows = rgs::bench::ablation(input);
+  } else {
+    rows.push_back(rgs::bench::make_mode("baseline", input));
+  }
+  for (const std::string& mode : o.modes) {
+    // The ablation ends with the paper's mode, under a name of its own.
+    if (mode != "baseline" && !(o.ablate && mode == "paper")) rows.push_back(rgs::bench::make_mode(mode, input));
+  }
+  return rows;
+}
+
+Step measure_quality(const rgs::bench::DeviceScenes& scenes, const Views& views, Report& report) {
+  if (views.cameras.empty()) return {};
+  std::vector<rgs::Image> baseline;
+  for (rgs::bench::ModeReport& mode : report.modes) {
+    auto pictures = rgs::bench::pictures(mode.configuration, scenes, views.cameras);
+    if (!pictures) return failed("", pictures.error());
+    if (baseline.empty()) baseline = *pictures;
+    const auto quality = rgs::bench::compare(baseline, *pictures, views.photos);
+    if (!quality) return failed("", quality.error());
+    mode.quality = *quality;
+  }
+  return {};
+}
+
+// One size of all modes; rows are printed as they come.
+Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::Camera> cameras, tool::ImageSize size,
+                  std::FILE* text, Report& report) {
+  std::vector<rgs::Camera> sized;
+  for (const rgs::Camera& c : cameras) sized.push_back(rgs::resized(c, size.width, size.height));
+  report.sizes.push_back({size.width, size.height, {}});
+  rgs::bench::SizeReport& rows = report.sizes.back();
+  fmt::print(text, "{}", rgs::bench::size_text(rows, report));
+  for (std::size_t row = 0; row < report.modes.size(); ++row) {
+    const Configuration& c = report.modes[row].configuration;
+    const auto timing = rgs::bench::measure(c, scenes, sized, report.frames);
+    if (!timing) return failed("", timing.error());
+    rows.rows.push_back({*timing, rgs::bench::stage_costs({timing->mean, c.options, size.width, size.height, c.compact,
+                                                           scenes.of(c).sh_degree()})});
+    fmt::print(text, "{}", rgs::bench::row_text(rows, row, report));
+    std::fflush(text);
+  }
+  return {};
+}
+
+tl::expected<std::vector<Output>, int> open_outputs(const Options& o) {
+  const std::pair<const std::string&, std::string (*)(const Report&)> wanted[] = {
+      {o.json, rgs::bench::report_json}, {o.csv, rgs::bench::report_csv}, {o.svg, rgs::bench::roofline_svg}};
+  std::vector<Output> outputs;
+  for (const auto& [path, text] : wanted) {
+    if (path.empty()) continue;
+    auto file = rgs::AtomicFile::create(path, {.overwrite = o.overwrite, .sync = true});
+    if (!file) return failed(path, file.error());
+    outputs.push_back({path, std::move(*file), text});
+  }
+  return outputs;
+}
+
+Step write(std::vector<Output>& outputs, const Report& report) {
+  for (Output& output : outputs) {
+    const std::string text = output.text(report);
+    const auto written = output.file.write_at(0, std::as_bytes(std::span(text)));
+    if (!written) return failed(output.path, written.error());
+    const auto committed = output.file.commit();
+    if (!committed) return failed(output.path, committed.error());
+  }
+  return {};
+}
+
+tl::expected<std::vector<tool::ImageSize>, int> parse_sizes(const Options& o) {
+  std::vector<tool::ImageSize> sizes;
+  for (const std::string& text : o.sizes) {
+    const auto size = tool::parse_size(text);
+    if (!size) return tl::unexpected<int>(tool::report_usage("--size takes WxH, not '" + text + "'"));
+    sizes.push_back(*size);
+  }
+  return sizes;
+}
+
+int bench(const Options& o) {
+  const auto sizes = parse_sizes(o);
+  if (!sizes) return sizes.error();
+  auto outputs = open_outputs(o);
+  if (!outputs) return outputs.error();
+  Report report;
+  report.version = RGS_VERSION;
+  report.date = fmt::format("{:%Y-%m-%dT%H:%M:%SZ}",
+                            fmt::gmtime(std::chrono::system_clock::to_time_t(std::chrono::system_clock::now())));
+  report.frames = o.frames;
+  const auto device = rgs::bench::device_info();
+  if (!device) return tool::report("", device.error());
+  report.device = *device;
+  const auto cameras = rgs::read_cameras(o.cameras);
+  if (!cameras) return tool::report(o.cameras, cameras.error());
+  report.n_cameras = cameras->size();
+  const auto views = load_views(o);
+  if (!views) return views.error();
+  report.n_quality_cameras = views->cameras.size();
+  const auto scenes = load_scenes(o, report);
+  if (!scenes) return scenes.error();
+  for (Configuration& c : configurations(o, scenes->compact.declarations())) report.modes.push_back({std::move(c), {}});
+  const bool floors = o.roofline || !o.svg.empty();
+  if (floors) {
+    const auto rates = rgs::cuda::measure_rates();
+    if (!rates) return tool::report("", rates.error());
+    report.rates = *rates;
+  }
+
+  // A report on standard output stays parseable.
+  const bool piped = std::any_of(outputs->begin(), outputs->end(), [](const Output& out) { return out.path == "-"; });
+  std::FILE* const text = piped ? stderr : stdout;
+  fmt::print(text, "{}", rgs::bench::header_text(report));
+  if (const auto ok = measure_quality(*scenes, *views, report); !ok) return ok.error();
+  for (const tool::ImageSize& size : *sizes) {
+    if (const auto ok = measure_size(*scenes, *cameras, size, text, report); !ok) return ok.error();
+  }
+  for (const rgs::bench::SizeReport& size : report.sizes) {
+    if (floors) fmt::print(text, "{}", rgs::bench::roofline_text(size, report));
+  }
+  if (const auto ok = write(*outputs, report); !ok) return ok.error();
+  return tool::kSuccess;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&]() -> int {
+    rgs::remove_temporaries_on_signal();
+    Options o;
+    CLI::App app{"Measures the CUDA renderer: time, work and quality of each step of the method.", "rgs-bench"};
+    app.set_version_flag("--version", "rgs-bench " RGS_VERSION);
+    app.add_option("SCENE", o.scene, ".rgs file")->required();
+    app.add_option("--source", o.source, "PLY that the file was made of, for the baseline [the file itself]");
+    app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md)")->required();
+    app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");
+    app.add_option("--photos", o.photos, "folder of photographs NAME.ppm of these cameras, binary PPM of their size");
+    app.add_option("--size", o.sizes, "WxH,...")->delimiter(',')->capture_default_str();
+    app.add_option("--mode", o.modes, "compared with the baseline, which is always measured")
+        ->delimiter(',')
+        ->check(CLI::IsMember(rgs::bench::mode_names()))
+        ->capture_default_str();
+    app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
+    app.add_option("--frames", o.frames, "measured per camera")->check(CLI::Range(1, 100000))->capture_default_str();
+    app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
+    app.add_option("--key", o.key, "depth mapping of paper mode [the file's]")->check(CLI::IsMember({"linear", "log"}));
+    app.add_flag("--roofline", o.roofline, "measure the device's rates and compare each stage with its floor");
+    app.add_option("--json", o.json, "write all of it as JSON (docs/BENCH_JSON.md); - is standard output");
+    app.add_option("--csv", o.csv, "write a line for each size and mode");
+    app.add_option("--svg", o.svg, "write the roofline as a picture; implies --roofline");
+    app.add_flag("--overwrite", o.overwrite, "replace outputs that exist");
+    app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
+    try {
+      app.parse(argc, argv);
+    } catch (const CLI::Success& e) {  // --help, --version
+      return app.exit(e);
+    } catch (const CLI::ParseError& e) {
+      return tool::report_usage(e.what());
+    }
+    if (!o.photos.empty() && o.quality_cameras.empty()) return tool::report_usage("--photos needs --quality-cameras");
+    return bench(o);
+  });
+}

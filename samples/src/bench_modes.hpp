@@ -1,0 +1,36 @@
+// bench_modes.hpp - the configurations that rgs-bench compares: modes by name, and the steps from baseline to paper.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rgs/renderer.hpp"
+
+namespace rgs::bench {
+
+/// One row of a table: how frames are made, and from which of the two forms of the scene.
+struct Configuration {
+  std::string name;
+  RenderOptions options;
+  bool compact = true;  ///< the file's attributes; false: FP32
+  bool step = false;    ///< on the way between two modes
+};
+
+/// What modes are made from: the file's declarations, and choices that replace parts of the paper's.
+struct ModeInput {
+  std::optional<Declarations> declared;
+  std::optional<math::Exp> exp;
+  std::optional<DepthMapping> depth_mapping;
+};
+
+/// Names for --mode, the baseline first.
+std::vector<std::string> mode_names();
+/// `name` is one of mode_names().
+Configuration make_mode(std::string_view name, const ModeInput& input);
+/// The paper's steps, one after the other: from baseline, the first, to paper, the last.
+std::vector<Configuration> ablation(const ModeInput& input);
+
+}  // namespace rgs::bench

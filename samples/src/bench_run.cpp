@@ -1,0 +1,147 @@
+// bench_run.cpp - frames of one configuration on the GPU, and what GPU it is.
+// SPDX-License-Identifier: Apache-2.0
+#include "bench_run.hpp"
+
+#include <cuda_runtime_api.h>
+
+#include <algorithm>
+#include <memory>
+
+namespace rgs::bench {
+namespace {
+
+struct FreeDevice {
+  void operator()(float* memory) const { cudaFree(memory); }
+};
+using DeviceFloats = std::unique_ptr<float, FreeDevice>;
+
+Result<DeviceFloats> device_floats(std::size_t n) {
+  float* memory = nullptr;
+  if (cudaMalloc(reinterpret_cast<void**>(&memory), n * sizeof(float)) != cudaSuccess) {
+    return fail(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left",
+                n * sizeof(float));
+  }
+  return DeviceFloats(memory);
+}
+
+std::size_t floats_of(const Camera& camera) {
+  return 3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+}
+
+double median(std::vector<double>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+// Medians of the times of frames of one camera; their counts are all the same.
+Result<FrameStats> measure_camera(CudaRenderer& renderer, const DeviceScene& scene, const Camera& camera,
+                                  const DeviceTarget& target, const RenderOptions& options, int frames) {
+  constexpr int kUnmeasured = 10;
+  constexpr double FrameStats::*kTimes[] = {&FrameStats::project_ms, &FrameStats::sort_ms, &FrameStats::bin_ms,
+                                            &FrameStats::blend_ms, &FrameStats::total_ms};
+  std::vector<double> times[std::size(kTimes)];
+  FrameStats last;
+  for (int f = 0; f < kUnmeasured + frames; ++f) {
+    const auto stats = renderer.render(scene, camera, target, options);
+    if (!stats) return stats;
+    last = *stats;
+    for (std::size_t k = 0; f >= kUnmeasured && k < std::size(kTimes); ++k) times[k].push_back(last.*kTimes[k]);
+  }
+  for (std::size_t k = 0; k < std::size(kTimes); ++k) last.*kTimes[k] = median(times[k]);
+  return last;
+}
+
+void add(FrameStats& sum, const FrameStats& s) {
+  sum.project_ms += s.project_ms, sum.sort_ms += s.sort_ms, sum.bin_ms += s.bin_ms;
+  sum.blend_ms += s.blend_ms, sum.total_ms += s.total_ms;
+  sum.visible += s.visible, sum.instances += s.instances;
+  sum.evaluated += s.evaluated, sum.blended += s.blended;
+  sum.gaussians = s.gaussians, sum.depth_bits = s.depth_bits, sum.key_bits = s.key_bits;
+  sum.bytes = std::max(sum.bytes, s.bytes);
+}
+
+void divide(FrameStats& sum, std::size_t n) {
+  const auto d = static_cast<double>(n);
+  sum.project_ms /= d, sum.sort_ms /= d, sum.bin_ms /= d, sum.blend_ms /= d, sum.total_ms /= d;
+  sum.visible /= n, sum.instances /= n, sum.evaluated /= n, sum.blended /= n;
+}
+
+}  // namespace
+
+Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::span<const Camera> cameras,
+                       int frames) {
+  auto renderer = CudaRenderer::create();
+  if (!renderer) return tl::unexpected(renderer.error());
+  std::size_t floats = 0;
+  for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera));
+  const auto memory = device_floats(floats);
+  if (!memory) return tl::unexpected(memory.error());
+  DeviceTarget target;
+  target.rgb = memory->get();
+
+  Timing timing;
+  for (const Camera& camera : cameras) {
+    RenderOptions options = c.options;
+    options.cuda.timings = true;
+    auto stats = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
+    if (!stats) return tl::unexpected(stats.error());
+    options.cuda.count_pairs = true;  // in a frame of its own: counting takes time
+    const auto counted = renderer->render(scenes.of(c), camera, target, options);
+    if (!counted) return tl::unexpected(counted.error());
+    stats->evaluated = counted->evaluated, stats->blended = counted->blended;
+    add(timing.mean, *stats);
+    timing.fastest_ms = timing.fastest_ms == 0 ? stats->total_ms : std::min(timing.fastest_ms, stats->total_ms);
+    timing.slowest_ms = std::max(timing.slowest_ms, stats->total_ms);
+  }
+  divide(timing.mean, cameras.size());
+  timing.peak_bytes = scenes.of(c).bytes() + renderer->bytes() + floats * sizeof(float);
+  return timing;
+}
+
+Result<std::vector<Image>> pictures(const Configuration& c, const DeviceScenes& scenes,
+                                    std::span<const Camera> cameras) {
+  auto renderer = CudaRenderer::create();
+  if (!renderer) return tl::unexpected(renderer.error());
+  std::vector<Image> out;
+  for (const Camera& camera : cameras) {
+    const auto memory = device_floats(floats_of(camera));
+    if (!memory) return tl::unexpected(memory.error());
+    DeviceTarget target;
+    target.rgb = memory->get();
+    const auto stats = renderer->render(scenes.of(c), camera, target, c.options);
+    if (!stats) return tl::unexpected(stats.error());
+    Image image = Image::make(camera.width, camera.height, 3);
+    if (cudaMemcpy(image.pixels.data(), memory->get(), image.pixels.size() * sizeof(float), cudaMemcpyDeviceToHost) !=
+        cudaSuccess) {
+      return fail(Errc::device_failed, Error::kNone, "a frame could not be copied from the device");
+    }
+    out.push_back(std::move(image));
+  }
+  return out;
+}
+
+Result<DeviceInfo> device_info() {
+  int device = 0;
+  cudaDeviceProp properties{};
+  if (cudaGetDevice(&device) != cudaSuccess || cudaGetDeviceProperties(&properties, device) != cudaSuccess) {
+    return fail(Errc::unavailable, Error::kNone, "no CUDA device answers");
+  }
+  const auto kilohertz = [device](cudaDeviceAttr attribute) {
+    int value = 0;
+    return cudaDeviceGetAttribute(&value, attribute, device) == cudaSuccess ? value : 0;
+  };
+  DeviceInfo info;
+  info.name = properties.name;
+  info.capability_major = properties.major, info.capability_minor = properties.minor;
+  info.multiprocessors = properties.multiProcessorCount;
+  info.clock_mhz = 1e-3 * kilohertz(cudaDevAttrClockRate);
+  info.memory_clock_mhz = 1e-3 * kilohertz(cudaDevAttrMemoryClockRate);
+  info.memory_bytes = properties.totalGlobalMem;
+  info.l2_bytes = static_cast<std::uint64_t>(properties.l2CacheSize);
+  cudaDriverGetVersion(&info.driver_version);
+  cudaRuntimeGetVersion(&info.runtime_version);
+  return info;
+}
+
+}  // namespace rgs::bench

@@ -1,0 +1,32 @@
+// bench_run.hpp - frames of one configuration on the GPU: times, counts, memory, pictures; and what GPU it is.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <span>
+#include <vector>
+
+#include "bench_modes.hpp"
+#include "bench_report.hpp"
+#include "rgs/cuda_renderer.hpp"
+#include "rgs/image.hpp"
+
+namespace rgs::bench {
+
+/// The same Gaussians on the device in both forms.
+struct DeviceScenes {
+  DeviceScene fp32, compact;
+  const DeviceScene& of(const Configuration& c) const { return c.compact ? compact : fp32; }
+};
+
+/// Renders `frames` frames per camera after ten unmeasured ones. Errors: those of CudaRenderer::render().
+Result<Timing> measure(const Configuration& configuration, const DeviceScenes& scenes, std::span<const Camera> cameras,
+                       int frames);
+
+/// Pictures of a configuration, [height, width, 3].
+Result<std::vector<Image>> pictures(const Configuration& configuration, const DeviceScenes& scenes,
+                                    std::span<const Camera> cameras);
+
+/// The current device. Errors: unavailable.
+Result<DeviceInfo> device_info();
+
+}  // namespace rgs::bench

@@ -1,0 +1,605 @@
+// cuda_renderer_test.cpp - whole frames on the device: against the CPU, again and again, at once, and at every limit.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/cuda_renderer.hpp"
+
+#include <doctest/doctest.h>
+
+#include <atomic>
+#include <cstring>
+#include <memory>
+#include <thread>
+
+#include "device_fixture.hpp"
+#include "edit_file.hpp"
+#include "golden_scenes.hpp"
+#include "rgs/camera_file.hpp"
+#include "scene_generator.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using math::DepthOrder;
+using math::Extent;
+using FrontEnd = CudaOptions::FrontEnd;
+
+namespace {
+
+/// A CudaRenderer with its target of one size.
+class Device {
+ public:
+  explicit Device(const Camera& camera) : camera_(camera), renderer_(make()) { resize(camera); }
+
+  void resize(const Camera& camera) {
+    camera_ = camera;
+    const auto n = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+    rgb_ = DeviceArray<float>(3 * n), alpha_ = DeviceArray<float>(n);
+  }
+  Result<FrameStats> render(const DeviceScene& scene, const RenderOptions& options, CudaStream stream = nullptr) {
+    rgb_.fill(0xFF), alpha_.fill(0xFF);
+    synchronize();
+    return renderer_.render(scene, camera_, {.rgb = rgb_.data(), .alpha = alpha_.data()}, options, stream);
+  }
+  std::vector<float> rgb() const { return rgb_.download(); }
+  std::vector<float> alpha() const { return alpha_.download(); }
+  CudaRenderer& renderer() { return renderer_; }
+
+ private:
+  static CudaRenderer make() {
+    auto renderer = CudaRenderer::create();
+    require_ok(renderer);
+    return *std::move(renderer);
+  }
+  Camera camera_;
+  CudaRenderer renderer_;
+  DeviceArray<float> rgb_, alpha_;
+};
+
+DeviceScene upload(const Scene& scene) {
+  auto uploaded = DeviceScene::upload(scene.view());
+  require_ok(uploaded);
+  return *std::move(uploaded);
+}
+DeviceScene upload(const FileView& file) {
+  auto uploaded = DeviceScene::upload(file);
+  require_ok(uploaded);
+  return *std::move(uploaded);
+}
+
+/// Same bytes, NaN included; says where the first difference is.
+void check_same(const std::vector<float>& a, const std::vector<float>& b) {
+  REQUIRE(a.size() == b.size());
+  if (std::memcmp(a.data(), b.data(), a.size() * sizeof(float)) == 0) return;
+  std::size_t n = 0, first = 0;
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    if (std::memcmp(&a[i], &b[i], sizeof(float)) != 0 && n++ == 0) first = i;
+  }
+  FAIL_CHECK(n, " of ", a.size(), " values differ, the first at ", first, ": ", a[first], " and ", b[first],
+             ", largest difference ", largest_difference(a, b));
+}
+
+void check_error(const Result<FrameStats>& result, Errc code) {
+  REQUIRE_MESSAGE(!result, "a frame was made with ", result ? result->instances : 0, " pairs");
+  CHECK_MESSAGE(result.error().code == code, text_of(result.error()), ", found ", result.error().found);
+}
+
+/// The presets and two more, each deterministic.
+RenderOptions deterministic(RenderOptions options) {
+  options.cuda.deterministic = true;
+  return options;
+}
+std::vector<RenderOptions> modes() {
+  RenderOptions zero_mean = paper_options();
+  zero_mean.exp = math::Exp::zero_mean;
+  zero_mean.depth_mapping = DepthMapping::logarithmic;
+  return {deterministic(baseline_options()), deterministic(paper_options()), deterministic(zero_mean),
+          deterministic(RenderOptions()), turbo_options()};
+}
+const std::string kModes[] = {"baseline", "paper", "zero-mean logarithmic", "exact, fused", "turbo"};
+constexpr std::size_t kTurbo = 4, kModeCount = 5;
+
+/// Lowest PSNR against the CPU in the same arithmetic, and largest difference. Turbo goes on a little where the
+/// definition stops a pixel, at the Gaussian that would take its transmittance below 1e-4, and has colours in FP16.
+double lowest_psnr(const RenderOptions& o) {
+  return o.cuda.turbo ? 60 : o.exp == math::Exp::exact ? 70 : 65;
+}
+double largest_error(const RenderOptions& o) {
+  return o.cuda.turbo ? 4.0 / 255 : o.exp == math::Exp::exact ? 2.0 / 255 : 1;
+}
+
+std::uint64_t n_tiles(const RenderOptions& o, int width, int height) {
+  const auto grid = o.cuda.turbo ? math::tile_grid<32>(width, height) : math::tile_grid(width, height);
+  return static_cast<std::uint64_t>(grid.columns) * static_cast<std::uint64_t>(grid.rows);
+}
+
+/// Walls that fill the image of front_camera(), one behind the other.
+Scene walls(int n) {
+  std::vector<Splat> splats;
+  for (int i = 0; i < n; ++i) {
+    splats.push_back(splat_at(0, 0, 2 + 0.001 * i, 50, 0.02, static_cast<float>(i % 7) / 7));
+  }
+  return scene_of(cloud_of(splats));
+}
+
+Frame cpu_frame(const Scene& scene, const Camera& camera, const RenderOptions& options) {
+  return render(scene, camera, options, {.backend = Backend::cpu, .simd = false});
+}
+
+}  // namespace
+
+TEST_CASE("backends: automatic is CUDA if a device answers and the CPU if not") {
+  int n = 0;
+  const bool answers = cudaGetDeviceCount(&n) == cudaSuccess && n > 0;
+  cudaGetLastError();
+  const auto automatic = Renderer::create();
+  require_ok(automatic);
+  CHECK(automatic->backend() == (answers ? Backend::cuda : Backend::cpu));
+  const auto cuda = Renderer::create({.backend = Backend::cuda});
+  REQUIRE(cuda.has_value() == answers);
+  const auto direct = CudaRenderer::create();
+  REQUIRE(direct.has_value() == answers);
+  const auto cpu = Renderer::create({.backend = Backend::cpu});
+  require_ok(cpu);
+  CHECK(cpu->backend() == Backend::cpu);
+  if (answers) {
+    CHECK(cuda->backend() == Backend::cuda);
+    CHECK(std::string(cuda->backend_name()).starts_with("cuda "));
+    MESSAGE(std::string(cuda->backend_name()));
+  } else {
+    CHECK(cuda.error().code == Errc::unavailable);
+    CHECK(direct.error().code == Errc::unavailable);
+    const Scene scene = walls(1);
+    const auto frame = render(scene, front_camera(20, 20), {}, {});
+    CHECK(frame.alpha[0] > 0);
+  }
+}
+
+TEST_CASE("damaged files are refused before anything is uploaded") {
+  const auto sound = CompactScene::of(golden_cloud(300, 2, 5));
+  const auto code = [](std::vector<std::byte> bytes) {
+    const auto file = open(bytes);
+    if (!file) return file.error().code;
+    const auto scene = DeviceScene::upload(*file);
+    return scene ? Errc::internal : scene.error().code;
+  };
+  auto bytes = sound.bytes;
+  bytes[section_of(bytes, "SHI8") + 100] ^= std::byte{1};
+  CHECK(code(bytes) == Errc::checksum_mismatch);
+  bytes = sound.bytes;
+  put(bytes, section_of(bytes, "MEAN") + 24, std::uint32_t{0x7FC00000});
+  fix_hashes(bytes);
+  CHECK(code(bytes) == Errc::bad_value);
+  bytes = sound.bytes;
+  put(bytes, section_of(bytes, "CHNK") + 48 + 32, std::uint64_t{1} << 40);  // a scale set far outside the table
+  fix_hashes(bytes);
+  CHECK(code(bytes) == Errc::bad_value);
+}
+
+TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
+  if (!device_answers()) return;
+  const int n = small_sizes() ? 400 : 40000;
+  const auto [width, height] = small_sizes() ? std::pair(90, 50) : std::pair(1280, 720);
+  const auto cloud = cloud_of(random_splats(601, n), 3);
+  const Scene fp32 = scene_of(cloud);
+  const auto compact = CompactScene::of(cloud);
+  Random random(602);
+  const Camera camera = random_camera(random, width, height);
+  Device device(camera);
+  for (std::size_t m = 0; m < kModeCount; ++m) {
+    RenderOptions options = modes()[m];
+    options.background = {0.1F, 0.2F, 0.3F};
+    for (const bool is_compact : {false, true}) {
+      const Scene& scene = is_compact ? compact.scene : fp32;
+      const Frame host = cpu_frame(scene, camera, options);
+      const DeviceScene uploaded = is_compact ? upload(compact.file) : upload(fp32);
+      CHECK(uploaded.compact() == is_compact);
+      options.cuda.count_pairs = is_compact;
+      const auto stats = device.render(uploaded, options);
+      require_ok(stats);
+      const auto rgb = device.rgb();
+      const double quality = psnr(rgb, host.rgb), error = largest_difference(rgb, host.rgb);
+      MESSAGE(kModes[m], (is_compact ? std::string(", compact: ") : std::string(", FP32: ")), quality, " dB, at most ",
+              255 * error, "/255 off the CPU, ", stats->instances, " pairs");
+      CAPTURE(kModes[m]);
+      CAPTURE(is_compact);
+      CHECK(quality >= lowest_psnr(options));
+      CHECK(error <= largest_error(options));
+      CHECK(stats->gaussians == fp32.size());
+      const auto close = [](std::uint64_t a, std::uint64_t b, double part) {
+        return std::abs(static_cast<double>(a) - static_cast<double>(b)) <= part * static_cast<double>(b);
+      };
+      if (m == kTurbo) {  // lists other tiles, and passes over parts of them
+        CHECK_MESSAGE(close(stats->visible, host.stats.visible, 0.02), stats->visible, " and ", host.stats.visible);
+        CHECK(stats->instances < host.stats.instances);
+        CHECK((!is_compact || (stats->evaluated > 0 && stats->evaluated < host.stats.evaluated)));
+        continue;
+      }
+      CHECK_MESSAGE(close(stats->visible, host.stats.visible, 1e-4), stats->visible, " and ", host.stats.visible);
+      CHECK_MESSAGE(close(stats->instances, host.stats.instances, 1e-4), stats->instances, " and ",
+                    host.stats.instances);
+      CHECK(stats->depth_bits == host.stats.depth_bits);
+      if (!is_compact) continue;
+      CHECK_MESSAGE(close(stats->evaluated, host.stats.evaluated, 1e-3), stats->evaluated, " and ",
+                    host.stats.evaluated);
+      CHECK_MESSAGE(close(stats->blended, host.stats.blended, 1e-3), stats->blended, " and ", host.stats.blended);
+    }
+  }
+}
+
+TEST_CASE("a scene with the statistics of trained ones follows the CPU renderer") {
+  if (!device_answers()) return;
+  const std::uint64_t n = small_sizes() ? 2000 : 300000;
+  std::vector<Splat> splats(n);
+  SceneGenerator(3, n, 3).generate(0, splats);
+  const auto cameras =
+      small_sizes() ? parse_camera_json(scene_cameras_json(96, 54)) : parse_camera_json(scene_cameras_json(1920, 1080));
+  require_ok(cameras);
+  const auto compact = CompactScene::of(cloud_of(splats, 3));
+  const DeviceScene uploaded = upload(compact.file);
+  Device device(cameras->cameras[0]);
+  for (std::size_t view = 0; view < 8; view += 3) {
+    const Camera& camera = cameras->cameras[view];
+    device.resize(camera);
+    for (const std::size_t m : {std::size_t{0}, std::size_t{1}, kTurbo}) {
+      const RenderOptions options = m == 1 ? deterministic(paper_options(uploaded.declarations())) : modes()[m];
+      const Frame host = cpu_frame(compact.scene, camera, options);
+      require_ok(device.render(uploaded, options));
+      const auto rgb = device.rgb();
+      const double quality = psnr(rgb, host.rgb), error = largest_difference(rgb, host.rgb);
+      MESSAGE("view ", view, ", ", kModes[m], ": ", quality, " dB, at most ", 255 * error, "/255 off the CPU");
+      CAPTURE(view);
+      CAPTURE(kModes[m]);
+      CHECK(quality >= lowest_psnr(options));
+      CHECK(error <= largest_error(options));
+    }
+  }
+}
+
+TEST_CASE("deterministic mode gives the same bytes on every run, whatever came before") {
+  if (!device_answers()) return;
+  const auto [width, height] = small_sizes() ? std::pair(64, 48) : std::pair(1280, 720);
+  const auto compact = CompactScene::of(cloud_of(random_splats(603, small_sizes() ? 500 : 50000), 2));
+  const DeviceScene scene = upload(compact.file);
+  const Camera camera = front_camera(width, height);
+  Device device(camera);
+  for (std::size_t m = 0; m < kModeCount; ++m) {
+    CAPTURE(kModes[m]);
+    require_ok(device.render(scene, modes()[m]));
+    const auto rgb = device.rgb(), alpha = device.alpha();
+    for (int run = 0; run < 5; ++run) {
+      CAPTURE(run);
+      if (run == 3)
+        device.resize(front_camera(40, 40)), require_ok(device.render(scene, modes()[(m + 1) % kModeCount]));
+      device.resize(camera);
+      require_ok(device.render(scene, modes()[m]));
+      check_same(device.rgb(), rgb);
+      check_same(device.alpha(), alpha);
+    }
+    Device fresh(camera);
+    require_ok(fresh.render(scene, modes()[m]));
+    check_same(fresh.rgb(), rgb);
+  }
+}
+
+TEST_CASE("the order of blocks changes nothing but Gaussians of one depth") {
+  if (!device_answers()) return;
+  auto splats = random_splats(604, small_sizes() ? 500 : 30000);
+  for (std::size_t i = 0; i < splats.size(); ++i) {
+    splats[i * 7919 % splats.size()].mean[2] = 0.3F + 0.0004F * static_cast<float>(i);  // no two alike
+  }
+  const DeviceScene uploaded = upload(scene_of(cloud_of(splats, 1)));
+  Device device(front_camera(320, 200));
+  RenderOptions options;
+  require_ok(device.render(uploaded, deterministic(options)));
+  const auto fused = device.rgb();
+  require_ok(device.render(uploaded, options));
+  check_same(device.rgb(), fused);
+  options.cuda.front_end = FrontEnd::separate;
+  require_ok(device.render(uploaded, options));
+  check_same(device.rgb(), fused);
+}
+
+TEST_CASE("renderers on streams of their own at once give the bytes of each alone") {
+  if (!device_answers()) return;
+  constexpr std::size_t kAtOnce = 3, kModeOf[kAtOnce] = {0, 1, kTurbo};
+  const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(960, 540);
+  const auto compact = CompactScene::of(cloud_of(random_splats(605, small_sizes() ? 300 : 40000), 3));
+  const DeviceScene scene = upload(compact.file);  // shared
+  std::vector<std::vector<float>> alone;
+  for (const std::size_t m : kModeOf) {
+    Device device(camera);
+    require_ok(device.render(scene, modes()[m]));
+    alone.push_back(device.rgb());
+  }
+  struct Lane {
+    explicit Lane(const Camera& c) : device(c), rgb(3 * static_cast<std::size_t>(c.width * c.height)) {
+      require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+    }
+    Device device;
+    DeviceArray<float> rgb;
+    cudaStream_t stream = nullptr;
+  };
+  std::vector<std::unique_ptr<Lane>> lanes;
+  for (std::size_t t = 0; t < kAtOnce; ++t) lanes.push_back(std::make_unique<Lane>(camera));
+  std::atomic<int> n_failed{0}, n_different{0};
+  std::vector<std::thread> threads;
+  for (std::size_t t = 0; t < kAtOnce; ++t) {
+    threads.emplace_back([&, t] {
+      Lane& lane = *lanes[t];
+      std::vector<float> frame(lane.rgb.size());
+      const std::size_t bytes = frame.size() * sizeof(float);
+      for (int run = 0; run < (small_sizes() ? 3 : 50); ++run) {
+        bool ok = cudaMemsetAsync(lane.rgb.data(), 0xFF, bytes, lane.stream) == cudaSuccess;
+        ok = ok &&
+             lane.device.renderer().render(scene, camera, {.rgb = lane.rgb.data()}, modes()[kModeOf[t]], lane.stream);
+        ok = ok &&
+             cudaMemcpyAsync(frame.data(), lane.rgb.data(), bytes, cudaMemcpyDeviceToHost, lane.stream) == cudaSuccess;
+        ok = ok && cudaStreamSynchronize(lane.stream) == cudaSuccess;
+        n_failed += !ok;
+        n_different += ok && std::memcmp(frame.data(), alone[t].data(), bytes) != 0;
+      }
+    });
+  }
+  for (auto& thread : threads) thread.join();
+  CHECK(n_failed == 0);
+  CHECK(n_different == 0);
+  for (const auto& lane : lanes) require_cuda(cudaStreamDestroy(lane->stream));
+}
+
+TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after the other") {
+  if (!device_answers()) return;
+  const Scene scenes[] = {scene_of(cloud_of(random_splats(606, 2000), 1)), Scene(),
+                          scene_of(cloud_of(random_splats(607, 300), 3))};
+  auto renderer = Renderer::create({.backend = Backend::cuda});
+  require_ok(renderer);
+  for (const Scene& scene : scenes) {
+    for (const std::size_t m : {std::size_t{0}, kTurbo}) {
+      const Camera camera = front_camera(m == 0 ? 120 : 31, 47);
+      Frame frame = Frame::of(camera);
+      const auto stats = renderer->render(scene, camera, frame.target(), modes()[m]);
+      require_ok(stats);
+      Device device(camera);
+      const auto direct = device.render(upload(scene), modes()[m]);
+      require_ok(direct);
+      check_same(frame.rgb, device.rgb());
+      check_same(frame.alpha, device.alpha());
+      CHECK(stats->instances == direct->instances);
+      CHECK(stats->total_ms > 0);
+      CHECK(std::none_of(frame.depth.begin(), frame.depth.end(), [](float z) { return std::isnan(z); }));
+      CHECK(std::none_of(frame.blended.begin(), frame.blended.end(), [](auto n) { return n == 0xDEADBEEF; }));
+    }
+  }
+}
+
+TEST_CASE("nothing to see: no Gaussians, all behind the camera, all beside it") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(50, 20);
+  Device device(camera);
+  for (RenderOptions options : modes()) {
+    options.background = {0.1F, 0.2F, 0.3F};
+    for (const double z : {0.0, -5.0, 0.2, 5.0}) {
+      const Scene scene =
+          z == 0 ? Scene() : scene_of(cloud_of(std::vector(300, splat_at(z > 1 ? 1000 : 0, 0, z, 0.1, 0.9))));
+      const auto stats = device.render(z == 0 ? DeviceScene() : upload(scene), options);
+      require_ok(stats);
+      CHECK(stats->visible == 0);
+      CHECK(stats->instances == 0);
+      const auto rgb = device.rgb(), alpha = device.alpha();
+      CHECK(std::all_of(alpha.begin(), alpha.end(), [](float a) { return a == 0; }));
+      for (std::size_t i = 0; i < rgb.size(); ++i) REQUIRE(rgb[i] == options.background[i % 3]);
+    }
+  }
+  const auto empty = CompactScene::of(golden_cloud(0, 2, 1));
+  require_ok(device.render(upload(empty.file), deterministic(paper_options())));
+  CHECK(device.alpha()[7] == 0);
+}
+
+TEST_CASE("one Gaussian over all tiles, from one pixel to 8K") {
+  if (!device_answers()) return;
+  const Scene scene = walls(1);
+  const DeviceScene uploaded = upload(scene);
+  std::vector<std::pair<int, int>> sizes{{1, 1}, {16, 16}, {17, 1}, {1, 40}, {640, 360}, {7680, 4320}};
+  if (small_sizes()) sizes.pop_back();
+  for (const auto& size : sizes) {
+    const int width = size.first, height = size.second;
+    Camera camera = front_camera(width, height);
+    camera.fx = camera.fy = 0.8 * std::max(width, height);
+    Device device(camera);
+    for (std::size_t m = 0; m < kModeCount; ++m) {
+      const auto stats = device.render(uploaded, modes()[m]);
+      require_ok(stats);
+      CHECK(stats->instances == n_tiles(modes()[m], width, height));
+      const auto alpha = device.alpha();
+      const auto ends = std::minmax_element(alpha.begin(), alpha.end());
+      CHECK_MESSAGE((*ends.first > 0.019 && *ends.second < 0.0209), kModes[m], " at ", width, "x", height, ": alpha ",
+                    *ends.first, " .. ", *ends.second);
+    }
+  }
+}
+
+TEST_CASE("more pairs than the workspace holds: the frame is the one of a workspace that holds them") {
+  if (!device_answers()) return;
+  const int n = small_sizes() ? 1200 : 6000;  // a first workspace has room for 2^20 pairs
+  const Scene scene = walls(n), tiny = walls(3);
+  const Camera camera = front_camera(640, 360);
+  for (std::size_t m = 0; m < kModeCount; ++m) {
+    CAPTURE(kModes[m]);
+    Device device(camera);
+    const DeviceScene large = upload(scene), small = upload(tiny);
+    require_ok(device.render(small, modes()[m]));
+    const auto small_rgb = device.rgb();
+    const std::uint64_t before = device.renderer().bytes();
+    const auto stats = device.render(large, modes()[m]);
+    require_ok(stats);
+    const std::uint64_t n_pairs = static_cast<std::uint64_t>(n) * n_tiles(modes()[m], 640, 360);
+    CHECK(stats->instances == n_pairs);
+    const auto rgb = device.rgb();
+    CHECK((n_pairs <= 1 << 20 || device.renderer().bytes() > before));
+    CHECK(stats->bytes == device.renderer().bytes());
+    const std::uint64_t after = device.renderer().bytes();
+    require_ok(device.render(large, modes()[m]));
+    check_same(device.rgb(), rgb);
+    require_ok(device.render(small, modes()[m]));
+    check_same(device.rgb(), small_rgb);
+    CHECK_MESSAGE(device.renderer().bytes() == after, "frames that fit allocate");
+    const Frame host = cpu_frame(scene, camera, modes()[m]);
+    const double quality = psnr(rgb, host.rgb);
+    CHECK_MESSAGE(quality >= lowest_psnr(modes()[m]), quality, " dB");
+    RenderOptions unordered = modes()[m];  // depths differ, so that blocks in any order give the same
+    unordered.cuda.deterministic = false;
+    Device other(camera);
+    require_ok(other.render(large, unordered));
+    check_same(other.rgb(), rgb);
+  }
+}
+
+TEST_CASE("above 2^31 pairs: limit_exceeded, and the renderer goes on") {
+  if (!device_answers()) return;
+  if (small_sizes()) return;
+  const Scene many = walls(70000), few = walls(5);
+  const DeviceScene uploaded = upload(many), small = upload(few);
+  const Camera camera = front_camera(7680, 4320);
+  Device device(camera);
+  for (std::size_t m = 0; m < kModeCount; ++m) {
+    CAPTURE(kModes[m]);
+    require_ok(device.render(small, modes()[m]));
+    const auto alpha = device.alpha();
+    const auto result = device.render(uploaded, modes()[m]);
+    check_error(result, Errc::limit_exceeded);
+    CHECK(result.error().found == std::uint64_t{70000} * n_tiles(modes()[m], 7680, 4320));
+    require_ok(device.render(small, modes()[m]));
+    check_same(device.alpha(), alpha);
+  }
+  RenderOptions atomic = paper_options();
+  check_error(device.render(uploaded, atomic), Errc::limit_exceeded);
+}
+
+TEST_CASE("refusals: cameras and options") {
+  if (!device_answers()) return;
+  Device device(front_camera(8, 8));
+  const DeviceScene scene = upload(walls(1));
+  Camera bad = front_camera(8, 8);
+  bad.fx = std::numeric_limits<double>::quiet_NaN();
+  check_error(device.renderer().render(scene, bad, {}), Errc::bad_camera);
+  check_error(device.render(scene, {.near_plane = -1}), Errc::bad_argument);
+  check_error(device.render(scene, {.depth_bits = 33}), Errc::bad_argument);
+  check_error(device.render(scene, {.cuda = {.pixels_per_thread = 3}}), Errc::bad_argument);
+  check_error(device.render(scene, {.cuda = {.turbo = true}}), Errc::bad_argument);  // folded exponents only
+  require_ok(device.render(scene, {}));
+  require_ok(device.renderer().render(scene, front_camera(8, 8), {}));  // a frame that nobody wants to see
+}
+
+namespace {
+
+/// All but `left` bytes of the device's memory, until destroyed.
+class Hog {
+ public:
+  explicit Hog(std::size_t left) {
+    std::size_t free = 0, total = 0;
+    require_cuda(cudaMemGetInfo(&free, &total));
+    for (std::size_t size = free; size >= left;) {
+      void* memory = nullptr;
+      if (cudaMalloc(&memory, size) == cudaSuccess) {
+        memory_.push_back(memory);
+      } else {
+        cudaGetLastError();
+        size /= 2;
+      }
+    }
+  }
+  ~Hog() {
+    for (void* memory : memory_) cudaFree(memory);
+  }
+  Hog(const Hog&) = delete;
+  Hog& operator=(const Hog&) = delete;
+
+ private:
+  std::vector<void*> memory_;
+};
+
+}  // namespace
+
+TEST_CASE("device out of memory: an error, never a wrong picture, and a working renderer afterwards") {
+  if (!device_answers()) return;
+  if (small_sizes()) return;
+  const Camera camera = front_camera(640, 360);
+  const Scene scene = walls(30000), tiny = walls(3);  // 7 million pairs and more: at least 150 MB
+  const DeviceScene large = upload(scene), small = upload(tiny);
+  for (std::size_t m = 0; m < kModeCount; ++m) {
+    CAPTURE(kModes[m]);
+    Device fresh(camera);
+    require_ok(fresh.render(large, modes()[m]));
+    const auto expected = fresh.rgb();
+    require_ok(fresh.render(small, modes()[m]));
+    const auto small_rgb = fresh.rgb();
+
+    Device device(camera);
+    require_ok(device.render(small, modes()[m]));
+    // With more or less memory left, another of the workspace's arrays is the one that does not fit.
+    for (const std::size_t left : {1u << 20, 24u << 20, 64u << 20, 128u << 20}) {
+      CAPTURE(left);
+      {
+        const Hog hog(left);
+        const auto result = device.render(large, modes()[m]);
+        check_error(result, Errc::device_out_of_memory);
+        CHECK(result.error().expected > 0);
+        CHECK(result.error().expected < std::uint64_t{1} << 32);
+        // The workspace may be smaller than before: then this is an error again, or the right picture.
+        const auto again = device.render(small, modes()[m]);
+        if (again) {
+          check_same(device.rgb(), small_rgb);
+        } else {
+          check_error(again, Errc::device_out_of_memory);
+        }
+        auto refused = Renderer::create({.backend = Backend::cuda});
+        if (refused) {
+          Frame frame = Frame::of(camera);
+          const auto stats = refused->render(scene, camera, frame.target(), modes()[m]);
+          REQUIRE_FALSE(stats);
+          CHECK(stats.error().code == Errc::device_out_of_memory);
+        } else {
+          CHECK(refused.error().code != Errc::unavailable);
+        }
+      }
+      require_ok(device.render(small, modes()[m]));
+      check_same(device.rgb(), small_rgb);
+    }
+    require_ok(device.render(large, modes()[m]));
+    check_same(device.rgb(), expected);
+  }
+  const Hog hog(1u << 20);
+  const auto refused = DeviceScene::upload(scene_of(cloud_of(random_splats(608, 200000), 3)).view());
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::device_out_of_memory);
+}
+
+TEST_CASE("device memory is back at its start once everything is destroyed") {
+  if (!device_answers()) return;
+  if (small_sizes()) return;  // compute-sanitizer's own memory comes and goes; its leak check takes over
+  const auto use_everything = [] {
+    const auto compact = CompactScene::of(cloud_of(random_splats(609, 3000), 3));
+    const DeviceScene scenes[] = {upload(compact.file), upload(compact.scene), DeviceScene()};
+    for (const int width : {300, 64}) {
+      Device device(front_camera(width, 200));
+      for (const DeviceScene& scene : scenes) {
+        for (const RenderOptions& options : modes()) require_ok(device.render(scene, options));
+      }
+      CudaRenderer moved = std::move(device.renderer());
+      device.renderer() = std::move(moved);
+    }
+    Frame frame = Frame::of(front_camera(50, 50));
+    auto renderer = Renderer::create({.backend = Backend::cuda});
+    require_ok(renderer);
+    require_ok(renderer->render(compact.scene, front_camera(50, 50), frame.target()));
+    synchronize();
+  };
+  const auto free_bytes = [] {
+    std::size_t free = 0, total = 0;
+    require_cuda(cudaMemGetInfo(&free, &total));
+    return static_cast<std::int64_t>(free);
+  };
+  use_everything();  // loads the kernels, which stay
+  const std::int64_t before = free_bytes();
+  for (int run = 0; run < 20; ++run) use_everything();
+  const std::int64_t after = free_bytes();
+  // The driver hands memory out in pages of 2 MiB, one of which it may keep.
+  CHECK_MESSAGE(before - after <= 2 << 20, (before - after), " bytes are missing");
+}

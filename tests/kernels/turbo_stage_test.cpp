@@ -1,0 +1,293 @@
+// turbo_stage_test.cpp - the turbo pipeline's lists on the device, against rgs::math on the host; and long lists.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cstring>
+
+#include "device_fixture.hpp"
+#include "random_cloud.hpp"
+#include "rgs/cuda/turbo.hpp"
+#include "rgs/cuda_renderer.hpp"
+#include "stage_reference.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using cuda::ScreenSplat;
+using cuda::TurboEntry;
+using cuda::TurboState;
+
+namespace {
+
+/// Page-locked memory and an event for the numbers that come back.
+class Seen {
+ public:
+  Seen() {
+    require_cuda(cudaMallocHost(reinterpret_cast<void**>(&state_), sizeof(TurboState)));
+    require_cuda(cudaEventCreateWithFlags(&event_, cudaEventDisableTiming));
+  }
+  ~Seen() {
+    cudaFreeHost(state_);
+    cudaEventDestroy(event_);
+  }
+  Seen(const Seen&) = delete;
+  Seen& operator=(const Seen&) = delete;
+  TurboState* state() { return state_; }
+  cudaEvent_t event() const { return event_; }
+
+ private:
+  TurboState* state_ = nullptr;
+  cudaEvent_t event_ = nullptr;
+};
+
+struct Lists {
+  std::vector<ScreenSplat> splats;
+  std::vector<std::vector<TurboEntry>> tiles;  // in order
+  TurboState state;
+};
+
+struct Room {
+  std::uint64_t entries = 0, runs = 0, large = 0;
+};
+
+/// Emits and lists with the given room; nothing may be written beyond it, and what does not fit leaves lists empty.
+Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewParameters& v, const Room& room) {
+  const auto n_tiles = static_cast<std::uint32_t>(v.grid.columns * v.grid.rows);
+  DeviceArray<std::byte> state(TurboState::bytes(n_tiles));
+  state.fill(0);
+  const DeviceArray<TurboEntry> entries(room.entries), scratch(room.entries);
+  const DeviceArray<cuda::TurboTileRun> runs(room.runs);
+  const DeviceArray<cuda::TurboRun> tile_runs(room.runs);
+  const DeviceArray<cuda::TurboLarge> large(room.large);
+  const DeviceArray<cuda::TurboList> heads(n_tiles);
+  const DeviceArray<std::uint32_t> classes(std::size_t{n_tiles} * cuda::kTurboClasses);
+  const DeviceArray<ScreenSplat> splats(n);
+  cuda::TurboArrays arrays{};
+  arrays.state = reinterpret_cast<TurboState*>(state.data());
+  arrays.n_tiles = n_tiles;
+  arrays.entries = entries.data(), arrays.scratch = scratch.data();
+  arrays.runs = runs.data(), arrays.tile_runs = tile_runs.data();
+  arrays.large = large.data();
+  arrays.lists = heads.data(), arrays.classes = classes.data();
+  arrays.entry_capacity = room.entries, arrays.run_capacity = room.runs, arrays.large_capacity = room.large;
+  Seen seen;
+  require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
+  require_ok(cuda::launch_turbo_lists(arrays, seen.state(), seen.event(), nullptr));
+  synchronize();
+
+  Lists out;
+  out.state = *seen.state();
+  out.splats = splats.download();
+  const auto host_entries = entries.download();
+  const auto host_runs = tile_runs.download();
+  const auto host_heads = heads.download();
+  const auto host_classes = classes.download();
+  const auto host_state = state.download();
+  runs.check_guards();
+  large.check_guards();
+  scratch.check_guards();
+  const bool fits =
+      out.state.counters.instances <= room.entries && out.state.runs <= room.runs && out.state.n_large <= room.large;
+  out.tiles.resize(n_tiles);
+  std::uint64_t n_listed = 0;
+  for (std::uint32_t t = 0; t < n_tiles; ++t) {
+    const auto& head = host_heads[t];
+    n_listed += head.n_entries;
+    if (!fits) continue;
+    for (std::uint64_t r = head.begin; r < std::uint64_t{head.begin} + head.n_runs; ++r) {
+      REQUIRE_MESSAGE(r < host_runs.size(), "tile ", t, " has run ", r, " of ", host_runs.size());
+      const auto& run = host_runs[r];
+      REQUIRE_MESSAGE(std::uint64_t{run.begin} + run.n <= host_entries.size(), "tile ", t, ", run ", r, ": entries ",
+                      run.begin, " + ", run.n, " of ", host_entries.size());
+      out.tiles[t].insert(out.tiles[t].end(), host_entries.begin() + run.begin,
+                          host_entries.begin() + run.begin + run.n);
+    }
+    CHECK_MESSAGE(out.tiles[t].size() == head.n_entries, "tile ", t, ": runs of ", out.tiles[t].size(), " entries, ",
+                  head.n_entries, " counted");
+    std::sort(out.tiles[t].begin(), out.tiles[t].end());
+  }
+  CHECK(n_listed == (fits ? out.state.counters.instances : 0));
+
+  // Every tile is in one class, the longest lists first.
+  TurboState final_state;
+  std::memcpy(&final_state, host_state.data(), sizeof final_state);
+  std::vector<int> seen_tiles(n_tiles, 0);
+  std::uint32_t shortest = ~0u, rising = 0;
+  for (std::uint32_t c = 0; c < static_cast<std::uint32_t>(cuda::kTurboClasses); ++c) {
+    std::uint32_t longest_here = 0, shortest_here = ~0u;
+    for (std::uint32_t k = 0; k < std::min(final_state.class_size[c], n_tiles); ++k) {
+      const std::uint32_t tile = host_classes[std::size_t{c} * n_tiles + k];
+      REQUIRE(tile < n_tiles);
+      ++seen_tiles[tile];
+      longest_here = std::max(longest_here, host_heads[tile].n_entries);
+      shortest_here = std::min(shortest_here, host_heads[tile].n_entries);
+    }
+    rising += longest_here > shortest;
+    shortest = std::min(shortest, shortest_here);
+  }
+  CHECK(std::all_of(seen_tiles.begin(), seen_tiles.end(), [](int count) { return count == 1; }));
+  CHECK_MESSAGE(rising == 0, rising, " classes hold longer lists than one before");
+  return out;
+}
+
+/// The region without what math::ellipse() adds for rounding, which chunk culling need not respect: it lists needles in
+/// tiles where no pixel of theirs reaches 1/255.
+math::Ellipse<float> without_slack(math::Ellipse<float> e, float cutoff) {
+  const float level = std::min(e.level, -2 * cutoff), shrink = std::sqrt(level / e.level);
+  e.level = level;
+  e.half_width *= shrink, e.half_height *= shrink, e.shear *= shrink;
+  return e;
+}
+
+/// Entries of one Gaussian, by tile.
+template <class F>
+void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>& ellipse, std::uint64_t i,
+                    math::TileGrid grid, const F& f) {
+  const auto rect = math::bounding_tiles<cuda::kTurboTile>(ellipse, grid);
+  if (rect.empty()) return;
+  for (int row = rect.y0; row < rect.y1; ++row) {
+    const auto cells = math::cell_rows(ellipse, row);
+    const auto span = math::tiles_of(cells, grid);
+    for (int column = span.first; column < span.last; ++column) {
+      const std::uint32_t touched = math::cells_of(cells, column);
+      if (touched == 0) continue;
+      f(static_cast<std::size_t>(row * grid.columns + column),
+        TurboEntry{math::depth_bits(p.z)} << (cuda::kTurboIndexBits + 8) | i << 8 | touched);
+    }
+  }
+}
+
+void check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
+  auto v = view_parameters(camera, {}, scene.sh_degree);
+  v.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
+  const auto n = static_cast<std::uint32_t>(scene.n);
+  CAPTURE(n);
+  CAPTURE(camera.width);
+  CAPTURE(std::holds_alternative<cuda::CompactAttributes>(attributes));
+  // As the renderer finds its room: first the large Gaussians are counted, then all entries.
+  Room room;
+  room.large = run(attributes, n, v, room).state.n_large;
+  const TurboState counted = run(attributes, n, v, room).state;
+  room.entries = counted.counters.instances, room.runs = counted.runs;
+  if (room.entries > 0) (void)run(attributes, n, v, {room.entries - 1, room.runs, room.large});
+  if (room.runs > 0) (void)run(attributes, n, v, {room.entries, room.runs - 1, room.large});
+  const Lists lists = run(attributes, n, v, room);
+  CHECK(lists.state.counters.instances == room.entries);
+
+  Deviations deviations;
+  std::vector<std::vector<TurboEntry>> expected(lists.tiles.size());
+  std::uint64_t n_missing = 0, first_missing = 0, n_visible = 0;
+  for (std::uint64_t i = 0; i < scene.n; ++i) {
+    const auto p = project(scene, i, v);
+    const ScreenSplat& s = lists.splats[i];
+    if (untouched(s)) {
+      if (!p.footprint.valid) continue;
+      const float cutoff = tighter(math::power_cutoff(p.footprint.opacity));
+      if (cutoff >= 0) continue;
+      const auto region = without_slack(math::ellipse(p.mean, p.footprint, cutoff), cutoff);
+      // The last tiles reach beyond the image; what touches them there alone may be passed over too.
+      if (region.mean.u - region.half_width > static_cast<float>(camera.width - 1) ||
+          region.mean.v - region.half_height > static_cast<float>(camera.height - 1)) {
+        continue;
+      }
+      for_each_entry(p, region, i, v.grid, [&](std::size_t, TurboEntry) {
+        if (n_missing++ == 0) first_missing = i;
+      });
+      continue;
+    }
+    compare_splat(i, s, scene, v, deviations);
+    bool any = false;
+    const auto ellipse = math::ellipse(p.mean, p.footprint, s.cutoff);
+    for_each_entry(p, ellipse, i, v.grid, [&](std::size_t tile, TurboEntry entry) {
+      expected[tile].push_back(entry);
+      any = true;
+    });
+    n_visible += any;
+  }
+  CHECK_MESSAGE(deviations.first.empty(), deviations.first);
+  CHECK(lists.state.counters.visible == n_visible);
+  CHECK_MESSAGE(n_missing == 0, n_missing, " entries of the host belong to Gaussians that the device passed over, ",
+                "the first to ", first_missing);
+  std::uint64_t n_wrong = 0;
+  std::size_t wrong = 0;
+  for (std::size_t t = 0; t < expected.size(); ++t) {
+    std::sort(expected[t].begin(), expected[t].end());
+    if (lists.tiles[t] != expected[t] && n_wrong++ == 0) wrong = t;
+  }
+  CHECK_MESSAGE(n_wrong == 0, n_wrong, " of ", expected.size(), " lists differ; that of tile ", wrong, " has ",
+                lists.tiles[wrong].size(), " entries on the device, ", expected[wrong].size(), " on the host");
+}
+
+}  // namespace
+
+TEST_CASE("turbo lists hold what the host lists, FP32 and compact, whatever the room") {
+  if (!device_answers()) return;
+  Random random(801);
+  for (const int n : {0, 1, 255, 256, 257, 3000, 30000}) {
+    if (small_sizes() && n > 300) continue;
+    const auto cloud = cloud_of(random_splats(static_cast<unsigned>(800 + n), n), 2);
+    const Scene scene = scene_of(cloud);
+    EncodeOptions options;
+    options.chunk_size = n % 2 == 0 ? 32 : 256;
+    const auto compact = CompactScene::of(cloud, options);
+    for (const int width : {33, 700}) {
+      const Camera camera = random_camera(random, width, 200);
+      check(DeviceAttributes(scene.view()).get(), scene.view(), camera);
+      check(DeviceAttributes(compact.file).get(), compact.scene.view(), camera);
+    }
+  }
+}
+
+TEST_CASE("chunks that are passed over hold nothing that the host lists") {
+  if (!device_answers()) return;
+  Random random(802);
+  const auto cloud = cloud_of(random_splats(803, small_sizes() ? 600 : 20000));
+  for (const std::uint32_t chunk_size : {32u, 256u}) {
+    EncodeOptions options;
+    options.chunk_size = chunk_size;
+    const auto compact = CompactScene::of(cloud, options);
+    const DeviceAttributes attributes(compact.file);
+    for (int turn = 0; turn < (small_sizes() ? 3 : 16); ++turn) {
+      // From within, in every direction and with narrow views, so that chunks lie across each edge of the image.
+      Camera camera = front_camera(160, 130);
+      camera.fx = camera.fy = random.log_uniform(60, 800);
+      camera.world_to_camera = rigid(random.rotation(), random.vector(-4, 4));
+      check(attributes.get(), compact.scene.view(), camera);
+    }
+  }
+  SplitMix wild(804);
+  for (int round = 0; round < (small_sizes() ? 2 : 12); ++round) {
+    const auto extreme = CompactScene::of(random_cloud(700, round % 4, wild));
+    check(DeviceAttributes(extreme.file).get(), extreme.scene.view(), random_camera(random, 130, 70));
+  }
+}
+
+TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {
+  if (!device_answers()) return;
+  const int n = small_sizes() ? 12000 : 60000;  // in four tiles
+  std::vector<Splat> splats;
+  Random random(805);
+  for (int i = 0; i < n; ++i) {
+    // Half of them at one depth, the others at seven more and anywhere; faint, so that no pixel stops early.
+    const double z = i % 2 == 0 ? 4 : i % 4 == 1 ? 2 + i % 7 : random.uniform(2, 9);
+    Splat s = splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.02 * z, 0.03,
+                       static_cast<float>(random.uniform(0, 1)));
+    s.sh[1] = static_cast<float>(random.uniform(-1.7, 1.7));
+    splats.push_back(s);
+  }
+  const auto render_with = [&](std::span<const Splat> list, const RenderOptions& options, Backend backend) {
+    return render(scene_of(cloud_of(list)), front_camera(64, 64), options, {.backend = backend, .simd = false});
+  };
+  RenderOptions plain = turbo_options();
+  plain.cuda.turbo = false;
+  const Frame host = render_with(splats, plain, Backend::cpu);
+  const Frame device = render_with(splats, turbo_options(), Backend::cuda);
+  const double quality = psnr(device.rgb, host.rgb);
+  MESSAGE("long lists: ", quality, " dB, at most ", 255 * largest_difference(device.rgb, host.rgb), "/255 off the CPU");
+  CHECK(quality >= 65);
+  CHECK(largest_difference(device.rgb, host.rgb) <= 2.0 / 255);
+  CHECK(largest_difference(device.depth, host.depth) <= 0.01);
+  auto reversed = splats;
+  std::reverse(reversed.begin(), reversed.end());
+  CHECK(psnr(render_with(reversed, turbo_options(), Backend::cuda).rgb, device.rgb) < quality - 5);
+}

@@ -1,0 +1,104 @@
+// image_metrics_test.cpp - PSNR and SSIM at their edges; an independent program checks values: image_metrics_test.py.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/image_metrics.hpp"
+
+#include <doctest/doctest.h>
+#include <tbb/global_control.h>
+
+#include <cmath>
+#include <limits>
+
+#include "random_views.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+Image noise(unsigned seed, int width, int height, int channels) {
+  Random random(seed);
+  Image image = Image::make(width, height, channels);
+  for (float& v : image.pixels) v = static_cast<float>(random.uniform(-0.1, 1.2));
+  return image;
+}
+
+}  // namespace
+
+TEST_CASE("equal pictures are infinitely alike, without NaN, whatever they hold") {
+  for (const Image& image : {noise(1, 37, 23, 3), Image::make(64, 5, 1), noise(2, 1, 1, 3)}) {
+    const auto d = difference(image, image);
+    REQUIRE(d);
+    CHECK(d->mse == 0);
+    CHECK(d->psnr == std::numeric_limits<double>::infinity());
+    CHECK(d->largest == 0);
+    CHECK(ssim(image, image).value() == 1.0);
+  }
+  Image bright = noise(3, 20, 20, 3);
+  for (float& v : bright.pixels) v *= 1e12F;  // variances drown in rounding
+  CHECK(ssim(bright, bright).value() == 1.0);
+}
+
+TEST_CASE("a known difference has its squared error, PSNR and place") {
+  Image a = Image::make(5, 4, 3), b = a;
+  b.at(3, 2, 1) = 0.5F;
+  b.at(4, 3, 2) = -0.5F;  // as large, later
+  const auto d = difference(a, b);
+  REQUIRE(d);
+  CHECK(d->mse == doctest::Approx(0.5 / 60));
+  CHECK(d->psnr == doctest::Approx(10 * std::log10(120)));
+  CHECK(d->largest == 0.5F);
+  CHECK(d->largest_index == (2 * 5 + 3) * 3 + 1);
+}
+
+TEST_CASE("SSIM of a single pixel follows from the window's centre weight") {
+  Image a = Image::make(1, 1, 1), b = a;
+  a.pixels[0] = 0.4F, b.pixels[0] = 0.7F;
+  double sum = 0;
+  for (int i = -5; i <= 5; ++i) sum += std::exp(-i * i / 4.5);
+  const double w = 1 / (sum * sum), x = 0.4F, y = 0.7F, c1 = 1e-4, c2 = 9e-4;
+  const double mx = w * x, my = w * y, vx = w * x * x - mx * mx, vy = w * y * y - my * my, cov = w * x * y - mx * my;
+  const double expected = (2 * mx * my + c1) * (2 * cov + c2) / ((mx * mx + my * my + c1) * (vx + vy + c2));
+  CHECK(ssim(a, b).value() == doctest::Approx(expected).epsilon(1e-12));
+}
+
+TEST_CASE("SSIM is symmetric, and falls with noise") {
+  const Image a = noise(4, 50, 40, 3);
+  Image b = a, c = a;
+  Random random(5);
+  for (std::size_t i = 0; i < a.pixels.size(); ++i) {
+    const double e = random.uniform(-1, 1);
+    b.pixels[i] += static_cast<float>(0.05 * e), c.pixels[i] += static_cast<float>(0.2 * e);
+  }
+  CHECK(ssim(a, b).value() == ssim(b, a).value());
+  CHECK(ssim(a, b).value() < 1);
+  CHECK(ssim(a, c).value() < ssim(a, b).value());
+}
+
+TEST_CASE("the number of threads changes no bit of a comparison") {
+  const Image a = noise(6, 133, 257, 3), b = noise(7, 133, 257, 3);
+  const auto d = difference(a, b);
+  const auto s = ssim(a, b);
+  const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+  CHECK(difference(a, b)->mse == d->mse);
+  CHECK(difference(a, b)->largest_index == d->largest_index);
+  CHECK(ssim(a, b).value() == s.value());
+}
+
+TEST_CASE("pictures that cannot be compared are refused") {
+  const Image a = Image::make(4, 3, 3);
+  for (const Image& b : {Image::make(3, 4, 3), Image::make(4, 3, 1), Image::make(4, 4, 3), Image{4, 3, 3, {}}}) {
+    CHECK(difference(a, b).error().code == Errc::bad_argument);
+    CHECK(ssim(a, b).error().code == Errc::bad_argument);
+  }
+  CHECK(difference(Image(), Image()).error().code == Errc::bad_argument);
+  CHECK(ssim(Image(), Image()).error().code == Errc::bad_argument);
+  for (const float bad : {std::numeric_limits<float>::quiet_NaN(), std::numeric_limits<float>::infinity()}) {
+    Image b = a;
+    b.pixels[17] = bad;
+    for (const Error& error :
+         {difference(a, b).error(), difference(b, b).error(), ssim(a, b).error(), ssim(b, b).error()}) {
+      CHECK(error.code == Errc::bad_value);
+      CHECK(error.offset == 17);
+    }
+  }
+}

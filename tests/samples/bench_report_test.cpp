@@ -1,0 +1,215 @@
+// bench_report_test.cpp - what rgs-bench writes: JSON, CSV, tables and the picture of a roofline.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <fstream>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "bench_plot.hpp"
+#include "bench_report.hpp"
+#include "bench_sample_report.hpp"
+#include "run_program.hpp"
+#include "svg_writer.hpp"
+#include "temporary_folder.hpp"
+
+namespace {
+
+using namespace rgs::bench;
+using rgs::test::sample_report;
+
+std::vector<std::string> lines_of(const std::string& text) {
+  std::vector<std::string> lines;
+  std::istringstream in(text);
+  for (std::string line; std::getline(in, line);) lines.push_back(line);
+  return lines;
+}
+
+// Fields of a CSV line whose quoted fields hold no line break.
+std::vector<std::string> fields_of(const std::string& line) {
+  std::vector<std::string> fields(1);
+  bool quoted = false;
+  for (std::size_t i = 0; i < line.size(); ++i) {
+    if (line[i] == '"' && quoted && i + 1 < line.size() && line[i + 1] == '"') {
+      fields.back() += line[i++];
+    } else if (line[i] == '"') {
+      quoted = !quoted;
+    } else if (line[i] == ',' && !quoted) {
+      fields.emplace_back();
+    } else {
+      fields.back() += line[i];
+    }
+  }
+  return fields;
+}
+
+// Parsed by a real XML parser: what it prints are the elements' names and numbers.
+rgs::test::ProgramResult parse_xml(const std::string& text) {
+  const rgs::test::TemporaryFolder folder;
+  std::ofstream(folder.file("picture.svg"), std::ios::binary) << text;
+  return rgs::test::run_program({RGS_PYTHON, "-c",
+                                 "import sys, xml.etree.ElementTree as e\n"
+                                 "for n in e.parse(sys.argv[1]).iter():\n"
+                                 "  print(n.tag.split('}')[1], (n.text or '').strip())\n",
+                                 folder.file("picture.svg")});
+}
+
+std::size_t count(const std::string& text, const std::string& what) {
+  std::size_t n = 0;
+  for (std::size_t at = text.find(what); at != std::string::npos; at = text.find(what, at + 1)) ++n;
+  return n;
+}
+
+}  // namespace
+
+TEST_CASE("the JSON report holds every mode and size") {
+  const Report report = sample_report();
+  const auto json = nlohmann::json::parse(report_json(report));
+  CHECK(json["schema"] == "rgs-bench/1");
+  CHECK(json["device"]["name"] == "NVIDIA H100 80GB HBM3");
+  CHECK(json["rates"]["copy_bytes"] == 2.9e12);
+  REQUIRE(json["modes"].size() == 3);
+  CHECK(json["modes"][0]["options"]["attributes"] == "fp32");
+  CHECK(json["modes"][1]["step"] == true);
+  CHECK(json["modes"][2]["options"]["exp"] == "paper");
+  CHECK(json["modes"][2]["options"]["depth_order"] == "quantized");
+  CHECK(json["modes"][2]["quality"]["photo_loss"] == doctest::Approx(0.014));
+  REQUIRE(json["sizes"].size() == 1);
+  REQUIRE(json["sizes"][0]["results"].size() == 3);
+  const auto& paper = json["sizes"][0]["results"][2];
+  CHECK(paper["mode"] == "+ fast exp = paper");
+  CHECK(paper["speedup"] == doctest::Approx(5.9144 / 0.8684));
+  const auto& blend = paper["stages"]["blend"];
+  CHECK(blend["ms"] == doctest::Approx(0.5208));
+  CHECK(blend["flops_per_second"].get<double>() == doctest::Approx(blend["flops"].get<double>() / 0.5208e-3));
+  CHECK(blend["time_over_floor"].get<double>() == doctest::Approx(0.5208 / blend["floor_ms"].get<double>()));
+}
+
+TEST_CASE("the JSON report says null for equal pictures and leaves out what was not measured") {
+  Report report = sample_report();
+  report.modes[0].quality->psnr = std::numeric_limits<double>::infinity();
+  report.modes[0].quality->photo_loss.reset();
+  report.modes[1].quality.reset();
+  report.rates.reset();
+  const auto json = nlohmann::json::parse(report_json(report));
+  CHECK(json["modes"][0]["quality"]["psnr"].is_null());
+  CHECK_FALSE(json["modes"][0]["quality"].contains("photo_loss"));
+  CHECK_FALSE(json["modes"][1].contains("quality"));
+  CHECK_FALSE(json.contains("rates"));
+  CHECK_FALSE(json["sizes"][0]["results"][0]["stages"]["sort"].contains("floor_ms"));
+}
+
+TEST_CASE("every line of the CSV report has the fields that its first line names") {
+  Report report = sample_report();
+  report.modes[1].quality.reset();
+  const auto lines = lines_of(report_csv(report));
+  REQUIRE(lines.size() == 4);
+  const auto names = fields_of(lines[0]);
+  const auto column = [&](const char* name) {
+    const auto at = std::find(names.begin(), names.end(), name);
+    REQUIRE_MESSAGE(at != names.end(), name);
+    return static_cast<std::size_t>(at - names.begin());
+  };
+  for (const std::string& line : lines) CHECK(fields_of(line).size() == names.size());
+  CHECK(fields_of(lines[1])[column("scene")] == "south & \"north\" <1>.rgs");
+  CHECK(fields_of(lines[1])[column("instances")] == "14888772");
+  CHECK(fields_of(lines[3])[column("sort_ms")] == "0.1966");
+  CHECK(fields_of(lines[3])[column("psnr")] == "51.1");
+  CHECK(fields_of(lines[2])[column("psnr")].empty());
+  CHECK_FALSE(fields_of(lines[3])[column("blend_floor_ms")].empty());
+  report.rates.reset();
+  CHECK(fields_of(lines_of(report_csv(report))[3])[column("blend_floor_ms")].empty());
+}
+
+TEST_CASE("tables have a line for each row and fit a terminal of 160 columns") {
+  const Report report = sample_report();
+  const std::string head = size_text(report.sizes[0], report);
+  for (const std::string& line : lines_of(head + header_text(report))) CHECK(line.size() <= 160);
+  const std::size_t width = lines_of(head).back().size();
+  for (std::size_t row = 0; row < 3; ++row) {
+    const std::string line = row_text(report.sizes[0], row, report);
+    CHECK(line.size() == width + 1);
+    CHECK(line.find(report.modes[row].configuration.name) == 0);
+  }
+  CHECK(row_text(report.sizes[0], 2, report).find("6.81x") != std::string::npos);
+  const auto roofline = lines_of(roofline_text(report.sizes[0], report));
+  CHECK(roofline.size() == 3 + 3 * 5);
+  for (const std::string& line : roofline) CHECK(line.size() <= 160);
+}
+
+TEST_CASE("speed-up is the baseline's time over the row's") {
+  Report report = sample_report();
+  CHECK(speedup(report.sizes[0], 0) == 1);
+  report.sizes[0].rows[2].timing.mean.total_ms = 0;
+  CHECK(speedup(report.sizes[0], 2) == 0);
+}
+
+TEST_CASE("the roofline is well-formed XML with a point for each stage that computes") {
+  const Report report = sample_report();
+  const std::string svg = roofline_svg(report);
+  if (const char* keep = std::getenv("RGS_KEEP_SVG")) std::ofstream(keep) << svg;
+  const auto parsed = parse_xml(svg);
+  CHECK_MESSAGE(parsed.exit_code == 0, parsed.err);
+  CHECK(parsed.out.find("south & \"north\" <1>.rgs") != std::string::npos);
+  // Two modes (the step between them is not drawn): project and blend each, and a circle in the legend.
+  CHECK(count(parsed.out, "circle") == 2 * 2 + 2);
+  CHECK(count(parsed.out, "text project") == 2 + 1);  // and once beside the bars
+  CHECK(count(parsed.out, "text sort") == 1);
+  CHECK(parsed.out.find("memory 2900 GB/s") != std::string::npos);
+  CHECK(svg.find("nan") == std::string::npos);
+  CHECK(svg.find("inf") == std::string::npos);
+}
+
+TEST_CASE("a roofline of frames without work has no points and is still a picture") {
+  Report report = sample_report();
+  for (Measurement& m : report.sizes[0].rows) m = {};
+  const std::string svg = roofline_svg(report);
+  CHECK(parse_xml(svg).exit_code == 0);
+  CHECK(svg.find("nan") == std::string::npos);
+  CHECK(svg.find("inf") == std::string::npos);
+}
+
+TEST_CASE("SVG text is escaped") {
+  SvgWriter svg(10, 20, "a<b");
+  svg.text(1, 2, "x & y \"z\" <w> \x01", SvgWriter::Anchor::end);
+  const auto parsed = parse_xml(svg.finish());
+  CHECK_MESSAGE(parsed.exit_code == 0, parsed.err);
+  CHECK(parsed.out.find("title a<b") != std::string::npos);
+  CHECK(parsed.out.find("text x & y \"z\" <w>") != std::string::npos);
+}
+
+TEST_CASE("modes have the options that their names promise") {
+  const ModeInput input{{}, rgs::math::Exp::zero_mean, rgs::DepthMapping::logarithmic};
+  CHECK(mode_names().front() == "baseline");
+  for (const std::string& name : mode_names()) CHECK(make_mode(name, input).name == name);
+  const Configuration baseline = make_mode("baseline", input), paper = make_mode("paper", input);
+  CHECK_FALSE(baseline.compact);
+  CHECK(baseline.options.exp == rgs::math::Exp::exact);
+  CHECK(paper.compact);
+  CHECK(paper.options.exp == rgs::math::Exp::zero_mean);
+  CHECK(paper.options.depth_mapping == rgs::DepthMapping::logarithmic);
+}
+
+TEST_CASE("the ablation goes from baseline to paper in steps") {
+  const auto rows = ablation({});
+  REQUIRE(rows.size() == 7);
+  CHECK(rows.front().name == "baseline");
+  CHECK_FALSE(rows.front().step);
+  CHECK_FALSE(rows.back().step);
+  for (std::size_t i = 1; i + 1 < rows.size(); ++i) CHECK(rows[i].step);
+  // The last step leaves nothing between the last row and paper mode.
+  Report report;
+  report.modes = {{rows.back(), {}}, {make_mode("paper", {}), {}}, {rows[5], {}}};
+  const auto json = nlohmann::json::parse(report_json(report));
+  CHECK(json["modes"][0]["options"] == json["modes"][1]["options"]);
+  auto before = json["modes"][2]["options"];
+  CHECK(before["exp"] == "exact");
+  before["exp"] = "paper";
+  CHECK(before == json["modes"][1]["options"]);
+}
