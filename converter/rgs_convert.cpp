@@ -32,7 +32,7 @@ using rgs::SplatFormat;
 
 struct Arguments {
   std::vector<std::string> files;  // inputs, then the output
-  std::string cameras, axes = "3dgs", to_axes, crop, max_count, profile = "direct";
+  std::string cameras, axes = "3dgs", to_axes, crop, max_count;
   std::vector<std::string> translate, rotate, scale;  // one for all inputs, or one for each
   SplatFormat from = SplatFormat::unknown, to = SplatFormat::unknown;
   rgs::ConvertOptions convert;
@@ -51,8 +51,8 @@ struct Arguments {
 
 // What shapes an .rgs file alone. With another output they are refused: leaving them without effect would mislead.
 constexpr const char* kRgsOptions[] = {
-    "--profile", "--keep-permutation", "--chunk-size",      "--file-scales", "--cameras", "--near",
-    "--far",     "--depth-map",        "--metres-per-unit", "--audit"};
+    "--profile", "--level", "--keep-permutation", "--chunk-size",      "--file-scales", "--cameras",
+    "--near",    "--far",   "--depth-map",        "--metres-per-unit", "--audit"};
 
 rgs::StageObserver observe(tool::Progress& progress) {
   rgs::StageObserver observer;
@@ -368,6 +368,8 @@ void add_options(CLI::App& app, Arguments& a) {
     readable.emplace(rgs::format_name(format), format);
     if (format == SplatFormat::rgs || rgs::is_writable(format)) writable.emplace(rgs::format_name(format), format);
   }
+  const std::map<std::string, rgs::Profile> profiles{{"direct", rgs::Profile::direct},
+                                                     {"packed", rgs::Profile::packed}};
   const std::map<std::string, rgs::BadPolicy> policies{
       {"refuse", rgs::BadPolicy::refuse}, {"drop", rgs::BadPolicy::drop}, {"repair", rgs::BadPolicy::repair}};
   const std::map<std::string, rgs::DepthMapping> mappings{{"linear", rgs::DepthMapping::linear},
@@ -389,9 +391,12 @@ void add_options(CLI::App& app, Arguments& a) {
       ->transform(CLI::Transformer(writable))
       ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
   app.add_flag("--merge", a.merge, "Put the Gaussians of several inputs into one output");
-  app.add_option("--profile", a.profile, "How attributes are stored: direct, as the GPU reads them")
-      ->check(CLI::IsMember({"direct"}))
-      ->option_text("direct");
+  e.profile = rgs::Profile::packed;
+  app.add_option("--profile", e.profile, "packed (the default), or direct: as the GPU reads it; same Gaussians")
+      ->transform(CLI::Transformer(profiles))
+      ->option_text("packed|direct");
+  app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: above 1 slower to write and a little smaller")
+      ->check(CLI::Range(1, rgs::kMaxLevel));
   app.add_flag("--keep-order", a.keep_order, "Keep the order of the input instead of a Morton curve");
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
   app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");

@@ -16,7 +16,7 @@ namespace rgs::audit {
 /// attribution.
 struct RenderInputs {
   const PlyFile* source = nullptr;
-  const FileView* rgs = nullptr;
+  const DirectData* rgs = nullptr;
   const Pairing* pairing = nullptr;
 };
 

@@ -24,6 +24,11 @@ const char* depth_mapping_name(DepthMapping mapping) {
   return mapping == DepthMapping::linear ? "linear" : "log";
 }
 
+// The minor version says whether sections are coded.
+const char* profile_name(const Header& header) {
+  return header.version_minor == 0 ? "direct" : "packed";
+}
+
 double per_gaussian(std::uint64_t bytes, std::uint64_t n) {
   return n == 0 ? 0 : static_cast<double>(bytes) / static_cast<double>(n);
 }
@@ -67,7 +72,7 @@ std::string summary_text(const ConvertSummary& s) {
   }
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
-    line("  sections");
+    line("  sections   {}", profile_name(s.header));
     for (const SectionEntry& section : s.sections) {
       line("    {}  {:>10}  {:6.2f} bytes per Gaussian", type_name(section.type), format_bytes(section.stored_bytes),
            per_gaussian(section.stored_bytes, s.n_written));
@@ -121,6 +126,7 @@ std::string summary_json(const ConvertSummary& s) {
                           {"stored_bytes", section.stored_bytes},
                           {"decoded_bytes", section.decoded_bytes}});
     }
+    json["profile"] = profile_name(s.header);
     json["sections"] = std::move(sections);
     json["chunks"] = {
         {"size", s.header.chunk_size}, {"count", s.header.n_chunks}, {"scale_sets", s.header.n_scale_sets}};
