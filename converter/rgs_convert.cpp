@@ -21,6 +21,7 @@
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
 #include "rgs/camera_file.hpp"
+#include "sibling_program.hpp"
 #include "spool_file.hpp"
 #include "stage_clock.hpp"
 
@@ -40,7 +41,7 @@ struct Arguments {
   std::optional<rgs::ColourSpace> colour_space;
   bool merge = false, axes_given = false, to_axes_given = false;
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
-  bool file_scales = false;
+  bool file_scales = false, audit = false;
   int threads = 0;
   const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
 
@@ -49,9 +50,9 @@ struct Arguments {
 };
 
 // What shapes an .rgs file alone. With another output they are refused: leaving them without effect would mislead.
-constexpr const char* kRgsOptions[] = {"--profile",     "--keep-permutation", "--chunk-size",
-                                       "--file-scales", "--cameras",          "--near",
-                                       "--far",         "--depth-map",        "--metres-per-unit"};
+constexpr const char* kRgsOptions[] = {
+    "--profile", "--keep-permutation", "--chunk-size",      "--file-scales", "--cameras", "--near",
+    "--far",     "--depth-map",        "--metres-per-unit", "--audit"};
 
 rgs::StageObserver observe(tool::Progress& progress) {
   rgs::StageObserver observer;
@@ -219,6 +220,41 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
   return outcome(std::move(summary));
 }
 
+// Where rgs-audit writes its report: "scene.rgs" gives "scene.audit.html".
+std::string report_path(const std::string& output) {
+  return std::filesystem::path(output).replace_extension(".audit.html").string();
+}
+
+// The audit needs both as files, and its program before an hour of work rather than after it.
+int check_audit(const Arguments& arguments, std::span<const std::byte> source, std::string& program) {
+  if (!arguments.audit) return tool::kSuccess;
+  if (arguments.files.front() == "-" || arguments.output() == "-")
+    return tool::report_usage("--audit compares two files; name input and output instead of -");
+  if (edits(arguments) || rgs::detect_format(source) != SplatFormat::ply)
+    return tool::report_usage("--audit compares an .rgs with the one .ply that it was made of, unedited");
+  const auto found = tool::sibling_program("rgs-audit");
+  if (!found) return tool::report("rgs-audit", found.error());
+  program = *found;
+  const std::string report = report_path(arguments.output());
+  std::error_code ignored;
+  if (!arguments.convert.output.overwrite && std::filesystem::exists(report, ignored))
+    return tool::report(report, {rgs::Errc::output_exists, rgs::Error::kNone,
+                                 "the report exists already; pass --overwrite to replace it"});
+  return tool::kSuccess;
+}
+
+// Another program, because pictures need libraries that a converter should not.
+int run_audit(const Arguments& arguments, const std::string& program) {
+  std::vector<std::string> options{arguments.files.front(), arguments.output(), "--report",
+                                   report_path(arguments.output())};
+  if (!arguments.cameras.empty()) options.insert(options.end(), {"--cameras", arguments.cameras});
+  if (arguments.convert.output.overwrite) options.emplace_back("--overwrite");
+  if (arguments.threads > 0) options.insert(options.end(), {"--threads", std::to_string(arguments.threads)});
+  if (arguments.quiet || arguments.json) options.emplace_back("--quiet");
+  const auto code = tool::run_program_and_wait(program, options);
+  return code ? *code : tool::report(program, code.error());
+}
+
 // Whether texts of options can be read and fit together; the message for the user if not.
 std::optional<std::string> check_arguments(Arguments& a) {
   const auto text = [](const rgs::Error& error) { return std::string(error.what); };
@@ -285,6 +321,8 @@ int convert_main(Arguments& arguments) {
     return tool::report_usage(std::string(arguments.rgs_option) + " is for .rgs outputs");
   if ((to == SplatFormat::spz || to == SplatFormat::glb) && arguments.to_axes_given)
     return tool::report_usage(std::string("the axes of ") + rgs::format_name(to) + " are prescribed by the format");
+  std::string auditor;
+  if (const int code = check_audit(arguments, inputs.front().bytes(), auditor); code != tool::kSuccess) return code;
   if (!arguments.cameras.empty()) {
     auto cameras = rgs::read_cameras(arguments.cameras);
     if (!cameras) return tool::report(arguments.cameras, cameras.error());
@@ -309,7 +347,7 @@ int convert_main(Arguments& arguments) {
     return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot write the summary",
                                             rgs::Error::kNone, rgs::Error::kNone, errno});
   }
-  return tool::kSuccess;
+  return arguments.audit ? run_audit(arguments, auditor) : tool::kSuccess;
 }
 
 void add_options(CLI::App& app, Arguments& a) {
@@ -384,6 +422,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->option_text("srgb|linear|undeclared");
   app.add_option("--metres-per-unit", e.metres_per_unit, "Size of a world unit, if known")
       ->check(CLI::NonNegativeNumber);
+  app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
   app.add_flag("--overwrite", a.convert.output.overwrite, "Replace an existing output");
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));

@@ -1,6 +1,6 @@
 #!/bin/sh
 # bundle.sh - copies programs and the libraries they need into a folder that runs on other machines:
-#   sh scripts/bundle.sh [BUILD_FOLDER] OUT      BUILD_FOLDER is build/cuda by default
+#   sh scripts/bundle.sh [BUILD_FOLDER] OUT      BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
 # OUT/bin/PROGRAM then needs a Linux of the same processor family with a glibc at least as new as this machine's, and
 # for CUDA a driver; no toolkit, no LD_LIBRARY_PATH. rgs-render is left out: it needs OpenImageIO and its 60 libraries.
 # SPDX-License-Identifier: Apache-2.0
@@ -14,6 +14,19 @@ if [ -e "$out" ]; then
   echo "bundle.sh: $out exists; remove it or name another folder" >&2
   exit 3
 fi
+if ! ls "$build"/bin/rgs* >/dev/null 2>&1; then
+  echo "bundle.sh: no programs in $build/bin; build them first" >&2
+  exit 3
+fi
+archive=
+case $out in
+  *.tar.gz)
+    archive=$out
+    folder=$(mktemp -d)
+    trap 'rm -rf "$folder"' EXIT
+    out=$folder/$(basename "$archive" .tar.gz)
+    ;;
+esac
 # What comes with glibc must be that of the machine that runs the programs.
 glibc='^(linux-vdso|ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil)\.so'
 
@@ -25,7 +38,6 @@ for program in rgs-bench rgs-convert rgs-info rgs-make-scene rgs_test_kernels; d
     echo "left out: $program is not in $build/bin"
   fi
 done
-[ -n "$(ls "$out/bin")" ] || { echo "bundle.sh: build the programs first" >&2; exit 3; }
 
 # "libfmt.so.9 => /lib/x86_64-linux-gnu/libfmt.so.9 (0x...)", for libraries of libraries as well
 ldd "$out"/bin/* | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
@@ -46,4 +58,8 @@ for program in "$out"/bin/*; do
     $1 !~ glibc && $1 !~ /^\/lib.*\/ld-linux/ && index($3, lib) == 0 { print "bundle.sh: not bundled: " $0; bad = 1 }
     END { exit bad }' >&2
 done
+if [ -n "$archive" ]; then
+  tar -C "$folder" --sort=name --owner=0 --group=0 --numeric-owner -czf "$archive" "$(basename "$out")"
+  out=$archive
+fi
 du -sh "$out" | awk '{ print $2 ": " $1 }'

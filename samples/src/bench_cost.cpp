@@ -5,6 +5,7 @@
 #include <algorithm>
 
 #include "rgs/cuda/frame.hpp"
+#include "rgs/cuda/turbo.hpp"
 #include "rgs/math/coverage.hpp"
 
 namespace rgs::bench {
@@ -23,8 +24,8 @@ constexpr double kTilePixels = math::kTileSize * math::kTileSize;
 constexpr double kWarp = 32;
 
 constexpr double sh_bytes(bool compact, int degree) {
-  const int codes = 3 * (degree + 1) * (degree + 1);
-  return compact ? (codes + 3) / 4 * kWord : codes * kWord;
+  const int codes = 3 * (degree + 1) * (degree + 1), words = compact ? (codes + 3) / 4 : codes;
+  return words * kWord;
 }
 
 // What the separate front end keeps between its kernels: the rectangle, or the ellipse and its rows.
@@ -53,7 +54,7 @@ constexpr Ops kRotation = uncontracted(39, 0);   // rotation_matrix(): 3 x 5 on 
 constexpr Ops kCovariance = uncontracted(78, 1)  // project_covariance(): 1/z; 2 slopes of mul, min, max; jx, jy;
                             + kRotation;         // du, dv: 2 x 9; M: 6 x (dot 5, mul); cov: 3 dots
 constexpr Ops kFootprint = uncontracted(9, 1);   // footprint(): low-pass 2, det 3, 1/det, conic 3
-constexpr Ops kCutoff = uncontracted(2, 2);      // power_cutoff(): div, log
+constexpr Ops kCutoff{26, 21, 1};                // power_cutoff(): div; logf() of the CUDA library has 11 FMA
 constexpr Ops kProject = kToPixel + kCovariance + kFootprint + kCutoff;
 
 // square_extent(): mid 2, lambda 5 with one root, radius 3 with one root, four sides 12 and their clamps 8.
@@ -77,8 +78,9 @@ struct PairOps {
   Ops evaluated, blended;
 };
 
-// expf() of the CUDA library: 4 FMA, add, shift, ex2, mul. exp2f(): test, scale, ex2, scale back.
-constexpr Ops kExp{10, 8, 1}, kExp2{3, 6, 1};
+// expf() of the CUDA library: 4 FMA, addition, shift, ex2, product. exp2f(): ex2 and a test with two products around it
+// that small exponents alone need.
+constexpr Ops kExp{10, 8, 1}, kExp2{0, 4, 1};
 // exp2_bits(): FMA and a conversion, which the special function units make; the shift of negative_exp2() instead.
 constexpr Ops kExpBits{2, 2, 1}, kExpShift{0, 1, 0};
 // blend(): 1 - alpha, times T; test; weight; three FMA.
@@ -105,6 +107,12 @@ constexpr PairOps folded_ops(math::Exp exp, int pixels) {
 // Bytes of shared memory that a warp reads for a Gaussian: mean 2, conic 3, opacity, or the six folded coefficients;
 // and the colour where it is blended.
 constexpr double kSharedBytes = 6 * kWord, kSharedColorBytes = 3 * kWord;
+
+// The turbo loop: a column of four pixels has 3 FMA in x, then a pixel 2 FMA and a test; blended: ex2, weight,
+// difference, three FMA. The clamp is for rare Gaussians and not counted.
+constexpr double kTurboColumn = 4, kTurboCellPixels = math::kCellWidth * math::kCellHeight;
+constexpr PairOps kTurboOps{{2 * (3 / kTurboColumn + 2), 3 / kTurboColumn + 2 + 1, 0}, {1 + 1 + 6, 1 + 1 + 1 + 3, 1}};
+constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP16
 
 void add(Cost& cost, const Ops& ops, double times) {
   cost.flops += ops.flops * times;
@@ -147,6 +155,42 @@ Cost project_cost(const FrameWork& w, const Counts& n) {
   } else {
     c.bytes += n.gaussians * kWord + n.visible * cover_bytes(w.options.extent);  // tile counts, covers
   }
+  return c;
+}
+
+// Chunks outside the view are not read, so that nobody but the visible ones is sure to be. Runs of entries are not
+// counted: they are few.
+Cost turbo_project_cost(const FrameWork& w, const Counts& n) {
+  Cost c;
+  const double geometry = w.compact ? kCompactGeometryBytes : kFp32GeometryBytes;
+  c.bytes = (w.compact ? n.visible : n.gaussians) * kMeanBytes +
+            n.visible * (geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes) +
+            n.pairs * sizeof(cuda::TurboEntry);
+  add(c, kToCamera + kProject + kEllipse + kEllipseRow + kEllipseRow, n.visible);
+  add(c, color_ops(std::min(w.sh_degree, w.options.sh_degree_limit), w.compact), n.visible);
+  return c;
+}
+
+// Counts of entries and runs to a list and a place in a class, tile by tile.
+Cost turbo_bin_cost(const FrameWork& w) {
+  Cost c;
+  const auto grid = math::tile_grid<cuda::kTurboTile>(w.width, w.height);
+  c.bytes = static_cast<double>(grid.columns) * static_cast<double>(grid.rows) *
+            (2 * kWord + sizeof(cuda::TurboList) + kWord);
+  return c;
+}
+
+// Each cell of 16x8 pixels stages its Gaussians for itself. The ordering of the lists is not counted: how much of them
+// is ordered depends on when their pixels are opaque.
+Cost turbo_blend_cost(const Counts& n) {
+  Cost c;
+  const double staged = n.evaluated / kTurboCellPixels;
+  const double entries = n.evaluated / (cuda::kTurboTile * cuda::kTurboTile);
+  c.bytes = std::min(n.visible, staged) * kSplatBytes + entries * sizeof(cuda::TurboEntry) + n.pixels * 3 * kWord;
+  c.l2_bytes = staged * kSplatBytes;
+  c.shared_loads = staged * (kTurboCellPixels / kTurboColumn / kWarp) * kTurboSharedBytes / 16;
+  add(c, kTurboOps.evaluated, n.evaluated);
+  add(c, kTurboOps.blended, n.blended);
   return c;
 }
 
@@ -216,6 +260,9 @@ Cost& Cost::operator+=(const Cost& other) {
 
 StageCosts stage_costs(const FrameWork& work) {
   const Counts n(work);
+  if (work.options.cuda.turbo && work.stats.gaussians < cuda::kMaxTurboGaussians) {
+    return {turbo_project_cost(work, n), turbo_bin_cost(work), Cost{}, turbo_blend_cost(n)};
+  }
   return {project_cost(work, n), bin_cost(work, n), sort_cost(work, n), blend_cost(work, n)};
 }
 

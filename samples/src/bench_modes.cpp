@@ -3,6 +3,8 @@
 #include "bench_modes.hpp"
 
 #include <algorithm>
+#include <cassert>
+#include <iterator>
 #include <utility>
 
 namespace rgs::bench {
@@ -14,24 +16,20 @@ RenderOptions chosen(RenderOptions options, const ModeInput& input) {
   return options;
 }
 
+RenderOptions paper_of(const ModeInput& input) {
+  return chosen(paper_options(input.declared), input);
+}
+
 struct Mode {
   const char* name;
-  Configuration (*make)(const ModeInput&);
+  RenderOptions (*options)(const ModeInput&);
+  bool compact;
 };
 
 constexpr Mode kModes[] = {
-    {"baseline",
-     [](const ModeInput&) {
-       return Configuration{"baseline", baseline_options(), false};
-     }},
-    {"paper",
-     [](const ModeInput& in) {
-       return Configuration{"paper", chosen(paper_options(in.declared), in)};
-     }},
-    {"turbo",
-     [](const ModeInput&) {
-       return Configuration{"turbo", turbo_options(), true};
-     }},
+    {"baseline", [](const ModeInput&) { return baseline_options(); }, false},
+    {"paper", paper_of, true},
+    {"turbo", [](const ModeInput&) { return turbo_options(); }, true},
 };
 
 }  // namespace
@@ -44,11 +42,12 @@ std::vector<std::string> mode_names() {
 
 Configuration make_mode(std::string_view name, const ModeInput& input) {
   const auto* mode = std::find_if(std::begin(kModes), std::end(kModes), [&](const Mode& m) { return name == m.name; });
-  return mode->make(input);
+  assert(mode != std::end(kModes));
+  return {mode->name, mode->options(input), mode->compact};
 }
 
 std::vector<Configuration> ablation(const ModeInput& input) {
-  const RenderOptions paper = make_mode("paper", input).options;
+  const RenderOptions paper = paper_of(input);
   std::vector<Configuration> rows{make_mode("baseline", input)};
   const auto step = [&rows](const char* name, const auto& change) {
     Configuration next = rows.back();
@@ -60,7 +59,7 @@ std::vector<Configuration> ablation(const ModeInput& input) {
   step("+ attributes", [](Configuration& c) { c.compact = true; });
   step("+ fused front end", [](Configuration& c) { c.options.cuda.front_end = CudaOptions::FrontEnd::fused; });
   step("+ culling", [](Configuration& c) { c.options.extent = math::Extent::ellipse; });
-  step("+ 32-bit key", [&paper](Configuration& c) {
+  step("+ 32-bit key", [&](Configuration& c) {
     c.options.depth_order = paper.depth_order;
     c.options.depth_mapping = paper.depth_mapping;
     c.options.depth_range = paper.depth_range;
@@ -69,7 +68,7 @@ std::vector<Configuration> ablation(const ModeInput& input) {
     c.options.exponent = math::Exponent::folded;
     c.options.cuda.pixels_per_thread = 2;
   });
-  step("+ fast exp = paper", [&paper](Configuration& c) { c.options = paper; });
+  step("+ fast exp = paper", [&](Configuration& c) { c.options = paper; });
   rows.back().step = false;
   return rows;
 }

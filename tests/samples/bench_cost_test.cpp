@@ -3,11 +3,13 @@
 #include <doctest/doctest.h>
 
 #include <cstddef>
+#include <cstdint>
 #include <string>
 
 #include "bench_cost.hpp"
 #include "bench_modes.hpp"
 #include "bench_sample_report.hpp"
+#include "rgs/cuda/turbo.hpp"
 
 namespace {
 
@@ -54,6 +56,26 @@ TEST_CASE("bytes of the paper's stages") {
   CHECK(of(costs, Stage::project).bytes == 10 * 12 + 4 * (16 + 48 + 48) + 3 * 8);  // pairs of 8
   CHECK(of(costs, Stage::bin).bytes == 3 * 4 + 2 * 8);
   CHECK(of(costs, Stage::sort).bytes == 3 * (4 + 2 * 4 * 8));
+}
+
+TEST_CASE("bytes and operations of turbo's stages") {
+  FrameWork w = small_work(make_mode("turbo", {}));
+  const StageCosts costs = stage_costs(w);
+  CHECK(of(costs, Stage::project).bytes == 4 * (12 + 16 + 48 + 48) + 3 * 8);
+  CHECK(of(costs, Stage::bin).bytes == 8 + sizeof(rgs::cuda::TurboList) + 4);  // one tile of 32x32
+  CHECK(of(costs, Stage::sort).bytes == 0);
+  // 512 / 128 = 4 staged, half an entry of 1,024 pixels; 256 pixels.
+  const Cost& blend = of(costs, Stage::blend);
+  CHECK(blend.bytes == 4 * 48 + 4 + 256 * 12);
+  CHECK(blend.l2_bytes == 4 * 48);
+  CHECK(blend.shared_loads == 4 * 2);  // a warp, two words
+  CHECK(blend.flops == 512 * 5.5 + 100 * 8);
+  CHECK(blend.operations == 512 * 3.75 + 100 * 6);
+  CHECK(blend.special == 100);
+  // Scenes too large for it are drawn by the other kernels.
+  w.stats.gaussians = std::uint64_t{1} << 25;
+  w.stats.key_bits = 45;
+  CHECK(of(stage_costs(w), Stage::sort).bytes > 0);
 }
 
 TEST_CASE("harmonics are read as they are stored and computed as they are asked for") {
