@@ -12,6 +12,7 @@
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <string>
+#include <utility>
 
 #include "json_member.hpp"
 #include "quantised.hpp"
@@ -297,7 +298,11 @@ class SceneWalk {
       auto part = read_primitive(glb_, primitive, max_n_ - cloud_.size());
       if (!part) return tl::unexpected(part.error());
       transform(*part, similarity);
-      append(cloud_, *part);
+      if (found_) {
+        append(cloud_, *part);
+      } else {
+        cloud_ = std::move(*part);
+      }
       const json* space = json_member(*splats, "colorSpace");
       if (space != nullptr && *space == "lin_rec709_display") colour_space_ = ColourSpace::linear_display;
       found_ = true;

@@ -386,7 +386,7 @@ Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mod
   store(std::span(file), 14, header.flags);
   store(std::span(file), 15, static_cast<std::uint8_t>(header.n_streams()));
   store(std::span(file), 16, static_cast<std::uint32_t>(kHeaderBytesV4));
-  constexpr int kLevel = 12;  // south: 1.3 % smaller than level 3, 0.4 % larger than level 19 at a tenth of its time
+  constexpr int kLevel = 12;  // south: 16.3 MB in 2 s; level 3 17.6 MB in half a second, level 19 15.2 MB in minutes
   std::uint64_t entry = kHeaderBytesV4;
   const auto streams = encode_streams(splats, header);
   for (const std::vector<std::byte>& stream : std::span(streams).first(header.n_streams())) {
