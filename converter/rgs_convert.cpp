@@ -17,6 +17,7 @@
 #include "convert.hpp"
 #include "convert_summary.hpp"
 #include "rgs/camera_file.hpp"
+#include "sibling_program.hpp"
 #include "spool_file.hpp"
 
 namespace {
@@ -30,7 +31,7 @@ struct Arguments {
   Format from = Format::automatic, to = Format::automatic;
   rgs::ConvertOptions convert;
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
-  bool file_scales = false;
+  bool file_scales = false, audit = false;
   int threads = 0;
   const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
 };
@@ -39,7 +40,8 @@ struct Arguments {
 constexpr const char* kRgsOptions[] = {"--profile",    "--level",       "--keep-order",   "--keep-permutation",
                                        "--chunk-size", "--file-scales", "--sh-degree",    "--on-bad",
                                        "--cameras",    "--near",        "--far",          "--depth-map",
-                                       "--axes",       "--aa-mode",     "--colour-space", "--metres-per-unit"};
+                                       "--axes",       "--aa-mode",     "--colour-space", "--metres-per-unit",
+                                       "--audit"};
 
 // "right,down,forward" or a name for a usual frame.
 rgs::Result<std::array<rgs::Axis, 3>> parse_axes(const std::string& text) {
@@ -145,6 +147,37 @@ rgs::Result<rgs::ConvertSummary> convert(const Arguments& arguments, std::span<c
   return rgs::convert_ply_to_rgs(*ply, arguments.output, arguments.convert, observer);
 }
 
+// Where rgs-audit writes its report: "scene.rgs" gives "scene.audit.html".
+std::string report_path(const std::string& output) {
+  return std::filesystem::path(output).replace_extension(".audit.html").string();
+}
+
+// The audit needs both as files, and its program before an hour of work rather than after it.
+int check_audit(const Arguments& arguments, std::string& program) {
+  if (!arguments.audit) return tool::kSuccess;
+  if (arguments.input == "-" || arguments.output == "-")
+    return tool::report_usage("--audit compares two files; name input and output instead of -");
+  const auto found = tool::sibling_program("rgs-audit");
+  if (!found) return tool::report("rgs-audit", found.error());
+  program = *found;
+  std::error_code ignored;
+  if (!arguments.convert.output.overwrite && std::filesystem::exists(report_path(arguments.output), ignored))
+    return tool::report(report_path(arguments.output), {rgs::Errc::output_exists, rgs::Error::kNone,
+                                                        "the report exists already; pass --overwrite to replace it"});
+  return tool::kSuccess;
+}
+
+// Another program, because pictures need libraries that a converter should not.
+int run_audit(const Arguments& arguments, const std::string& program) {
+  std::vector<std::string> options{arguments.input, arguments.output, "--report", report_path(arguments.output)};
+  if (!arguments.cameras.empty()) options.insert(options.end(), {"--cameras", arguments.cameras});
+  if (arguments.convert.output.overwrite) options.emplace_back("--overwrite");
+  if (arguments.threads > 0) options.insert(options.end(), {"--threads", std::to_string(arguments.threads)});
+  if (arguments.quiet || arguments.json) options.emplace_back("--quiet");
+  const auto code = tool::run_program_and_wait(program, options);
+  return code ? *code : tool::report(program, code.error());
+}
+
 int convert_main(Arguments& arguments) {
   rgs::remove_temporaries_on_signal();
   if (const auto axes = parse_axes(arguments.axes)) {
@@ -167,6 +200,8 @@ int convert_main(Arguments& arguments) {
     return tool::report(arguments.output,
                         {rgs::Errc::output_unusable, rgs::Error::kNone, "input and output are the same file"});
   }
+  std::string auditor;
+  if (const int code = check_audit(arguments, auditor); code != tool::kSuccess) return code;
   Input input;
   if (const rgs::Status s = input.open(arguments.input); !s) return tool::report(arguments.input, s.error());
   const Format from = arguments.from != Format::automatic ? arguments.from : format_of_bytes(input.bytes());
@@ -204,7 +239,7 @@ int convert_main(Arguments& arguments) {
     return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot write the summary",
                                             rgs::Error::kNone, rgs::Error::kNone, errno});
   }
-  return tool::kSuccess;
+  return arguments.audit ? run_audit(arguments, auditor) : tool::kSuccess;
 }
 
 void add_options(CLI::App& app, Arguments& a) {
@@ -262,6 +297,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->option_text("srgb|linear|undeclared");
   app.add_option("--metres-per-unit", e.metres_per_unit, "Size of a world unit, if known")
       ->check(CLI::NonNegativeNumber);
+  app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
   app.add_flag("--overwrite", a.convert.output.overwrite, "Replace an existing output");
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));

@@ -9,7 +9,8 @@ preset=release
 
 quiet packages sh scripts/install-deps.sh
 quiet configure cmake --preset "$preset"
-quiet build cmake --build "build/$preset" --parallel "$jobs" --target rgs-make-scene rgs-convert rgs-info rgs-render
+quiet build cmake --build "build/$preset" --parallel "$jobs" \
+  --target rgs-make-scene rgs-convert rgs-info rgs-audit rgs-render
 
 bin=build/$preset/bin
 out=build/demo
@@ -22,5 +23,8 @@ quiet convert "$bin/rgs-convert" --overwrite --cameras "$out/cameras.json" "$out
 quiet info "$bin/rgs-info" --verify "$out/scene.rgs"
 quiet render "$bin/rgs-render" --overwrite --cameras "$out/cameras.json" --view 0 --size 960x540 \
   --out "$out/picture.png" "$out/scene.rgs"
+quiet audit "$bin/rgs-audit" --overwrite --cameras "$out/cameras.json" --size 960x540 --report "$out/audit.html" \
+  "$out/scene.ply" "$out/scene.rgs"
 cat "$log_folder/info.log"
 ls -l "$out/scene.ply" "$out/scene.rgs" "$out/picture.png" | awk '{ print $NF ": " $5 " bytes" }'
+tail -n 2 "$log_folder/audit.log"  # the verdict, and where the report is

@@ -8,7 +8,7 @@ preset=${1:-${RGS_PRESET:-release}}
 [ $# = 0 ] || shift
 . scripts/quiet.sh
 
-quiet packages sh scripts/install-deps.sh
+quiet packages sh scripts/install-deps.sh test
 quiet configure cmake --preset "$preset"
 quiet build cmake --build "build/$preset" --parallel "$jobs"
 set -- ctest --preset "$preset" --parallel "$jobs" "$@"

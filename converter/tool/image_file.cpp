@@ -9,6 +9,7 @@
 #include <array>
 #include <cctype>
 #include <filesystem>
+#include <memory>
 #include <span>
 #include <utility>
 #include <vector>
@@ -90,6 +91,15 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
       break;
   }
   return spec;
+}
+
+Result<std::unique_ptr<OIIO::ImageInput>> open_image(const std::string& path) {
+  // Says why a file cannot be opened; the library only knows that it cannot.
+  if (const auto mapped = MappedFile::open(path); !mapped) return tl::unexpected(mapped.error());
+  auto input = OIIO::ImageInput::open(path);
+  if (input) return input;
+  (void)OIIO::geterror();
+  return fail(Errc::bad_syntax, Error::kNone, "not a picture in a format that OpenImageIO reads");
 }
 
 const char* extension(ImageFormat format) {
@@ -185,18 +195,20 @@ Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat form
   return encode(image, format, colour);
 }
 
+Result<ImageExtent> read_image_extent(const std::string& path) {
+  const auto input = open_image(path);
+  if (!input) return tl::unexpected(input.error());
+  const OIIO::ImageSpec& spec = (*input)->spec();
+  return ImageExtent{spec.width, spec.height, spec.nchannels};
+}
+
 Result<Image> read_image(const std::string& path) {
-  const auto mapped = MappedFile::open(path);
-  if (!mapped) return tl::unexpected(mapped.error());
-  const auto input = OIIO::ImageInput::open(path);
-  if (!input) {
-    (void)OIIO::geterror();
-    return fail(Errc::bad_syntax, Error::kNone, "not a picture in a format that OpenImageIO reads");
-  }
-  const OIIO::ImageSpec& spec = input->spec();
+  const auto input = open_image(path);
+  if (!input) return tl::unexpected(input.error());
+  const OIIO::ImageSpec& spec = (*input)->spec();
   Image image = Image::make(spec.width, spec.height, spec.nchannels);
-  if (!input->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, image.pixels.data())) {
-    (void)input->geterror();
+  if (!(*input)->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, image.pixels.data())) {
+    (void)(*input)->geterror();
     return fail(Errc::bad_syntax, Error::kNone, "the picture is damaged");
   }
   return image;

@@ -45,6 +45,12 @@ Status write_image(const std::string& path, const Image& image, const ImageFileO
 Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat format,
                                             const ImageFileOptions& options = {});
 
+struct ImageExtent {
+  int width = 0, height = 0, channels = 0;
+};
+/// Size of a picture without reading its pixels. Errors: open_failed, bad_syntax.
+Result<ImageExtent> read_image_extent(const std::string& path);
+
 /// Reads any picture as FP32, integer codes divided by their maximum: what write_image wrote comes back, 8-bit codes c
 /// as c / 255. Alpha, if there is any, is multiplied into colour. Errors: open_failed, bad_syntax.
 Result<Image> read_image(const std::string& path);

@@ -1,5 +1,5 @@
-// front_end.cu - attributes to unsorted (tile, Gaussian) pairs in one kernel; one thread a Gaussian, then one a tile
-// row, then one a pair. SPDX-License-Identifier: Apache-2.0
+// front_end.cu - attributes to unsorted (tile, Gaussian) pairs in one kernel: a thread a Gaussian, a tile row, a pair.
+// SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; the paper, III-A3; tiles after Hanson et al. 2025
 // In/Out  attributes [n] -> splats [n] (visible ones), keys and Gaussians [instances]
@@ -7,10 +7,9 @@
 //         one; 8 or 12 B written a pair, coalesced. About 500 flops a Gaussian, 60 a tile row, 40 integer operations a
 //         pair
 // Launch  256 threads, ceil(n / 256) blocks
-// Shared  Shared: covers, depth keys and the sums that map rows and pairs to their owners; 23 KiB with ellipses
+// Shared  Shared: covers, depth keys and the sums that map rows and pairs to their owners; 18 KiB with ellipses
 // Order   of the pairs: by Gaussian, row and column within a block; blocks in the order of their atomic addition, or
-// with
-//         block_state in the order of the Gaussians. Compiled without contraction to FMA, see project.cu.
+//         with block_state in the order of the Gaussians. Compiled without contraction to FMA, see project.cu.
 //
 // A thread that walked its own Gaussian's tiles would keep its warp waiting for the largest: coverage ranges from 1 to
 // all tiles. So the block works on the rows of all its Gaussians side by side, and then on the pairs of 256 rows side

@@ -3,8 +3,7 @@
 //
 // In/Out  keys, Gaussians [n] -> the same, sorted stably by the lowest `bits` bits; ranges [n_tiles]
 // Cost    one-sweep radix sort (Adinolfi et al. 2022), 8 bits a pass: each pass reads and writes every pair once, and
-// one
-//         more reading of the keys makes all histograms. 32-bit keys: 4 passes of 16 B a pair; 64-bit ones with 45
+//         one more reading of the keys makes all histograms. 32-bit keys: 4 passes of 16 B a pair; 64-bit ones with 45
 //         bits: 6 passes of 24 B. Constant bits are not sorted. Ranges: one reading of the keys
 // Order   deterministic
 #include <thrust/iterator/transform_iterator.h>

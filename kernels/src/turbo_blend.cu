@@ -3,12 +3,10 @@
 //
 // Math    rgs/math/blend.hpp: fold(), folded_exponent(); docs/RENDERING.md "A pixel"
 // In/Out  lists, splats -> pixels
-// Cost    an entry: 8 B read a round, about 12 instructions a step of the sorting network; a (cell, Gaussian) pair that
-// is
-//         blended: 48 B gathered by one lane, 32 B of shared memory to each lane, and about 10 instructions a pixel
+// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; a (cell, Gaussian) pair that is
+//         blended: 48 B gathered by one lane, 32 B of shared memory to each lane, and about 12 instructions a pixel
 // Launch  256 threads a tile, longest lists first. A warp has a cell of 16x8 pixels, a thread four pixels of one
-// column:
-//         what it reads of a Gaussian, and its polynomial in y, serve all four
+//         column: what it reads of a Gaussian, and its polynomial in y, serve all four
 // Shared  Shared: entries, their order, Gaussians staged by each warp, histograms; 41 KiB
 // Order   exact: by depth, then by index, in every pixel, whatever the order of the list: deterministic
 //
@@ -297,6 +295,16 @@ struct Accumulated {
   std::uint32_t evaluated = 0, blended = 0;
 };
 
+// Whether an opacity may exceed kAlphaMax in the cell, also by what rounding can add to the exponent: terms as large as
+// these cancel in it, and they are large for needles.
+__device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, float corner_y) {
+  constexpr float kLog2AlphaMax = -0.0144996F;
+  constexpr float kRounding = 4 * math::kLog2E * 6e-8F;
+  const float dx = fabsf(splat.mean.u - corner_x) + kCellWidth, dy = fabsf(splat.mean.v - corner_y) + kCellHeight;
+  const float terms = splat.conic.a * dx * dx + splat.conic.c * dy * dy;
+  return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
+}
+
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
   const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
   const __half2 red_green = __floats2half2_rn(splat.color.x, splat.color.y);
@@ -306,12 +314,13 @@ __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float c
            __uint_as_float(*reinterpret_cast<const std::uint32_t*>(&blue))}};
 }
 
-// A Gaussian's exponents in a thread's column of pixels, and its colour.
+// A Gaussian's opacities in a thread's column of pixels, 0 where a pair is skipped, and its colour.
 struct Column {
-  float exponent[kRows];
+  float alpha[kRows];
   float r, g, b;
 };
 
+template <bool Clamp>
 __device__ inline Column column_of(const Staged& s, float x, const float (&y)[kRows]) {
   const math::Folded<float> f{s.quadratic.x, s.quadratic.y, s.quadratic.z, s.quadratic.w, s.rest.x, s.rest.y};
   const std::uint32_t red_green = __float_as_uint(s.rest.z), blue = __float_as_uint(s.rest.w);
@@ -322,30 +331,30 @@ __device__ inline Column column_of(const Staged& s, float x, const float (&y)[kR
   const float linear = fmaf(f.xy, x, f.y);
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
-    c.exponent[k] = fmaf(fmaf(f.yy, y[k], linear), y[k], constant);
+    const float exponent = fmaf(fmaf(f.yy, y[k], linear), y[k], constant);
+    const float alpha = exp2_approximate(exponent);
+    c.alpha[k] = exponent >= math::kLog2AlphaMin ? (Clamp ? math::min(alpha, math::kAlphaMax) : alpha) : 0.0F;
   }
   return c;
 }
 
 // Blends one Gaussian into a column of pixels. A pixel does not stop at the definition's transmittance of 1e-4 but when
 // its whole cell has fallen below it: what comes after adds less than 1e-4.
-template <bool Clamp, bool Details>
+template <bool Details>
 __device__ inline void blend_column(Accumulated (&pixel)[kRows], const Column& c, float z) {
 #pragma unroll
   for (int k = 0; k < kRows; ++k) {
     Accumulated& p = pixel[k];
-    if (Details && p.t >= math::kTransmittanceMin) ++p.evaluated;
-    if (c.exponent[k] >= math::kLog2AlphaMin) {
-      float alpha = exp2_approximate(c.exponent[k]);
-      if (Clamp) alpha = math::min(alpha, math::kAlphaMax);
-      if (Details && p.t >= math::kTransmittanceMin) ++p.blended;
-      const float weight = alpha * p.t;
-      p.t -= weight;
-      p.r = fmaf(weight, c.r, p.r);
-      p.g = fmaf(weight, c.g, p.g);
-      p.b = fmaf(weight, c.b, p.b);
-      if (Details) p.depth = fmaf(weight, z, p.depth);
+    if (Details && p.t >= math::kTransmittanceMin) {
+      ++p.evaluated;
+      if (c.alpha[k] > 0) ++p.blended;
     }
+    const float weight = c.alpha[k] * p.t;
+    p.t -= weight;
+    p.r = fmaf(weight, c.r, p.r);
+    p.g = fmaf(weight, c.g, p.g);
+    p.b = fmaf(weight, c.b, p.b);
+    if (Details) p.depth = fmaf(weight, z, p.depth);
   }
 }
 
@@ -356,15 +365,15 @@ struct Cell {
   float x, y[kRows];         // the thread's pixels, relative to it
   bool done = false;         // the same in all lanes
 
-  // The exponents of one Gaussian are on their way while the one before is blended: a long list has few warps to hide
+  // The opacities of one Gaussian are on their way while the one before is blended: a long list has few warps to hide
   // their latency behind.
   template <bool Clamp>
   __device__ void blend_staged(const Staged* staged, int n, float z) {
-    Column current = column_of(staged[0], x, y);
+    Column current = column_of<Clamp>(staged[0], x, y);
 #pragma unroll 2
     for (int j = 0; j < n; ++j) {
-      const Column next = column_of(staged[math::min(j + 1, 31)], x, y);
-      blend_column<Clamp, Details>(pixel, current, Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
+      const Column next = column_of<Clamp>(staged[math::min(j + 1, 31)], x, y);
+      blend_column<Details>(pixel, current, Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
       current = next;
     }
   }
@@ -377,7 +386,7 @@ struct Cell {
       const ScreenSplat splat = splats[s.queue[warp][lane]];
       s.ordered.staged[warp][lane] = stage(splat, corner_x, corner_y);
       z = splat.z;
-      clamp = splat.opacity > math::kAlphaMax;
+      clamp = may_exceed(splat, corner_x, corner_y);
     }
     __syncwarp();
     // One opacity above kAlphaMax, and all of the 32 are clamped; mostly there is none.

@@ -3,15 +3,18 @@
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp
 // In/Out  attributes [n] -> splats [n], entries [instances], runs
-// Cost    as front_end.cu, with 8 B written an entry, and 16 B and two atomic additions a run; a run holds about 20
-// entries Launch  256 threads, ceil(n / 256) blocks Shared  Shared: ellipses, the sums that map tile rows to their
-// Gaussians, a counter for each tile of a window; 19 KiB Order   of entries and runs: any. The lists' order is made
-// later, by depth and index, so that the image is the same on
-//         every run.
+// Cost    as front_end.cu, with 8 B written an entry, and 16 B and two atomic additions a run
+// Launch  256 threads, ceil(n / 256) blocks; then a warp a large Gaussian, as many warps as keep the device busy
+// Shared  Shared: ellipses, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
+//         entries between counting and placing; 35 KiB
+// Order   of entries and runs: any. The lists' order is made later, by depth and index, so that the image is the same
+//         on every run. Compiled without contraction to FMA, see project.cu.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
-// block sorts its entries by tile before they leave it, by counting: once over the rows to count, once to place. A
-// window of 32x32 tiles is counted at a time; most blocks need one.
+// block sorts its entries by tile before they leave it, by counting. A window of 32x32 tiles is counted at a time; most
+// blocks need one. What the rows have shown while they were counted is kept for placing, if there is room, in a word an
+// entry. A Gaussian of many tiles would keep its block long after the others: it waits for a kernel of its own, where
+// each of its entries is a run.
 #include <cstdint>
 
 #include "block_scan.cuh"
@@ -226,7 +229,7 @@ struct LargeRows {
   std::uint32_t tile_end[32];  // inclusive sums of their tiles
 };
 
-__global__ void __launch_bounds__(kThreads, 6) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
+__global__ void __launch_bounds__(kThreads, 4) turbo_emit_large_kernel(math::TileGrid grid, TurboArrays a) {
   __shared__ LargeRows all_rows[kWarps];
   LargeRows& rows = all_rows[threadIdx.x / 32];
   const std::uint32_t lane = threadIdx.x % 32;
@@ -249,25 +252,44 @@ __global__ void __launch_bounds__(kThreads, 6) turbo_emit_large_kernel(math::Til
       }
       const std::uint32_t end = inclusive_warp_sum(tiles);
       rows.tile_end[lane] = end;
-      const std::uint32_t total = __shfl_sync(kFullWarp, end, 31);
-      if (total == 0) continue;
-      touches = true;
-      std::uint64_t base = 0;  // of the entries in lane 0, of the runs in lane 1
-      if (lane < 2) base = add(lane == 0 ? a.state->counters.instances : a.state->runs, total);
-      const std::uint64_t entry = __shfl_sync(kFullWarp, base, 0), run = __shfl_sync(kFullWarp, base, 1);
+      const std::uint32_t n_tiles = __shfl_sync(kFullWarp, end, 31);
       __syncwarp();
-      // A tile between the first and the last of its row may after all have no cell: its entry is blended nowhere.
-      for (std::uint32_t t = lane; t < total; t += 32) {
-        const std::uint32_t r = owner_of<32>(rows.tile_end, t);
-        const int column = rows.first_column[r] + static_cast<int>(t - (r == 0 ? 0 : rows.tile_end[r - 1]));
-        const int row = large.first_row + begin + static_cast<int>(r);
-        const auto tile = static_cast<std::uint32_t>(row * grid.columns + column);
-        atomicAdd(n_entries + tile, 1u);
-        const std::uint32_t rank = atomicAdd(n_runs + tile, 1u);
-        if (entry + t < a.entry_capacity && run + t < a.run_capacity) {
-          a.entries[entry + t] = make_entry(large.depth, large.index, math::cells_of(rows.cells[r], column));
-          a.runs[run + t] = {{static_cast<std::uint32_t>(entry + t), 1}, tile, rank};
+      // Between the first and the last tile of a row there may be one without a cell, so cells are counted first.
+      const auto for_each = [&](const auto& f) {
+        for (std::uint32_t t = lane; t - lane < n_tiles; t += 32) {
+          std::uint32_t cells = 0, tile = 0;
+          if (t < n_tiles) {
+            const std::uint32_t r = owner_of<32>(rows.tile_end, t);
+            const int column = rows.first_column[r] + static_cast<int>(t - (r == 0 ? 0 : rows.tile_end[r - 1]));
+            const int row = large.first_row + begin + static_cast<int>(r);
+            cells = math::cells_of(rows.cells[r], column);
+            tile = static_cast<std::uint32_t>(row * grid.columns + column);
+          }
+          f(tile, cells, __ballot_sync(kFullWarp, cells != 0));
         }
+      };
+      std::uint32_t total = 0;
+      for_each([&total](std::uint32_t, std::uint32_t, std::uint32_t lanes) {
+        total += static_cast<std::uint32_t>(__popc(static_cast<int>(lanes)));
+      });
+      if (total > 0) {
+        touches = true;
+        std::uint64_t base = 0;  // of the entries in lane 0, of the runs in lane 1
+        if (lane < 2) base = add(lane == 0 ? a.state->counters.instances : a.state->runs, total);
+        std::uint64_t entry = __shfl_sync(kFullWarp, base, 0), run = __shfl_sync(kFullWarp, base, 1);
+        for_each([&](std::uint32_t tile, std::uint32_t cells, std::uint32_t lanes) {
+          const auto before = static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & ((1u << lane) - 1))));
+          if (cells != 0) {
+            atomicAdd(n_entries + tile, 1u);
+            const std::uint32_t rank = atomicAdd(n_runs + tile, 1u);
+            if (entry + before < a.entry_capacity && run + before < a.run_capacity) {
+              a.entries[entry + before] = make_entry(large.depth, large.index, cells);
+              a.runs[run + before] = {{static_cast<std::uint32_t>(entry) + before, 1}, tile, rank};
+            }
+          }
+          const auto n_lanes = static_cast<std::uint32_t>(__popc(static_cast<int>(lanes)));
+          entry += n_lanes, run += n_lanes;
+        });
       }
       __syncwarp();
     }

@@ -2,12 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  n_entries, n_runs [tiles], runs -> lists [tiles], tile_runs, classes
-// Cost    a few microseconds, most of them latency: 16 B read and 8 B written a run, and there are 20 times fewer runs
-// than
-//         entries
+// Cost    16 B read, 16 B gathered and 8 B written anywhere a run
 // Launch  plan: 256 threads, ceil(tiles / 256) blocks; place: as many blocks of 256 as keep the device busy, each
-// taking runs
-//         in turn, because their number is known on the device alone
+//         taking runs in turn, because their number is known on the device alone
 // Order   of runs within a list, of lists and of tiles within a class: any
 #include <cstdint>
 

@@ -156,12 +156,15 @@ std::vector<std::uint32_t> tiles_of(const math::Projected<float>& p, float cutof
 std::uint32_t depth_key(const cuda::ViewParameters& v, float z, std::uint32_t& slack) {
   slack = 0;
   if (!v.key.quantized) return math::depth_bits(z);
+  const std::uint32_t bin = math::quantize_depth(v.quantizer, z);
   if (v.quantizer.mapping == DepthMapping::logarithmic) {
     const float log_z = std::log(z);
-    slack = 1 + static_cast<std::uint32_t>(2 * v.quantizer.scale *
-                                           (std::nextafter(std::abs(log_z), 1e9F) - std::abs(log_z)));
+    // Two ulp of the logarithm, and the rounding of the difference and of the product, which is FP32 too.
+    slack =
+        1 + (bin >> 22) +
+        static_cast<std::uint32_t>(2 * v.quantizer.scale * (std::nextafter(std::abs(log_z), 1e9F) - std::abs(log_z)));
   }
-  return math::quantize_depth(v.quantizer, z);
+  return bin;
 }
 
 /// Checks everything that a front end wrote against the host.

@@ -229,6 +229,16 @@ TEST_CASE("trap 5: exponents rounded above 0 give 0.99 at most, and opaque Gauss
                       ", minor ", minor, ", k ", k);
       }
     }
+    // An exponent above 0 is an opaque pixel, neither a hole nor one that is finished before anything was blended.
+    for (const float above : {1e-6F, 0.03F, 0.5F, 4.0F}) {
+      if (v.exponent == Exponent::direct) break;  // there it is the Gaussian alone that is above 1, and is skipped
+      ScreenSplat s = screen_splat({8, 8}, conic_of(1000, 1000, 0), 1);
+      s.log2_opacity = above;
+      const float alpha = blend(HandMade(std::span(&s, 1), 16, 16), v).alpha[8 * 16 + 8];
+      const double expected = std::min(static_cast<double>(top), exp2_of(v.exp, static_cast<double>(above)));
+      CHECK_MESSAGE(std::abs(alpha - expected) <= 0x1p-15, "alpha ", alpha, " instead of ", expected, " at exponent ",
+                    above);
+    }
     // Behind one opaque Gaussian another one is refused where alpha is 0.99: 0.01 * 0.01 < 1e-4 in FP32. At an exponent
     // of 0 the approximations stay below 0.99, and it takes a third.
     const auto flat = conic_of(1000, 1000, 0);

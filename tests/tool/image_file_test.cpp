@@ -186,18 +186,33 @@ TEST_CASE("reading what is missing or no picture") {
 TEST_CASE("a picture in memory is the file that would be written") {
   const TemporaryFolder folder;
   const Image image = picture(61, 43, 3);
-  for (const auto& [format, name] : {std::pair(ImageFormat::png, "a.png"), std::pair(ImageFormat::jpeg, "a.jpg")}) {
+  const auto check = [&](ImageFormat format, const std::string& name) {
     const auto bytes = encode_image(image, format);
     REQUIRE(bytes);
     REQUIRE(write_image(folder.file(name), image));
     const std::string written = contents(folder.file(name));
     CHECK(written == std::string(reinterpret_cast<const char*>(bytes->data()), bytes->size()));
     CHECK(largest_difference(read_image(folder.file(name)).value(), rounded(image)) < 0.05F);
-  }
+  };
+  check(ImageFormat::png, "a.png");
+  check(ImageFormat::jpeg, "a.jpg");
   CHECK(encode_image(image, ImageFormat::jpeg, {.jpeg_quality = 30})->size() <
         encode_image(image, ImageFormat::jpeg)->size());
   CHECK(encode_image(image, ImageFormat::tiff).error().code == Errc::bad_argument);
   CHECK(encode_image(image, ImageFormat::exr).error().code == Errc::bad_argument);
   CHECK(encode_image(picture(8, 8, 4), ImageFormat::jpeg).error().code == Errc::bad_argument);
   CHECK(encode_image(Image::make(8, 8, 2), ImageFormat::png).error().code == Errc::bad_argument);
+}
+
+TEST_CASE("a picture's size is known without its pixels") {
+  const TemporaryFolder folder;
+  REQUIRE(write_image(folder.file("a.jpg"), picture(61, 43, 3)));
+  const auto extent = read_image_extent(folder.file("a.jpg"));
+  REQUIRE(extent);
+  CHECK(extent->width == 61);
+  CHECK(extent->height == 43);
+  CHECK(extent->channels == 3);
+  CHECK(read_image_extent(folder.file("b.jpg")).error().code == Errc::open_failed);
+  std::ofstream(folder.file("c.png")) << "text";
+  CHECK(read_image_extent(folder.file("c.png")).error().code == Errc::bad_syntax);
 }

@@ -46,7 +46,7 @@ struct alignas(16) TurboLarge {
   std::uint32_t depth;  ///< bits
   std::uint32_t index;
   std::uint16_t first_row, n_rows;  ///< of tiles
-  std::uint32_t unused[2];
+  std::uint32_t unused;
 };
 static_assert(sizeof(TurboLarge) == 64);
 

@@ -88,6 +88,7 @@ struct Ellipse {
   T slope;         ///< cov.xy / cov.yy: x of the chord's middle per y
   T shear;         ///< y at which x is largest, relative to the mean
   T variance_x_y;  ///< det / cov.yy, the variance of x at a given y
+  T inverse_yy;    ///< 1 / cov.yy
 };
 
 /// o exp(-q/2) >= 1/255 where q <= 2 ln(255 o). (Hanson et al. 2025, "Speedy-Splat", eq. 12; Gaussians with opacity
@@ -96,7 +97,7 @@ struct Ellipse {
 /// at the price of rare superfluous ones.
 template <class T>
 RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& f, T cutoff) {
-  Ellipse<T> e{mean, f.cov, T(-1), 0, 0, 0, 0, 0};
+  Ellipse<T> e{mean, f.cov, T(-1), 0, 0, 0, 0, 0, 0};
   if (!(cutoff <= T(0))) return e;
   const T det = determinant(f.cov);
   const T rounding = T(8) * T(6e-8) * (f.cov.xx * f.cov.yy / det);
@@ -106,6 +107,7 @@ RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& 
   e.slope = f.cov.xy / f.cov.yy;
   e.shear = f.cov.xy * std::sqrt(e.level / f.cov.xx);
   e.variance_x_y = det / f.cov.yy;
+  e.inverse_yy = T(1) / f.cov.yy;
   return e;
 }
 
@@ -129,8 +131,8 @@ RGS_HD inline Chord<T> chord(const Ellipse<T>& e, T y_low, T y_high) {
   // The right boundary x(y) = slope y + sqrt((level - y^2 / cov.yy) variance_x_y) is concave with its top at `shear`,
   // so its maximum over a range is at the clamped top; the left boundary is its point reflection.
   const T y_right = clamp(e.shear, y_low, y_high), y_left = clamp(-e.shear, y_low, y_high);
-  const T right = max(T(0), e.level - y_right * y_right / e.cov.yy);
-  const T left = max(T(0), e.level - y_left * y_left / e.cov.yy);
+  const T right = max(T(0), e.level - y_right * y_right * e.inverse_yy);
+  const T left = max(T(0), e.level - y_left * y_left * e.inverse_yy);
   return {e.slope * y_left - std::sqrt(left * e.variance_x_y), e.slope * y_right + std::sqrt(right * e.variance_x_y)};
 }
 

@@ -1,0 +1,202 @@
+// rgs_audit.cpp - rgs-audit: what a conversion cost and lost. Arguments and exit codes; the work is in src/audit_*.cpp.
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+#include <tbb/global_control.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstdio>
+#include <filesystem>
+#include <map>
+#include <string>
+#include <thread>
+
+#include "audit.hpp"
+#include "audit_folder.hpp"
+#include "audit_gate.hpp"
+#include "audit_json.hpp"
+#include "audit_report.hpp"
+#include "audit_text.hpp"
+#include "console.hpp"
+#include "info_escape.hpp"
+#include "rgs/file.hpp"
+
+namespace {
+
+namespace audit = rgs::audit;
+namespace tool = rgs::tool;
+
+struct Arguments {
+  audit::Options audit;
+  std::string size, report, json;
+  std::vector<std::string> conditions;
+  bool no_render = false, no_attribution = false, overwrite = false, quiet = false;
+};
+
+int report_failure(const audit::Failure& failure) {
+  return tool::report(failure.subject, failure.error);
+}
+
+// "-" is standard output.
+rgs::Status write_text(const std::string& path, const std::string& text, bool overwrite) {
+  auto file = rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false});
+  if (!file) return tl::unexpected(file.error());
+  if (auto ok = file->write_at(0, std::as_bytes(std::span(text))); !ok) return ok;
+  return file->commit().map([](double) {});
+}
+
+int write_outputs(const audit::Report& report, const Arguments& a) {
+  if (!a.report.empty())
+    if (const auto ok = write_text(a.report, audit::audit_html(report), a.overwrite); !ok)
+      return tool::report(a.report, ok.error());
+  if (!a.json.empty())
+    if (const auto ok = write_text(a.json, audit::audit_json(report), a.overwrite); !ok)
+      return tool::report(a.json, ok.error());
+  if (!a.quiet && a.json != "-" && a.report != "-") std::fputs(audit::audit_text(report, a.report).c_str(), stdout);
+  if (std::fflush(stdout) != 0)
+    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot write the summary",
+                                            rgs::Error::kNone, rgs::Error::kNone, errno});
+  return tool::kSuccess;
+}
+
+int report_gate(const audit::Report& report) {
+  for (const audit::Condition& c : report.gate)
+    if (!c.holds) fmt::print(stderr, "rgs-audit: condition failed: {}\n", audit::describe(c));
+  return report.gate_holds() ? tool::kSuccess : tool::kGate;
+}
+
+int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
+  // Found before the work, not after it.
+  for (const std::string& out : {a.report, a.json}) {
+    if (out.empty() || out == "-") continue;
+    if (const auto free = rgs::AtomicFile::create(out, {.overwrite = a.overwrite, .sync = false}); !free)
+      return tool::report(out, free.error());
+  }
+  audit::Outcome<audit::Report> report;
+  {
+    tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+    report = audit::run(a.audit, progress);
+  }
+  if (!report) return report_failure(report.error());
+  const auto fingerprint = audit::fingerprint(a.audit);
+  if (!fingerprint) return report_failure(fingerprint.error());
+  report->fingerprint = *fingerprint;
+  audit::evaluate(std::move(conditions), *report);
+  if (const int code = write_outputs(*report, a); code != tool::kSuccess) return code;
+  return report_gate(*report);
+}
+
+int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
+  if (a.report.empty() || a.report == "-")
+    return tool::report_usage("two folders need a folder for the reports: --report FOLDER");
+  if (!a.json.empty()) return tool::report_usage("with two folders JSON goes into the folder of --report; drop --json");
+  if (!a.audit.also.empty()) return tool::report_usage("--also goes with one pair, not with two folders");
+  const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.overwrite, a.quiet});
+  if (!rows) return report_failure(rows.error());
+  for (const audit::FolderRow& row : *rows)
+    if (row.exit_code != tool::kSuccess)
+      fmt::print(stderr, "rgs-audit: {}: {}\n", tool::escape_untrusted(row.stem, false),
+                 tool::escape_untrusted(row.error.empty() ? row.headline : row.error, false, 4096));
+  if (!a.quiet) fmt::print("table: {}\n", (std::filesystem::path(a.report) / "index.html").string());
+  return audit::exit_code_of(*rows);
+}
+
+int audit_main(Arguments& a) {
+  rgs::remove_temporaries_on_signal();
+  a.audit.render = !a.no_render;
+  a.audit.attribution = !a.no_attribution;
+  if (!a.size.empty()) {
+    const auto size = tool::parse_size(a.size);
+    if (!size) return tool::report_usage("--size takes WxH, sides 1 to 65536, not '" + a.size + "'");
+    a.audit.size = *size;
+  }
+  std::vector<audit::Condition> conditions;
+  for (const std::string& text : a.conditions) {
+    auto parsed = audit::parse_conditions(text);
+    if (!parsed) return tool::report_usage(parsed.error());
+    conditions.insert(conditions.end(), parsed->begin(), parsed->end());
+    a.audit.gate += text + ",";
+  }
+  if (const std::string wrong = audit::unmeasurable(conditions, a.audit); !wrong.empty())
+    return tool::report_usage(wrong);
+  if (!a.audit.photos.empty() && a.audit.cameras.empty())
+    return tool::report_usage("--photos needs the cameras that took them");
+  if (a.json == "-" && a.report == "-") return tool::report_usage("--json - and --report - both need standard output");
+  const std::size_t threads = a.audit.threads > 0 ? static_cast<std::size_t>(a.audit.threads)
+                                                  : std::max(1u, std::thread::hardware_concurrency());
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+  std::error_code ignored;
+  const bool folders = std::filesystem::is_directory(a.audit.source, ignored);
+  if (folders != std::filesystem::is_directory(a.audit.asset, ignored))
+    return tool::report_usage("source and asset are two files or two folders, not one of each");
+  return folders ? audit_pairs(a, std::move(conditions)) : audit_pair(a, std::move(conditions));
+}
+
+void add_options(CLI::App& app, Arguments& a) {
+  audit::Options& o = a.audit;
+  std::string names;
+  for (const audit::ConditionKind& kind : audit::condition_kinds())
+    names += fmt::format("\n  {:<24}{} {}", kind.name, kind.at_least ? "at least:" : "at most: ", kind.meaning);
+  app.add_option("source", o.source, "3DGS PLY that the asset was made from, or a folder of such")->required();
+  app.add_option("asset", o.asset,
+                 "What was made from it: .rgs, another .ply, or a folder of .rgs files of the same names")
+      ->required();
+  app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/CAMERAS.md)");
+  app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");
+  app.add_option("--report,-o", a.report, "Write the report as one HTML file; for two folders, a folder");
+  app.add_option("--json", a.json, "Write the results as JSON (docs/AUDIT_JSON.md); - for standard output");
+  app.add_option("--fail-below", a.conditions, "Conditions such as psnr=50,loss=0.03; exit code 5 if one does not hold")
+      ->option_text("NAME=LIMIT,...");
+  app.add_option("--also", o.also, "Another file of the same scene to measure beside the asset; may be repeated")
+      ->option_text("FILE");
+  app.add_flag("--overwrite", a.overwrite, "Replace existing outputs");
+
+  const std::string views = "Views";
+  app.add_option("--split", o.split, "Cameras of the file [test if it has more than 32, else all]")
+      ->check(CLI::IsMember({"train", "test", "all"}))
+      ->group(views);
+  app.add_option("--size", a.size, "WxH pixels of every view [the camera's own; 1280x720 without cameras]")
+      ->group(views);
+  app.add_option("--views", o.views, "Views on a circle around a scene without cameras")
+      ->check(CLI::Range(1, 10000))
+      ->capture_default_str()
+      ->excludes("--cameras")
+      ->group(views);
+  app.add_flag("--no-render", a.no_render, "Sizes and attributes only")->group(views);
+  app.add_flag("--no-attribution", a.no_attribution, "Not which step lost how much")->group(views);
+  app.add_flag("--compare-scales", o.compare_scales, "Also SH with one scale set for the file against one per chunk")
+      ->group(views);
+
+  const std::string machine = "Machine";
+  app.add_option("--backend", o.backend, "Renderer: auto, cpu, cuda [auto]")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, rgs::Backend>{{"auto", rgs::Backend::automatic},
+                                                                              {"cpu", rgs::Backend::cpu},
+                                                                              {"cuda", rgs::Backend::cuda}})
+                      .description(""))
+      ->group(machine);
+  app.add_option("--threads", o.threads, "Threads, 0 for all cores")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str()
+      ->group(machine);
+  app.add_flag("--quiet,-q", a.quiet, "No progress, no summary")->group(machine);
+  app.set_version_flag("--version", "rgs-audit " RGS_VERSION);
+  app.footer("Conditions of --fail-below:" + names +
+             "\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 5 a condition failed.");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&]() -> int {
+    Arguments arguments;
+    CLI::App app{"Audits a conversion: size, attribute error and rendered quality of an asset against its source.",
+                 "rgs-audit"};
+    add_options(app, arguments);
+    try {
+      app.parse(argc, argv);
+    } catch (const CLI::ParseError& error) {
+      return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
+    }
+    return audit_main(arguments);
+  });
+}

@@ -1,0 +1,223 @@
+// audit.hpp - what rgs-audit finds out about one source and one asset: values only; audit_*.cpp fill and print them.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "console.hpp"
+#include "rgs/camera.hpp"
+#include "rgs/image.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/renderer.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::audit {
+
+/// An error and the file or the names that it is about.
+struct Failure {
+  std::string subject;
+  Error error;
+};
+template <class T>
+using Outcome = tl::expected<T, Failure>;
+
+inline tl::unexpected<Failure> fail(std::string subject, const Error& error) {
+  return tl::unexpected(Failure{std::move(subject), error});
+}
+
+struct Options {
+  std::string source, asset;
+  std::vector<std::string> also;  ///< other files of the same scene, measured beside the asset
+  std::string cameras;            ///< camera file or COLMAP folder; empty: views on a circle around the scene
+  std::string split;              ///< train, test, all; empty: test if there are more than 32 cameras, else all
+  std::string photos;             ///< folder of undistorted photographs named like the cameras; may be empty
+  tool::ImageSize size;           ///< of all views; 0: the cameras' own, 1280x720 without cameras
+  int views = 8;                  ///< number of views without cameras
+  bool render = true;             ///< false: sizes and attributes only
+  bool attribution = true;
+  bool compare_scales = false;  ///< also one SH scale set for the file against one per chunk
+  std::string gate;             ///< the conditions as text; part of the fingerprint, evaluated by evaluate()
+  Backend backend = Backend::automatic;
+  int threads = 0;
+};
+
+// ---- size
+
+struct SectionSize {
+  std::string type, content;
+  std::uint64_t stored_bytes = 0, decoded_bytes = 0;
+};
+
+struct SizeReport {
+  std::uint64_t source_bytes = 0, asset_bytes = 0;
+  std::uint64_t n_source = 0, n_asset = 0;
+  int source_sh_degree = 0, asset_sh_degree = 0;
+  std::uint64_t gpu_bytes = 0;       ///< what a renderer keeps resident: sections as decoded; 0 if not an .rgs file
+  std::uint64_t gpu_bytes_fp32 = 0;  ///< the same scene as FP32 attributes
+  std::vector<SectionSize> sections;
+
+  double ratio() const;                   ///< source over asset, bytes
+  double bytes_per_gaussian() const;      ///< of the asset's file
+  double gpu_bytes_per_gaussian() const;  ///< resident
+};
+
+// ---- attributes
+
+/// Distribution of absolute errors. Quantiles are upper edges of bins 1/64 of a power of two wide: at most 1.6 % high.
+struct ErrorStatistics {
+  std::uint64_t n = 0, n_zero = 0;
+  double max = 0, mean = 0, rms = 0, p50 = 0, p99 = 0, p999 = 0;
+  int first_octave = 0;                    ///< quarter octaves from 2^first_octave on
+  std::vector<std::uint64_t> histogram{};  ///< errors in [2^(first_octave + i / 4), ...); zeros are in no bin
+};
+
+/// One attribute's error in its own unit and in what it means.
+struct AttributeError {
+  std::string key, name;           ///< "sh2.green", "SH degree 2, green"
+  std::string unit, meaning_unit;  ///< "", "8-bit levels"
+  ErrorStatistics value, meaning;
+};
+
+struct WorstGaussian {
+  double error = 0;  ///< in the unit that it means
+  std::uint64_t asset_index = 0, source_index = 0;
+  std::array<float, 3> mean{};
+};
+struct WorstList {
+  std::string key, name, unit;
+  std::vector<WorstGaussian> gaussians;  ///< worst first
+};
+
+/// How often each of the codes -127..127 is used, by degree.
+struct CodeUsage {
+  std::array<std::uint64_t, 255> count{};
+  std::uint64_t n() const;
+  int used() const;  ///< different codes that occur
+  double entropy_bits() const;
+};
+
+/// What the number formats could not hold.
+struct RangeCounts {
+  std::uint64_t sh_clipped = 0;  ///< source more than half a step beyond the codes' range
+  std::uint64_t sh_limit = 0;    ///< codes +-127: the largest of each step set, so some always
+  std::uint64_t sh_flushed = 0;  ///< source not 0, stored 0
+  std::uint64_t scale_subnormal = 0, scale_zero = 0;
+  std::uint64_t opacity_zero = 0, opacity_one = 0;  ///< that the source does not have
+};
+
+enum class PairedBy : std::uint8_t { permutation, order, means };
+
+struct AttributeReport {
+  PairedBy paired_by = PairedBy::means;
+  std::uint64_t n_paired = 0, n_source_only = 0, n_asset_only = 0;
+  std::vector<AttributeError> errors;
+  AttributeError colour;  ///< all degrees and channels of a Gaussian, over all directions
+  std::vector<WorstList> worst;
+  std::vector<CodeUsage> codes;  ///< [sh_degree + 1]
+  RangeCounts ranges;
+  double seconds = 0;  ///< of pairing and pass
+};
+
+// ---- rendered
+
+struct Score {
+  double mse = 0, psnr = 0, ssim = 1;
+  float largest = 0;
+  int x = 0, y = 0;  ///< of the largest difference
+};
+
+struct PhotoScore {
+  double source_psnr = 0, asset_psnr = 0, source_ssim = 0, asset_ssim = 0;
+  double loss() const { return source_psnr == asset_psnr ? 0 : source_psnr - asset_psnr; }  // both may be infinite
+};
+
+struct ViewResult {
+  std::string name;
+  int width = 0, height = 0;
+  Score score;
+  std::optional<PhotoScore> photo;
+};
+
+/// One cause of loss alone, or all together.
+struct AttributionRow {
+  std::string key, name;
+  double psnr = 0;   ///< mean over the views, dB
+  double worst = 0;  ///< worst view, dB
+  double mse = 0;    ///< mean over the views
+  double share = 0;  ///< of the mse of all together; shares need not sum to 1, because errors add up or cancel
+  std::optional<double> loss{};  ///< against the photographs, mean over the views, dB
+};
+
+struct ViewPictures {
+  std::size_t view = 0;  ///< index into RenderReport::views
+  Image source, asset;
+};
+
+struct AlsoReport {
+  std::string path, note;  ///< note: why there is no quality
+  std::uint64_t bytes = 0, n_gaussians = 0;
+  std::optional<double> psnr, worst_psnr, ssim, loss;
+};
+
+struct RenderReport {
+  std::string backend;
+  bool automatic_views = false;
+  std::vector<ViewResult> views;  ///< worst PSNR first
+  double psnr = 0, worst_psnr = 0, ssim = 1, worst_ssim = 1, mse = 0;
+  float largest = 0;
+  std::optional<double> loss;       ///< mean over the views, dB
+  std::optional<PhotoScore> photo;  ///< means over the views
+  std::vector<AttributionRow> attribution;
+  std::string attribution_note;          ///< why there is none, or what it leaves out
+  std::uint64_t n_undrawable = 0;        ///< damaged Gaussians of the source, not in the reference
+  std::vector<ViewPictures> pictures{};  ///< of the worst views, worst first
+  double seconds = 0;
+};
+
+// ---- all
+
+struct Condition {
+  std::string name;
+  double limit = 0, found = 0;
+  bool at_least = true, holds = false;
+};
+
+struct Report {
+  std::string tool, source_name, asset_name, asset_format;
+  std::uint64_t source_xxh3 = 0, asset_xxh3 = 0;
+  std::string fingerprint;               ///< of tool, options and inputs: equal fingerprints give equal results
+  std::optional<bool> made_from_source;  ///< whether the asset's provenance names this very source; absent: it has none
+  std::optional<Declarations> declarations;
+  SizeReport size;
+  std::optional<AttributeReport> attributes;
+  std::optional<RenderReport> render;
+  std::vector<AlsoReport> also;
+  std::vector<Condition> gate;
+  double seconds = 0;
+
+  bool gate_holds() const;
+};
+
+/// How the result is put into words; the report's first line.
+struct Verdict {
+  enum class Grade : std::uint8_t { identical, lossless, close, visible, poor, unrated };
+  Grade grade = Grade::unrated;
+  bool depth_range_misfit = false;  ///< the quantised sort key alone is below 35 dB in some view
+  std::string headline, detail;
+};
+Verdict verdict(const Report& report);
+
+/// Hash over this program's version, the contents of all inputs and every option that changes a result; what decides
+/// whether an earlier result still holds. Reads all inputs. Errors: open_failed, read_failed.
+Outcome<std::string> fingerprint(const Options& options);
+
+/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of PlyFile, open(), validate(), the
+/// cameras and photographs; bad_value when no Gaussian of an .rgs asset is one of the source.
+Outcome<Report> run(const Options& options, tool::Progress& progress);
+
+}  // namespace rgs::audit

@@ -1,0 +1,18 @@
+// audit_chart.hpp - charts of a report as inline SVG, in the page's colours.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+
+#include "audit.hpp"
+
+namespace rgs::audit {
+
+/// Errors over a logarithmic axis in `unit`, with marks at the median, 99 % and the largest. `label` describes it to
+/// those who cannot see it.
+std::string error_histogram(const ErrorStatistics& errors, const std::string& unit, const std::string& label);
+
+/// How often each SH code occurs, -127 to 127, height by the logarithm of the count.
+std::string code_histogram(const CodeUsage& usage, const std::string& label);
+
+}  // namespace rgs::audit

@@ -1,0 +1,193 @@
+// audit_gate.cpp - conditions and verdict.
+// SPDX-License-Identifier: Apache-2.0
+#include "audit_gate.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <array>
+#include <charconv>
+#include <cmath>
+#include <limits>
+
+namespace rgs::audit {
+namespace {
+
+using Needs = ConditionKind::Needs;
+constexpr std::array<ConditionKind, 11> kKinds{{
+    {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
+    {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
+    {"ssim", "mean SSIM of the views", true, Needs::pictures},
+    {"worst-ssim", "SSIM of the worst view", true, Needs::pictures},
+    {"together-psnr", "mean PSNR with the fast renderer's arithmetic too, dB", true, Needs::attribution},
+    {"largest", "largest difference of any pixel, 8-bit levels", false, Needs::pictures},
+    {"loss", "PSNR lost against the photographs, dB", false, Needs::photos},
+    {"ratio", "size of the source over that of the asset", true, Needs::nothing},
+    {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
+    {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
+    {"dropped", "Gaussians of the source that the asset lacks", false, Needs::nothing},
+}};
+
+const ConditionKind* kind_of(const std::string& name) {
+  const auto found = std::find_if(kKinds.begin(), kKinds.end(), [&](const ConditionKind& k) { return name == k.name; });
+  return found == kKinds.end() ? nullptr : &*found;
+}
+
+// NaN for what was not measured: no comparison with it holds.
+double found_value(const std::string& name, const Report& report) {
+  constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+  if (name == "ratio") return report.size.ratio();
+  if (name == "bytes-per-gaussian") return report.size.bytes_per_gaussian();
+  if (name == "gpu-bytes-per-gaussian")
+    return report.size.gpu_bytes == 0 ? kNone : report.size.gpu_bytes_per_gaussian();
+  if (name == "dropped") {
+    const double missing = static_cast<double>(report.size.n_source) - static_cast<double>(report.size.n_asset);
+    return report.attributes ? static_cast<double>(report.attributes->n_source_only) : std::max(0.0, missing);
+  }
+  if (!report.render) return kNone;
+  const RenderReport& r = *report.render;
+  if (name == "psnr") return r.psnr;
+  if (name == "worst-psnr") return r.worst_psnr;
+  if (name == "ssim") return r.ssim;
+  if (name == "worst-ssim") return r.worst_ssim;
+  if (name == "largest") return 255 * static_cast<double>(r.largest);
+  if (name == "loss") return r.loss.value_or(kNone);
+  for (const AttributionRow& row : r.attribution)
+    if (name == "together-psnr" && row.key == "together") return row.psnr;
+  return kNone;
+}
+
+Verdict::Grade grade(const RenderReport& r) {
+  using Grade = Verdict::Grade;
+  if (!std::isfinite(r.worst_psnr)) return Grade::identical;
+  // 8-bit rounding alone leaves 58.9 dB; at 50 dB the RMS error is 0.8 levels, at 40 dB 2.6, at 30 dB 8.
+  if (r.worst_psnr >= 48 && r.worst_ssim >= 0.99) return Grade::lossless;
+  if (r.worst_psnr >= 40 && r.worst_ssim >= 0.97) return Grade::close;
+  if (r.worst_psnr >= 30) return Grade::visible;
+  return Grade::poor;
+}
+
+// The quantised sort key, where it alone does visible damage: depths outside the declared range share its end bins.
+const AttributionRow* misfit_key(const Report& report) {
+  if (!report.render || !report.declarations) return nullptr;
+  for (const AttributionRow& row : report.render->attribution)
+    if (row.key == "key" && row.worst < 35) return &row;
+  return nullptr;
+}
+
+const char* words(Verdict::Grade grade) {
+  switch (grade) {
+    case Verdict::Grade::identical: return "identical to the original";
+    case Verdict::Grade::lossless: return "no visible loss";
+    case Verdict::Grade::close: return "differences that take a close look";
+    case Verdict::Grade::visible: return "visible differences";
+    case Verdict::Grade::poor: return "heavy damage";
+    case Verdict::Grade::unrated: return "not rendered, so not rated";
+  }
+  return "";
+}
+
+}  // namespace
+
+std::span<const ConditionKind> condition_kinds() {
+  return kKinds;
+}
+
+tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::string& text) {
+  std::vector<Condition> out;
+  for (std::size_t start = 0; start <= text.size();) {
+    const std::size_t comma = std::min(text.find(',', start), text.size());
+    const std::string part = text.substr(start, comma - start);
+    start = comma + 1;
+    const std::size_t equals = part.find('=');
+    const ConditionKind* kind = kind_of(part.substr(0, equals));
+    if (kind == nullptr) {
+      std::string names;
+      for (const ConditionKind& k : kKinds) names += std::string(names.empty() ? "" : ", ") + k.name;
+      return tl::unexpected("--fail-below knows no condition '" + part.substr(0, equals) + "', but " + names);
+    }
+    Condition condition{kind->name, 0, 0, kind->at_least, false};
+    const char* first = equals == std::string::npos ? part.data() + part.size() : part.data() + equals + 1;
+    const auto [end, error] = std::from_chars(first, part.data() + part.size(), condition.limit);
+    if (error != std::errc() || end != part.data() + part.size() || !std::isfinite(condition.limit))
+      return tl::unexpected(fmt::format("--fail-below takes conditions such as {}=50, not '{}'", kind->name, part));
+    out.push_back(std::move(condition));
+  }
+  return out;
+}
+
+std::string unmeasurable(std::span<const Condition> conditions, const Options& options) {
+  for (const Condition& c : conditions) {
+    const Needs needs = kind_of(c.name)->needs;
+    if (needs == Needs::photos && options.photos.empty()) return "the condition '" + c.name + "' needs --photos";
+    if (needs != Needs::nothing && !options.render)
+      return "the condition '" + c.name + "' needs pictures: drop --no-render";
+    if (needs == Needs::attribution && !options.attribution)
+      return "the condition '" + c.name + "' needs the attribution: drop --no-attribution";
+  }
+  return {};
+}
+
+void evaluate(std::vector<Condition> conditions, Report& report) {
+  for (Condition& c : conditions) {
+    c.found = found_value(c.name, report);
+    c.holds = c.at_least ? c.found >= c.limit : c.found <= c.limit;
+  }
+  report.gate = std::move(conditions);
+}
+
+std::string describe(const Condition& c) {
+  if (std::isnan(c.found))
+    return fmt::format("{} not measured, wanted {} {:g}", c.name, c.at_least ? ">=" : "<=", c.limit);
+  const char* sign = c.holds ? (c.at_least ? ">=" : "<=") : (c.at_least ? "<" : ">");
+  return fmt::format("{} {:.5g} {} {:g}", c.name, c.found, sign, c.limit);
+}
+
+Verdict verdict(const Report& report) {
+  Verdict out;
+  const std::string smaller = fmt::format("{:.2f}x smaller", report.size.ratio());
+  if (!report.render) {
+    out.headline = fmt::format("{}; {}", smaller, words(out.grade));
+  } else {
+    const RenderReport& r = *report.render;
+    out.grade = grade(r);
+    out.headline = fmt::format("{}, {}", smaller, words(out.grade));
+    if (out.grade != Verdict::Grade::identical) {
+      out.detail = fmt::format(
+          "Pictures differ by {:.3g} of 255 levels RMS: {:.1f} dB on average, {:.1f} dB in the worst of {} views.",
+          255 * std::sqrt(r.mse), r.psnr, r.worst_psnr, r.views.size());
+    } else {
+      out.detail = fmt::format("{} views are equal in every bit.", r.views.size());
+    }
+    if (r.loss && *r.loss > 0.0005) {
+      out.detail += fmt::format(" Against the photographs {:.3f} dB are lost.", *r.loss);
+    } else if (r.loss) {
+      out.detail += " Against the photographs nothing is lost.";
+    }
+  }
+  const auto add = [&out](const std::string& sentence) { out.detail += (out.detail.empty() ? "" : " ") + sentence; };
+  if (report.attributes && report.attributes->n_source_only != 0)
+    add(fmt::format("{} Gaussians of the source are not in the asset.",
+                    tool::format_count(report.attributes->n_source_only)));
+  if (report.attributes && report.attributes->n_asset_only != 0)
+    add(fmt::format("{} Gaussians of the asset are not in the source.",
+                    tool::format_count(report.attributes->n_asset_only)));
+  if (const AttributionRow* key = misfit_key(report)) {
+    out.depth_range_misfit = true;
+    out.headline += ", but its depth range does not fit these views";
+    add(fmt::format(
+        "A renderer that sorts by the declared range of depths, {:.4g} to {:.4g}, falls to {:.1f} dB: convert with "
+        "--cameras, or with --near and --far.",
+        report.declarations->z_near, report.declarations->z_far, key->worst));
+  }
+  if (report.made_from_source == false) add("The asset states that it was made from another file than this source.");
+  if (!report.gate_holds()) {
+    std::string failed;
+    for (const Condition& c : report.gate)
+      if (!c.holds) failed += (failed.empty() ? "" : "; ") + describe(c);
+    out.headline = "Gate failed: " + failed + ". " + out.headline;
+  }
+  return out;
+}
+
+}  // namespace rgs::audit

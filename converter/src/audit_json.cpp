@@ -1,0 +1,219 @@
+// audit_json.cpp - schema "rgs-audit/1".
+// SPDX-License-Identifier: Apache-2.0
+#include "audit_json.hpp"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <nlohmann/json.hpp>
+
+#include "audit_gate.hpp"
+#include "info_report.hpp"
+
+namespace rgs::audit {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+// JSON has no infinity: null, which the schema explains for each field.
+Json number(double value) {
+  return std::isfinite(value) ? Json(value) : Json();
+}
+Json optional(const std::optional<double>& value) {
+  return value ? number(*value) : Json();
+}
+Json hex(std::uint64_t hash) {
+  return fmt::format("{:016x}", hash);
+}
+
+const char* name_of(PairedBy by) {
+  switch (by) {
+    case PairedBy::permutation: return "permutation";
+    case PairedBy::order: return "order";
+    case PairedBy::means: return "means";
+  }
+  return "";
+}
+
+const char* name_of(Verdict::Grade grade) {
+  switch (grade) {
+    case Verdict::Grade::identical: return "identical";
+    case Verdict::Grade::lossless: return "no_visible_loss";
+    case Verdict::Grade::close: return "close";
+    case Verdict::Grade::visible: return "visible";
+    case Verdict::Grade::poor: return "poor";
+    case Verdict::Grade::unrated: return "unrated";
+  }
+  return "";
+}
+
+Json json(const SizeReport& s) {
+  Json sections = Json::array();
+  for (const SectionSize& section : s.sections)
+    sections.push_back(
+        {{"type", section.type}, {"stored_bytes", section.stored_bytes}, {"decoded_bytes", section.decoded_bytes}});
+  return {{"source_bytes", s.source_bytes},
+          {"asset_bytes", s.asset_bytes},
+          {"ratio", s.ratio()},
+          {"bytes_per_gaussian", s.bytes_per_gaussian()},
+          {"gpu_bytes", s.gpu_bytes},
+          {"gpu_bytes_per_gaussian", s.gpu_bytes_per_gaussian()},
+          {"gpu_bytes_fp32", s.gpu_bytes_fp32},
+          {"sections", std::move(sections)}};
+}
+
+Json json(const ErrorStatistics& e) {
+  return {{"n", e.n},
+          {"n_zero", e.n_zero},
+          {"max", number(e.max)},
+          {"mean", number(e.mean)},
+          {"rms", number(e.rms)},
+          {"p50", e.p50},
+          {"p99", e.p99},
+          {"p99_9", e.p999},
+          {"histogram", {{"low", e.first_octave}, {"bins", e.histogram}}}};
+}
+
+Json json(const AttributeError& e) {
+  return {{"key", e.key},
+          {"value", json(e.value)},
+          {"value_unit", e.unit},
+          {"meaning", json(e.meaning)},
+          {"meaning_unit", e.meaning_unit}};
+}
+
+Json json(const AttributeReport& a) {
+  Json errors = Json::array(), worst = Json::object(), codes = Json::array();
+  for (const AttributeError& e : a.errors) errors.push_back(json(e));
+  for (const WorstList& list : a.worst) {
+    Json gaussians = Json::array();
+    for (const WorstGaussian& g : list.gaussians)
+      gaussians.push_back({{"error", g.error},
+                           {"asset_index", g.asset_index},
+                           {"source_index", g.source_index},
+                           {"mean", {g.mean[0], g.mean[1], g.mean[2]}}});
+    worst[list.key] = std::move(gaussians);
+  }
+  for (const CodeUsage& c : a.codes)
+    codes.push_back({{"used", c.used()}, {"entropy_bits", c.entropy_bits()}, {"count", c.count}});
+  const RangeCounts& r = a.ranges;
+  return {{"paired_by", name_of(a.paired_by)},
+          {"n_paired", a.n_paired},
+          {"n_source_only", a.n_source_only},
+          {"n_asset_only", a.n_asset_only},
+          {"colour", json(a.colour.meaning)},
+          {"errors", std::move(errors)},
+          {"ranges",
+           {{"sh_clipped", r.sh_clipped},
+            {"sh_limit", r.sh_limit},
+            {"sh_flushed", r.sh_flushed},
+            {"scale_subnormal", r.scale_subnormal},
+            {"scale_zero", r.scale_zero},
+            {"opacity_zero", r.opacity_zero},
+            {"opacity_one", r.opacity_one}}},
+          {"sh_codes", std::move(codes)},
+          {"worst", std::move(worst)},
+          {"seconds", a.seconds}};
+}
+
+Json json(const PhotoScore& p) {
+  return {{"source_psnr", number(p.source_psnr)},
+          {"asset_psnr", number(p.asset_psnr)},
+          {"loss", number(p.loss())},
+          {"source_ssim", p.source_ssim},
+          {"asset_ssim", p.asset_ssim}};
+}
+
+Json json(const RenderReport& r) {
+  Json views = Json::array(), attribution = Json::array();
+  for (const ViewResult& v : r.views) {
+    Json view{{"name", v.name},
+              {"width", v.width},
+              {"height", v.height},
+              {"psnr", number(v.score.psnr)},
+              {"mse", v.score.mse},
+              {"ssim", v.score.ssim},
+              {"largest", {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}}}};
+    if (v.photo) view["photo"] = json(*v.photo);
+    views.push_back(std::move(view));
+  }
+  for (const AttributionRow& row : r.attribution)
+    attribution.push_back({{"key", row.key},
+                           {"psnr", number(row.psnr)},
+                           {"worst_psnr", number(row.worst)},
+                           {"mse", row.mse},
+                           {"share", row.share},
+                           {"loss", optional(row.loss)}});
+  Json out{{"backend", r.backend},
+           {"automatic_views", r.automatic_views},
+           {"psnr", number(r.psnr)},
+           {"worst_psnr", number(r.worst_psnr)},
+           {"mse", r.mse},
+           {"ssim", r.ssim},
+           {"worst_ssim", r.worst_ssim},
+           {"largest", r.largest},
+           {"photos", r.photo ? json(*r.photo) : Json()},
+           {"n_undrawable", r.n_undrawable},
+           {"attribution", std::move(attribution)},
+           {"views", std::move(views)},
+           {"seconds", r.seconds}};
+  if (!r.attribution_note.empty()) out["attribution_note"] = r.attribution_note;
+  return out;
+}
+
+}  // namespace
+
+std::string audit_json(const Report& report) {
+  const Verdict v = verdict(report);
+  Json j{{"schema", "rgs-audit/1"},
+         {"tool", report.tool},
+         {"fingerprint", report.fingerprint},
+         {"source",
+          {{"name", report.source_name},
+           {"bytes", report.size.source_bytes},
+           {"xxh3", hex(report.source_xxh3)},
+           {"gaussians", report.size.n_source},
+           {"sh_degree", report.size.source_sh_degree}}},
+         {"asset",
+          {{"name", report.asset_name},
+           {"format", report.asset_format},
+           {"bytes", report.size.asset_bytes},
+           {"xxh3", hex(report.asset_xxh3)},
+           {"gaussians", report.size.n_asset},
+           {"sh_degree", report.size.asset_sh_degree},
+           {"made_from_source", report.made_from_source ? Json(*report.made_from_source) : Json()}}},
+         {"verdict",
+          {{"grade", name_of(v.grade)},
+           {"depth_range_misfit", v.depth_range_misfit},
+           {"headline", v.headline},
+           {"detail", v.detail}}},
+         {"size", json(report.size)}};
+  if (report.attributes) j["attributes"] = json(*report.attributes);
+  if (report.render) j["rendered"] = json(*report.render);
+  Json also = Json::array();
+  for (const AlsoReport& a : report.also)
+    also.push_back({{"path", a.path},
+                    {"bytes", a.bytes},
+                    {"gaussians", a.n_gaussians == 0 ? Json() : Json(a.n_gaussians)},
+                    {"measured", a.psnr.has_value()},
+                    {"psnr", optional(a.psnr)},
+                    {"worst_psnr", optional(a.worst_psnr)},
+                    {"ssim", optional(a.ssim)},
+                    {"loss", optional(a.loss)},
+                    {"note", a.note}});
+  j["also"] = std::move(also);
+  Json gate = Json::array();
+  for (const Condition& c : report.gate)
+    gate.push_back({{"name", c.name},
+                    {"limit", c.limit},
+                    {"sense", c.at_least ? "at_least" : "at_most"},
+                    {"found", number(c.found)},
+                    {"measured", !std::isnan(c.found)},
+                    {"holds", c.holds}});
+  j["gate"] = {{"holds", report.gate_holds()}, {"conditions", std::move(gate)}};
+  j["seconds"] = report.seconds;
+  // ASCII only, and bytes that are not UTF-8 become U+FFFD: names cannot act on a terminal.
+  return j.dump(2, ' ', true, Json::error_handler_t::replace) + "\n";
+}
+
+}  // namespace rgs::audit

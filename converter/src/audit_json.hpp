@@ -1,0 +1,14 @@
+// audit_json.hpp - an audit for programs; docs/AUDIT_JSON.md describes it.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+
+#include "audit.hpp"
+
+namespace rgs::audit {
+
+/// Schema "rgs-audit/1", ASCII, "\n" at the end.
+std::string audit_json(const Report& report);
+
+}  // namespace rgs::audit

@@ -1,0 +1,138 @@
+// audit_pairing.cpp - by permutation, by order, or by a merge join of hashed means.
+// SPDX-License-Identifier: Apache-2.0
+#include "audit_pairing.hpp"
+
+#include <tbb/parallel_for.h>
+#include <tbb/parallel_sort.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <optional>
+
+namespace rgs::audit {
+namespace {
+
+constexpr std::uint64_t kRows = 4096;
+constexpr std::size_t kAtOnce = 64;
+
+struct KeyedRow {
+  std::uint64_t key;
+  std::uint32_t row;
+  // Rows of one mean stay in order: Morton sorting is stable, so both files have them in the order of the source.
+  bool operator<(const KeyedRow& other) const { return key != other.key ? key < other.key : row < other.row; }
+};
+
+// Mixes a mean's bits; 64 bits tell 2^32 means apart. (Finaliser of SplitMix64, Steele et al. 2014.)
+std::uint64_t key_of(const float* mean) {
+  std::uint64_t key = 0;
+  for (int i = 0; i < 3; ++i) {
+    key += std::bit_cast<std::uint32_t>(mean[i]) + 0x9E3779B97F4A7C15u;
+    key = (key ^ key >> 30) * 0xBF58476D1CE4E5B9u;
+    key = (key ^ key >> 27) * 0x94D049BB133111EBu;
+    key ^= key >> 31;
+  }
+  return key;
+}
+
+bool same_bits(const float* a, const float* b) {
+  return std::equal(
+      a, a + 3, b, [](float x, float y) { return std::bit_cast<std::uint32_t>(x) == std::bit_cast<std::uint32_t>(y); });
+}
+
+// Calls use(row, mean) for all rows, in blocks on all threads.
+template <class Row, class Read, class Use>
+void for_each_mean(std::uint64_t n, const Read& read, const Use& use) {
+  tbb::parallel_for(std::uint64_t{0}, (n + kRows - 1) / kRows, [&](std::uint64_t block) {
+    std::array<Row, kAtOnce> rows;
+    const std::uint64_t end = std::min(n, (block + 1) * kRows);
+    for (std::uint64_t first = block * kRows; first < end; first += kAtOnce) {
+      const auto part = std::span(rows).first(std::min<std::uint64_t>(kAtOnce, end - first));
+      read(first, part);
+      for (std::size_t i = 0; i < part.size(); ++i) use(first + i, part[i].mean);
+    }
+  });
+}
+
+template <class Use>
+void for_each_source_mean(const PlyFile& source, const Use& use) {
+  for_each_mean<Splat>(
+      source.size(), [&](std::uint64_t first, auto part) { source.read(first, part); }, use);
+}
+
+template <class Use>
+void for_each_asset_mean(const FileView& asset, const Use& use) {
+  for_each_mean<ActivatedSplat>(
+      asset.header().n_gaussians, [&](std::uint64_t first, auto part) { (void)asset.read(first, part); }, use);
+}
+
+// Empty if the permutation cannot be of this source.
+std::optional<Pairing> pair_by_permutation(const PlyFile& source, const FileView& asset) {
+  if (asset.find(SectionType::permutation) == nullptr || asset.declarations().n_source != source.size()) return {};
+  Pairing pairing{PairedBy::permutation, std::vector<std::uint32_t>(asset.header().n_gaussians), 0};
+  for (std::uint64_t i = 0; i < pairing.source_of.size(); ++i)
+    pairing.source_of[i] = static_cast<std::uint32_t>(asset.source_index(i));
+  pairing.n_paired = pairing.source_of.size();
+  return pairing;
+}
+
+// Both in the same order, rows of the source left out here and there. Empty if a mean is not found.
+std::optional<Pairing> pair_by_order(const PlyFile& source, const FileView& asset) {
+  if (asset.declarations().order != Order::input) return {};
+  Pairing pairing{PairedBy::order, std::vector<std::uint32_t>(asset.header().n_gaussians), 0};
+  std::array<Splat, kAtOnce> rows;
+  std::array<ActivatedSplat, kAtOnce> stored;
+  std::uint64_t i = 0, first_stored = 0, n_stored = 0;
+  for (std::uint64_t first = 0; first < source.size() && i < pairing.source_of.size(); first += kAtOnce) {
+    const auto part = std::span(rows).first(std::min<std::uint64_t>(kAtOnce, source.size() - first));
+    source.read(first, part);
+    for (std::size_t k = 0; k < part.size() && i < pairing.source_of.size(); ++k) {
+      if (i == first_stored + n_stored) {
+        first_stored = i;
+        n_stored = std::min<std::uint64_t>(kAtOnce, pairing.source_of.size() - i);
+        (void)asset.read(i, std::span(stored).first(n_stored));
+      }
+      if (!same_bits(part[k].mean, stored[i - first_stored].mean)) continue;
+      pairing.source_of[i++] = static_cast<std::uint32_t>(first + k);
+    }
+  }
+  if (i != pairing.source_of.size()) return {};
+  pairing.n_paired = i;
+  return pairing;
+}
+
+Pairing pair_by_means(const PlyFile& source, const FileView& asset) {
+  std::vector<KeyedRow> of_source(source.size()), of_asset(asset.header().n_gaussians);
+  const auto note = [](std::vector<KeyedRow>& rows) {
+    return [&rows](std::uint64_t row, const float* mean) {
+      rows[row] = {key_of(mean), static_cast<std::uint32_t>(row)};
+    };
+  };
+  for_each_source_mean(source, note(of_source));
+  for_each_asset_mean(asset, note(of_asset));
+  tbb::parallel_sort(of_source);
+  tbb::parallel_sort(of_asset);
+  Pairing pairing{PairedBy::means, std::vector<std::uint32_t>(of_asset.size(), kUnpaired), 0};
+  auto from = of_source.begin();
+  for (const KeyedRow& row : of_asset) {
+    while (from != of_source.end() && from->key < row.key) ++from;
+    if (from == of_source.end() || from->key != row.key) continue;
+    pairing.source_of[row.row] = from->row;
+    ++pairing.n_paired;
+    ++from;
+  }
+  return pairing;
+}
+
+}  // namespace
+
+Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset) {
+  if (source.size() >= kUnpaired || asset.header().n_gaussians >= kUnpaired)
+    return rgs::fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
+                     std::max(source.size(), asset.header().n_gaussians));
+  if (auto pairing = pair_by_permutation(source, asset)) return *std::move(pairing);
+  if (auto pairing = pair_by_order(source, asset)) return *std::move(pairing);
+  return pair_by_means(source, asset);
+}
+
+}  // namespace rgs::audit

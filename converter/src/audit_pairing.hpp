@@ -1,0 +1,27 @@
+// audit_pairing.hpp - which Gaussian of the source became which of the asset.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "audit.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/ply.hpp"
+
+namespace rgs::audit {
+
+inline constexpr std::uint32_t kUnpaired = 0xFFFFFFFF;
+
+struct Pairing {
+  PairedBy by = PairedBy::means;
+  std::vector<std::uint32_t> source_of;  ///< [n_asset] row of the source, or kUnpaired
+  std::uint64_t n_paired = 0;
+};
+
+/// Pairs by the file's permutation if it has one; else in order, if the asset keeps the source's; else by equal means,
+/// which conversion never changes (Gaussians on one spot keep their order). `asset` must have passed validate().
+/// Takes 36 bytes a Gaussian at most. Errors: limit_exceeded (2^32 - 1 Gaussians or more).
+Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset);
+
+}  // namespace rgs::audit

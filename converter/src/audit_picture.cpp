@@ -1,0 +1,197 @@
+// audit_picture.cpp - difference maps and crops.
+// SPDX-License-Identifier: Apache-2.0
+#include "audit_picture.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+
+#include "image_file.hpp"
+
+namespace rgs::audit {
+namespace {
+
+struct Candidate {
+  Region region;
+  double squares = 0;
+};
+
+bool overlap(const Region& a, const Region& b) {
+  return a.pictures == b.pictures && a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height &&
+         b.y < a.y + a.height;
+}
+
+double sum_of_squares(const Image& levels, const Region& r) {
+  double sum = 0;
+  for (int y = r.y; y < r.y + r.height; ++y) {
+    for (int x = r.x; x < r.x + r.width; ++x) {
+      const auto v = static_cast<double>(levels.at(x, y, 0));
+      sum += v * v;
+    }
+  }
+  return sum;
+}
+
+// All regions on a grid of half their size.
+std::vector<Candidate> candidates(std::span<const Image> levels, int width, int height) {
+  std::vector<Candidate> out;
+  for (std::size_t i = 0; i < levels.size(); ++i) {
+    const int w = std::min(width, levels[i].width), h = std::min(height, levels[i].height);
+    const int columns = 1 + (levels[i].width - w) * 2 / w, rows = 1 + (levels[i].height - h) * 2 / h;
+    for (int row = 0; row < rows; ++row) {
+      for (int column = 0; column < columns; ++column) {
+        Region r{i, std::min(column * w / 2, levels[i].width - w), std::min(row * h / 2, levels[i].height - h), w, h,
+                 0};
+        const double squares = sum_of_squares(levels[i], r);
+        r.rms = std::sqrt(squares / (static_cast<double>(w) * h));
+        if (squares > 0) out.push_back({r, squares});
+      }
+    }
+  }
+  std::stable_sort(out.begin(), out.end(),
+                   [](const Candidate& a, const Candidate& b) { return a.squares > b.squares; });
+  return out;
+}
+
+// Pixels [first, last) of the large picture that fall into pixel i of n.
+std::array<int, 2> covered(int i, int n, int size) {
+  const auto at = [&](int k) { return static_cast<int>(static_cast<std::int64_t>(k) * size / n); };
+  return {at(i), std::max(at(i) + 1, at(i + 1))};
+}
+
+template <class Combine>
+Image combined(const Image& image, int width, const Combine& combine) {
+  if (image.width <= width) return image;
+  const int height = std::max(1, static_cast<int>(static_cast<std::int64_t>(image.height) * width / image.width));
+  Image out = Image::make(width, height, image.channels);
+  for (int y = 0; y < height; ++y) {
+    const auto rows = covered(y, height, image.height);
+    for (int x = 0; x < width; ++x) {
+      const auto columns = covered(x, width, image.width);
+      for (int c = 0; c < image.channels; ++c) out.at(x, y, c) = combine(rows, columns, c);
+    }
+  }
+  return out;
+}
+
+std::string base64(std::span<const std::byte> bytes) {
+  constexpr const char* kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string text;
+  text.reserve((bytes.size() + 2) / 3 * 4);
+  for (std::size_t i = 0; i < bytes.size(); i += 3) {
+    std::uint32_t three = 0;
+    for (std::size_t k = 0; k < 3; ++k)
+      three = three << 8 | (i + k < bytes.size() ? static_cast<std::uint32_t>(bytes[i + k]) : 0);
+    for (std::size_t k = 0; k < 4; ++k) text += i + k <= bytes.size() ? kDigits[three >> (18 - 6 * k) & 63] : '=';
+  }
+  return text;
+}
+
+}  // namespace
+
+Colour heat(float share) {
+  constexpr std::array<Colour, 6> kStops{{{0.00F, 0.00F, 0.02F},
+                                          {0.30F, 0.07F, 0.48F},
+                                          {0.69F, 0.16F, 0.38F},
+                                          {0.93F, 0.41F, 0.14F},
+                                          {0.98F, 0.75F, 0.14F},
+                                          {0.99F, 1.00F, 0.64F}}};
+  if (share > 1) return {1, 1, 1};
+  const float at = std::clamp(share, 0.0F, 1.0F) * static_cast<float>(kStops.size() - 1);
+  const auto i = std::min(static_cast<std::size_t>(at), kStops.size() - 2);
+  const float t = at - static_cast<float>(i);
+  const Colour &a = kStops[i], &b = kStops[i + 1];
+  return {a.r + t * (b.r - a.r), a.g + t * (b.g - a.g), a.b + t * (b.b - a.b)};
+}
+
+Image difference_levels(const Image& a, const Image& b) {
+  Image out = Image::make(a.width, a.height, 1);
+  const auto channels = static_cast<std::size_t>(a.channels);
+  const auto shown = [](float v) { return std::clamp(v, 0.0F, 1.0F); };
+  for (std::size_t i = 0; i < out.pixels.size(); ++i)
+    for (std::size_t c = i * channels; c < (i + 1) * channels; ++c)
+      out.pixels[i] = std::max(out.pixels[i], 255 * std::abs(shown(a.pixels[c]) - shown(b.pixels[c])));
+  return out;
+}
+
+float scale_top(std::span<const Image> levels) {
+  std::vector<float> sample;  // every seventh pixel: a prime, so that no column is favoured
+  for (const Image& image : levels)
+    for (std::size_t i = 0; i < image.pixels.size(); i += 7) sample.push_back(image.pixels[i]);
+  if (sample.empty()) return 1;
+  const auto at = sample.begin() + static_cast<std::ptrdiff_t>((sample.size() - 1) * 999 / 1000);
+  std::nth_element(sample.begin(), at, sample.end());
+  float top = 0.1F;
+  for (const float step : {2.0F, 2.5F, 2.0F, 2.0F, 2.5F, 2.0F, 2.0F, 2.5F, 2.0F, 2.0F})
+    if (top < *at) top *= step;
+  return std::min(top, 255.0F);
+}
+
+Image heat_map(const Image& levels, float top) {
+  Image out = Image::make(levels.width, levels.height, 3);
+  for (std::size_t i = 0; i < levels.pixels.size(); ++i) {
+    const Colour c = heat(levels.pixels[i] / top);
+    out.pixels[3 * i] = c.r, out.pixels[3 * i + 1] = c.g, out.pixels[3 * i + 2] = c.b;
+  }
+  return out;
+}
+
+Image shrunk(const Image& image, int width) {
+  return combined(image, width, [&](const auto& rows, const auto& columns, int c) {
+    float sum = 0;
+    for (int y = rows[0]; y < rows[1]; ++y)
+      for (int x = columns[0]; x < columns[1]; ++x) sum += image.at(x, y, c);
+    return sum / static_cast<float>((rows[1] - rows[0]) * (columns[1] - columns[0]));
+  });
+}
+
+Image shrunk_to_largest(const Image& levels, int width) {
+  return combined(levels, width, [&](const auto& rows, const auto& columns, int c) {
+    float largest = 0;
+    for (int y = rows[0]; y < rows[1]; ++y)
+      for (int x = columns[0]; x < columns[1]; ++x) largest = std::max(largest, levels.at(x, y, c));
+    return largest;
+  });
+}
+
+Image cropped(const Image& image, int x, int y, int width, int height) {
+  Image out = Image::make(width, height, image.channels);
+  for (int j = 0; j < height; ++j)
+    for (int i = 0; i < width; ++i)
+      for (int c = 0; c < image.channels; ++c) out.at(i, j, c) = image.at(x + i, y + j, c);
+  return out;
+}
+
+std::vector<Region> worst_regions(std::span<const Image> levels, int width, int height, std::size_t n,
+                                  std::size_t per_view) {
+  std::vector<Region> chosen;
+  std::vector<std::size_t> taken(levels.size());
+  for (const Candidate& c : candidates(levels, width, height)) {
+    if (chosen.size() == n) break;
+    const bool free = std::none_of(chosen.begin(), chosen.end(), [&](const Region& r) { return overlap(r, c.region); });
+    if (!free || taken[c.region.pictures] == per_view) continue;
+    ++taken[c.region.pictures];
+    chosen.push_back(c.region);
+  }
+  return chosen;
+}
+
+std::string picture_uri(const Image& image, std::size_t max_bytes, bool* lossless) {
+  if (lossless != nullptr) *lossless = true;
+  if (const auto png = encode_image(image, ImageFormat::png); png && png->size() <= max_bytes)
+    return "data:image/png;base64," + base64(*png);
+  if (lossless != nullptr) *lossless = false;
+  ImageFileOptions options;
+  for (int width = image.width; width >= 64; width = width * 2 / 3) {
+    const Image small = shrunk(image, width);
+    for (const int quality : {95, 88, 75}) {
+      options.jpeg_quality = quality;
+      if (const auto jpeg = encode_image(small, ImageFormat::jpeg, options); jpeg && jpeg->size() <= max_bytes)
+        return "data:image/jpeg;base64," + base64(*jpeg);
+    }
+  }
+  return "data:,";
+}
+
+}  // namespace rgs::audit

@@ -1,0 +1,458 @@
+// audit_render.cpp - scene by scene over a batch of views, so that few scenes and few pictures are held at once.
+// SPDX-License-Identifier: Apache-2.0
+#include "audit_render.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <functional>
+#include <limits>
+#include <optional>
+#include <utility>
+
+#include "audit_scenes.hpp"
+#include "rgs/image_metrics.hpp"
+#include "scene_file.hpp"
+
+namespace rgs::audit {
+namespace {
+
+constexpr std::uint64_t kBatchBytes = std::uint64_t{512} << 20;  // reference pictures
+constexpr std::uint64_t kKeptBytes = std::uint64_t{512} << 20;   // pictures of the worst views
+constexpr std::size_t kKeptViews = 6;
+
+std::uint64_t picture_bytes(const Camera& camera) {
+  return 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
+}
+
+// The image's definition by Kerbl et al. 2023 (docs/RENDERING.md): what source and asset are compared in.
+RenderOptions reference_arithmetic(const std::optional<Declarations>& declared) {
+  RenderOptions options = baseline_options();
+  options.cuda.deterministic = true;
+  if (declared && declared->aa_mode == AaMode::mip_splatting) {
+    options.anti_aliasing = math::AntiAliasing::mip_splatting;
+    options.low_pass = declared->low_pass_px2;
+  }
+  return options;
+}
+
+RenderOptions with_key(RenderOptions options, const Declarations& declared) {
+  options.depth_order = math::DepthOrder::quantized;
+  options.depth_mapping = declared.depth_mapping;
+  options.depth_range = {declared.z_near, declared.z_far};
+  return options;
+}
+RenderOptions with_exp(RenderOptions options) {
+  options.exp = math::Exp::zero_mean;
+  return options;
+}
+RenderOptions with_lists(RenderOptions options) {
+  options.extent = math::Extent::ellipse;
+  options.exponent = math::Exponent::folded;
+  return options;
+}
+
+Image clamped(const Image& image) {
+  Image out = image;
+  for (float& v : out.pixels) v = std::clamp(v, 0.0F, 1.0F);
+  return out;
+}
+
+// Mean of PSNRs, of the views that differ: one identical view does not make a mean infinite.
+double mean_psnr(std::span<const double> values) {
+  double sum = 0;
+  std::size_t n = 0;
+  for (const double v : values)
+    if (std::isfinite(v)) sum += v, ++n;
+  return n == 0 ? std::numeric_limits<double>::infinity() : sum / static_cast<double>(n);
+}
+
+// What is known of one variant, view by view.
+struct Series {
+  std::string key, name;
+  std::vector<double> psnr{}, mse{}, loss{};
+  void add(double view_psnr, double view_mse, double view_loss) {
+    psnr.push_back(view_psnr);
+    mse.push_back(view_mse);
+    loss.push_back(view_loss);
+  }
+};
+
+class PictureAudit {
+ public:
+  PictureAudit(const RenderInputs& inputs, const Options& options, std::vector<AlsoReport>& also,
+               tool::Progress& progress)
+      : inputs_(inputs), options_(options), also_(also), progress_(progress) {}
+
+  Outcome<RenderReport> run() {
+    const auto start = std::chrono::steady_clock::now();
+    RendererOptions how;
+    how.backend = options_.backend;
+    how.threads = options_.threads;
+    auto renderer = Renderer::create(how);
+    if (!renderer) return fail("", renderer.error());
+    renderer_.emplace(std::move(*renderer));
+    report_.backend = renderer_->backend_name();
+    report_.automatic_views = options_.cameras.empty();
+    if (inputs_.rgs != nullptr) declared_ = inputs_.rgs->declarations();
+    plan_attribution();
+    if (auto ok = load_source(); !ok) return tl::unexpected(ok.error());
+    auto views = choose_views(options_, bounds_, up());
+    if (!views) return tl::unexpected(views.error());
+    views_ = std::move(*views);
+    progress_.begin("rendering", views_.size() * frames_per_view(), "frames");
+    for (std::size_t first = 0; first < views_.size();) {
+      std::size_t end = first;
+      for (std::uint64_t bytes = 0; end < views_.size(); ++end) {
+        bytes += picture_bytes(views_[end].camera);
+        if (end > first && bytes > kBatchBytes) break;
+      }
+      if (auto ok = batch(first, end); !ok) return tl::unexpected(ok.error());
+      first = end;
+    }
+    progress_.finish();
+    summarise();
+    report_.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
+    return std::move(report_);
+  }
+
+ private:
+  using Done = Outcome<void>;
+
+  // ---- what is rendered
+
+  bool attribute() const { return options_.attribution && declared_ && inputs_.pairing != nullptr && mixable(); }
+  bool mixable() const { return inputs_.pairing->n_paired == inputs_.pairing->source_of.size(); }
+
+  void plan_attribution() {
+    if (!options_.attribution) {
+      report_.attribution_note = "not asked for";
+    } else if (inputs_.pairing == nullptr) {
+      report_.attribution_note = "only .rgs files say how they were made";
+    } else if (!mixable()) {
+      report_.attribution_note = "Gaussians of the asset have no partner in the source";
+    }
+    if (!attribute()) return;
+    if (inputs_.pairing->n_paired != inputs_.source->size()) variants_.push_back({"left_out", "Gaussians left out"});
+    variants_.push_back({"sh", "SH as INT8"});
+    variants_.push_back({"geometry", "Geometry as FP16"});
+    variants_.push_back({"conversion", "SH and geometry: the conversion"});
+    variants_.push_back({"key", "Sort key quantised"});
+    variants_.push_back({"exp", "Fast exponential"});
+    variants_.push_back({"lists", "Tile lists by ellipse, folded exponent"});
+    variants_.push_back({"together", "All together"});
+    if (!options_.compare_scales) return;
+    variants_.push_back({"file_scales", "SH as INT8, one scale set for the file"});
+    variants_.push_back({"chunk_scales", "SH as INT8, one scale set per 256"});
+  }
+
+  std::uint64_t frames_per_view() const {
+    // The conversion's own frame serves twice.
+    return 2 + (variants_.empty() ? 0 : variants_.size() - 1) +
+           static_cast<std::uint64_t>(
+               std::count_if(also_.begin(), also_.end(), [](auto& a) { return a.note.empty(); }));
+  }
+
+  Vec3 up() const {
+    if (!declared_) return kWorldUp;
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      Vec3 direction{0, 0, 0};
+      direction[axis] = declared_->axes[axis] == Axis::up ? 1 : -1;
+      if (declared_->axes[axis] == Axis::up || declared_->axes[axis] == Axis::down) return direction;
+    }
+    return kWorldUp;
+  }
+
+  Done load_source() {
+    auto source = source_scene(*inputs_.source);
+    if (!source) return fail(options_.source, source.error());
+    scene_ = std::move(source->scene);
+    bounds_ = source->bounds;
+    report_.n_undrawable = source->n_left_out;
+    return {};
+  }
+
+  // ---- one batch of views [first, end)
+
+  Done batch(std::size_t first, std::size_t end) {
+    const RenderOptions exact = reference_arithmetic(declared_);
+    if (scene_.size() == 0 && first > 0)
+      if (auto ok = load_source(); !ok) return ok;
+    references_.clear();
+    for (std::size_t i = first; i < end; ++i) {
+      auto image = render(i, exact);
+      if (!image) return tl::unexpected(image.error());
+      references_.push_back(std::move(*image));
+    }
+    scene_ = Scene();
+    if (auto ok = asset(first, end, exact); !ok) return ok;
+    if (auto ok = mixtures(first, end, exact); !ok) return ok;
+    for (AlsoReport& other : also_)
+      if (auto ok = also(other, first, end, exact); !ok) return ok;
+    return {};
+  }
+
+  Done asset(std::size_t first, std::size_t end, const RenderOptions& exact) {
+    if (inputs_.rgs != nullptr) {
+      auto scene = Scene::load(*inputs_.rgs);
+      if (!scene) return fail(options_.asset, scene.error());
+      scene_ = std::move(*scene);
+    } else {
+      auto file = load_scene_file(options_.asset);
+      if (!file) return fail(options_.asset, file.error());
+      scene_ = std::move(file->scene);
+    }
+    for (std::size_t i = first; i < end; ++i) {
+      auto image = render(i, exact);
+      if (!image) return tl::unexpected(image.error());
+      if (auto ok = score(i, references_[i - first], std::move(*image)); !ok) return ok;
+    }
+    if (Series* together = find("together")) {
+      const RenderOptions paper = with_lists(with_exp(with_key(exact, *declared_)));
+      if (auto ok = render_variant(*together, first, end, paper); !ok) return ok;
+    }
+    return {};
+  }
+
+  Done mixtures(std::size_t first, std::size_t end, const RenderOptions& exact) {
+    if (variants_.empty()) return {};
+    struct Step {
+      Mixture mixture;
+      const char* key;
+      RenderOptions options;
+    };
+    const Step steps[] = {{Mixture::stored_sh, "sh", exact},
+                          {Mixture::stored_geometry, "geometry", exact},
+                          {Mixture::source, "left_out", exact},
+                          {Mixture::source, "key", with_key(exact, *declared_)},
+                          {Mixture::source, "exp", with_exp(exact)},
+                          {Mixture::source, "lists", with_lists(exact)},
+                          {Mixture::file_scales, "file_scales", exact},
+                          {Mixture::chunk_scales, "chunk_scales", exact}};
+    std::optional<Mixture> loaded;
+    for (const Step& step : steps) {
+      Series* series = find(step.key);
+      if (series == nullptr) continue;
+      if (loaded != step.mixture) {
+        scene_ = Scene();  // before the next one is made
+        auto scene = mixed_scene(*inputs_.source, *inputs_.rgs, *inputs_.pairing, step.mixture);
+        if (!scene) return fail(options_.source, scene.error());
+        scene_ = std::move(*scene);
+        loaded = step.mixture;
+      }
+      if (auto ok = render_variant(*series, first, end, step.options); !ok) return ok;
+    }
+    scene_ = Scene();
+    return {};
+  }
+
+  Done also(AlsoReport& other, std::size_t first, std::size_t end, const RenderOptions& exact) {
+    if (!other.note.empty()) return {};
+    auto file = load_scene_file(other.path);
+    if (!file) {
+      other.note = file.error().code == Errc::bad_magic ? "no reader for this format" : file.error().what;
+      return {};
+    }
+    scene_ = std::move(file->scene);
+    other.n_gaussians = scene_.size();
+    auto& sums = also_sums_[static_cast<std::size_t>(&other - also_.data())];
+    for (std::size_t i = first; i < end; ++i) {
+      auto image = render(i, exact);
+      if (!image) return tl::unexpected(image.error());
+      const auto d = difference(references_[i - first], *image);
+      const auto s = ssim(references_[i - first], *image);
+      if (!d || !s) return fail(other.path, d ? s.error() : d.error());
+      sums.psnr.push_back(d->psnr);
+      sums.ssim += *s;
+      const auto loss = photo_loss(views_[i], references_[i - first], *image);
+      if (!loss) return tl::unexpected(loss.error());
+      sums.loss += *loss;
+    }
+    scene_ = Scene();
+    return {};
+  }
+
+  // ---- pictures and numbers
+
+  Outcome<Image> render(std::size_t view, const RenderOptions& how) {
+    const Camera& camera = views_[view].camera;
+    Image image = Image::make(camera.width, camera.height, 3);
+    const auto stats = renderer_->render(scene_, camera, {.rgb = image.pixels}, how);
+    if (!stats) return fail("view " + camera.name, stats.error());
+    progress_.advance(1);
+    return image;
+  }
+
+  Done render_variant(Series& series, std::size_t first, std::size_t end, const RenderOptions& how) {
+    for (std::size_t i = first; i < end; ++i) {
+      const auto image = render(i, how);
+      if (!image) return tl::unexpected(image.error());
+      const auto d = difference(references_[i - first], *image);
+      if (!d) return fail("view " + views_[i].camera.name, d.error());
+      const auto loss = photo_loss(views_[i], references_[i - first], *image);
+      if (!loss) return tl::unexpected(loss.error());
+      series.add(d->psnr, d->mse, *loss);
+    }
+    return {};
+  }
+
+  Done score(std::size_t view, const Image& reference, Image image) {
+    const Camera& camera = views_[view].camera;
+    const auto d = difference(reference, image);
+    const auto s = ssim(reference, image);
+    if (!d || !s) return fail("view " + camera.name, d ? s.error() : d.error());
+    ViewResult result{camera.name, camera.width, camera.height, {d->mse, d->psnr, *s, d->largest, 0, 0}, {}};
+    const auto pixel = static_cast<int>(d->largest_index / 3);
+    result.score.x = pixel % camera.width;
+    result.score.y = pixel / camera.width;
+    if (!views_[view].photo.empty()) {
+      auto photo = compare_to_photo(views_[view], reference, image);
+      if (!photo) return tl::unexpected(photo.error());
+      result.photo = *photo;
+    }
+    if (Series* conversion = find("conversion"))
+      conversion->add(d->psnr, d->mse, result.photo ? result.photo->loss() : 0);
+    report_.views.push_back(std::move(result));
+    keep({view, reference, std::move(image)});
+    return {};
+  }
+
+  // Against photographs as 3DGS evaluates: values beyond what a photograph can hold are clamped.
+  static Outcome<PhotoScore> compare_to_photo(const View& view, const Image& reference, const Image& image) {
+    const auto photo = read_photo(view);
+    if (!photo) return tl::unexpected(photo.error());
+    PhotoScore score;
+    for (const bool of_source : {true, false}) {
+      const Image shown = clamped(of_source ? reference : image);
+      const auto d = difference(*photo, shown);
+      const auto s = ssim(*photo, shown);
+      if (!d || !s) return fail(view.photo, d ? s.error() : d.error());
+      (of_source ? score.source_psnr : score.asset_psnr) = d->psnr;
+      (of_source ? score.source_ssim : score.asset_ssim) = *s;
+    }
+    return score;
+  }
+
+  // What `image` loses against the photograph, dB; 0 without one.
+  static Outcome<double> photo_loss(const View& view, const Image& reference, const Image& image) {
+    if (view.photo.empty()) return 0;
+    const auto photo = read_photo(view);
+    if (!photo) return tl::unexpected(photo.error());
+    const auto before = difference(*photo, clamped(reference)), after = difference(*photo, clamped(image));
+    if (!before || !after) return fail(view.photo, before ? after.error() : before.error());
+    return before->psnr == after->psnr ? 0 : before->psnr - after->psnr;
+  }
+
+  // The worst views so far, within a number and a size.
+  void keep(ViewPictures pictures) {
+    const auto psnr = [this](const ViewPictures& p) { return report_.views[p.view].score.psnr; };
+    auto& kept = report_.pictures;
+    const auto worse = [&](const ViewPictures& a, const ViewPictures& b) { return psnr(a) < psnr(b); };
+    const std::uint64_t bytes = 2 * picture_bytes(views_[pictures.view].camera);
+    const std::size_t most = std::clamp<std::size_t>(kKeptBytes / bytes, 1, kKeptViews);
+    kept.insert(std::upper_bound(kept.begin(), kept.end(), pictures, worse), std::move(pictures));
+    if (kept.size() > most) kept.resize(most);
+  }
+
+  Series* find(const std::string& key) {
+    const auto found = std::find_if(variants_.begin(), variants_.end(), [&](const Series& s) { return s.key == key; });
+    return found == variants_.end() ? nullptr : &*found;
+  }
+
+  void summarise() {
+    summarise_views();
+    double all = 0;
+    if (const Series* together = find("together")) all = mean(together->mse);
+    for (const Series& s : variants_) {
+      AttributionRow row{s.key, s.name, mean_psnr(s.psnr), *std::min_element(s.psnr.begin(), s.psnr.end()),
+                         mean(s.mse)};
+      row.share = all > 0 ? row.mse / all : 0;
+      if (!options_.photos.empty()) row.loss = mean(s.loss);
+      report_.attribution.push_back(std::move(row));
+    }
+    for (std::size_t i = 0; i < also_.size(); ++i) {
+      const AlsoSums& sums = also_sums_[i];
+      if (sums.psnr.empty()) continue;
+      const auto n = static_cast<double>(sums.psnr.size());
+      also_[i].psnr = mean_psnr(sums.psnr);
+      also_[i].worst_psnr = *std::min_element(sums.psnr.begin(), sums.psnr.end());
+      also_[i].ssim = sums.ssim / n;
+      if (!options_.photos.empty()) also_[i].loss = sums.loss / n;
+    }
+  }
+
+  void summarise_views() {
+    auto& views = report_.views;
+    std::vector<double> psnr;
+    PhotoScore photo;
+    double ssim_sum = 0, mse_sum = 0;
+    report_.worst_psnr = std::numeric_limits<double>::infinity();
+    const auto n = static_cast<double>(views.size());
+    for (const ViewResult& v : views) {
+      psnr.push_back(v.score.psnr);
+      ssim_sum += v.score.ssim;
+      mse_sum += v.score.mse;
+      report_.worst_psnr = std::min(report_.worst_psnr, v.score.psnr);
+      report_.worst_ssim = std::min(report_.worst_ssim, v.score.ssim);
+      report_.largest = std::max(report_.largest, v.score.largest);
+      if (!v.photo) continue;
+      photo.source_psnr += v.photo->source_psnr / n;
+      photo.asset_psnr += v.photo->asset_psnr / n;
+      photo.source_ssim += v.photo->source_ssim / n;
+      photo.asset_ssim += v.photo->asset_ssim / n;
+    }
+    report_.psnr = mean_psnr(psnr);
+    report_.ssim = ssim_sum / n;
+    report_.mse = mse_sum / n;
+    if (!options_.photos.empty()) {
+      report_.photo = photo;
+      report_.loss = photo.loss();
+    }
+    // Worst first; pictures keep pointing at their views.
+    std::vector<std::size_t> order(views.size()), place(views.size());
+    for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+    std::stable_sort(order.begin(), order.end(),
+                     [&](std::size_t a, std::size_t b) { return views[a].score.psnr < views[b].score.psnr; });
+    std::vector<ViewResult> sorted;
+    for (std::size_t i = 0; i < order.size(); ++i) {
+      sorted.push_back(std::move(views[order[i]]));
+      place[order[i]] = i;
+    }
+    views = std::move(sorted);
+    for (ViewPictures& p : report_.pictures) p.view = place[p.view];
+  }
+
+  static double mean(const std::vector<double>& values) {
+    double sum = 0;
+    for (const double v : values) sum += v;
+    return values.empty() ? 0 : sum / static_cast<double>(values.size());
+  }
+
+  struct AlsoSums {
+    std::vector<double> psnr;
+    double ssim = 0, loss = 0;
+  };
+
+  const RenderInputs& inputs_;
+  const Options& options_;
+  std::vector<AlsoReport>& also_;
+  tool::Progress& progress_;
+  std::optional<Renderer> renderer_;
+  std::optional<Declarations> declared_;
+  Scene scene_;  // the one being rendered
+  SceneBounds bounds_;
+  std::vector<View> views_;
+  std::vector<Image> references_;  // of the batch
+  std::vector<Series> variants_;
+  std::vector<AlsoSums> also_sums_ = std::vector<AlsoSums>(also_.size());
+  RenderReport report_;
+};
+
+}  // namespace
+
+Outcome<RenderReport> compare_pictures(const RenderInputs& inputs, const Options& options,
+                                       std::vector<AlsoReport>& also, tool::Progress& progress) {
+  return PictureAudit(inputs, options, also, progress).run();
+}
+
+}  // namespace rgs::audit

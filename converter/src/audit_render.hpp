@@ -1,0 +1,29 @@
+// audit_render.hpp - source against asset as pictures: how far apart, why, and where.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <span>
+
+#include "audit.hpp"
+#include "audit_pairing.hpp"
+#include "audit_views.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/ply.hpp"
+
+namespace rgs::audit {
+
+/// What is rendered against what. `rgs` and `pairing` are absent for assets of other formats, which then have no
+/// attribution.
+struct RenderInputs {
+  const PlyFile* source = nullptr;
+  const FileView* rgs = nullptr;
+  const Pairing* pairing = nullptr;
+};
+
+/// Renders every view of source and asset in the reference definition (FP32, square extent, exact order and
+/// exponential), and the attribution's variants. Views are taken in batches whose reference pictures fit into 512 MB,
+/// and at most two scenes are in memory at a time. Fills `also` too.
+Outcome<RenderReport> compare_pictures(const RenderInputs& inputs, const Options& options,
+                                       std::vector<AlsoReport>& also, tool::Progress& progress);
+
+}  // namespace rgs::audit

@@ -1,0 +1,195 @@
+// audit_run.cpp - opens source and asset and asks every part of the audit in turn.
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+#include <tbb/parallel_invoke.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <filesystem>
+
+#include "audit.hpp"
+#include "audit_attributes.hpp"
+#include "audit_pairing.hpp"
+#include "audit_render.hpp"
+#include "info_report.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/file.hpp"
+#include "scene_file.hpp"
+
+namespace rgs::audit {
+namespace {
+
+namespace fs = std::filesystem;
+using Clock = std::chrono::steady_clock;
+
+constexpr const char* kTool = "rgs-audit " RGS_VERSION;
+
+double since(Clock::time_point start) {
+  return std::chrono::duration<double>(Clock::now() - start).count();
+}
+
+bool is_rgs(std::span<const std::byte> bytes) {
+  return bytes.size() >= kMagic.size() && std::memcmp(bytes.data(), kMagic.data(), kMagic.size()) == 0;
+}
+
+std::string file_name(const std::string& path) {
+  return fs::path(path).filename().string();
+}
+
+// FP32 attributes of a Gaussian as a renderer without compression keeps them.
+std::uint64_t fp32_bytes(int sh_degree) {
+  return sizeof(float) * static_cast<std::uint64_t>(3 + 4 + 3 + 1 + 3 * sh_coefficients(sh_degree));
+}
+
+void measure_sections(const FileView& view, SizeReport& size) {
+  for (const SectionEntry& s : view.sections()) {
+    const auto type = static_cast<SectionType>(s.type);
+    size.sections.push_back({tool::four_characters(s.type), tool::describe(type), s.stored_bytes, s.decoded_bytes});
+    // What stays on the device while a scene is shown; the rest is for loading and for people.
+    const bool resident = type == SectionType::means || type == SectionType::geometry || type == SectionType::sh ||
+                          type == SectionType::sh_scales || type == SectionType::chunks;
+    if (resident) size.gpu_bytes += s.decoded_bytes;
+  }
+}
+
+Outcome<std::vector<AlsoReport>> measure_also(const Options& options) {
+  std::vector<AlsoReport> out;
+  for (const std::string& path : options.also) {
+    const auto file = MappedFile::open(path);
+    if (!file) return fail(path, file.error());
+    AlsoReport report;
+    report.path = path;
+    report.bytes = file->bytes().size();
+    if (!options.render) report.note = "not rendered";
+    out.push_back(std::move(report));
+  }
+  return out;
+}
+
+// Contents of a file, or names and contents of all files of a folder; nothing for an empty path.
+Outcome<std::uint64_t> hash_path(const std::string& path) {
+  if (path.empty()) return 0;
+  std::error_code failed;
+  std::vector<fs::path> files;
+  if (fs::is_directory(path, failed)) {
+    for (fs::recursive_directory_iterator it(path, failed), end; !failed && it != end; it.increment(failed))
+      if (it->is_regular_file(failed)) files.push_back(it->path());
+    if (failed)
+      return fail(path, {Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
+                         failed.value()});
+    std::sort(files.begin(), files.end());
+  } else {
+    files.emplace_back(path);
+  }
+  Hasher hasher;
+  for (const fs::path& name : files) {
+    const auto file = MappedFile::open(name.string());
+    if (!file) return fail(name.string(), file.error());
+    const std::string text = fmt::format("{}:{}:", name.filename().string(), file->bytes().size());
+    hasher.update(std::as_bytes(std::span(text)));
+    hasher.update(file->bytes());
+  }
+  return hasher.digest();
+}
+
+}  // namespace
+
+double SizeReport::ratio() const {
+  return asset_bytes == 0 ? 0 : static_cast<double>(source_bytes) / static_cast<double>(asset_bytes);
+}
+double SizeReport::bytes_per_gaussian() const {
+  return n_asset == 0 ? 0 : static_cast<double>(asset_bytes) / static_cast<double>(n_asset);
+}
+double SizeReport::gpu_bytes_per_gaussian() const {
+  return n_asset == 0 ? 0 : static_cast<double>(gpu_bytes) / static_cast<double>(n_asset);
+}
+bool Report::gate_holds() const {
+  return std::all_of(gate.begin(), gate.end(), [](const Condition& c) { return c.holds; });
+}
+
+Outcome<std::string> fingerprint(const Options& o) {
+  std::string text = fmt::format("{} {} {} {}x{} {} {} {} {} {}", kTool, o.gate, o.split, o.size.width, o.size.height,
+                                 o.views, o.render, o.attribution, o.compare_scales, static_cast<int>(o.backend));
+  std::vector<std::string> inputs{o.source, o.asset, o.cameras, o.photos};
+  inputs.insert(inputs.end(), o.also.begin(), o.also.end());
+  for (const std::string& path : inputs) {
+    const auto hash = hash_path(path);
+    if (!hash) return tl::unexpected(hash.error());
+    text += fmt::format(" {:016x}", *hash);
+  }
+  return fmt::format("{:016x}", xxh3(std::as_bytes(std::span(text))));
+}
+
+Outcome<Report> run(const Options& options, tool::Progress& progress) {
+  const auto start = Clock::now();
+  const auto source = PlyFile::open(options.source);
+  if (!source) return fail(options.source, source.error());
+  const auto file = MappedFile::open(options.asset);
+  if (!file) return fail(options.asset, file.error());
+  auto also = measure_also(options);
+  if (!also) return tl::unexpected(also.error());
+
+  Report report;
+  report.tool = kTool;
+  report.source_name = file_name(options.source);
+  report.asset_name = file_name(options.asset);
+  progress.begin("reading", source->bytes() + file->bytes().size(), "B");
+  Result<FileView> view = is_rgs(file->bytes()) ? open(file->bytes()) : Result<FileView>();
+  if (!view) return fail(options.asset, view.error());
+  const bool rgs_asset = is_rgs(file->bytes());
+  Status valid;
+  tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(source->source()); },
+                       [&] { report.asset_xxh3 = xxh3(file->bytes()); },
+                       [&] {
+                         if (rgs_asset) valid = view->preload();
+                       });
+  if (!valid) return fail(options.asset, valid.error());
+  progress.advance(source->bytes() + file->bytes().size());
+  progress.finish();
+
+  SizeReport& size = report.size;
+  size.source_bytes = source->bytes();
+  size.asset_bytes = file->bytes().size();
+  size.n_source = source->size();
+  size.source_sh_degree = source->sh_degree();
+  size.gpu_bytes_fp32 = size.n_source * fp32_bytes(size.source_sh_degree);
+  Pairing pairing;
+  if (rgs_asset) {
+    report.asset_format = "rgs";
+    report.declarations = view->declarations();
+    size.n_asset = view->header().n_gaussians;
+    size.asset_sh_degree = view->header().sh_degree;
+    measure_sections(*view, size);
+    if (const auto& provenance = view->provenance())
+      report.made_from_source =
+          provenance->source_xxh3 == report.source_xxh3 && provenance->source_bytes == size.source_bytes;
+    const auto began = Clock::now();
+    auto paired = pair_gaussians(*source, *view);
+    if (!paired) return fail(options.asset, paired.error());
+    pairing = std::move(*paired);
+    if (pairing.n_paired == 0 && size.n_asset != 0)
+      return fail(options.asset,
+                  {Errc::bad_value, Error::kNone,
+                   "none of its Gaussians is one of the source: was it converted from another file?", size.n_asset, 0});
+    report.attributes = compare_attributes(*source, *view, pairing, progress);
+    report.attributes->seconds = since(began);
+  } else {
+    const auto scene = load_scene_file(options.asset);
+    if (!scene) return fail(options.asset, scene.error());
+    report.asset_format = "ply";
+    size.n_asset = scene->scene.size();
+    size.asset_sh_degree = scene->scene.sh_degree();
+  }
+  if (options.render) {
+    const RenderInputs inputs{&*source, rgs_asset ? &*view : nullptr, rgs_asset ? &pairing : nullptr};
+    auto rendered = compare_pictures(inputs, options, *also, progress);
+    if (!rendered) return tl::unexpected(rendered.error());
+    report.render = std::move(*rendered);
+  }
+  report.also = std::move(*also);
+  report.seconds = since(start);
+  return report;
+}
+
+}  // namespace rgs::audit

@@ -1,0 +1,110 @@
+// audit_text.cpp - the terminal's summary: sizes, attributes, pictures, attribution, gate, verdict.
+// SPDX-License-Identifier: Apache-2.0
+#include "audit_text.hpp"
+
+#include <fmt/format.h>
+
+#include <cmath>
+#include <iterator>
+
+#include "audit_gate.hpp"
+#include "info_escape.hpp"
+
+namespace rgs::audit {
+namespace {
+
+using tool::format_bytes;
+using tool::format_count;
+
+class Text {
+ public:
+  explicit Text(const Report& report) : report_(report) {}
+
+  std::string all(const std::string& report_path) {
+    sizes();
+    if (report_.attributes) attributes(*report_.attributes);
+    if (report_.render) pictures(*report_.render);
+    for (const AlsoReport& a : report_.also) also(a);
+    for (const Condition& c : report_.gate) line("  {}      {}", c.holds ? "holds " : "FAILED", describe(c));
+    const Verdict v = verdict(report_);
+    line("{}. {}", v.headline, v.detail);
+    if (!report_path.empty()) line("report: {}", report_path);
+    return std::move(out_);
+  }
+
+ private:
+  template <class... Args>
+  void line(fmt::format_string<Args...> format, Args&&... args) {
+    fmt::format_to(std::back_inserter(out_), format, std::forward<Args>(args)...);
+    out_.erase(out_.find_last_not_of(' ') + 1);
+    out_ += '\n';
+  }
+
+  void sizes() {
+    const SizeReport& s = report_.size;
+    line("{} ({}) -> {} ({}): {:.2f}x smaller, {:.2f} bytes per Gaussian", escape(report_.source_name),
+         format_bytes(s.source_bytes), escape(report_.asset_name), format_bytes(s.asset_bytes), s.ratio(),
+         s.bytes_per_gaussian());
+    if (s.gpu_bytes != 0)
+      line("  on the GPU  {}, {:.2f} bytes per Gaussian; FP32 attributes {}", format_bytes(s.gpu_bytes),
+           s.gpu_bytes_per_gaussian(), format_bytes(s.gpu_bytes_fp32));
+  }
+
+  void attributes(const AttributeReport& a) {
+    line("  paired      {} Gaussians, by {}; only in the source {}, only in the asset {}", format_count(a.n_paired),
+         a.paired_by == PairedBy::permutation ? "the file's permutation"
+         : a.paired_by == PairedBy::order     ? "order"
+                                              : "equal means",
+         format_count(a.n_source_only), format_count(a.n_asset_only));
+    line("  {:<18}{:>11}{:>11}{:>11}{:>11}", "error", "RMS", "99 %", "99.9 %", "largest");
+    row(a.colour);
+    for (const AttributeError& e : a.errors)
+      if (!e.key.starts_with("sh")) row(e);
+    const RangeCounts& r = a.ranges;
+    line("  limits      SH clipped {}, flushed to 0 {}; scales subnormal {}, 0 {}; opacities became 0 {}, 1 {}",
+         format_count(r.sh_clipped), format_count(r.sh_flushed), format_count(r.scale_subnormal),
+         format_count(r.scale_zero), format_count(r.opacity_zero), format_count(r.opacity_one));
+  }
+
+  void row(const AttributeError& e) {
+    line("    {:<16}{:>11.4g}{:>11.4g}{:>11.4g}{:>11.4g} {}", e.key, e.meaning.rms, e.meaning.p99, e.meaning.p999,
+         e.meaning.max, e.meaning_unit);
+  }
+
+  void pictures(const RenderReport& r) {
+    line("  pictures    {} views{}: {} on average, worst {}; SSIM {:.6f}, worst {:.6f}; largest difference {:.1f}/255",
+         r.views.size(), r.automatic_views ? " around the scene" : "", format_psnr(r.psnr), format_psnr(r.worst_psnr),
+         r.ssim, r.worst_ssim, 255 * static_cast<double>(r.largest));
+    if (r.photo)
+      line("  photos      source {:.3f} dB, asset {:.3f} dB: loss {:.4f} dB; SSIM {:.5f}, {:.5f}", r.photo->source_psnr,
+           r.photo->asset_psnr, r.photo->loss(), r.photo->source_ssim, r.photo->asset_ssim);
+    if (r.n_undrawable != 0)
+      line("  reference   {} damaged Gaussians of the source are left out", format_count(r.n_undrawable));
+    for (const AttributionRow& a : r.attribution)
+      line("    {:<40}{:>12}  {:6.2f} % of the squared error", a.name, format_psnr(a.psnr), 100 * a.share);
+    if (!r.attribution_note.empty()) line("  attribution none: {}", r.attribution_note);
+  }
+
+  void also(const AlsoReport& a) {
+    const std::string quality = a.psnr ? fmt::format("{}, worst {}", format_psnr(*a.psnr), format_psnr(*a.worst_psnr))
+                                       : "not measured: " + a.note;
+    line("  also        {} ({}): {}", escape(a.path), format_bytes(a.bytes), quality);
+  }
+
+  static std::string escape(const std::string& text) { return tool::escape_untrusted(text, false, 4096); }
+
+  const Report& report_;
+  std::string out_;
+};
+
+}  // namespace
+
+std::string format_psnr(double psnr) {
+  return std::isfinite(psnr) ? fmt::format("{:.2f} dB", psnr) : "identical";
+}
+
+std::string audit_text(const Report& report, const std::string& report_path) {
+  return Text(report).all(report_path);
+}
+
+}  // namespace rgs::audit

@@ -1,0 +1,126 @@
+// audit_views.cpp - cameras by split, photographs by name.
+// SPDX-License-Identifier: Apache-2.0
+#include "audit_views.hpp"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <map>
+#include <utility>
+
+#include "image_file.hpp"
+#include "rgs/camera_file.hpp"
+
+namespace rgs::audit {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::size_t kAllOfFew = 32;  // more cameras than this, and the test cameras speak for them
+constexpr std::size_t kNamed = 8;      // names in an error; the rest is counted
+
+// "a, b, c and 5 more".
+std::string listed(const std::vector<std::string>& names) {
+  std::string text;
+  for (std::size_t i = 0; i < std::min(kNamed, names.size()); ++i) text += (i == 0 ? "" : ", ") + names[i];
+  if (names.size() > kNamed) text += fmt::format(" and {} more", names.size() - kNamed);
+  return text;
+}
+
+Outcome<std::vector<Camera>> cameras_of(const Options& options) {
+  const auto set = read_camera_set(options.cameras);
+  if (!set) return fail(options.cameras, set.error());
+  const std::string split = !options.split.empty() ? options.split : set->cameras.size() > kAllOfFew ? "test" : "all";
+  std::vector<Camera> chosen;
+  for (std::size_t i = 0; i < set->cameras.size(); ++i)
+    if (split == "all" || (set->split[i] == Split::test) == (split == "test")) chosen.push_back(set->cameras[i]);
+  if (chosen.empty())
+    return fail(options.cameras, {Errc::bad_argument, Error::kNone, "no camera of the split that --split asks for"});
+  return chosen;
+}
+
+// Files of a folder by their name without extension and in full; pictures only.
+std::map<std::string, std::string> pictures_by_name(const std::string& folder, std::error_code& failed) {
+  std::map<std::string, std::string> found;
+  std::vector<fs::path> files;
+  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed))
+    if (image_format(it->path().string())) files.push_back(it->path());
+  std::sort(files.begin(), files.end());
+  for (const fs::path& file : files) {
+    found.emplace(file.stem().string(), file.string());
+    found[file.filename().string()] = file.string();
+  }
+  return found;
+}
+
+// Gives every view its photograph. All that are missing are named at once, and all of another size.
+Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& options) {
+  std::error_code failed;
+  const auto found = pictures_by_name(options.photos, failed);
+  if (failed)
+    return fail(options.photos, {Errc::open_failed, Error::kNone, "the folder of photographs cannot be read",
+                                 Error::kNone, Error::kNone, failed.value()});
+  std::vector<std::string> missing, different;
+  for (View& view : views) {
+    const fs::path name(view.camera.name);
+    auto photo = found.find(name.filename().string());
+    if (photo == found.end() && image_format(view.camera.name)) photo = found.find(name.stem().string());
+    if (photo == found.end()) {
+      missing.push_back(view.camera.name.empty() ? "a camera without a name" : view.camera.name);
+      continue;
+    }
+    view.photo = photo->second;
+    const auto extent = read_image_extent(view.photo);
+    if (!extent) return fail(view.photo, extent.error());
+    if (extent->width != view.camera.width || extent->height != view.camera.height)
+      different.push_back(fmt::format("{} ({}x{}, its camera {}x{})", fs::path(view.photo).filename().string(),
+                                      extent->width, extent->height, view.camera.width, view.camera.height));
+  }
+  if (!missing.empty())
+    return fail(
+        fmt::format("{}: {}", options.photos, listed(missing)),
+        {Errc::bad_argument, Error::kNone, "cameras without a photograph of their name (--split chooses cameras)",
+         views.size(), views.size() - missing.size()});
+  if (!different.empty())
+    return fail(fmt::format("{}: {}", options.photos, listed(different)),
+                {Errc::bad_argument, Error::kNone,
+                 "photographs of another size than their cameras; undistort and scale them as the cameras say"});
+  return views;
+}
+
+}  // namespace
+
+Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const Vec3& up) {
+  std::vector<Camera> cameras;
+  if (options.cameras.empty()) {
+    ViewFormat format;
+    if (options.size.width > 0) format.width = options.size.width, format.height = options.size.height;
+    cameras = orbit(bounds, options.views, format, up);
+    for (std::size_t i = 0; i < cameras.size(); ++i)
+      cameras[i].name = fmt::format("orbit {:.0f} degrees", 360.0 * static_cast<double>(i) / options.views);
+  } else {
+    auto chosen = cameras_of(options);
+    if (!chosen) return tl::unexpected(chosen.error());
+    cameras = std::move(*chosen);
+  }
+  std::vector<View> views;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const bool resize = !options.cameras.empty() && options.size.width > 0;
+    views.push_back({resize ? resized(cameras[i], options.size.width, options.size.height) : cameras[i], {}});
+  }
+  return options.photos.empty() ? Outcome<std::vector<View>>(std::move(views)) : with_photos(std::move(views), options);
+}
+
+Outcome<Image> read_photo(const View& view) {
+  auto photo = read_image(view.photo);
+  if (!photo) return fail(view.photo, photo.error());
+  if (photo->channels == 3) return *std::move(photo);
+  Image rgb = Image::make(photo->width, photo->height, 3);
+  const auto stride = static_cast<std::size_t>(photo->channels);
+  for (std::size_t i = 0; i < rgb.pixels.size(); ++i)
+    rgb.pixels[i] = photo->pixels[i / 3 * stride + (stride < 3 ? 0 : i % 3)];
+  return rgb;
+}
+
+}  // namespace rgs::audit

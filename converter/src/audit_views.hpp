@@ -1,0 +1,28 @@
+// audit_views.hpp - the views that an audit renders, and the photographs that belong to them.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "audit.hpp"
+#include "rgs/camera.hpp"
+#include "rgs/image.hpp"
+
+namespace rgs::audit {
+
+struct View {
+  Camera camera;
+  std::string photo;  ///< file; empty without photographs
+};
+
+/// The views that `options` ask for: cameras of the file at their size or options.size, or options.views automatic ones
+/// around `bounds`. With options.photos every view has its photograph, of the camera's size.
+/// Errors: those of read_camera_set(); bad_argument (no camera of the split; photographs that are missing or of another
+/// size, each named in the subject); read errors of the photographs.
+Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const Vec3& up);
+
+/// A photograph as RGB.
+Outcome<Image> read_photo(const View& view);
+
+}  // namespace rgs::audit

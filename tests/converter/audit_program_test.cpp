@@ -1,0 +1,453 @@
+// audit_program_test.cpp - rgs-audit as a user and a pipeline run it, and its report in a browser.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "audit_report.hpp"
+#include "audit_scenes_fixture.hpp"
+#include "image_file.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/image_metrics.hpp"
+#include "rgs/renderer.hpp"
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+ProgramResult run_audit(std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), RGS_AUDIT);
+  return run_program(arguments);
+}
+
+// A folder with a scene as scene.ply and scene.rgs and three cameras of 96x72 pixels.
+struct SceneFolder : TemporaryFolder {
+  SplatCloud cloud = audit_cloud();
+  std::string ply = write_ply(file("scene.ply"), cloud);
+  std::string rgs;
+  std::string cameras = write_cameras(file("cameras.json"), 3);
+
+  SceneFolder() {
+    EncodeOptions options;
+    options.provenance = Provenance{fs::file_size(ply), 0, "scene.ply", "a test"};
+    options.provenance->source_xxh3 = xxh3(MappedFile::open(ply)->bytes());
+    rgs = write_rgs(file("scene.rgs"), cloud, options);
+  }
+  json result(std::vector<std::string> more = {}) const {
+    std::vector<std::string> arguments{ply, rgs, "--cameras", cameras, "--json", "-", "--quiet"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    const ProgramResult run = run_audit(arguments);
+    INFO(run.err);
+    REQUIRE((run.exit_code == 0 || run.exit_code == 5));
+    return json::parse(run.out);
+  }
+};
+
+// Pictures named like the cameras; what is in them does not matter.
+void write_photos(const std::string& folder, int n, int width = 96, int height = 72) {
+  fs::create_directories(folder);
+  SplitMix random(3);
+  for (int i = 0; i < n; ++i) {
+    Image photo = Image::make(width, height, 3);
+    for (float& v : photo.pixels) v = random.dyadic(0, 1);
+    REQUIRE(write_image(folder + "/" + static_cast<char>('a' + i) + ".png", photo,
+                        {.file = {.overwrite = true, .sync = false}}));
+  }
+}
+
+Image render(const Scene& scene, double z) {
+  Camera camera;
+  camera.width = 96, camera.height = 72;
+  camera.fx = camera.fy = 90;
+  camera.cx = 48, camera.cy = 36;
+  camera.world_to_camera[11] = z;
+  Image image = Image::make(96, 72, 3);
+  auto renderer = Renderer::create();
+  REQUIRE(renderer->render(scene, camera, {.rgb = image.pixels}, {.extent = math::Extent::square}));
+  return image;
+}
+
+void write_text(const std::string& path, const std::string& text) {
+  std::ofstream(path, std::ios::binary) << text;
+}
+
+std::string browser() {
+  for (const char* path : {"/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"})
+    if (::access(path, X_OK) == 0) return path;
+  return {};
+}
+
+// Opens a page with its own test switched on; checks the verdict that it leaves in the document and that the console
+// stays empty. Skipped, with a message, where there is no browser.
+void check_in_browser(const TemporaryFolder& folder, const std::string& page, const std::string& expected) {
+  const std::string program = browser();
+  if (program.empty()) {
+    MESSAGE("skipped: no browser to open the report in (Debian: chromium)");
+    return;
+  }
+  for (const char* window : {"--window-size=1280,900", "--window-size=500,900"}) {
+    const ProgramResult run =
+        run_program({program, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
+                     "--no-first-run", "--enable-logging=stderr", "--user-data-dir=" + folder.file("profile"), window,
+                     "--virtual-time-budget=4000", "--dump-dom", "file://" + page + "#self-test"},
+                    [&] { ::setenv("HOME", folder.path().c_str(), 1); });
+    const std::size_t at = run.out.find("data-self-test=\"");
+    REQUIRE(at != std::string::npos);
+    CHECK(run.out.substr(at + 16, run.out.find('"', at + 16) - at - 16) == expected);
+    CHECK_MESSAGE(run.err.find("CONSOLE") == std::string::npos, run.err);
+  }
+}
+
+}  // namespace
+
+TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON has what the document promises") {
+  const SceneFolder scene;
+  const json j = scene.result();
+  CHECK(j["schema"] == "rgs-audit/1");
+  CHECK(j["source"]["gaussians"] == 700);
+  CHECK(j["asset"]["format"] == "rgs");
+  CHECK(j["asset"]["made_from_source"] == true);
+  CHECK(j["size"]["ratio"].get<double>() ==
+        doctest::Approx(static_cast<double>(fs::file_size(scene.ply)) / static_cast<double>(fs::file_size(scene.rgs))));
+  CHECK(j["size"]["sections"].size() >= 6);
+  CHECK(j["size"]["gpu_bytes"].get<std::uint64_t>() >= 700 * 76);
+  CHECK(j["attributes"]["n_paired"] == 700);
+  CHECK(j["attributes"]["errors"].size() == 16);
+  CHECK(j["attributes"]["sh_codes"].size() == 4);
+  REQUIRE(j["rendered"]["views"].size() == 3);
+  CHECK(j["rendered"]["psnr"].get<double>() > 45);
+  CHECK(j["rendered"]["views"][0]["psnr"] == j["rendered"]["worst_psnr"]);
+  CHECK(j["rendered"]["views"][0]["psnr"].get<double>() <= j["rendered"]["views"][2]["psnr"].get<double>());
+
+  // The same numbers straight from the renderer and the comparison.
+  const Scene source = Scene::load(scene.cloud).value(), asset = Scene::load(scene.rgs).value();
+  const json* view = nullptr;
+  for (const json& v : j["rendered"]["views"])
+    if (v["name"] == "b.png") view = &v;
+  REQUIRE(view != nullptr);
+  const Image a = render(source, 3), b = render(asset, 3);
+  CHECK((*view)["psnr"].get<double>() == doctest::Approx(difference(a, b)->psnr).epsilon(1e-6));
+  CHECK((*view)["ssim"].get<double>() == doctest::Approx(*ssim(a, b)).epsilon(1e-9));
+  CHECK((*view)["largest"]["difference"].get<double>() == doctest::Approx(difference(a, b)->largest).epsilon(1e-4));
+}
+
+TEST_CASE("the attribution has every step alone and all together") {
+  const SceneFolder scene;
+  const json j = scene.result({"--compare-scales"});
+  std::map<std::string, double> mse;
+  for (const json& row : j["rendered"]["attribution"]) {
+    mse[row["key"]] = row["mse"];
+    CHECK(row["share"].get<double>() ==
+          doctest::Approx(row["mse"].get<double>() / j["rendered"]["attribution"][6]["mse"].get<double>()));
+  }
+  for (const char* key :
+       {"sh", "geometry", "conversion", "key", "exp", "lists", "together", "file_scales", "chunk_scales"})
+    CHECK_MESSAGE(mse.count(key) == 1, key);
+  CHECK(mse["conversion"] == doctest::Approx(j["rendered"]["mse"].get<double>()));
+  CHECK(mse["sh"] < mse["together"]);
+  CHECK(mse["geometry"] < mse["sh"]);
+  CHECK(mse["sh"] + mse["geometry"] == doctest::Approx(mse["conversion"]).epsilon(0.3));
+  CHECK(mse["chunk_scales"] == doctest::Approx(mse["sh"]).epsilon(0.01));  // what the encoder did, done again
+  CHECK(mse["file_scales"] > mse["chunk_scales"]);
+  CHECK(mse["exp"] > 1e-8);
+  CHECK(scene.result({"--no-attribution"})["rendered"]["attribution"].empty());
+}
+
+TEST_CASE("a scene against itself is identical: infinite PSNR, SSIM 1, and no NaN anywhere") {
+  const SceneFolder scene;
+  const ProgramResult run = run_audit({scene.ply, scene.ply, "--cameras", scene.cameras, "--json", "-", "--fail-below",
+                                       "psnr=200,worst-psnr=200,ssim=1,largest=0", "--report", scene.file("r.html")});
+  REQUIRE(run.exit_code == 0);
+  const json j = json::parse(run.out);
+  CHECK(j["verdict"]["grade"] == "identical");
+  CHECK(j["rendered"]["psnr"].is_null());
+  CHECK(j["rendered"]["mse"] == 0);
+  CHECK(j["rendered"]["ssim"] == 1);
+  CHECK_FALSE(j.contains("attributes"));
+  const std::string page = read_text(scene.file("r.html"));
+  CHECK(page.find(">nan") == std::string::npos);
+  CHECK(page.find("&infin;") != std::string::npos);
+  check_in_browser(scene, scene.file("r.html"), "ok, 0 images, 0 sliders");
+}
+
+TEST_CASE("the report is one page that works in a browser, whatever the files are called") {
+  const SceneFolder scene;
+  const std::string hostile = scene.file("<img src=x onerror=alert(1)> \"&'.ply");
+  fs::copy(scene.ply, hostile);
+  write_photos(scene.file("photos"), 3);
+  const std::string page = scene.file("report.html");
+  const ProgramResult run = run_audit({hostile, scene.rgs, "--cameras", scene.cameras, "--photos", scene.file("photos"),
+                                       "--compare-scales", "--also", scene.ply, "--report", page});
+  INFO(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("report: " + page) != std::string::npos);
+  const std::string text = read_text(page);
+  CHECK(text.size() < audit::kMaxReportBytes);
+  CHECK(text.find("<img src=x") == std::string::npos);
+  CHECK(text.find("http://") == std::string::npos);
+  CHECK(text.find("https://") == std::string::npos);
+  for (const char* id : {"where", "views", "steps", "attributes", "worst", "size", "method"})
+    CHECK_MESSAGE(text.find("<h2 id=\"" + std::string(id) + "\"") != std::string::npos, id);
+  check_in_browser(scene, page, "ok, 15 images, 1 sliders");
+}
+
+TEST_CASE("large noisy pictures stay within the report's size") {
+  const TemporaryFolder folder;
+  audit::Report report;
+  report.render.emplace();
+  SplitMix random(4);
+  for (std::size_t i = 0; i < 3; ++i) {
+    audit::ViewPictures p{i, Image::make(2400, 1600, 3), Image::make(2400, 1600, 3)};
+    for (float& v : p.source.pixels) v = static_cast<float>(random.below(256)) / 255;
+    for (float& v : p.asset.pixels) v = static_cast<float>(random.below(256)) / 255;
+    report.render->pictures.push_back(std::move(p));
+    audit::ViewResult view;
+    view.name = "noise";
+    view.width = 2400, view.height = 1600;
+    view.score.psnr = 8, view.score.mse = 0.16;
+    report.render->views.push_back(view);
+  }
+  report.render->psnr = report.render->worst_psnr = 8;
+  const std::string page = audit::audit_html(report);
+  CHECK(page.size() < audit::kMaxReportBytes);
+  CHECK(page.size() > 3'000'000);
+  CHECK(page.find("\"data:,\" ") == std::string::npos);  // no picture was left out
+}
+
+TEST_CASE("conditions that fail are exit code 5 and are named") {
+  const SceneFolder scene;
+  const ProgramResult run =
+      run_audit({scene.ply, scene.rgs, "--cameras", scene.cameras, "--no-attribution", "--fail-below",
+                 "psnr=20,worst-ssim=0.999999999", "--fail-below", "bytes-per-gaussian=60", "--quiet"});
+  CHECK(run.exit_code == 5);
+  CHECK(run.out.empty());
+  CHECK(run.err.find("worst-ssim") != std::string::npos);
+  CHECK(run.err.find("bytes-per-gaussian") != std::string::npos);
+  CHECK(run.err.find("psnr 4") == std::string::npos);
+  CHECK(run_audit({scene.ply, scene.rgs, "--no-render", "--fail-below", "bytes-per-gaussian=90,ratio=2,dropped=0"})
+            .exit_code == 0);
+}
+
+TEST_CASE("Gaussians that the conversion left out show in numbers, attribution and verdict") {
+  const SceneFolder scene;
+  const SplatCloud part = [&] {
+    SplatCloud out = scene.cloud;
+    for (std::uint64_t i = 0; i < 40; ++i) out.mean[3 * i] = std::nanf("");
+    return out;
+  }();
+  EncodeOptions options;
+  options.max_bad_fraction = 1;
+  const std::string rgs = write_rgs(scene.file("part.rgs"), part, options);
+  const ProgramResult run =
+      run_audit({scene.ply, rgs, "--cameras", scene.cameras, "--json", "-", "--fail-below", "dropped=10", "--quiet"});
+  CHECK(run.exit_code == 5);
+  const json j = json::parse(run.out);
+  CHECK(j["attributes"]["n_source_only"] == 40);
+  CHECK(j["asset"]["made_from_source"].is_null());
+  CHECK(j["rendered"]["attribution"][0]["key"] == "left_out");
+  CHECK(j["rendered"]["attribution"][0]["share"].get<double>() > 0.9);
+  CHECK(j["verdict"]["detail"].get<std::string>().find("40 Gaussians of the source are not in the asset") !=
+        std::string::npos);
+  // A damaged source: what cannot be drawn is counted, not an error.
+  const std::string damaged = write_ply(scene.file("damaged.ply"), part);
+  const ProgramResult with = run_audit({damaged, rgs, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+  REQUIRE(with.exit_code == 0);
+  CHECK(json::parse(with.out)["rendered"]["n_undrawable"] == 40);
+}
+
+TEST_CASE("photographs are found by name and compared with both sides") {
+  const SceneFolder scene;
+  const std::string photos = scene.file("photos");
+  write_photos(photos, 3);
+  const json j = scene.result({"--photos", photos, "--no-attribution"});
+  REQUIRE(j["rendered"]["photos"].is_object());
+  const json& view = j["rendered"]["views"][0];
+  const std::string name = view["name"];
+  Image source = render(Scene::load(scene.cloud).value(), 2.5 + 0.5 * (name[0] - 'a'));
+  for (float& v : source.pixels) v = std::clamp(v, 0.F, 1.F);
+  const Image photo = read_image(photos + "/" + name).value();
+  CHECK(view["photo"]["source_psnr"].get<double>() == doctest::Approx(difference(photo, source)->psnr).epsilon(1e-6));
+  CHECK(view["photo"]["source_ssim"].get<double>() == doctest::Approx(*ssim(photo, source)).epsilon(1e-6));
+  CHECK(view["photo"]["loss"].get<double>() ==
+        doctest::Approx(view["photo"]["source_psnr"].get<double>() - view["photo"]["asset_psnr"].get<double>()));
+
+  fs::remove(photos + "/b.png");
+  const std::vector<std::string> command{scene.ply,  scene.rgs, "--cameras", scene.cameras,
+                                         "--photos", photos,    "--quiet"};
+  const ProgramResult missing = run_audit(command);
+  CHECK(missing.exit_code == 2);
+  CHECK(missing.err.find("b.png") != std::string::npos);
+  CHECK(missing.err.find("a.png") == std::string::npos);
+  REQUIRE(write_image(photos + "/b.png", Image::make(64, 48, 3)));
+  const ProgramResult size = run_audit(command);
+  CHECK(size.exit_code == 2);
+  CHECK(size.err.find("b.png (64x48, its camera 96x72)") != std::string::npos);
+  write_text(photos + "/b.png", "not a picture");
+  CHECK(run_audit(command).exit_code == 4);
+}
+
+TEST_CASE("views without cameras, other sizes and splits") {
+  const SceneFolder scene;
+  const ProgramResult run = run_audit(
+      {scene.ply, scene.rgs, "--views", "2", "--size", "64x48", "--json", "-", "--no-attribution", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const json j = json::parse(run.out);
+  CHECK(j["rendered"]["automatic_views"] == true);
+  REQUIRE(j["rendered"]["views"].size() == 2);
+  CHECK(j["rendered"]["views"][0]["width"] == 64);
+  CHECK(run_audit({scene.ply, scene.rgs, "--cameras", scene.cameras, "--split", "train"}).exit_code == 2);
+}
+
+TEST_CASE("other files beside the asset: sizes always, quality where they can be read") {
+  const SceneFolder scene;
+  write_text(scene.file("scene.spz"), "some other format");
+  const json j = scene.result({"--also", scene.ply, "--also", scene.file("scene.spz"), "--no-attribution"});
+  REQUIRE(j["also"].size() == 2);
+  CHECK(j["also"][0]["measured"] == true);
+  CHECK(j["also"][0]["psnr"].is_null());  // the source itself
+  CHECK(j["also"][0]["ssim"] == 1);
+  CHECK(j["also"][1]["bytes"] == 17);
+  CHECK(j["also"][1]["measured"] == false);
+  CHECK_FALSE(j["also"][1]["note"].get<std::string>().empty());
+  CHECK(run_audit({scene.ply, scene.rgs, "--no-render", "--also", scene.file("absent.sog")}).exit_code == 3);
+}
+
+TEST_CASE("usage, missing and damaged files have their exit codes, and outputs are kept") {
+  const SceneFolder scene;
+  CHECK(run_audit({}).exit_code == 2);
+  CHECK(run_audit({scene.ply, scene.rgs, "--fail-below", "speed=3"}).exit_code == 2);
+  CHECK(run_audit({scene.ply, scene.rgs, "--fail-below", "loss=3"}).exit_code == 2);
+  CHECK(run_audit({scene.ply, scene.rgs, "--size", "3"}).exit_code == 2);
+  CHECK(run_audit({scene.ply, scene.path().string()}).exit_code == 2);
+  CHECK(run_audit({scene.file("absent.ply"), scene.rgs}).exit_code == 3);
+  CHECK(run_audit({scene.ply, scene.file("absent.rgs")}).exit_code == 3);
+  CHECK(run_audit({scene.rgs, scene.ply}).exit_code == 4);
+  CHECK(run_audit({scene.ply, scene.rgs, "--cameras", scene.ply}).exit_code == 4);
+  std::string bytes = read_text(scene.rgs);
+  bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);
+  write_text(scene.file("damaged.rgs"), bytes);
+  const ProgramResult damaged = run_audit({scene.ply, scene.file("damaged.rgs")});
+  CHECK(damaged.exit_code == 4);
+  CHECK(damaged.err.find("checksum_mismatch") != std::string::npos);
+  const ProgramResult stranger =
+      run_audit({scene.ply, write_rgs(scene.file("stranger.rgs"), audit_cloud(50, 1, 8)), "--no-render"});
+  CHECK(stranger.exit_code == 4);
+  CHECK(stranger.err.find("none of its Gaussians") != std::string::npos);
+  write_text(scene.file("r.html"), "mine");
+  const std::vector<std::string> again{scene.ply, scene.rgs, "--no-render", "--report", scene.file("r.html"),
+                                       "--quiet"};
+  CHECK(run_audit(again).exit_code == 3);
+  CHECK(read_text(scene.file("r.html")) == "mine");
+  std::vector<std::string> replace = again;
+  replace.emplace_back("--overwrite");
+  CHECK(run_audit(replace).exit_code == 0);
+  CHECK(read_text(scene.file("r.html")).starts_with("<!doctype html>"));
+}
+
+TEST_CASE("an empty scene is audited without a division by zero") {
+  const TemporaryFolder folder;
+  const SplatCloud none = audit_cloud(0, 1);
+  const std::string ply = write_ply(folder.file("e.ply"), none), rgs = write_rgs(folder.file("e.rgs"), none);
+  const ProgramResult run = run_audit(
+      {ply, rgs, "--views", "1", "--size", "32x32", "--json", "-", "--report", folder.file("e.html"), "--quiet"});
+  INFO(run.err);
+  REQUIRE(run.exit_code == 0);
+  CHECK(json::parse(run.out)["verdict"]["grade"] == "identical");
+  CHECK(read_text(folder.file("e.html")).find("nan") == std::string::npos);
+}
+
+TEST_CASE("two folders become a table that goes on where it was interrupted") {
+  const TemporaryFolder folder;
+  for (const char* name : {"ply", "rgs"}) fs::create_directory(folder.file(name));
+  for (const char* name : {"one", "two", "three"}) {
+    const SplatCloud cloud = audit_cloud(200, 1, static_cast<std::uint64_t>(name[1]));
+    write_ply(folder.file("ply/" + std::string(name) + ".ply"), cloud);
+    write_rgs(folder.file("rgs/" + std::string(name) + ".rgs"), cloud);
+  }
+  write_ply(folder.file("ply/alone.ply"), audit_cloud(10, 0));
+  write_text(folder.file("rgs/three.rgs"), "damaged");
+  const std::string out = folder.file("out");
+  const std::vector<std::string> command{
+      folder.file("ply"), folder.file("rgs"), "--report",        out, "--views", "2", "--size", "64x48",
+      "--fail-below",     "psnr=30",          "--no-attribution"};
+  const ProgramResult first = run_audit(command);
+  CHECK(first.exit_code == 3);  // of the first trouble: alone.ply has no partner
+  CHECK(first.err.find("alone") != std::string::npos);
+  CHECK(first.err.find("three") != std::string::npos);
+  const auto statuses = [&] {
+    std::map<std::string, std::string> status;
+    const json index = json::parse(read_text(out + "/index.json"));
+    for (const json& row : index["pairs"]) status[row["name"]] = row["status"];
+    return status;
+  };
+  CHECK(statuses() == std::map<std::string, std::string>{
+                          {"alone", "unpaired"}, {"one", "passed"}, {"two", "passed"}, {"three", "error"}});
+  const std::string csv = read_text(out + "/index.csv");
+  CHECK(std::count(csv.begin(), csv.end(), '\n') == 5);
+  CHECK(fs::exists(out + "/one.html"));
+  check_in_browser(folder, out + "/index.html", "ok, 0 images, 0 sliders");
+
+  // Mended: only what is new is done again.
+  fs::remove(folder.file("ply/alone.ply"));
+  write_rgs(folder.file("rgs/three.rgs"), audit_cloud(200, 1, static_cast<std::uint64_t>('h')));
+  const auto written = fs::last_write_time(out + "/one.html");
+  const ProgramResult second = run_audit(command);
+  INFO(second.err);
+  CHECK(second.exit_code == 0);
+  CHECK(second.out.find("one: ") != std::string::npos);
+  CHECK(std::string(second.out).find("(as before)") != second.out.rfind("(as before)"));
+  CHECK(fs::last_write_time(out + "/one.html") == written);
+  CHECK(statuses()["three"] == "passed");
+
+  // A changed asset is not taken for the old one, nor is its result replaced unasked.
+  EncodeOptions coarse;
+  coarse.sh_degree = 0;
+  write_rgs(folder.file("rgs/one.rgs"), audit_cloud(200, 1, static_cast<std::uint64_t>('n')), coarse);
+  CHECK(run_audit(command).exit_code == 3);
+  std::vector<std::string> replace = command;
+  replace.emplace_back("--overwrite");
+  const ProgramResult third = run_audit(replace);
+  CHECK(third.exit_code == 0);
+  CHECK(third.out.find("two: ") != std::string::npos);
+  CHECK(fs::last_write_time(out + "/one.html") != written);
+  // Stricter conditions are other options.
+  replace[9] = "psnr=300";
+  CHECK(run_audit(replace).exit_code == 5);
+  CHECK(run_audit({folder.file("ply"), folder.file("rgs")}).exit_code == 2);
+}
+
+TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the verdict on") {
+  const SceneFolder scene;
+  const std::string out = scene.file("made.rgs");
+  const std::vector<std::string> command{RGS_CONVERT, scene.ply, out, "--audit", "--cameras", scene.cameras};
+  const ProgramResult run = run_program(command);
+  INFO(run.err);
+  CHECK(run.exit_code == 0);
+  CHECK(run.out.find("bytes per Gaussian") != std::string::npos);
+  CHECK(run.out.find("report: " + scene.file("made.audit.html")) != std::string::npos);
+  CHECK(read_text(scene.file("made.audit.html")).starts_with("<!doctype html>"));
+  CHECK(run_program(command).exit_code == 3);  // both are there already
+  CHECK(run_program({RGS_CONVERT, scene.ply, "-", "--to", "rgs", "--audit"}).exit_code == 2);
+  CHECK(run_program({RGS_CONVERT, out, scene.file("back.ply"), "--audit"}).exit_code == 2);
+  // Without its sibling the program says so before it converts anything.
+  fs::create_directory(scene.file("bin"));
+  fs::copy(RGS_CONVERT, scene.file("bin/rgs-convert"));
+  const ProgramResult alone =
+      run_program({scene.file("bin/rgs-convert"), scene.ply, scene.file("other.rgs"), "--audit"});
+  CHECK(alone.exit_code == 3);
+  CHECK(alone.err.find("rgs-audit") != std::string::npos);
+  CHECK_FALSE(fs::exists(scene.file("other.rgs")));
+}

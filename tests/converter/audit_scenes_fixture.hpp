@@ -1,0 +1,77 @@
+// audit_scenes_fixture.hpp - a small scene, its cameras and its files, for the tests of rgs-audit.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <doctest/doctest.h>
+
+#include <cmath>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <vector>
+
+#include "golden_scenes.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/file.hpp"
+#include "rgs/ply.hpp"
+
+namespace rgs::test {
+
+/// A ball of n Gaussians around the origin that fill a picture, the same on every machine.
+inline SplatCloud audit_cloud(std::uint64_t n = 700, int sh_degree = 3, std::uint64_t seed = 5) {
+  SplitMix random(seed);
+  SplatCloud cloud;
+  cloud.resize(n, sh_degree);
+  for (std::uint64_t i = 0; i < n; ++i) {
+    Splat s;
+    for (float& x : s.mean) x = random.dyadic(-1, 1);
+    for (float& x : s.log_scale) x = random.dyadic(-4, -2);
+    for (float& x : s.rotation) x = random.dyadic(-1, 1) + 0x1p-13F;
+    s.opacity_logit = random.dyadic(-3, 4);
+    for (int k = 0; k < 3 * sh_coefficients(sh_degree); ++k) s.sh[k] = random.dyadic(-1, 1) * (k < 3 ? 1.5F : 0.2F);
+    cloud.set(i, s);
+  }
+  return cloud;
+}
+
+inline std::string write_ply(const std::string& path, const SplatCloud& cloud) {
+  auto writer = PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false});
+  REQUIRE(writer);
+  std::vector<Splat> splats;
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
+  REQUIRE(writer->write(0, splats));
+  REQUIRE(writer->commit());
+  return path;
+}
+
+inline std::string write_bytes(const std::string& path, std::span<const std::byte> bytes) {
+  std::ofstream(path, std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+  return path;
+}
+
+inline std::string write_rgs(const std::string& path, const SplatCloud& cloud, const EncodeOptions& options = {}) {
+  const auto bytes = encode(cloud.view(), options);
+  REQUIRE(bytes);
+  return write_bytes(path, *bytes);
+}
+
+inline std::string read_text(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+/// Cameras "a.png", "b.png", ... that look at the ball from the front, farther and farther away.
+inline std::string write_cameras(const std::string& path, int n, int width = 96, int height = 72) {
+  std::string text = "[";
+  for (int i = 0; i < n; ++i) {
+    text += std::string(i == 0 ? "" : ",") + R"({"name":")" + std::string(1, static_cast<char>('a' + i)) +
+            R"(.png","split":"test","width":)" + std::to_string(width) + R"(,"height":)" + std::to_string(height) +
+            R"(,"fx":90,"fy":90,"world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,)" + std::to_string(2.5 + 0.5 * i) +
+            R"(],[0,0,0,1]]})";
+  }
+  std::ofstream(path) << text << "]";
+  return path;
+}
+
+}  // namespace rgs::test

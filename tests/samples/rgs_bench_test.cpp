@@ -1,0 +1,89 @@
+// rgs_bench_test.cpp - rgs-bench as a user runs it: refusals and exit codes; with a device, a small measurement.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+
+namespace {
+
+using rgs::test::ProgramResult;
+using rgs::test::TemporaryFolder;
+
+const std::string kScene = RGS_SOURCE_DIR "/tests/golden/degree3.rgs";
+
+std::string read_text(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+struct Stage {
+  TemporaryFolder folder;
+  std::string cameras = folder.file("cameras.json");
+  Stage() {
+    std::ofstream(cameras) << R"([{"name":"a.jpg","split":"test","width":64,"height":48,"fx":60,"fy":60,)"
+                              R"("world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,8],[0,0,0,1]]}])";
+  }
+  ProgramResult run(const std::vector<std::string>& more, const std::string& scene = kScene) const {
+    std::vector<std::string> arguments{RGS_BENCH, scene, "--cameras", cameras};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return rgs::test::run_program(arguments);
+  }
+};
+
+}  // namespace
+
+TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
+  const Stage stage;
+  CHECK(rgs::test::run_program({RGS_BENCH}).exit_code == 2);
+  CHECK(stage.run({"--mode", "fastest"}).exit_code == 2);
+  CHECK(stage.run({"--frames", "0"}).exit_code == 2);
+  CHECK(stage.run({"--size", "1920"}).exit_code == 2);
+  CHECK(stage.run({"--photos", "."}).exit_code == 2);  // of which cameras?
+  CHECK(rgs::test::run_program({RGS_BENCH, "--help"}).exit_code == 0);
+}
+
+TEST_CASE("rgs-bench keeps outputs that exist, and finds out before it measures") {
+  const Stage stage;
+  const std::string output = stage.folder.file("bench.json");
+  std::ofstream(output) << "mine";
+  const ProgramResult result = stage.run({"--json", output});
+  CHECK(result.exit_code == 3);
+  CHECK(result.err.find("bench.json") != std::string::npos);
+  CHECK(result.out.empty());
+  CHECK(read_text(output) == "mine");
+  CHECK(stage.run({"--csv", stage.folder.file("no/such/folder.csv")}).exit_code == 3);
+}
+
+TEST_CASE("rgs-bench measures every mode, or says that no device answers") {
+  const Stage stage;
+  const std::string json = stage.folder.file("b.json"), csv = stage.folder.file("b.csv"),
+                    svg = stage.folder.file("b.svg");
+  const ProgramResult result = stage.run({"--quality-cameras", stage.cameras, "--size", "64x48,33x17", "--frames", "2",
+                                          "--roofline", "--json", json, "--csv", csv, "--svg", svg});
+  if (result.exit_code == 2) {
+    CHECK(result.err.find("no CUDA device answers") != std::string::npos);
+    CHECK_FALSE(std::filesystem::exists(json));
+    std::puts("skipped: no CUDA device answers");
+    return;
+  }
+  REQUIRE_MESSAGE(result.exit_code == 0, result.err);
+  const auto report = nlohmann::json::parse(read_text(json));
+  CHECK(report["scene"]["gaussians"] == 40);
+  REQUIRE(report["sizes"].size() == 2);
+  REQUIRE(report["sizes"][1]["results"].size() == report["modes"].size());
+  for (const auto& row : report["sizes"][0]["results"]) CHECK(row["total_ms"].get<double>() > 0);
+  CHECK(report["modes"][0]["quality"]["largest_difference"] == 0);
+  CHECK(report["rates"]["copy_bytes"].get<double>() > 0);
+  CHECK(read_text(csv).find("\"turbo\"") != std::string::npos);
+  CHECK(read_text(svg).find("</svg>") != std::string::npos);
+  CHECK(stage.run({}, stage.cameras).exit_code == 4);  // no scene
+}
