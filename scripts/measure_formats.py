@@ -20,8 +20,8 @@ import zlib
 
 import numpy as np
 
-WRITTEN = [("rgs (direct)", "rgs", ["--profile", "direct"]), ("compressed.ply", "compressed.ply", []),
-           ("spz", "spz", []), ("splat", "splat", []), ("glb", "glb", [])]
+WRITTEN = [("rgs (packed)", "packed.rgs", []), ("rgs (direct)", "direct.rgs", ["--profile", "direct"]),
+           ("compressed.ply", "compressed.ply", []), ("spz", "spz", []), ("splat", "splat", []), ("glb", "glb", [])]
 
 
 def run(*command):

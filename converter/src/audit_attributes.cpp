@@ -159,7 +159,7 @@ RotationError rotation_error(const float* source, const float* stored) {
 
 class Comparison {
  public:
-  Comparison(const DirectData& asset, int source_degree)
+  Comparison(const FileView& asset, int source_degree)
       : asset_degree_(asset.header().sh_degree),
         floats_(3 * static_cast<std::size_t>(sh_coefficients(std::max(source_degree, asset_degree_)))),
         stored_floats_(3 * static_cast<std::size_t>(sh_coefficients(asset_degree_))),
@@ -326,7 +326,7 @@ double CodeUsage::entropy_bits() const {
   return bits;
 }
 
-AttributeReport compare_attributes(const PlyFile& source, const DirectData& asset, const Pairing& pairing,
+AttributeReport compare_attributes(const PlyFile& source, const FileView& asset, const Pairing& pairing,
                                    tool::Progress& progress) {
   const std::uint64_t n = pairing.source_of.size(), n_blocks = (n + kBlock - 1) / kBlock;
   const std::uint32_t chunk_size = asset.header().chunk_size;
@@ -353,7 +353,7 @@ AttributeReport compare_attributes(const PlyFile& source, const DirectData& asse
         if (pairing.source_of[first + i] == kUnpaired) continue;
         if ((first + i) / chunk_size != chunk) {
           chunk = (first + i) / chunk_size;
-          comparison.set_steps(asset.file().scale_set(asset.file().chunk(chunk)->scale_set).value());
+          comparison.set_steps(asset.scale_set(asset.chunk(chunk)->scale_set).value());
         }
         const std::uint32_t defects = find_defects(wanted[i], source.sh_degree());
         if (defects != 0 && !repair(wanted[i], defects)) continue;

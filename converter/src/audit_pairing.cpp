@@ -61,25 +61,24 @@ void for_each_source_mean(const PlyFile& source, const Use& use) {
 }
 
 template <class Use>
-void for_each_asset_mean(const DirectData& asset, const Use& use) {
+void for_each_asset_mean(const FileView& asset, const Use& use) {
   for_each_mean<ActivatedSplat>(
       asset.header().n_gaussians, [&](std::uint64_t first, auto part) { (void)asset.read(first, part); }, use);
 }
 
 // Empty if the permutation cannot be of this source.
-std::optional<Pairing> pair_by_permutation(const PlyFile& source, const DirectData& asset) {
-  if (asset.file().find(SectionType::permutation) == nullptr || asset.file().declarations().n_source != source.size())
-    return {};
+std::optional<Pairing> pair_by_permutation(const PlyFile& source, const FileView& asset) {
+  if (asset.find(SectionType::permutation) == nullptr || asset.declarations().n_source != source.size()) return {};
   Pairing pairing{PairedBy::permutation, std::vector<std::uint32_t>(asset.header().n_gaussians), 0};
   for (std::uint64_t i = 0; i < pairing.source_of.size(); ++i)
-    pairing.source_of[i] = static_cast<std::uint32_t>(asset.file().source_index(i));
+    pairing.source_of[i] = static_cast<std::uint32_t>(asset.source_index(i));
   pairing.n_paired = pairing.source_of.size();
   return pairing;
 }
 
 // Both in the same order, rows of the source left out here and there. Empty if a mean is not found.
-std::optional<Pairing> pair_by_order(const PlyFile& source, const DirectData& asset) {
-  if (asset.file().declarations().order != Order::input) return {};
+std::optional<Pairing> pair_by_order(const PlyFile& source, const FileView& asset) {
+  if (asset.declarations().order != Order::input) return {};
   Pairing pairing{PairedBy::order, std::vector<std::uint32_t>(asset.header().n_gaussians), 0};
   std::array<Splat, kAtOnce> rows;
   std::array<ActivatedSplat, kAtOnce> stored;
@@ -102,7 +101,7 @@ std::optional<Pairing> pair_by_order(const PlyFile& source, const DirectData& as
   return pairing;
 }
 
-Pairing pair_by_means(const PlyFile& source, const DirectData& asset) {
+Pairing pair_by_means(const PlyFile& source, const FileView& asset) {
   std::vector<KeyedRow> of_source(source.size()), of_asset(asset.header().n_gaussians);
   const auto note = [](std::vector<KeyedRow>& rows) {
     return [&rows](std::uint64_t row, const float* mean) {
@@ -127,7 +126,7 @@ Pairing pair_by_means(const PlyFile& source, const DirectData& asset) {
 
 }  // namespace
 
-Result<Pairing> pair_gaussians(const PlyFile& source, const DirectData& asset) {
+Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset) {
   if (source.size() >= kUnpaired || asset.header().n_gaussians >= kUnpaired)
     return rgs::fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
                      std::max(source.size(), asset.header().n_gaussians));

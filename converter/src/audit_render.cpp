@@ -94,7 +94,7 @@ class PictureAudit {
     renderer_.emplace(std::move(*renderer));
     report_.backend = renderer_->backend_name();
     report_.automatic_views = options_.cameras.empty();
-    if (inputs_.rgs != nullptr) declared_ = inputs_.rgs->file().declarations();
+    if (inputs_.rgs != nullptr) declared_ = inputs_.rgs->declarations();
     plan_attribution();
     if (auto ok = load_source(); !ok) return tl::unexpected(ok.error());
     auto views = choose_views(options_, bounds_, up());
@@ -194,7 +194,7 @@ class PictureAudit {
 
   Done asset(std::size_t first, std::size_t end, const RenderOptions& exact) {
     if (inputs_.rgs != nullptr) {
-      auto scene = Scene::load(inputs_.rgs->file());
+      auto scene = Scene::load(*inputs_.rgs);
       if (!scene) return fail(options_.asset, scene.error());
       scene_ = std::move(*scene);
     } else {

@@ -16,7 +16,7 @@ namespace rgs::audit {
 /// attribution.
 struct RenderInputs {
   const PlyFile* source = nullptr;
-  const DirectData* rgs = nullptr;
+  const FileView* rgs = nullptr;
   const Pairing* pairing = nullptr;
 };
 

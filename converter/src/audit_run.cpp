@@ -138,13 +138,13 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   Result<FileView> view = is_rgs(file->bytes()) ? open(file->bytes()) : Result<FileView>();
   if (!view) return fail(options.asset, view.error());
   const bool rgs_asset = is_rgs(file->bytes());
-  Result<DirectData> asset;
+  Status valid;
   tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(source->source()); },
                        [&] { report.asset_xxh3 = xxh3(file->bytes()); },
                        [&] {
-                         if (rgs_asset) asset = load_direct(*view, {.threads = static_cast<unsigned>(options.threads)});
+                         if (rgs_asset) valid = view->preload({.threads = static_cast<unsigned>(options.threads)});
                        });
-  if (!asset) return fail(options.asset, asset.error());
+  if (!valid) return fail(options.asset, valid.error());
   progress.advance(source->bytes() + file->bytes().size());
   progress.finish();
 
@@ -165,14 +165,14 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
       report.made_from_source =
           provenance->source_xxh3 == report.source_xxh3 && provenance->source_bytes == size.source_bytes;
     const auto began = Clock::now();
-    auto paired = pair_gaussians(*source, *asset);
+    auto paired = pair_gaussians(*source, *view);
     if (!paired) return fail(options.asset, paired.error());
     pairing = std::move(*paired);
     if (pairing.n_paired == 0 && size.n_asset != 0)
       return fail(options.asset,
                   {Errc::bad_value, Error::kNone,
                    "none of its Gaussians is one of the source: was it converted from another file?", size.n_asset, 0});
-    report.attributes = compare_attributes(*source, *asset, pairing, progress);
+    report.attributes = compare_attributes(*source, *view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {
     const auto scene = load_scene_file(options.asset);
@@ -183,7 +183,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     size.asset_sh_degree = scene->scene.sh_degree();
   }
   if (options.render) {
-    const RenderInputs inputs{&*source, rgs_asset ? &*asset : nullptr, rgs_asset ? &pairing : nullptr};
+    const RenderInputs inputs{&*source, rgs_asset ? &*view : nullptr, rgs_asset ? &pairing : nullptr};
     auto rendered = compare_pictures(inputs, options, *also, progress);
     if (!rendered) return tl::unexpected(rendered.error());
     report.render = std::move(*rendered);

@@ -82,7 +82,7 @@ Result<SourceScene> source_scene(const PlyFile& source) {
   return out;
 }
 
-Result<Scene> mixed_scene(const PlyFile& source, const DirectData& asset, const Pairing& pairing, Mixture mixture) {
+Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pairing& pairing, Mixture mixture) {
   if (pairing.n_paired != pairing.source_of.size())
     return rgs::fail(Errc::bad_argument, Error::kNone, "a Gaussian of the asset has no source");
   const std::uint64_t n = pairing.source_of.size();

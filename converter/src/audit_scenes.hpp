@@ -30,6 +30,6 @@ enum class Mixture : std::uint8_t {
   chunk_scales,     ///< the same with one set per chunk of 256
 };
 /// Needs every Gaussian of the asset paired: bad_argument otherwise.
-Result<Scene> mixed_scene(const PlyFile& source, const DirectData& asset, const Pairing& pairing, Mixture mixture);
+Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pairing& pairing, Mixture mixture);
 
 }  // namespace rgs::audit

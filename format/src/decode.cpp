@@ -147,11 +147,18 @@ std::uint64_t FileView::source_index(std::uint64_t i) const {
 }
 
 Status FileView::read(std::uint64_t first, std::span<Splat> out) const {
-  return read_file(*this, first, out);
+  return preloaded_ ? preloaded_->read(first, out) : read_file(*this, first, out);
 }
 
 Status FileView::read(std::uint64_t first, std::span<ActivatedSplat> out) const {
-  return read_file(*this, first, out);
+  return preloaded_ ? preloaded_->read(first, out) : read_file(*this, first, out);
+}
+
+Status FileView::preload(const LoadOptions& options) {
+  auto data = load_direct(*this, options);
+  if (!data) return tl::unexpected(data.error());
+  preloaded_ = std::make_shared<const DirectData>(std::move(*data));
+  return {};
 }
 
 Status DirectData::read(std::uint64_t first, std::span<Splat> out) const {

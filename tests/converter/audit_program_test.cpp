@@ -342,6 +342,23 @@ TEST_CASE("files of other formats are measured, as the asset too") {
   CHECK(j["rendered"]["psnr"].get<double>() > 25);
 }
 
+TEST_CASE("a packed asset has the direct one's errors and pictures, in fewer bytes") {
+  const SceneFolder scene;
+  EncodeOptions options;
+  options.profile = Profile::packed;
+  const std::string packed = write_rgs(scene.file("packed.rgs"), scene.cloud, options);
+  const ProgramResult run = run_audit({scene.ply, packed, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const json a = scene.result(), b = json::parse(run.out);
+  CHECK(b["attributes"]["errors"] == a["attributes"]["errors"]);
+  CHECK(b["attributes"]["sh_codes"] == a["attributes"]["sh_codes"]);
+  CHECK(b["rendered"]["mse"] == a["rendered"]["mse"]);
+  CHECK(b["rendered"]["attribution"] == a["rendered"]["attribution"]);
+  CHECK(b["size"]["gpu_bytes"] == a["size"]["gpu_bytes"]);
+  CHECK(b["asset"]["bytes"] == fs::file_size(packed));
+  CHECK(fs::file_size(packed) < fs::file_size(scene.rgs));
+}
+
 TEST_CASE("usage, missing and damaged files have their exit codes, and outputs are kept") {
   const SceneFolder scene;
   CHECK(run_audit({}).exit_code == 2);

@@ -34,12 +34,14 @@ struct Files {
   TemporaryFolder folder;
   PlyFile source;
   MappedFile file;
-  DirectData asset;
+  FileView asset;
 
   Files(const SplatCloud& source_cloud, const SplatCloud& asset_cloud, const EncodeOptions& options = {})
       : source(PlyFile::open(write_ply(folder.file("a.ply"), source_cloud)).value()),
         file(MappedFile::open(write_rgs(folder.file("a.rgs"), asset_cloud, options)).value()),
-        asset(load_direct(open(file.bytes()).value()).value()) {}
+        asset(open(file.bytes()).value()) {
+    REQUIRE(validate(asset));
+  }
   AttributeReport compare() const {
     tool::Progress quiet(tool::Progress::Mode::quiet);
     return compare_attributes(source, asset, pair_gaussians(source, asset).value(), quiet);
@@ -230,7 +232,7 @@ TEST_CASE("saturation and underflow are counted as they are in the codes") {
   cloud.sh[3] = -1;
   const Files files(cloud, cloud);
   const AttributeReport report = files.compare();
-  CHECK(report.ranges.scale_subnormal == files.asset.file().declarations().n_scale_subnormal);
+  CHECK(report.ranges.scale_subnormal == files.asset.declarations().n_scale_subnormal);
   CHECK(report.ranges.scale_subnormal == 1);
   CHECK(report.ranges.scale_zero == 1);
   CHECK(report.ranges.opacity_one == 1);

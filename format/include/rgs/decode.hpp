@@ -33,6 +33,13 @@ struct ActivatedSplat {
   float sh[3 * 16];   ///< [16, 3] coefficient-major; unused degrees are 0
 };
 
+struct LoadOptions {
+  bool validate = true;  ///< as validate(); without, values of a damaged file may be anything, and are safe to read
+  unsigned threads = 0;  ///< 0: as many as the machine runs at once
+};
+
+class DirectData;
+
 /// An opened file: its parsed head over the caller's bytes, which must outlive the view. Reading is thread-safe.
 class FileView {
  public:
@@ -71,6 +78,9 @@ class FileView {
   /// Errors: those of chunk(), scale_set() and read_chunks(); values are not checked otherwise, see validate().
   Status read(std::uint64_t first, std::span<Splat> out) const;
   Status read(std::uint64_t first, std::span<ActivatedSplat> out) const;
+  /// Decodes what is coded into memory that this view shares with copies made from now on, for readers of single
+  /// Gaussians: read() then costs what it does in a file stored as is. Checks and errors: those of load_direct().
+  Status preload(const LoadOptions& options = {});
 
  private:
   friend Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits);
@@ -86,7 +96,8 @@ class FileView {
   struct Tables {
     std::vector<std::byte> chunks, scales;
   };
-  std::shared_ptr<const Tables> tables_;  // what is coded of them, decoded
+  std::shared_ptr<const Tables> tables_;         // what is coded of them, decoded
+  std::shared_ptr<const DirectData> preloaded_;  // all attributes, after preload()
 };
 
 /// Parses and checks the head of a file: everything but the payload of the large sections, which is not touched, so
@@ -95,11 +106,6 @@ class FileView {
 /// checksum_mismatch, missing_section, duplicate_section, unknown_required, unsupported_codec, size_mismatch,
 /// limit_exceeded, bad_value; the offset says where.
 Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
-
-struct LoadOptions {
-  bool validate = true;  ///< as validate(); without, values of a damaged file may be anything, and are safe to read
-  unsigned threads = 0;  ///< 0: as many as the machine runs at once
-};
 
 /// Attributes of consecutive chunks in the layout that a GPU reads, whatever the profile of the file: spans over the
 /// file's bytes where a section is stored as is, over memory of this object where it had to be decoded. Move-only; the
