@@ -30,7 +30,7 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr int kWindow = 32;            // tiles along a window's side
-constexpr int kLargeTiles = 64;       // of a bounding box that a block's own Gaussian may have
+constexpr int kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
 constexpr std::uint32_t kKept = 4096;  // entries of a window kept between counting and placing
 constexpr int kLargeBlocks = 132 * 6;
 constexpr int kTilesPerThread = kWindow * kWindow / kThreads;
