@@ -36,7 +36,7 @@ struct Options {
   bool alpha = false, overwrite = false, quiet = false, json = false, scalar = false;
   std::vector<float> depth_range;
   std::optional<rgs::math::AntiAliasing> anti_aliasing;
-  std::string key = "exact";
+  std::string key = "exact", mode;
   rgs::RendererOptions renderer;
   rgs::RenderOptions render;
 };
@@ -180,22 +180,40 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
   return name_files(shots, options);
 }
 
-rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene) {
-  rgs::RenderOptions render = options.render;
-  render.depth_order = options.key == "exact" ? rgs::math::DepthOrder::exact : rgs::math::DepthOrder::quantized;
-  render.depth_mapping = options.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
-  const auto& stated = scene.scene.declarations();
-  if (options.depth_range.size() == 2) {
-    render.depth_range = {options.depth_range[0], options.depth_range[1]};
-  } else if (stated) {
-    render.depth_range = {stated->z_near, stated->z_far};
-  }
+rgs::RenderOptions with_anti_aliasing(rgs::RenderOptions render, const Options& options,
+                                      const std::optional<rgs::Declarations>& stated) {
   if (options.anti_aliasing) {
     render.anti_aliasing = *options.anti_aliasing;
   } else if (stated && stated->aa_mode == rgs::AaMode::mip_splatting) {
     render.anti_aliasing = rgs::math::AntiAliasing::mip_splatting;
   }
   return render;
+}
+
+rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene) {
+  rgs::RenderOptions render = options.render;
+  const auto& stated = scene.scene.declarations();
+  if (!options.mode.empty()) {
+    const rgs::RenderOptions preset = options.mode == "baseline" ? rgs::baseline_options()
+                                      : options.mode == "paper"  ? rgs::paper_options(stated)
+                                                                 : rgs::turbo_options();
+    render.extent = preset.extent;
+    render.depth_order = preset.depth_order;
+    render.depth_mapping = preset.depth_mapping;
+    render.depth_range = preset.depth_range;
+    render.exponent = preset.exponent;
+    render.exp = preset.exp;
+    render.cuda = preset.cuda;
+    return with_anti_aliasing(render, options, stated);
+  }
+  render.depth_order = options.key == "exact" ? rgs::math::DepthOrder::exact : rgs::math::DepthOrder::quantized;
+  render.depth_mapping = options.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
+  if (options.depth_range.size() == 2) {
+    render.depth_range = {options.depth_range[0], options.depth_range[1]};
+  } else if (stated) {
+    render.depth_range = {stated->z_near, stated->z_far};
+  }
+  return with_anti_aliasing(render, options, stated);
 }
 
 // A rendered frame on its way to its files.
@@ -401,26 +419,35 @@ void add_options(CLI::App& app, Options& o) {
       ->group(image);
 
   const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
+  auto* const mode = app.add_option("--mode", o.mode, "all of these at once: baseline (3DGS), paper, turbo")
+                         ->check(CLI::IsMember({"baseline", "paper", "turbo"}))
+                         ->group(arithmetic);
   app.add_option("--extent", o.render.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
       ->transform(names<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))
+      ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--key", o.key, "depth order: exact, or quantised: linear, log")
       ->check(CLI::IsMember({"exact", "linear", "log"}))
       ->capture_default_str()
+      ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--depth-bits", o.render.depth_bits, "bits of the quantised depth, 0: 32 less those of the tile")
       ->check(CLI::Range(0, 32))
       ->capture_default_str()
+      ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--depth-range", o.depth_range, "NEAR,FAR of the quantised depth [what the file states, else 0.2,100]")
       ->delimiter(',')
       ->expected(2)
+      ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--exponent", o.render.exponent, "direct, folded [direct]")
       ->transform(names<Exponent>({{"direct", Exponent::direct}, {"folded", Exponent::folded}}))
+      ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--exp", o.render.exp, "exponential: exact, paper, zero-mean [exact]")
       ->transform(names<Exp>({{"exact", Exp::exact}, {"paper", Exp::paper}, {"zero-mean", Exp::zero_mean}}))
+      ->excludes(mode)
       ->group(arithmetic);
 
   const std::string machine = "Machine";

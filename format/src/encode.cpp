@@ -42,15 +42,17 @@ Status check_options(const EncodeOptions& o) {
 }
 
 // Range of the sort key when nobody gave one: from the near plane of 3DGS to the diagonal of the robust box, which is
-// what a camera at one end of the scene sees.
-DepthRange depth_from_extent(const Box& robust) {
+// what a camera at one end of the scene sees. Cameras may also stand far outside, and what lies beyond the range loses its
+// order (a crop seen from several diagonals away: 18 dB). With logarithmic bins ten diagonals cost half a bit, so they are
+// taken; linear ones would grow ten times as wide.
+DepthRange depth_from_extent(const Box& robust, DepthMapping mapping) {
   double squared = 0;
   for (std::size_t i = 0; i < 3; ++i) {
     const double side = static_cast<double>(robust.max[i]) - static_cast<double>(robust.min[i]);
     squared += side * side;
   }
-  const float diagonal = static_cast<float>(std::min(std::sqrt(squared), 1e30));
-  return {0.2f, std::max(diagonal, 1.f), DepthSource::scene_extent};
+  const double reach = mapping == DepthMapping::logarithmic ? 10 * std::sqrt(squared) : std::sqrt(squared);
+  return {0.2f, std::max(static_cast<float>(std::min(reach, 1e30)), 1.f), DepthSource::scene_extent};
 }
 
 SectionEntry section(SectionType type, std::uint64_t bytes, std::uint32_t flags = kSectionMustUnderstand) {
@@ -177,7 +179,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   d.metres_per_unit = options.metres_per_unit;
   d.full = scan.full();
   d.robust = scan.robust();
-  const DepthRange depth = options.depth.value_or(depth_from_extent(d.robust));
+  const DepthRange depth = options.depth.value_or(depth_from_extent(d.robust, options.depth_mapping));
   d.z_near = depth.z_near;
   d.z_far = depth.z_far;
   d.depth_source = depth.source;

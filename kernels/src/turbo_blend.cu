@@ -365,16 +365,11 @@ struct Cell {
   float x, y[kRows];         // the thread's pixels, relative to it
   bool done = false;         // the same in all lanes
 
-  // The opacities of one Gaussian are on their way while the one before is blended: a long list has few warps to hide
-  // their latency behind.
   template <bool Clamp>
   __device__ void blend_staged(const Staged* staged, int n, float z) {
-    Column current = column_of<Clamp>(staged[0], x, y);
 #pragma unroll 2
     for (int j = 0; j < n; ++j) {
-      const Column next = column_of<Clamp>(staged[math::min(j + 1, 31)], x, y);
-      blend_column<Details>(pixel, current, Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
-      current = next;
+      blend_column<Details>(pixel, column_of<Clamp>(staged[j], x, y), Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
     }
   }
 

@@ -30,7 +30,7 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr int kWindow = 32;            // tiles along a window's side
-constexpr int kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
+constexpr int kLargeTiles = 64;       // of a bounding box that a block's own Gaussian may have
 constexpr std::uint32_t kKept = 4096;  // entries of a window kept between counting and placing
 constexpr int kLargeBlocks = 132 * 6;
 constexpr int kTilesPerThread = kWindow * kWindow / kThreads;
@@ -254,9 +254,12 @@ __global__ void __launch_bounds__(kThreads, 4) turbo_emit_large_kernel(math::Til
       rows.tile_end[lane] = end;
       const std::uint32_t n_tiles = __shfl_sync(kFullWarp, end, 31);
       __syncwarp();
+      // Warps begin at different tiles: the large ones touch the same, and additions to one counter wait for each other.
+      const std::uint32_t n_parts = (n_tiles + 31) / 32, turn = n_parts > 0 ? k % n_parts : 0;
       // Between the first and the last tile of a row there may be one without a cell, so cells are counted first.
       const auto for_each = [&](const auto& f) {
-        for (std::uint32_t t = lane; t - lane < n_tiles; t += 32) {
+        for (std::uint32_t j = 0; j < n_parts; ++j) {
+          const std::uint32_t t = (j + turn < n_parts ? j + turn : j + turn - n_parts) * 32 + lane;
           std::uint32_t cells = 0, tile = 0;
           if (t < n_tiles) {
             const std::uint32_t r = owner_of<32>(rows.tile_end, t);

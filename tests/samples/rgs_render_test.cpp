@@ -208,6 +208,14 @@ TEST_CASE("options change the picture as they say") {
     CHECK(mean(image) == doctest::Approx(mean(plain)).epsilon(0.05));
   }
   CHECK(largest_difference(plain, picture("--exp paper")) > 0);
+  // On the CPU, so that equal options give equal bytes.
+  for (const auto& [mode, options] : {std::pair("--mode baseline", "--extent square"),
+                                      std::pair("--mode paper", "--exp paper --exponent folded --key linear"),
+                                      std::pair("--mode turbo", "--exponent folded")}) {
+    CAPTURE(mode);
+    CHECK(largest_difference(picture(std::string(mode) + " --backend cpu"),
+                             picture(std::string(options) + " --backend cpu")) == 0);
+  }
 }
 
 TEST_CASE("existing pictures are kept before anything is rendered") {
@@ -233,7 +241,8 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input") {
         "@scene.ply --out @a.png -c @cameras.json --view all", "@scene.ply --out @a.jpg --alpha",
         "@scene.ply --out @a.png --depth @d.png", "@scene.ply --out @a.png --exp fast",
         "@scene.ply --out @a.png --orbit 0", "@scene.ply --out @a.png --frames 4",
-        "@scene.ply --out @a.png --backend vulkan", "@scene.ply --out @a.png --background 1,2"}) {
+        "@scene.ply --out @a.png --backend vulkan", "@scene.ply --out @a.png --mode paper --exp exact",
+        "@scene.ply --out @a.png --background 1,2"}) {
     CAPTURE(arguments);
     const Outcome outcome = stage.run(arguments);
     CHECK(outcome.code == 2);
