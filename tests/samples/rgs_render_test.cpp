@@ -228,12 +228,14 @@ TEST_CASE("options change the picture as they say") {
   }
   CHECK(largest_difference(plain, picture("--exp paper")) > 0);
   // On the CPU, so that equal options give equal bytes.
-  for (const auto& [mode, options] : {std::pair("--mode baseline", "--extent square"),
-                                      std::pair("--mode paper", "--exp paper --exponent folded --key linear"),
-                                      std::pair("--mode turbo", "--exponent folded")}) {
-    CAPTURE(mode);
-    CHECK(largest_difference(picture(std::string(mode) + " --backend cpu"),
-                             picture(std::string(options) + " --backend cpu")) == 0);
+  struct Mode {
+    std::string name, options;
+  };
+  for (const Mode& mode :
+       {Mode{"--mode baseline", "--extent square"}, Mode{"--mode paper", "--exp paper --exponent folded --key linear"},
+        Mode{"--mode turbo", "--exponent folded"}}) {
+    CAPTURE(mode.name);
+    CHECK(largest_difference(picture(mode.name + " --backend cpu"), picture(mode.options + " --backend cpu")) == 0);
   }
 }
 
