@@ -22,6 +22,9 @@ set(rgs_package_of_Threads Threads)
 set(rgs_package_of_OpenImageIO OpenImageIO)
 set(rgs_package_of_CUDA CUDAToolkit)
 set(rgs_package_of_xxHash xxHash)
+set(rgs_package_of_ZLIB ZLIB)
+set(rgs_package_of_WebP WebP)
+set(rgs_package_of_LibZip LibZip)
 
 # The packages that `target` links, private ones too: static libraries pass them on to whoever links them.
 function(rgs_packages_of target out)
@@ -81,4 +84,4 @@ configure_package_config_file(cmake/rgsConfig.cmake.in ${PROJECT_BINARY_DIR}/rgs
   INSTALL_DESTINATION ${rgs_package_folder} NO_SET_AND_CHECK_MACRO)
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/rgsConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/rgsConfig.cmake ${PROJECT_BINARY_DIR}/rgsConfigVersion.cmake
-  cmake/FindOpenImageIO.cmake cmake/FindxxHash.cmake DESTINATION ${rgs_package_folder})
+  cmake/FindLibZip.cmake cmake/FindOpenImageIO.cmake cmake/FindWebP.cmake cmake/FindxxHash.cmake DESTINATION ${rgs_package_folder})

@@ -139,7 +139,7 @@ void add_options(CLI::App& app, Arguments& a) {
     names += fmt::format("\n  {:<24}{} {}", kind.name, kind.at_least ? "at least:" : "at most: ", kind.meaning);
   app.add_option("source", o.source, "3DGS PLY that the asset was made from, or a folder of such")->required();
   app.add_option("asset", o.asset,
-                 "What was made from it: .rgs, another .ply, or a folder of .rgs files of the same names")
+                 "What was made from it: .rgs, a file of another format, or a folder of .rgs files of the same names")
       ->required();
   app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");

@@ -66,6 +66,7 @@ def main() -> None:
                            check=True)
         convert = [str(binaries / "rgs-convert"), "--quiet", "--no-sync", "--overwrite"]
         commands = {"ply to rgs": convert + [scene, f"{folder}/scene.rgs"],
+                    "ply to direct": convert + ["--profile", "direct", scene, f"{folder}/direct.rgs"],
                     "rgs to ply": convert + [f"{folder}/scene.rgs", f"{folder}/back.ply"]}
         if options.peer:
             commands["peer"] = shlex.split(options.peer.format(input=scene, folder=folder))
@@ -87,9 +88,9 @@ def main() -> None:
         print(json.dumps({"gaussians": gaussians, "runs": options.runs, "median": medians}, indent=2))
         return
     print(f"{scene}: {gaussians:,} Gaussians, median of {options.runs} runs, warm page cache")
-    print(f"{'':12} {'wall s':>8} {'CPU s':>8} {'anonymous MB':>13} {'RSS MB':>8}  {'wall ratio':>10} {'RSS ratio':>10}")
+    print(f"{'':14} {'wall s':>8} {'CPU s':>8} {'anonymous MB':>13} {'RSS MB':>8}  {'wall ratio':>10} {'RSS ratio':>10}")
     for name, m in medians.items():
-        print(f"{name:12} {m['wall_s']:8.3f} {m['cpu_s']:8.3f} {m['anonymous_mb']:13.1f} {m['rss_mb']:8.1f}  "
+        print(f"{name:14} {m['wall_s']:8.3f} {m['cpu_s']:8.3f} {m['anonymous_mb']:13.1f} {m['rss_mb']:8.1f}  "
               f"{m['wall_s'] / own['wall_s']:10.2f} {m['rss_mb'] / own['rss_mb']:10.2f}")
     bound = 64 + 48e-6 * gaussians
     print(f"anonymous memory bound 64 MB + 48 B per Gaussian: {bound:.1f} MB, "

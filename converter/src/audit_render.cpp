@@ -254,6 +254,7 @@ class PictureAudit {
       return {};
     }
     scene_ = std::move(file->scene);
+    other.bytes = file->file_bytes;
     other.n_gaussians = scene_.size();
     auto& sums = also_sums_[static_cast<std::size_t>(&other - also_.data())];
     for (std::size_t i = first; i < end; ++i) {

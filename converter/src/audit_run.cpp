@@ -142,7 +142,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(source->source()); },
                        [&] { report.asset_xxh3 = xxh3(file->bytes()); },
                        [&] {
-                         if (rgs_asset) valid = validate(*view);
+                         if (rgs_asset) valid = view->preload({.threads = static_cast<unsigned>(options.threads)});
                        });
   if (!valid) return fail(options.asset, valid.error());
   progress.advance(source->bytes() + file->bytes().size());
@@ -177,7 +177,8 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   } else {
     const auto scene = load_scene_file(options.asset);
     if (!scene) return fail(options.asset, scene.error());
-    report.asset_format = "ply";
+    report.asset_format = format_name(scene->format);
+    size.asset_bytes = scene->file_bytes;
     size.n_asset = scene->scene.size();
     size.asset_sh_degree = scene->scene.sh_degree();
   }

@@ -14,8 +14,10 @@
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/file.hpp"
+#include "rgs/interchange.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/result.hpp"
+#include "splat_source.hpp"
 
 namespace rgs {
 
@@ -38,7 +40,7 @@ struct ConvertOptions {
 struct ConvertSummary {
   std::string source_name, source_format, output_format;
   std::uint64_t source_bytes = 0, output_bytes = 0;
-  std::uint64_t n_source = 0, n_written = 0, n_repaired = 0;
+  std::uint64_t n_source = 0, n_filtered = 0, n_written = 0, n_repaired = 0;
   int source_sh_degree = 0, sh_degree = 0;
   std::array<std::uint64_t, kDefectKinds> defects{};
   Declarations declarations;
@@ -49,16 +51,33 @@ struct ConvertSummary {
   double sync_seconds = 0;
 };
 
-/// PLY to .rgs, two passes over the mapped source; anonymous memory at most 64 MB + 48 bytes a Gaussian on two threads.
-/// The bytes do not depend on the number of threads (which the caller limits through oneTBB's global_control).
+/// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two
+/// threads. The bytes do not depend on the number of threads (which the caller limits through oneTBB's global_control).
 /// Errors: those of PlyFile, make_plan, depth_range_from_cameras, AtomicFile; limit_exceeded for more than 2^32 - 1
 /// Gaussians.
-Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::string& output_path,
-                                          const ConvertOptions& options, const StageObserver& observer = {});
+Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
+                                      const ConvertOptions& options, const StageObserver& observer = {});
 
 /// .rgs to PLY. The file is validated first. With a permutation section rows come in the order of the source.
 /// Errors: those of validate() and PlyWriter.
 Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::string& output_path,
                                           AtomicFile::Options output, const StageObserver& observer = {});
+
+/// A scene in memory and where it came from.
+struct LoadedScene {
+  SplatCloud cloud;
+  std::string format;          ///< of the file; "merged" for several
+  std::uint64_t bytes = 0;     ///< of the file or files
+  std::uint64_t xxh3 = 0;      ///< of their bytes, one after the other
+  std::uint64_t n_source = 0;  ///< Gaussians in them; what is not in `cloud` has been filtered out
+  int source_sh_degree = 0;
+};
+
+/// A scene in memory to a file of any writable format, or .rgs. Its Gaussians must be in the axes that the format has,
+/// see format_axes(), or in options.encode.axes for .rgs. Damaged ones are treated as options.encode.on_bad says, but
+/// PLY keeps them.
+/// Errors: those of convert_to_rgs(), clean(), encode_splats() and AtomicFile.
+Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, const std::string& output_path,
+                                     const ConvertOptions& options, const StageObserver& observer = {});
 
 }  // namespace rgs

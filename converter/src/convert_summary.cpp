@@ -24,6 +24,11 @@ const char* depth_mapping_name(DepthMapping mapping) {
   return mapping == DepthMapping::linear ? "linear" : "log";
 }
 
+// The minor version says whether sections are coded.
+const char* profile_name(const Header& header) {
+  return header.version_minor == 0 ? "direct" : "packed";
+}
+
 double per_gaussian(std::uint64_t bytes, std::uint64_t n) {
   return n == 0 ? 0 : static_cast<double>(bytes) / static_cast<double>(n);
 }
@@ -53,8 +58,9 @@ std::string summary_text(const ConvertSummary& s) {
        format_bytes(s.source_bytes), s.output_format, format_bytes(s.output_bytes),
        s.output_bytes == 0 ? 0.0 : static_cast<double>(s.source_bytes) / static_cast<double>(s.output_bytes),
        per_gaussian(s.output_bytes, s.n_written));
-  line("  Gaussians  {} read, {} written, {} dropped, {} repaired", format_count(s.n_source), format_count(s.n_written),
-       format_count(s.n_source - s.n_written), format_count(s.n_repaired));
+  line("  Gaussians  {} read, {} written, {} dropped, {} repaired{}", format_count(s.n_source),
+       format_count(s.n_written), format_count(s.n_source - s.n_filtered - s.n_written), format_count(s.n_repaired),
+       s.n_filtered == 0 ? "" : fmt::format(", {} filtered out", format_count(s.n_filtered)));
   for (std::size_t i = 0; i < kDefectKinds; ++i) {
     if (s.defects[i] != 0)
       line("             damaged {}: {}", defect_name(static_cast<Defect>(i)), format_count(s.defects[i]));
@@ -66,7 +72,7 @@ std::string summary_text(const ConvertSummary& s) {
   }
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
-    line("  sections");
+    line("  sections   {}", profile_name(s.header));
     for (const SectionEntry& section : s.sections) {
       line("    {}  {:>10}  {:6.2f} bytes per Gaussian", type_name(section.type), format_bytes(section.stored_bytes),
            per_gaussian(section.stored_bytes, s.n_written));
@@ -108,7 +114,8 @@ std::string summary_json(const ConvertSummary& s) {
                     {"bytes_per_gaussian", per_gaussian(s.output_bytes, s.n_written)}};
   ordered_json damaged = ordered_json::object();
   for (std::size_t i = 0; i < kDefectKinds; ++i) damaged[defect_name(static_cast<Defect>(i))] = s.defects[i];
-  json["dropped"] = s.n_source - s.n_written;
+  json["filtered"] = s.n_filtered;
+  json["dropped"] = s.n_source - s.n_filtered - s.n_written;
   json["repaired"] = s.n_repaired;
   json["damaged"] = std::move(damaged);
   if (s.output_format == "rgs") {
@@ -119,6 +126,7 @@ std::string summary_json(const ConvertSummary& s) {
                           {"stored_bytes", section.stored_bytes},
                           {"decoded_bytes", section.decoded_bytes}});
     }
+    json["profile"] = profile_name(s.header);
     json["sections"] = std::move(sections);
     json["chunks"] = {
         {"size", s.header.chunk_size}, {"count", s.header.n_chunks}, {"scale_sets", s.header.n_scale_sets}};

@@ -1,4 +1,4 @@
-// convert_to_rgs.cpp - PLY to .rgs in two streamed passes.
+// convert_to_rgs.cpp - a PLY file, or Gaussians in memory, to .rgs in two streamed passes.
 //
 // Pass 1 reads every row once: finds damage, bounds and ranges, and keeps the means (12 bytes a Gaussian).
 // Then Morton keys replace the means and are sorted with 32-bit indices (24 bytes a Gaussian at the peak).
@@ -34,7 +34,7 @@ struct Scanned {
   std::vector<float> means;         // [n_source, 3]; rows that are not kept are undefined
 };
 
-Scanned scan_source(const PlyFile& source, const EncodeOptions& options, const StageObserver& observer) {
+Scanned scan_source(const SplatSource& source, const EncodeOptions& options, const StageObserver& observer) {
   const std::uint64_t n = source.size();
   Scanned result{SceneScan(source.sh_degree(), options), std::vector<std::uint64_t>((n + 63) / 64), {}};
   result.means.resize(3 * n);
@@ -61,7 +61,7 @@ Scanned scan_source(const PlyFile& source, const EncodeOptions& options, const S
 }
 
 // Index of the first row that the scan did not keep or had to mend: what a refusal points at.
-std::uint64_t first_damaged(const PlyFile& source, int sh_degree) {
+std::uint64_t first_damaged(const SplatSource& source, int sh_degree) {
   Splat row;
   for (std::uint64_t i = 0; i < source.size(); ++i) {
     source.read(i, {&row, 1});
@@ -129,21 +129,29 @@ void sort_morton(std::vector<std::uint32_t>& indices, std::vector<float>& means,
 struct Batch {
   std::uint64_t first_chunk = 0, n_chunks = 0, first = 0, count = 0;
   std::vector<std::byte> means, geometry, sh;
+  std::vector<ScaleSet> scales;  // of each chunk
+  PackedFrames frames;           // Profile::packed: the batch is one frame of each section
+  std::array<std::uint64_t, 3> frame_hashes{};
   EncodeCounts counts;
 };
 
-// Pass 2. Chunks are encoded in parallel; one thread at a time hashes and writes batches in file order.
+// Pass 2. Chunks are encoded in parallel; one thread at a time writes batches in file order. Frames of Profile::packed
+// have sizes that nobody knows before: they go to where the section would begin in the worst case, and move up when all
+// are there.
 class ChunkStream {
  public:
-  ChunkStream(const PlyFile& source, const EncodePlan& plan, std::span<const std::uint32_t> indices, bool repairing,
+  ChunkStream(const SplatSource& source, const EncodePlan& plan, std::span<const std::uint32_t> indices, bool repairing,
               AtomicFile& file)
       : source_(source), plan_(plan), indices_(indices), repairing_(repairing), file_(file) {
     chunks_.resize(plan.header.n_chunks);
     if (plan.chunk_scales) scales_.resize(chunks_.size());
+    if (plan.profile != Profile::packed) return;
+    for (std::size_t k = 0; k < kLarge.size(); ++k) frames_end_[k] = plan.find(kLarge[k])->offset;
   }
 
   Status run(const StageObserver& observer) {
-    const std::uint64_t chunks_per_batch = std::max<std::uint64_t>(1, kBatchRows / plan_.header.chunk_size);
+    const std::uint64_t rows = plan_.profile == Profile::packed ? plan_.frame_rows() : kBatchRows;
+    const std::uint64_t chunks_per_batch = std::max<std::uint64_t>(1, rows / plan_.header.chunk_size);
     const std::size_t tokens = static_cast<std::size_t>(tbb::this_task_arena::max_concurrency()) + 1;
     std::vector<Batch> pool(tokens);
     std::uint64_t next_chunk = 0, next_slot = 0;
@@ -180,13 +188,10 @@ class ChunkStream {
     return status_;
   }
 
-  std::vector<FilePiece> finish_pieces(std::uint64_t permutation_hash) const {
-    SectionHashes hashes;
-    hashes.means = means_hash_.digest();
-    hashes.geometry = geometry_hash_.digest();
-    hashes.sh = sh_hash_.digest();
-    hashes.permutation = permutation_hash;
-    return finish(plan_, chunks_, scales_, counts_, hashes);
+  // Tables, head, and what has to move. Returns the header and the sections as they are in the file.
+  Result<std::pair<Header, std::vector<SectionEntry>>> finish_file() {
+    const auto permutation = plan_.keep_permutation ? std::as_bytes(indices_) : std::span<const std::byte>();
+    return plan_.profile == Profile::packed ? finish_as_packed(permutation) : finish_as_direct(permutation);
   }
   const EncodeCounts& counts() const { return counts_; }
 
@@ -196,6 +201,7 @@ class ChunkStream {
     batch.means.resize(batch.count * kMeanBytes);
     batch.geometry.resize(batch.count * kGeometryBytes);
     batch.sh.resize(batch.count * stride);
+    batch.scales.resize(batch.n_chunks);
     batch.counts = {};
     std::vector<Splat>& rows = rows_.local();
     rows.resize(std::min<std::uint64_t>(plan_.header.chunk_size, plan_.header.n_gaussians));
@@ -214,11 +220,19 @@ class ChunkStream {
       encode_chunk(plan_, part, out);
       chunks_[batch.first_chunk + c] = out.entry;
       if (plan_.chunk_scales) scales_[batch.first_chunk + c] = out.scales;
+      batch.scales[c] = out.scales;
       batch.counts.add(out.counts);
     }
+    if (plan_.profile != Profile::packed) return;
+    batch.frames = encoders_.local().encode(batch.means, batch.geometry, batch.sh, batch.scales);
+    batch.frame_hashes = {xxh3(batch.frames.means), xxh3(batch.frames.geometry), xxh3(batch.frames.sh)};
   }
 
   Status write(const Batch& batch) {
+    return plan_.profile == Profile::packed ? write_frames(batch) : write_rows(batch);
+  }
+
+  Status write_rows(const Batch& batch) {
     const auto put = [&](SectionType type, Hasher& hash, std::span<const std::byte> bytes, std::uint64_t entry_bytes) {
       hash.update(bytes);
       return file_.write_at(plan_.find(type)->offset + batch.first * entry_bytes, bytes);
@@ -228,7 +242,82 @@ class ChunkStream {
     return put(SectionType::sh, sh_hash_, batch.sh, sh_bytes(plan_.header.sh_degree));
   }
 
-  const PlyFile& source_;
+  Status write_frames(const Batch& batch) {
+    const std::array<const std::vector<std::byte>*, 3> stored = {&batch.frames.means, &batch.frames.geometry,
+                                                                 &batch.frames.sh};
+    const std::array<std::vector<CodedFrame>*, 3> lists = {&frames_.means, &frames_.geometry, &frames_.sh};
+    for (std::size_t k = 0; k < kLarge.size(); ++k) {
+      if (Status s = file_.write_at(frames_end_[k], *stored[k]); !s) return s;
+      lists[k]->push_back({frames_end_[k], static_cast<std::uint32_t>(stored[k]->size()), batch.frame_hashes[k]});
+      frames_end_[k] += stored[k]->size();
+    }
+    return {};
+  }
+
+  using Finished = std::pair<Header, std::vector<SectionEntry>>;
+
+  Result<Finished> finish_as_direct(std::span<const std::byte> permutation) {
+    if (const SectionEntry* entry = plan_.find(SectionType::permutation)) {
+      if (const Status s = file_.write_at(entry->offset, permutation); !s) return tl::unexpected(s.error());
+    }
+    const SectionHashes hashes{means_hash_.digest(), geometry_hash_.digest(), sh_hash_.digest(), xxh3(permutation)};
+    for (const FilePiece& piece : finish(plan_, chunks_, scales_, counts_, hashes)) {
+      if (const Status s = file_.write_at(piece.offset, piece.bytes); !s) return tl::unexpected(s.error());
+    }
+    return Finished{plan_.header, plan_.sections};
+  }
+
+  Result<Finished> finish_as_packed(std::span<const std::byte> permutation) {
+    PackedLayout layout = finish_packed(plan_, chunks_, scales_, counts_, frames_);
+    for (std::size_t k = 0; k < kLarge.size(); ++k) {
+      if (const Status s = move_frames(layout, kLarge[k], plan_.find(kLarge[k])->offset); !s)
+        return tl::unexpected(s.error());
+    }
+    if (plan_.keep_permutation) {
+      SectionEntry& entry = layout.find(SectionType::permutation);
+      entry.xxh3 = xxh3(permutation);
+      if (const Status s = file_.write_at(entry.offset, permutation); !s) return tl::unexpected(s.error());
+    }
+    // What is left of the places where frames were is zeros between sections or beyond the end.
+    if (const Status s = file_.truncate(layout.header.file_bytes); !s) return tl::unexpected(s.error());
+    layout.pieces.push_back(layout.head());
+    constexpr std::array<std::byte, kSectionAlignment> kZeros{};
+    for (const SectionEntry& entry : layout.sections) {
+      const std::uint64_t end = entry.offset + entry.stored_bytes;
+      const std::uint64_t gap = std::min((0 - end) % kSectionAlignment, layout.header.file_bytes - end);
+      if (const Status s = file_.write_at(end, std::span(kZeros).first(gap)); !s) return tl::unexpected(s.error());
+    }
+    for (const FilePiece& piece : layout.pieces) {
+      if (const Status s = file_.write_at(piece.offset, piece.bytes); !s) return tl::unexpected(s.error());
+    }
+    return Finished{layout.header, layout.sections};
+  }
+
+  // Frames of a section from `from` to behind their table, and the hash of all. Never downwards, so that nothing is
+  // overwritten before it has moved.
+  Status move_frames(PackedLayout& layout, SectionType type, std::uint64_t from) {
+    SectionEntry& entry = layout.find(type);
+    const auto table = layout.table(type);
+    Hasher hash;
+    hash.update(table);
+    std::vector<std::byte> buffer(std::size_t{1} << 20);
+    std::uint64_t to = entry.offset + table.size();
+    for (std::uint64_t left = entry.stored_bytes - table.size(); left != 0;) {
+      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), left));
+      if (Status s = file_.read_at(from, part); !s) return s;
+      hash.update(part);
+      if (Status s = file_.write_at(to, part); !s) return s;
+      from += part.size();
+      to += part.size();
+      left -= part.size();
+    }
+    entry.xxh3 = hash.digest();
+    return {};
+  }
+
+  static constexpr std::array kLarge = {SectionType::means, SectionType::geometry, SectionType::sh};
+
+  const SplatSource& source_;
   const EncodePlan& plan_;
   std::span<const std::uint32_t> indices_;
   bool repairing_;
@@ -237,26 +326,18 @@ class ChunkStream {
   std::vector<ScaleSet> scales_;
   EncodeCounts counts_;
   Hasher means_hash_, geometry_hash_, sh_hash_;
+  PackedSections frames_;
+  std::array<std::uint64_t, 3> frames_end_{};  // where the next frame of each section goes
+  tbb::enumerable_thread_specific<PackedEncoder> encoders_{plan_};
   tbb::enumerable_thread_specific<std::vector<Splat>> rows_;
   std::atomic<bool> failed_{false};
   Status status_;
 };
 
-// Positions in the source, 4 bytes each: a source that needs 8 is refused before (see convert_ply_to_rgs).
-Result<std::uint64_t> write_permutation(const EncodePlan& plan, std::span<const std::uint32_t> indices,
-                                        AtomicFile& file) {
-  if (!plan.keep_permutation) return 0;
-  const auto bytes = std::as_bytes(indices);
-  if (const Status s = file.write_at(plan.find(SectionType::permutation)->offset, bytes); !s) {
-    return tl::unexpected(s.error());
-  }
-  return xxh3(bytes);
-}
-
 }  // namespace
 
-Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::string& output_path,
-                                          const ConvertOptions& options, const StageObserver& observer) {
+Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
+                                      const ConvertOptions& options, const StageObserver& observer) {
   if (source.size() > std::numeric_limits<std::uint32_t>::max()) {
     return fail(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                 std::numeric_limits<std::uint32_t>::max(), source.size());
@@ -274,7 +355,7 @@ Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::stri
   // The source's hash is one serial stream: it runs beside the first pass and the sort.
   std::uint64_t source_xxh3 = 0;
   tbb::task_group hashing;
-  if (encode.provenance) hashing.run([&] { source_xxh3 = xxh3(source.source()); });
+  if (encode.provenance) hashing.run([&] { source_xxh3 = source.hash(); });
   struct WaitAtExit {
     tbb::task_group& group;
     ~WaitAtExit() { group.wait(); }
@@ -299,14 +380,13 @@ Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::stri
   if (!plan) return tl::unexpected(plan.error());
 
   clock.begin("encode", plan->header.n_gaussians, "Gaussians");
-  if (const Status s = file->reserve(plan->header.file_bytes); !s) return tl::unexpected(s.error());
+  if (encode.profile == Profile::direct) {
+    if (const Status s = file->reserve(plan->header.file_bytes); !s) return tl::unexpected(s.error());
+  }
   ChunkStream stream(source, *plan, indices, encode.on_bad == BadPolicy::repair, *file);
   if (const Status s = stream.run(observer); !s) return tl::unexpected(s.error());
-  const auto permutation_hash = write_permutation(*plan, indices, *file);
-  if (!permutation_hash) return tl::unexpected(permutation_hash.error());
-  for (const FilePiece& piece : stream.finish_pieces(*permutation_hash)) {
-    if (const Status s = file->write_at(piece.offset, piece.bytes); !s) return tl::unexpected(s.error());
-  }
+  auto finished = stream.finish_file();
+  if (!finished) return tl::unexpected(finished.error());
   clock.begin("commit", 0, "");
   const auto synced = file->commit();
   if (!synced) return tl::unexpected(synced.error());
@@ -317,20 +397,20 @@ Result<ConvertSummary> convert_ply_to_rgs(const PlyFile& source, const std::stri
   summary.source_format = "ply";
   summary.output_format = "rgs";
   summary.source_bytes = source.bytes();
-  summary.output_bytes = plan->header.file_bytes;
+  summary.output_bytes = finished->first.file_bytes;
   summary.n_source = scan.n_source();
   summary.n_written = scan.n_kept();
   summary.n_repaired = scan.n_repaired();
   summary.source_sh_degree = source.sh_degree();
   summary.sh_degree = scan.sh_degree();
   for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan.defects(static_cast<Defect>(i));
-  summary.header = plan->header;
+  summary.header = finished->first;
   summary.declarations = plan->declarations;
   summary.declarations.n_scale_subnormal = stream.counts().scale_subnormal;
   summary.declarations.n_scale_zero = stream.counts().scale_zero;
   summary.declarations.n_opacity_zero = stream.counts().opacity_zero;
   summary.declarations.n_opacity_one = stream.counts().opacity_one;
-  summary.sections = plan->sections;
+  summary.sections = std::move(finished->second);
   if (scan.n_kept() != 0) {
     summary.min_scale = scale_from_log(scan.min_log_scale());
     summary.max_scale = scale_from_log(scan.max_log_scale());

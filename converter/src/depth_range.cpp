@@ -49,7 +49,8 @@ Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std
   const double high = percentile(999);
   DepthRange range;
   // No percentile at the near end: the few Gaussians right before a camera cover much of its image, and one that falls
-  // below the range loses its order (measured: one test view of 16 at 24 dB), while bins down to the near plane are few.
+  // below the range loses its order (measured: one test view of 16 at 24 dB), while bins down to the near plane are
+  // few.
   range.z_near = static_cast<float>(kNearPlane);
   range.z_far = static_cast<float>(high * (1 + kMargin));
   range.source = DepthSource::cameras;

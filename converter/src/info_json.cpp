@@ -114,6 +114,8 @@ Json sections(const InfoReport& report) {
            {"bytes_per_gaussian", bytes_per_gaussian(s.stored_bytes, report.view->header())},
            {"share", static_cast<double>(s.stored_bytes) / static_cast<double>(report.file_bytes)},
            {"xxh3", hex(s.xxh3)}};
+    const FrameTable& frames = report.view->frames(static_cast<SectionType>(s.type));
+    if (frames.rows != 0) j["frames"] = {{"n", frames.frames.size()}, {"rows", frames.rows}};
     if (!report.hashes.empty()) j["xxh3_found"] = hex(report.hashes[i]);
     array.push_back(std::move(j));
   }
@@ -158,7 +160,10 @@ Json json(const ChunkReport& c, const FileView& view) {
   Json steps = Json::array();
   for (std::size_t degree = 0; degree <= h.sh_degree; ++degree) steps.push_back(numbers(c.steps.step[degree]));
   const auto place = [&view](SectionType type, std::uint64_t first, std::uint64_t count, std::uint64_t row) {
-    return Json{{"offset", view.find(type)->offset + first * row}, {"bytes", count * row}};
+    const StoredRows rows = stored_rows(view, type, first, count, row);
+    Json j{{"offset", rows.offset}, {"bytes", rows.bytes}};
+    if (rows.frame) j["frame"] = *rows.frame;
+    return j;
   };
   return {{"index", c.index},
           {"first", c.first},

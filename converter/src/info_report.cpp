@@ -56,14 +56,15 @@ class CodeCounter {
         opacity_(kHalfCodes),
         scale_(kHalfCodes) {}
 
-  Status add_chunk(std::uint64_t index) {
+  Status add_chunk(const DirectData& data, std::uint64_t index) {
     const auto entry = view_.chunk(index);
     if (!entry) return tl::unexpected(entry.error());
     const auto steps = view_.scale_set(entry->scale_set);
     if (!steps) return tl::unexpected(steps.error());
-    const std::uint64_t first = index * view_.header().chunk_size;
-    add_geometry(first, entry->count);
-    add_sh(first, entry->count, *steps);
+    const std::uint64_t row = index * view_.header().chunk_size - data.first();
+    add_geometry(data.geometry().data() + row * kGeometryBytes, entry->count);
+    const auto* codes = reinterpret_cast<const std::int8_t*>(data.sh().data());
+    add_sh(codes + row * sh_bytes(view_.header().sh_degree), entry->count, *steps);
     return {};
   }
 
@@ -93,8 +94,7 @@ class CodeCounter {
  private:
   static constexpr std::size_t kHalfCodes = 65536, kIllegal = 128;  // bit pattern of -128
 
-  void add_geometry(std::uint64_t first, std::uint64_t count) {
-    const std::byte* row = view_.stored(SectionType::geometry).data() + first * kGeometryBytes;
+  void add_geometry(const std::byte* row, std::uint64_t count) {
     for (std::uint64_t i = 0; i < count; ++i, row += kGeometryBytes) {
       std::uint16_t codes[8];
       std::memcpy(codes, row, kGeometryBytes);
@@ -103,9 +103,8 @@ class CodeCounter {
     }
   }
 
-  void add_sh(std::uint64_t first, std::uint64_t count, const ScaleSet& steps) {
+  void add_sh(const std::int8_t* row, std::uint64_t count, const ScaleSet& steps) {
     const std::uint64_t stride = sh_bytes(view_.header().sh_degree);
-    const auto* row = reinterpret_cast<const std::int8_t*>(view_.stored(SectionType::sh).data()) + first * stride;
     std::array<std::int8_t, 48> low, high;
     low.fill(kShCodeMax);
     high.fill(-kShCodeMax);
@@ -162,8 +161,15 @@ class CodeCounter {
 Result<ValueStatistics> value_statistics(const FileView& view, std::uint64_t first_chunk, std::uint64_t end_chunk) {
   const Header& h = view.header();
   CodeCounter counter(view);
-  for (std::uint64_t i = first_chunk; i < end_chunk; ++i) {
-    if (const Status s = counter.add_chunk(i); !s) return tl::unexpected(s.error());
+  // A piece at a time: what is coded is never decoded as a whole.
+  const std::uint64_t piece = std::max(1u, (1u << 20) / h.chunk_size);
+  for (std::uint64_t first = first_chunk; first < end_chunk; first += piece) {
+    const std::uint64_t end = std::min(end_chunk, first + piece);
+    const auto data = read_chunks(view, first, end - first, {.validate = false});
+    if (!data) return tl::unexpected(data.error());
+    for (std::uint64_t i = first; i < end; ++i) {
+      if (const Status s = counter.add_chunk(*data, i); !s) return tl::unexpected(s.error());
+    }
   }
   ValueStatistics v = counter.result();
   v.first = std::min(first_chunk * h.chunk_size, h.n_gaussians);
@@ -280,6 +286,14 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
   keep(chunk_statistics(view), report.chunks);
   if (statistics) keep(value_statistics(view, 0, n_chunks), report.values);
   return report;
+}
+
+StoredRows stored_rows(const FileView& view, SectionType type, std::uint64_t first, std::uint64_t count,
+                       std::uint64_t row_bytes) {
+  const FrameTable& table = view.frames(type);
+  if (table.rows == 0) return {view.place(type, first), count * row_bytes, std::nullopt};
+  const std::uint64_t frame = first / table.rows;
+  return {table.frames[frame].offset, table.frames[frame].stored_bytes, frame};
 }
 
 std::uint64_t ply_bytes(const Header& header) {
@@ -405,7 +419,11 @@ std::string four_characters(std::uint32_t type) {
 }
 
 std::string codec_name(std::uint32_t codec) {
-  return codec == static_cast<std::uint32_t>(Codec::none) ? "none" : "codec " + std::to_string(codec);
+  switch (static_cast<Codec>(codec)) {
+    case Codec::none: return "none";
+    case Codec::planes: return "planes";
+  }
+  return "codec " + std::to_string(codec);
 }
 
 }  // namespace rgs::tool

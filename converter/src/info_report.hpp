@@ -86,6 +86,15 @@ struct InfoReport {
 /// Needs 16 bytes of memory a chunk; with verify what validate() needs.
 InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, const InfoOptions& options);
 
+/// Bytes of the file that rows of a section take: their own, or the whole frame that holds them.
+struct StoredRows {
+  std::uint64_t offset = 0, bytes = 0;
+  std::optional<std::uint64_t> frame;  ///< index; absent if the section is stored as is
+};
+/// Of `count` rows of one chunk, from row `first` on.
+StoredRows stored_rows(const FileView& view, SectionType type, std::uint64_t first, std::uint64_t count,
+                       std::uint64_t row_bytes);
+
 /// Size of the scene as rows of a 3DGS PLY of the same degree.
 std::uint64_t ply_bytes(const Header& header);
 double bytes_per_gaussian(std::uint64_t bytes, const Header& header);

@@ -42,7 +42,7 @@ class TextReport {
     row("radius", fmt::format("{:.4g} (3 sigma of the largest scale)", c.entry.radius));
     row("largest opacity", fmt::format("{:.4g}", c.entry.max_opacity));
     line("");
-    line("{:<6}{:>16}{:>14}", "bytes", "offset", "stored");
+    line("{:<6}{:>16}{:>14}{:>10}", "bytes", "offset", "stored", view_.coded() ? "frame" : "");
     bytes(SectionType::chunks, c.index, 1, kChunkEntryBytes);
     bytes(SectionType::sh_scales, c.entry.scale_set, 1, kScaleSetBytes);
     bytes(SectionType::means, c.first, c.entry.count, kMeanBytes);
@@ -81,6 +81,13 @@ class TextReport {
     row("chunks",
         fmt::format("{} of {}{}, {}", format_count(header_.n_chunks), format_count(header_.chunk_size),
                     rest == 0 ? "" : fmt::format(" (the last {})", rest), name_of(view_.declarations().order).words));
+    if (view_.coded()) {
+      const FrameTable& frames = view_.frames(SectionType::sh);
+      row("profile",
+          fmt::format("packed, {} frames of {}", format_count(frames.frames.size()), format_count(frames.rows)));
+    } else {
+      row("profile", "direct");
+    }
     if (const auto& p = view_.provenance()) {
       row("source", fmt::format("\"{}\", {} bytes, xxh3 {:016x}", escape_untrusted(p->source_name, ascii_),
                                 format_count(p->source_bytes), p->source_xxh3));
@@ -247,9 +254,9 @@ class TextReport {
   }
 
   void bytes(SectionType type, std::uint64_t first, std::uint64_t count, std::uint64_t row_bytes) {
-    const SectionEntry& s = *view_.find(type);
-    line("  {:<4}{:>16}{:>14}", four_characters(s.type), format_count(s.offset + first * row_bytes),
-         format_count(count * row_bytes));
+    const StoredRows rows = stored_rows(view_, type, first, count, row_bytes);
+    line("  {:<4}{:>16}{:>14}{:>10}", four_characters(static_cast<std::uint32_t>(type)), format_count(rows.offset),
+         format_count(rows.bytes), rows.frame ? format_count(*rows.frame) : "");
   }
 
   const InfoReport& report_;

@@ -185,7 +185,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
   }
   if (const auto packed = index.find("packed_position"); packed != index.end()) {
     return fail(Errc::unsupported_feature, vertex->properties[packed->second].line,
-                "a compressed.ply with packed_position (PlayCanvas, SuperSplat): export it as plain PLY first");
+                "a compressed PLY with packed_position (PlayCanvas, SuperSplat): read it as compressed.ply");
   }
 
   for (std::size_t i = 0; i < kRequired.size(); ++i) {

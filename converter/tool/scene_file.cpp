@@ -1,12 +1,10 @@
-// scene_file.cpp - a scene from an .rgs or a 3DGS PLY file.
+// scene_file.cpp - a scene from a splat file of any format.
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_file.hpp"
 
-#include <cstring>
 #include <utility>
 
 #include "rgs/file.hpp"
-#include "rgs/ply.hpp"
 
 namespace rgs {
 namespace {
@@ -25,6 +23,8 @@ Result<SceneFile> load_rgs(std::span<const std::byte> bytes) {
   auto scene = Scene::load(bytes);
   if (!scene) return tl::unexpected(scene.error());
   SceneFile out;
+  out.format = SplatFormat::rgs;
+  out.file_bytes = bytes.size();
   const Declarations& declarations = *scene->declarations();
   out.up = declared_up(declarations);
   for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -35,12 +35,14 @@ Result<SceneFile> load_rgs(std::span<const std::byte> bytes) {
   return out;
 }
 
-Result<SceneFile> load_ply(const std::string& path) {
-  auto cloud = read_ply(path);
-  if (!cloud) return tl::unexpected(cloud.error());
+Result<SceneFile> load_other(const std::string& path) {
+  auto file = read_splats(path);
+  if (!file) return tl::unexpected(file.error());
   SceneFile out;
-  out.bounds = robust_bounds(cloud->mean);
-  auto scene = Scene::load(std::move(*cloud));
+  out.format = file->format;
+  out.file_bytes = file->bytes;
+  out.bounds = robust_bounds(file->cloud.mean);
+  auto scene = Scene::load(std::move(file->cloud));
   if (!scene) {
     Error error = scene.error();
     if (error.code == Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
@@ -56,10 +58,8 @@ Result<SceneFile> load_scene_file(const std::string& path) {
   const auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
   const auto bytes = file->bytes();
-  const bool ply = bytes.size() >= 3 && std::memcmp(bytes.data(), "ply", 3) == 0;
-  auto out = ply ? load_ply(path) : load_rgs(bytes);
-  if (out) out->file_bytes = bytes.size();
-  return out;
+  if (detect_format(bytes) != SplatFormat::rgs) return load_other(path);
+  return load_rgs(bytes);
 }
 
 }  // namespace rgs

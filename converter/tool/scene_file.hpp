@@ -1,4 +1,4 @@
-// scene_file.hpp - a scene from an .rgs or a 3DGS PLY file, ready to be rendered.
+// scene_file.hpp - a scene from a splat file of any format, ready to be rendered.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -6,20 +6,23 @@
 #include <string>
 
 #include "rgs/camera.hpp"
+#include "rgs/interchange.hpp"
 #include "rgs/result.hpp"
 #include "rgs/scene.hpp"
 
 namespace rgs {
 
 struct SceneFile {
+  SplatFormat format = SplatFormat::unknown;
   Scene scene;
-  std::uint64_t file_bytes = 0;
-  SceneBounds bounds;  ///< robust extent: what an .rgs states, or robust_bounds()
-  Vec3 up = kWorldUp;  ///< what an .rgs states, or that of 3DGS worlds
+  std::uint64_t file_bytes = 0;  ///< of a SOG folder, of all its files
+  SceneBounds bounds;            ///< robust extent: what an .rgs states, or robust_bounds()
+  Vec3 up = kWorldUp;            ///< what an .rgs states, or that of 3DGS worlds
 };
 
-/// Reads `path`; its first bytes decide what it is. Errors: those of read_ply() and of Scene::load(); for a bad_value
-/// of a PLY, Error::found is the index of the Gaussian.
+/// Reads `path`; its first bytes decide what it is. Scenes of other formats than .rgs are in the axes of
+/// 3DGS. Errors: those of read_splats() and of Scene::load(); for a bad_value of the latter, Error::found is the index
+/// of the Gaussian.
 Result<SceneFile> load_scene_file(const std::string& path);
 
 }  // namespace rgs

@@ -12,6 +12,7 @@
 #include "byte_writer.hpp"
 #include "checked.hpp"
 #include "layout_io.hpp"
+#include "packed.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/spatial_order.hpp"
@@ -24,6 +25,7 @@ Status check_options(const EncodeOptions& o) {
   if (o.chunk_size < kMinChunkSize || o.chunk_size > kMaxChunkSize || o.chunk_size % 32 != 0) {
     return bad("the chunk size must be a multiple of 32 from 32 to 65536");
   }
+  if (o.level < 1 || o.level > kMaxLevel) return bad("the level must be 1 to 19");
   if (o.sh_degree < 0 || o.sh_degree > kMaxShDegree) return bad("the SH degree must be 0 to 3");
   if (o.depth) {
     const DepthRange& d = *o.depth;
@@ -61,6 +63,67 @@ SectionEntry section(SectionType type, std::uint64_t bytes, std::uint32_t flags 
   return entry;
 }
 
+// All that the file is made of. The permutation has 4 bytes a Gaussian: encode() takes less than 2^32.
+struct Encoded {
+  std::span<const std::byte> means, geometry, sh, permutation;
+  std::span<const ChunkEntry> chunks;
+  std::span<const ScaleSet> scales;  // of each chunk
+  EncodeCounts counts;
+};
+
+void put(std::vector<std::byte>& file, std::uint64_t offset, std::span<const std::byte> bytes) {
+  std::ranges::copy(bytes, file.begin() + static_cast<std::ptrdiff_t>(offset));
+}
+
+std::vector<std::byte> assemble_direct(const EncodePlan& plan, const Encoded& e) {
+  std::vector<std::byte> file(plan.header.file_bytes);
+  put(file, plan.find(SectionType::means)->offset, e.means);
+  put(file, plan.find(SectionType::geometry)->offset, e.geometry);
+  put(file, plan.find(SectionType::sh)->offset, e.sh);
+  if (plan.keep_permutation) put(file, plan.find(SectionType::permutation)->offset, e.permutation);
+  const SectionHashes hashes{xxh3(e.means), xxh3(e.geometry), xxh3(e.sh), xxh3(e.permutation)};
+  for (const FilePiece& piece : finish(plan, e.chunks, e.scales, e.counts, hashes))
+    put(file, piece.offset, piece.bytes);
+  return file;
+}
+
+std::vector<std::byte> assemble_packed(const EncodePlan& plan, const Encoded& e) {
+  PackedEncoder encoder(plan);
+  std::vector<std::byte> means, geometry, sh;  // frames, one after the other
+  PackedSections sections;
+  const auto append = [](std::vector<std::byte>& all, std::vector<CodedFrame>& frames,
+                         std::span<const std::byte> frame) {
+    frames.push_back({all.size(), static_cast<std::uint32_t>(frame.size()), xxh3(frame)});
+    all.insert(all.end(), frame.begin(), frame.end());
+  };
+  const std::uint64_t n = plan.header.n_gaussians, stride = sh_bytes(plan.header.sh_degree), rows = plan.frame_rows();
+  for (std::uint64_t first = 0; first < n; first += rows) {
+    const std::uint64_t count = std::min(rows, n - first), chunk = first / plan.header.chunk_size;
+    const std::uint64_t n_chunks = (count + plan.header.chunk_size - 1) / plan.header.chunk_size;
+    const PackedFrames frames =
+        encoder.encode(e.means.subspan(first * kMeanBytes, count * kMeanBytes),
+                       e.geometry.subspan(first * kGeometryBytes, count * kGeometryBytes),
+                       e.sh.subspan(first * stride, count * stride), e.scales.subspan(chunk, n_chunks));
+    append(means, sections.means, frames.means);
+    append(geometry, sections.geometry, frames.geometry);
+    append(sh, sections.sh, frames.sh);
+  }
+  PackedLayout layout = finish_packed(plan, e.chunks, e.scales, e.counts, sections);
+  std::vector<std::byte> file(layout.header.file_bytes);
+  for (const FilePiece& piece : layout.pieces) put(file, piece.offset, piece.bytes);
+  const auto place = [&](SectionType type, std::span<const std::byte> frames) {
+    SectionEntry& entry = layout.find(type);
+    put(file, entry.offset + entry.stored_bytes - frames.size(), frames);
+    entry.xxh3 = xxh3(std::span(file).subspan(entry.offset, entry.stored_bytes));
+  };
+  place(SectionType::means, means);
+  place(SectionType::geometry, geometry);
+  place(SectionType::sh, sh);
+  if (plan.keep_permutation) place(SectionType::permutation, e.permutation);
+  put(file, 0, layout.head().bytes);
+  return file;
+}
+
 template <class T>
 void store(std::byte*& out, const T& value) {
   std::memcpy(out, &value, sizeof value);
@@ -74,6 +137,12 @@ const SectionEntry* EncodePlan::find(SectionType type) const {
     if (entry.type == static_cast<std::uint32_t>(type)) return &entry;
   }
   return nullptr;
+}
+
+std::uint32_t EncodePlan::frame_rows() const {
+  // The smaller, the better weights and tables suit; below this they cost more than they save (docs/PROFILES.md).
+  constexpr std::uint32_t kFrameRows = 16384;
+  return std::max(1u, kFrameRows / header.chunk_size) * header.chunk_size;
 }
 
 Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options) {
@@ -123,6 +192,8 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
     return fail(Errc::bad_argument, Error::kNone, legal.error().what);
   }
 
+  plan.profile = options.profile;
+  plan.level = options.level;
   plan.provenance = options.provenance;
   plan.chunk_scales = options.chunk_scales;
   plan.keep_permutation = options.keep_permutation;
@@ -149,6 +220,9 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   h.n_sections = static_cast<std::uint32_t>(plan.sections.size());
   std::uint64_t end = kHeaderBytes + h.n_sections * kSectionEntryBytes + kHeadChecksumBytes;
   for (SectionEntry& entry : plan.sections) {
+    if (plan.profile == Profile::packed && coded_type(static_cast<SectionType>(entry.type))) {
+      entry.stored_bytes = detail::coded_bound(entry.decoded_bytes, n / plan.frame_rows() + 1);
+    }
     entry.offset = detail::align_up(end, kSectionAlignment);
     end = entry.offset + entry.stored_bytes;
   }
@@ -223,50 +297,60 @@ void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOu
   entry.max_opacity = float_from_half(largest_opacity);
 }
 
+namespace detail {
+
+std::vector<std::byte> small_section(const EncodePlan& plan, SectionType type, std::span<const ChunkEntry> chunks,
+                                     std::span<const ScaleSet> scales, const EncodeCounts& counts) {
+  assert(chunks.size() == plan.header.n_chunks && (!plan.chunk_scales || scales.size() == chunks.size()));
+  ByteWriter out;
+  switch (type) {
+    case SectionType::declarations: {
+      Declarations d = plan.declarations;
+      d.n_scale_subnormal = counts.scale_subnormal;
+      d.n_scale_zero = counts.scale_zero;
+      d.n_opacity_zero = counts.opacity_zero;
+      d.n_opacity_one = counts.opacity_one;
+      return write_declarations(d);
+    }
+    case SectionType::sh_scales:
+      if (plan.chunk_scales) {
+        for (const ScaleSet& set : scales) write_scale_set(out, set);
+      } else if (!chunks.empty()) {
+        write_scale_set(out, plan.file_scales);
+      }
+      return out.take();
+    case SectionType::chunks:
+      for (std::size_t i = 0; i < chunks.size(); ++i) {
+        ChunkEntry chunk = chunks[i];
+        chunk.scale_set = plan.chunk_scales ? i : 0;
+        write_chunk_entry(out, chunk);
+      }
+      return out.take();
+    case SectionType::provenance: return write_provenance(*plan.provenance);
+    default: return {};
+  }
+}
+
+}  // namespace detail
+
 std::vector<FilePiece> finish(const EncodePlan& plan, std::span<const ChunkEntry> chunks,
                               std::span<const ScaleSet> scales, const EncodeCounts& counts,
                               const SectionHashes& hashes) {
-  assert(chunks.size() == plan.header.n_chunks && (!plan.chunk_scales || scales.size() == chunks.size()));
+  assert(plan.profile == Profile::direct);
   std::vector<SectionEntry> sections = plan.sections;
   std::vector<FilePiece> pieces;
-  const auto add = [&](SectionEntry& entry, std::vector<std::byte> bytes) {
-    assert(bytes.size() == entry.stored_bytes);
-    entry.xxh3 = xxh3(bytes);
-    pieces.push_back({entry.offset, std::move(bytes)});
-  };
   for (SectionEntry& entry : sections) {
-    detail::ByteWriter out;
     switch (static_cast<SectionType>(entry.type)) {
-      case SectionType::declarations: {
-        Declarations d = plan.declarations;
-        d.n_scale_subnormal = counts.scale_subnormal;
-        d.n_scale_zero = counts.scale_zero;
-        d.n_opacity_zero = counts.opacity_zero;
-        d.n_opacity_one = counts.opacity_one;
-        add(entry, detail::write_declarations(d));
-        break;
-      }
-      case SectionType::sh_scales:
-        if (plan.chunk_scales) {
-          for (const ScaleSet& set : scales) detail::write_scale_set(out, set);
-        } else if (!chunks.empty()) {
-          detail::write_scale_set(out, plan.file_scales);
-        }
-        add(entry, out.take());
-        break;
-      case SectionType::chunks:
-        for (std::size_t i = 0; i < chunks.size(); ++i) {
-          ChunkEntry chunk = chunks[i];
-          chunk.scale_set = plan.chunk_scales ? i : 0;
-          detail::write_chunk_entry(out, chunk);
-        }
-        add(entry, out.take());
-        break;
       case SectionType::means: entry.xxh3 = hashes.means; break;
       case SectionType::geometry: entry.xxh3 = hashes.geometry; break;
       case SectionType::sh: entry.xxh3 = hashes.sh; break;
       case SectionType::permutation: entry.xxh3 = hashes.permutation; break;
-      case SectionType::provenance: add(entry, detail::write_provenance(*plan.provenance)); break;
+      default: {
+        auto bytes = detail::small_section(plan, static_cast<SectionType>(entry.type), chunks, scales, counts);
+        assert(bytes.size() == entry.stored_bytes);
+        entry.xxh3 = xxh3(bytes);
+        pieces.push_back({entry.offset, std::move(bytes)});
+      }
     }
   }
   pieces.push_back({0, detail::write_head(plan.header, sections)});
@@ -298,13 +382,11 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
     sort_by_key(keys, indices);
   }
 
-  std::vector<std::byte> file(plan->header.file_bytes);
-  const auto bytes_of = [&](SectionType type, std::uint64_t first, std::uint64_t count, std::uint64_t entry_bytes) {
-    return std::span(file).subspan(plan->find(type)->offset + first * entry_bytes, count * entry_bytes);
-  };
-  const std::uint64_t n = plan->header.n_gaussians;
+  // Rows of each section, one after the other.
+  const std::uint64_t n = plan->header.n_gaussians, stride = sh_bytes(plan->header.sh_degree);
+  std::vector<std::byte> means(n * kMeanBytes), geometry(n * kGeometryBytes), sh(n * stride);
   std::vector<ChunkEntry> chunks(plan->header.n_chunks);
-  std::vector<ScaleSet> scales(plan->chunk_scales ? chunks.size() : 0);
+  std::vector<ScaleSet> scales(chunks.size());
   std::vector<Splat> buffer(std::min<std::uint64_t>(plan->header.chunk_size, n));
   EncodeCounts counts;
   for (std::size_t c = 0; c < chunks.size(); ++c) {
@@ -315,27 +397,16 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
       if (options.on_bad == BadPolicy::repair) repair(buffer[i], find_defects(buffer[i], plan->header.sh_degree));
     }
     ChunkOutput out;
-    out.means = bytes_of(SectionType::means, first, count, kMeanBytes);
-    out.geometry = bytes_of(SectionType::geometry, first, count, kGeometryBytes);
-    out.sh = bytes_of(SectionType::sh, first, count, sh_bytes(plan->header.sh_degree));
+    out.means = std::span(means).subspan(first * kMeanBytes, count * kMeanBytes);
+    out.geometry = std::span(geometry).subspan(first * kGeometryBytes, count * kGeometryBytes);
+    out.sh = std::span(sh).subspan(first * stride, count * stride);
     encode_chunk(*plan, std::span(buffer).first(count), out);
     chunks[c] = out.entry;
-    if (plan->chunk_scales) scales[c] = out.scales;
+    scales[c] = out.scales;
     counts.add(out.counts);
   }
-  SectionHashes hashes;
-  hashes.means = xxh3(bytes_of(SectionType::means, 0, n, kMeanBytes));
-  hashes.geometry = xxh3(bytes_of(SectionType::geometry, 0, n, kGeometryBytes));
-  hashes.sh = xxh3(bytes_of(SectionType::sh, 0, n, sh_bytes(plan->header.sh_degree)));
-  if (plan->keep_permutation) {
-    const auto permutation = bytes_of(SectionType::permutation, 0, n, 4);  // n_source < 2^32 here
-    std::ranges::copy(std::as_bytes(std::span(indices)), permutation.begin());
-    hashes.permutation = xxh3(permutation);
-  }
-  for (const FilePiece& piece : finish(*plan, chunks, scales, counts, hashes)) {
-    std::ranges::copy(piece.bytes, file.begin() + static_cast<std::ptrdiff_t>(piece.offset));
-  }
-  return file;
+  const Encoded encoded{means, geometry, sh, std::as_bytes(std::span(indices)), chunks, scales, counts};
+  return plan->profile == Profile::packed ? assemble_packed(*plan, encoded) : assemble_direct(*plan, encoded);
 }
 
 }  // namespace rgs

@@ -230,6 +230,25 @@ Status AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> byt
   return {};
 }
 
+Status AtomicFile::read_at(std::uint64_t offset, std::span<std::byte> bytes) const {
+  while (!bytes.empty()) {
+    const ssize_t n = ::pread(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
+    if (n < 0 && errno == EINTR) continue;
+    if (n <= 0) {
+      return fail(Errc::read_failed, offset, "cannot read the output back", Error::kNone, Error::kNone,
+                  n == 0 ? 0 : errno);
+    }
+    bytes = bytes.subspan(static_cast<std::size_t>(n));
+    offset += static_cast<std::uint64_t>(n);
+  }
+  return {};
+}
+
+Status AtomicFile::truncate(std::uint64_t size) {
+  if (::ftruncate(fd_, static_cast<off_t>(size)) == 0) return {};
+  return system_error(Errc::write_failed, "cannot set the size of the output");
+}
+
 Status AtomicFile::copy_to_stdout() {
   std::vector<char> buffer(std::size_t{1} << 20);
   off_t offset = 0;

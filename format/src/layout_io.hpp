@@ -15,6 +15,11 @@
 
 namespace rgs::detail {
 
+/// Where entry `i` of the section table is in the file.
+constexpr std::uint64_t section_entry_offset(std::uint64_t i) {
+  return kHeaderBytes + i * kSectionEntryBytes;
+}
+
 /// Header, table and their checksum: kHeaderBytes + n * kSectionEntryBytes + kHeadChecksumBytes.
 std::vector<std::byte> write_head(const Header& header, std::span<const SectionEntry> sections);
 std::vector<std::byte> write_declarations(const Declarations& declarations);

@@ -21,17 +21,13 @@ bool known(std::uint32_t type) {
   return std::ranges::find(kKnown, static_cast<SectionType>(type)) != kKnown.end();
 }
 
-std::uint64_t entry_offset(std::size_t i) {
-  return kHeaderBytes + i * kSectionEntryBytes;
-}
-
 // Sections lie in table order, each at the next multiple of 256, zeros between, the last one up to the end of the file.
 Status check_placement(std::span<const std::byte> bytes, std::span<const SectionEntry> sections,
                        std::uint64_t head_bytes) {
   std::uint64_t end = head_bytes;
   for (std::size_t i = 0; i < sections.size(); ++i) {
     const SectionEntry& s = sections[i];
-    const std::uint64_t at = entry_offset(i);
+    const std::uint64_t at = detail::section_entry_offset(i);
     const std::uint64_t start = detail::align_up(end, kSectionAlignment);
     if (s.offset % kSectionAlignment != 0) {
       return fail(Errc::bad_section, at + 16, "a section does not start at a multiple of 256", start, s.offset);
@@ -57,10 +53,10 @@ Status check_placement(std::span<const std::byte> bytes, std::span<const Section
   return {};
 }
 
-Status check_types(std::span<const SectionEntry> sections) {
+Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) {
   for (std::size_t i = 0; i < sections.size(); ++i) {
     const SectionEntry& s = sections[i];
-    const std::uint64_t at = entry_offset(i);
+    const std::uint64_t at = detail::section_entry_offset(i);
     if (!known(s.type)) {
       if ((s.flags & kSectionMustUnderstand) != 0) {
         return fail(Errc::unknown_required, at, "a section that must be understood is not known to this program",
@@ -70,6 +66,10 @@ Status check_types(std::span<const SectionEntry> sections) {
     }
     if (std::ranges::count(sections.first(i), s.type, &SectionEntry::type) != 0) {
       return fail(Errc::duplicate_section, at, "a section is there twice", Error::kNone, s.type);
+    }
+    if (s.codec == static_cast<std::uint32_t>(Codec::planes) && minor >= 1 &&
+        coded_type(static_cast<SectionType>(s.type))) {
+      continue;
     }
     if (s.codec != static_cast<std::uint32_t>(Codec::none)) {
       return fail(Errc::unsupported_codec, at + 8, "a section's codec is not known to this program", Error::kNone,
@@ -93,13 +93,13 @@ Status check_types(std::span<const SectionEntry> sections) {
 Status check_size(const FileView& view, std::size_t index, std::uint64_t count, std::uint64_t bytes) {
   std::uint64_t size = 0;
   if (!detail::multiply(count, bytes, size)) {
-    return fail(Errc::size_mismatch, entry_offset(index) + 32,
+    return fail(Errc::size_mismatch, detail::section_entry_offset(index) + 32,
                 "the header's counts imply a section larger than 2^64 bytes", Error::kNone, count);
   }
   const std::uint64_t found = view.sections()[index].decoded_bytes;
   if (size != found) {
-    return fail(Errc::size_mismatch, entry_offset(index) + 32, "a section's size contradicts the header's counts", size,
-                found);
+    return fail(Errc::size_mismatch, detail::section_entry_offset(index) + 32,
+                "a section's size contradicts the header's counts", size, found);
   }
   return {};
 }
@@ -163,7 +163,7 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
     return fail(Errc::trailing_bytes, header->file_bytes, "the file is longer than its header says", header->file_bytes,
                 bytes.size());
   }
-  const std::uint64_t table_end = entry_offset(header->n_sections);
+  const std::uint64_t table_end = detail::section_entry_offset(header->n_sections);
   const std::uint64_t head_bytes = table_end + kHeadChecksumBytes;
   const std::uint64_t stored_hash = detail::ByteReader(bytes.subspan(table_end)).u64();
   const std::uint64_t hash = xxh3(bytes.first(table_end));
@@ -177,12 +177,12 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
   view.header_ = *header;
   view.sections_.reserve(header->n_sections);
   for (std::size_t i = 0; i < header->n_sections; ++i) {
-    const std::uint64_t at = entry_offset(i);
+    const std::uint64_t at = detail::section_entry_offset(i);
     const auto entry = detail::parse_section_entry(bytes.subspan(at, kSectionEntryBytes), at);
     if (!entry) return tl::unexpected(entry.error());
     view.sections_.push_back(*entry);
   }
-  if (const Status s = check_types(view.sections_); !s) return tl::unexpected(s.error());
+  if (const Status s = check_types(view.sections_, header->version_minor); !s) return tl::unexpected(s.error());
   if (const Status s = check_placement(bytes, view.sections_, head_bytes); !s) return tl::unexpected(s.error());
 
   if (const Status s = check_sizes(view); !s) return tl::unexpected(s.error());
@@ -209,6 +209,7 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
     if (!provenance) return tl::unexpected(provenance.error());
     view.provenance_ = std::move(*provenance);
   }
+  if (const Status s = view.open_coded(limits); !s) return tl::unexpected(s.error());
   return view;
 }
 

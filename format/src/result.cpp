@@ -39,6 +39,7 @@ const char* errc_name(Errc code) {
     case Errc::not_gaussian_splats: return "not_gaussian_splats";
     case Errc::unsupported_feature: return "unsupported_feature";
     case Errc::too_many_bad: return "too_many_bad";
+    case Errc::corrupt_data: return "corrupt_data";
     case Errc::gate_failed: return "gate_failed";
   }
   return "unknown";

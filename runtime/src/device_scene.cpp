@@ -1,4 +1,4 @@
-// device_scene.cpp - scenes into device memory: FP32 attributes, or a file's sections as they are.
+// device_scene.cpp - scenes into device memory: FP32 attributes, or a file's sections in their direct layout.
 // SPDX-License-Identifier: Apache-2.0
 #include "device_scene.hpp"
 
@@ -69,15 +69,15 @@ Result<DeviceScene> DeviceScene::upload(const SceneView& scene) {
 Result<DeviceScene> DeviceScene::upload(const FileView& file) {
   const Header& header = file.header();
   if (const auto ok = check_size(header.n_gaussians); !ok) return tl::unexpected(ok.error());
-  if (const auto ok = validate(file); !ok) return tl::unexpected(ok.error());
+  const auto data = load_direct(file);
+  if (!data) return tl::unexpected(data.error());
   auto storage = std::make_shared<Storage>();
   storage->n = header.n_gaussians;
   storage->sh_degree = header.sh_degree;
   storage->declarations = file.declarations();
   Uploader uploader;
-  const std::span<const std::byte> sections[] = {file.stored(SectionType::means), file.stored(SectionType::geometry),
-                                                 file.stored(SectionType::sh), file.stored(SectionType::sh_scales),
-                                                 file.stored(SectionType::chunks)};
+  const std::span<const std::byte> sections[] = {data->means(), data->geometry(), data->sh(), data->scale_table(),
+                                                 data->chunk_table()};
   for (const auto& section : sections) uploader.add(section);
   Status ok = uploader.allocate(storage->memory);
   if (!ok) return tl::unexpected(ok.error());

@@ -107,7 +107,8 @@ Result<Scene> Scene::load(const FileView& file) {
   if (n >= kMaxGaussians) {
     return fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1, n);
   }
-  if (const Status s = validate(file); !s) return tl::unexpected(s.error());
+  const auto data = load_direct(file);
+  if (!data) return tl::unexpected(data.error());
   Scene scene;
   scene.identity_ = next_identity();
   scene.sh_degree_ = file.header().sh_degree;
@@ -122,7 +123,7 @@ Result<Scene> Scene::load(const FileView& file) {
     std::array<ActivatedSplat, 64> buffer;
     for (std::uint64_t first = begin; first < end; first += buffer.size()) {
       const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), end - first));
-      [[maybe_unused]] const Status read = file.read(first, part);
+      [[maybe_unused]] const Status read = data->read(first, part);
       assert(read.has_value());  // the file is valid
       for (std::uint64_t k = 0; k < part.size(); ++k) {
         const ActivatedSplat& s = part[k];

@@ -325,6 +325,40 @@ TEST_CASE("other files beside the asset: sizes always, quality where they can be
   CHECK(run_audit({scene.ply, scene.rgs, "--no-render", "--also", scene.file("absent.sog")}).exit_code == 3);
 }
 
+TEST_CASE("files of other formats are measured, as the asset too") {
+  const SceneFolder scene;
+  const std::string spz = scene.file("scene.spz"), packed_ply = scene.file("scene.compressed.ply");
+  for (const std::string& file : {spz, packed_ply})
+    REQUIRE(run_program({RGS_CONVERT, scene.ply, file, "--quiet"}).exit_code == 0);
+  const json also = scene.result({"--also", spz, "--no-attribution"})["also"][0];
+  CHECK(also["measured"] == true);
+  CHECK(also["bytes"] == fs::file_size(spz));
+  CHECK(also["gaussians"] == 700);
+  CHECK(also["psnr"].get<double>() > 25);  // SPZ's other axes were turned back
+  const ProgramResult run = run_audit({scene.ply, packed_ply, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const json j = json::parse(run.out);
+  CHECK(j["asset"]["format"] == "compressed.ply");
+  CHECK(j["rendered"]["psnr"].get<double>() > 25);
+}
+
+TEST_CASE("a packed asset has the direct one's errors and pictures, in fewer bytes") {
+  const SceneFolder scene;
+  EncodeOptions options;
+  options.profile = Profile::packed;
+  const std::string packed = write_rgs(scene.file("packed.rgs"), scene.cloud, options);
+  const ProgramResult run = run_audit({scene.ply, packed, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const json a = scene.result(), b = json::parse(run.out);
+  CHECK(b["attributes"]["errors"] == a["attributes"]["errors"]);
+  CHECK(b["attributes"]["sh_codes"] == a["attributes"]["sh_codes"]);
+  CHECK(b["rendered"]["mse"] == a["rendered"]["mse"]);
+  CHECK(b["rendered"]["attribution"] == a["rendered"]["attribution"]);
+  CHECK(b["size"]["gpu_bytes"] == a["size"]["gpu_bytes"]);
+  CHECK(b["asset"]["bytes"] == fs::file_size(packed));
+  CHECK(fs::file_size(packed) < fs::file_size(scene.rgs));
+}
+
 TEST_CASE("usage, missing and damaged files have their exit codes, and outputs are kept") {
   const SceneFolder scene;
   CHECK(run_audit({}).exit_code == 2);
@@ -442,6 +476,14 @@ TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the 
   CHECK(run_program(command).exit_code == 3);  // both are there already
   CHECK(run_program({RGS_CONVERT, scene.ply, "-", "--to", "rgs", "--audit"}).exit_code == 2);
   CHECK(run_program({RGS_CONVERT, out, scene.file("back.ply"), "--audit"}).exit_code == 2);
+  // What it could not pair is refused before it converts; what is left out it reports.
+  const std::string again = scene.file("again.rgs");
+  CHECK(run_program({RGS_CONVERT, out, again, "--audit"}).exit_code == 2);
+  CHECK(run_program({RGS_CONVERT, scene.ply, again, "--audit", "--scale", "2"}).exit_code == 2);
+  CHECK(run_program({RGS_CONVERT, scene.ply, scene.ply, again, "--merge", "--audit"}).exit_code == 2);
+  CHECK_FALSE(fs::exists(again));
+  CHECK(run_program({RGS_CONVERT, scene.ply, again, "--audit", "--max-count", "600"}).exit_code == 0);
+  CHECK(fs::exists(scene.file("again.audit.html")));
   // Without its sibling the program says so before it converts anything.
   fs::create_directory(scene.file("bin"));
   fs::copy(RGS_CONVERT, scene.file("bin/rgs-convert"));

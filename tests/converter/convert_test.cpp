@@ -38,7 +38,7 @@ Status convert_in_process(const std::string& ply_path, const std::string& output
   if (!ply) return tl::unexpected(ply.error());
   options.output.sync = false;
   options.output.overwrite = true;
-  return convert_ply_to_rgs(*ply, output, options).map([](const ConvertSummary&) {});
+  return convert_to_rgs(*ply, output, options).map([](const ConvertSummary&) {});
 }
 
 /// The bytes that encode() makes of the PLY file.
@@ -82,7 +82,7 @@ bool holds(const std::string& text, const std::string& part) {
 TEST_CASE("a streamed conversion writes the bytes of encode() on any number of threads") {
   const TemporaryFolder folder;
   const std::string out = folder.file("scene.rgs");
-  std::vector<EncodeOptions> variants(5);
+  std::vector<EncodeOptions> variants(8);
   variants[1].chunk_size = 32;
   variants[1].chunk_scales = false;
   variants[1].keep_permutation = true;
@@ -92,12 +92,19 @@ TEST_CASE("a streamed conversion writes the bytes of encode() on any number of t
   variants[3].max_bad_fraction = 1;
   variants[3].keep_permutation = true;
   variants[4].on_bad = BadPolicy::repair;
-  for (const std::uint64_t n : {0U, 1U, 255U, 256U, 257U, 20000U}) {
+  for (const std::size_t v : {5U, 6U, 7U}) variants[v].profile = Profile::packed;
+  variants[6].keep_permutation = true;
+  variants[6].chunk_scales = false;
+  variants[6].on_bad = BadPolicy::repair;
+  variants[7].chunk_size = 4096;
+  variants[7].level = 3;
+  variants[7].max_bad_fraction = 1;
+  for (const std::uint64_t n : {0U, 1U, 255U, 256U, 257U, 40000U}) {
     for (std::size_t v = 0; v < variants.size(); ++v) {
       CAPTURE(n);
       CAPTURE(v);
       const SplatCloud sound = golden_cloud(n, 3, n + 1);
-      const std::string ply = write_scene(folder.file("scene.ply"), v < 3 ? sound : damaged(sound, 7));
+      const std::string ply = write_scene(folder.file("scene.ply"), v < 3 || v == 5 ? sound : damaged(sound, 7));
       ConvertOptions options;
       options.encode = variants[v];
       const Bytes expected = expected_rgs(ply, variants[v]);
@@ -123,11 +130,13 @@ TEST_CASE("the program writes the bytes of encode() with the options it was give
   std::vector<Case> cases;
   const auto add = [&cases](std::vector<std::string> arguments, const std::function<void(EncodeOptions&)>& set) {
     cases.push_back({std::move(arguments), {}});
+    cases.back().options.profile = Profile::packed;  // the program's default
     set(cases.back().options);
   };
   add({}, [](auto&) {});
   add({"--threads", "1"}, [](auto&) {});
-  add({"--threads", "4", "--profile", "direct"}, [](auto&) {});
+  add({"--threads", "4", "--profile", "direct"}, [](auto& o) { o.profile = Profile::direct; });
+  add({"--profile", "packed", "--level", "5"}, [](auto& o) { o.level = 5; });
   add({"--keep-order"}, [](auto& o) { o.order = Order::input; });
   add({"--keep-permutation"}, [](auto& o) { o.keep_permutation = true; });
   add({"--chunk-size", "96"}, [](auto& o) { o.chunk_size = 96; });
@@ -137,7 +146,8 @@ TEST_CASE("the program writes the bytes of encode() with the options it was give
   }
   add({"--near", "0.5", "--far", "42"}, [](auto& o) { o.depth = DepthRange{0.5F, 42.F, DepthSource::by_hand}; });
   add({"--depth-map", "linear"}, [](auto& o) { o.depth_mapping = DepthMapping::linear; });
-  add({"--axes", "gltf"}, [](auto& o) { o.axes = {Axis::right, Axis::up, Axis::backward}; });
+  add({"--axes", "gltf"}, [](auto& o) { o.axes = {Axis::left, Axis::up, Axis::forward}; });
+  add({"--axes", "opengl"}, [](auto& o) { o.axes = {Axis::right, Axis::up, Axis::backward}; });
   add({"--axes", "left,backward,up"}, [](auto& o) { o.axes = {Axis::left, Axis::backward, Axis::up}; });
   add({"--axes", "undeclared"}, [](auto& o) { o.axes.fill(Axis::undeclared); });
   add({"--aa-mode", "mip-splatting"}, [](auto& o) { o.aa_mode = AaMode::mip_splatting; });
@@ -201,7 +211,9 @@ TEST_CASE("ASCII and big-endian PLY give the sections of the binary file") {
     CAPTURE(degree);
     const SplatCloud cloud = golden_cloud(700, degree, 21);
     const std::string ply = write_scene(folder.file("scene.ply"), cloud);
-    const Bytes expected = expected_rgs(ply, {});
+    EncodeOptions options;
+    options.profile = Profile::packed;
+    const Bytes expected = expected_rgs(ply, options);
     for (const bool ascii : {false, true}) {
       CAPTURE(ascii);
       const std::string other = folder.file("other.ply"), out = folder.file("out.rgs");
@@ -214,11 +226,13 @@ TEST_CASE("ASCII and big-endian PLY give the sections of the binary file") {
 
 TEST_CASE("pipes: standard input and output in both directions") {
   const TemporaryFolder folder;
+  EncodeOptions packed;
+  packed.profile = Profile::packed;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(20000, 3, 4)),
                     rgs = folder.file("piped.rgs"), back = folder.file("back.ply"), named = folder.file("named.ply");
   const std::string program = "'" RGS_CONVERT "' ";
   REQUIRE(shell("cat " + ply + " | " + program + "--quiet --to rgs - - | cat > " + rgs).exit_code == 0);
-  CHECK(read_bytes(rgs) == expected_rgs(ply, {}, "stdin"));
+  CHECK(read_bytes(rgs) == expected_rgs(ply, packed, "stdin"));
   const ProgramResult run = shell("cat " + rgs + " | " + program + "--to ply - - > " + back);
   REQUIRE(run.exit_code == 0);
   CHECK(holds(run.err, "20,000 written"));  // the summary makes way for the data
@@ -400,13 +414,25 @@ TEST_CASE("wrong command lines exit with 2 and write nothing") {
   const std::vector<std::vector<std::string>> lines{{"--unknown", ply, out},
                                                     {ply},
                                                     {ply, out, "third"},
-                                                    {ply, folder.file("copy.ply")},
-                                                    {rgs, out},
+                                                    {"--merge", ply},
                                                     {ply, folder.file("nameless")},
                                                     {ply, "-"},
                                                     {"--json", "--to", "rgs", ply, "-"},
-                                                    {"--from", "rgs", ply, out},
-                                                    {"--to", "spz", ply, out},
+                                                    {"--to", "ksplat", ply, out},
+                                                    {ply, folder.file("out.sog")},
+                                                    {"--to-axes", "3dgs", ply, folder.file("out.spz")},
+                                                    {"--to-axes", "up", ply, out},
+                                                    {"--translate", "1,2", ply, out},
+                                                    {"--translate", "1,2,x", ply, out},
+                                                    {"--rotate", "0,0,0,0", ply, out},
+                                                    {"--rotate", "nan,0,0", ply, out},
+                                                    {"--scale", "0", ply, out},
+                                                    {"--scale", "2", "--scale", "3", ply, out},
+                                                    {"--crop", "0,0,0,1,1", ply, out},
+                                                    {"--crop", "0,0,0,1,1,-1", ply, out},
+                                                    {"--min-opacity", "1.5", ply, out},
+                                                    {"--max-count", "-1", ply, out},
+                                                    {"--merge", "-", "-", out},
                                                     {"--chunk-size", "33", ply, out},
                                                     {"--chunk-size", "0", ply, out},
                                                     {"--chunk-size", "131072", ply, out},
@@ -422,9 +448,11 @@ TEST_CASE("wrong command lines exit with 2 and write nothing") {
                                                     {"--aa-mode", "best", ply, out},
                                                     {"--on-bad", "ignore", ply, out},
                                                     {"--metres-per-unit", "-1", ply, out},
-                                                    {"--profile", "packed", ply, out},
+                                                    {"--profile", "small", ply, out},
+                                                    {"--level", "0", ply, out},
+                                                    {"--level", "20", ply, out},
                                                     {"--threads", "0", ply, out},
-                                                    {"--sh-degree", "0", rgs, folder.file("back.ply")}};
+                                                    {"--chunk-size", "64", rgs, folder.file("back.ply")}};
   for (const auto& line : lines) {
     CAPTURE(line);
     const ProgramResult run = rgs_convert(line);

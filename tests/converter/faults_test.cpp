@@ -20,6 +20,7 @@
 #include "convert_scenes.hpp"
 #include "edit_file.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/interchange.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 
@@ -117,6 +118,29 @@ std::unique_ptr<Program> stop_midway(const std::vector<std::string>& command, co
 }
 
 }  // namespace
+
+TEST_CASE("headers that promise billions of Gaussians are refused in little memory") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = golden_cloud(50, 1, 3);
+  struct Case {
+    SplatFormat format;
+    std::size_t offset;  // of a 32-bit count
+  };
+  for (const Case c : {Case{SplatFormat::spz, 8}, Case{SplatFormat::glb, 8}}) {
+    CAPTURE(format_name(c.format));
+    Bytes bytes = encode_splats(cloud.view(), c.format).value();
+    put(bytes, c.offset, 0xFFFFFFF0U);
+    const std::string path = folder.file("scene.bin");
+    write_text(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    const ProgramResult run = run_program({RGS_CONVERT, "--no-sync", path, folder.file("out.rgs")}, [] {
+      const rlimit limit{rlim_t{1} << 29, rlim_t{1} << 29};
+      if (!kSanitized) ::setrlimit(RLIMIT_AS, &limit);  // sanitizers reserve terabytes of addresses
+    });
+    CAPTURE(run.err);
+    CHECK(run.exit_code == 4);
+    CHECK(run.err.find("byte ") != std::string::npos);
+  }
+}
 
 TEST_CASE("a full disk leaves the old output and no temporary file") {
   const TemporaryFolder folder;
@@ -247,8 +271,13 @@ TEST_CASE("an input that loses its name while it is read is converted to the end
 
 TEST_CASE("an input that is truncated while it is read exits with 3 and keeps the old output") {
   const TemporaryFolder folder;
+  // A packed file may have been read to its end when the first row is written; a direct one is read as rows are.
+  const std::string direct = folder.file("direct.rgs");
+  REQUIRE(
+      run_program({RGS_CONVERT, "--quiet", "--no-sync", "--profile", "direct", long_sample().ply, direct}).exit_code ==
+      0);
   // No structured bindings: clang 14 does not let lambdas capture them.
-  for (const auto& pair : {std::pair{long_sample().ply, "out.rgs"}, std::pair{long_sample().rgs, "out.ply"}}) {
+  for (const auto& pair : {std::pair{long_sample().ply, "out.rgs"}, std::pair{direct, "out.ply"}}) {
     const auto& source = pair.first;
     const char* const name = pair.second;
     CAPTURE(name);

@@ -121,6 +121,7 @@ TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with 
     options.chunk_size = 32;
     options.chunk_scales = degree % 2 == 0;
     options.keep_permutation = true;
+    options.profile = degree >= 2 ? Profile::packed : Profile::direct;
     const auto bytes = encoded(777, degree, options);
     const FileView view = open(bytes).value();
     const auto j = json(write(bytes));
@@ -186,6 +187,36 @@ TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with 
     CHECK(spread["median"].get<float>() == steps[(steps.size() - 1) / 2]);
     CHECK(spread["max"].get<float>() == steps.back());
   }
+}
+
+TEST_CASE_FIXTURE(Fixture, "a packed file: its profile, frames and one chunk, also beside a damaged frame") {
+  EncodeOptions options;
+  options.chunk_size = 64;
+  options.profile = Profile::packed;
+  auto bytes = encoded(20000, 1, options);
+  const FileView view = open(bytes).value();
+  const std::string path = write(bytes);
+  const Run text = run(path + " --verify");
+  CHECK(text.code == 0);
+  CHECK(has(text.out, "packed, 2 frames of 16,384"));
+  CHECK(has(text.out, "planes"));
+  const auto j = json(path + " --chunk 300");
+  const FrameTable& frames = view.frames(SectionType::geometry);
+  CHECK(j["chunk"]["first"] == 300 * 64);
+  CHECK(j["chunk"]["stored"]["GEOM"]["frame"] == 1);
+  CHECK(j["chunk"]["stored"]["GEOM"]["offset"] == frames.frames[1].offset);
+  CHECK(j["chunk"]["stored"]["GEOM"]["bytes"] == frames.frames[1].stored_bytes);
+  CHECK(j["values"]["opacity"]["max"].get<float>() == view.chunk(300)->max_opacity);
+  for (const auto& section : j["sections"]) {
+    if (section["type"] == "GEOM") CHECK(section["frames"]["n"] == 2);
+    if (section["type"] == "DECL") CHECK_FALSE(section.contains("frames"));
+  }
+  bytes[frames.frames[0].offset + 20] ^= std::byte{1};
+  const std::string damaged = write(bytes);
+  CHECK(run(damaged + " --chunk 300").code == 0);
+  const Run other = run(damaged + " --chunk 3");
+  CHECK(other.code == 4);
+  CHECK(has(other.error, std::to_string(frames.frames[0].offset)));
 }
 
 TEST_CASE_FIXTURE(Fixture, "one chunk") {

@@ -1,7 +1,7 @@
-// golden_test.cpp - files committed for format 1.0: exact bytes from the encoder, expected values from the decoder, and
-// files with one defect.
-// SPDX-License-Identifier: Apache-2.0
+// golden_test.cpp - files committed for formats 1.0 and 1.1: exact bytes from the encoder, expected values from the
+// decoder, and files with one defect. SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
+#include <zstd.h>
 
 #include <algorithm>
 #include <cmath>
@@ -23,6 +23,9 @@ namespace {
 
 const fs::path kGolden = fs::path(RGS_SOURCE_DIR) / "tests/golden";
 
+// What compresses to which bytes is Zstandard's own affair: packed files were written with this version.
+const bool kGoldenZstd = ZSTD_versionNumber() == 10504;
+
 Bytes golden(const std::string& name) {
   return read_bytes(kGolden / (name + ".rgs"));
 }
@@ -37,6 +40,10 @@ TEST_CASE("the encoder gives the bytes of every golden file") {
     const auto bytes = encode(scene.cloud.view(), scene.options);
     REQUIRE(bytes);
     const Bytes expected = golden(scene.name);
+    if (scene.options.profile == Profile::packed && !kGoldenZstd) {
+      MESSAGE("skipped: another version of Zstandard gives other bytes: " << scene.name);
+      continue;
+    }
     REQUIRE(bytes->size() == expected.size());
     const auto difference = std::ranges::mismatch(*bytes, expected);
     CHECK(difference.in1 - bytes->begin() == static_cast<std::ptrdiff_t>(expected.size()));
@@ -117,7 +124,7 @@ TEST_CASE("every golden file decodes to its scene within the stated bounds") {
     REQUIRE(validate(*view));
     const Header& h = view->header();
     const SplatView source = scene.cloud.view();
-    const bool edges = scene.name == "edges";
+    const bool edges = scene.name.ends_with("edges");
     CHECK(h.n_gaussians == source.n - (edges ? 1 : 0));
     CHECK(h.sh_degree == source.sh_degree);
     CHECK(h.chunk_size == scene.options.chunk_size);
@@ -253,7 +260,7 @@ TEST_CASE("each file with one defect gives the listed error at the listed offset
     CHECK(std::string(errc_name(cloud.error().code)) == code);
     CHECK(cloud.error().offset == offset);
     REQUIRE(cases.count(name) == 1);
-    CHECK(cases.at(name).bytes == bytes);
+    if (kGoldenZstd || get<std::uint16_t>(bytes, 10) == 0) CHECK(cases.at(name).bytes == bytes);
     CHECK(std::string(errc_name(cases.at(name).code)) == code);
     CHECK(cases.at(name).offset == offset);
   }

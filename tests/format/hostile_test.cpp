@@ -76,7 +76,7 @@ bool within_memory(std::uint64_t bytes, const std::function<bool()>& body) {
 }  // namespace
 
 TEST_CASE("every prefix of a golden file is an error") {
-  for (const char* name : {"empty", "two", "degree3", "global", "optional"}) {
+  for (const char* name : {"empty", "two", "degree3", "global", "optional", "packed_degree1", "packed_degree2"}) {
     const Bytes bytes = golden(name);
     CAPTURE(name);
     REQUIRE(decode_exactly(bytes));
@@ -91,13 +91,51 @@ TEST_CASE("every prefix of a golden file is an error") {
 }
 
 TEST_CASE("every prefix whose head has been made to fit is an error") {
-  const Bytes bytes = golden("optional");
-  for (std::size_t size = 128; size < bytes.size(); ++size) {
-    CAPTURE(size);
-    Bytes prefix(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(size));
-    put<std::uint64_t>(prefix, 16, size);
-    fix_hashes(prefix);
-    REQUIRE_FALSE(decode_exactly(prefix));
+  for (const char* name : {"optional", "packed_degree1", "packed_degree2"}) {
+    CAPTURE(name);
+    const Bytes bytes = golden(name);
+    for (std::size_t size = 128; size < bytes.size(); ++size) {
+      CAPTURE(size);
+      Bytes prefix(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(size));
+      put<std::uint64_t>(prefix, 16, size);
+      fix_hashes(prefix);
+      REQUIRE_FALSE(decode_exactly(prefix));
+    }
+  }
+}
+
+TEST_CASE("every prefix of a frame is an error, and so is every frame with a byte more") {
+  const Bytes bytes = golden("packed_degree1");
+  for (const char* type : {"MEAN", "GEOM", "SHI8"}) {
+    CAPTURE(type);
+    const std::uint64_t section = section_of(bytes, type), entry = entry_of(bytes, type);
+    const auto stored = get<std::uint32_t>(bytes, section + 16);
+    REQUIRE(get<std::uint32_t>(bytes, section + 4) == 1);  // the frame begins behind a table of one entry
+    for (std::uint32_t size = 0; size <= stored + 1; ++size) {
+      CAPTURE(size);
+      Bytes changed(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(section + 32));
+      for (std::uint32_t i = 0; i < size; ++i) changed.push_back(i < stored ? bytes[section + 32 + i] : std::byte{0});
+      // What follows is laid out again.
+      put<std::uint32_t>(changed, section + 16, size);
+      put<std::uint64_t>(changed, entry + 24, 32 + size);
+      for (std::uint64_t next = entry + 64; next < entry_at(get<std::uint32_t>(bytes, 52)); next += 64) {
+        const auto from = get<std::uint64_t>(bytes, next + 16), length = get<std::uint64_t>(bytes, next + 24);
+        changed.resize((changed.size() + 255) / 256 * 256);
+        put<std::uint64_t>(changed, next + 16, changed.size());
+        changed.insert(changed.end(), bytes.begin() + static_cast<std::ptrdiff_t>(from),
+                       bytes.begin() + static_cast<std::ptrdiff_t>(from + length));
+      }
+      put<std::uint64_t>(changed, 16, changed.size());
+      fix_hashes(changed);
+      const Status status = decode_exactly(changed);
+      if (size == stored) {
+        REQUIRE(status);
+      } else {
+        REQUIRE_FALSE(status);
+        CHECK(status.error().code == Errc::corrupt_data);
+        CHECK(status.error().offset == section + 32);
+      }
+    }
   }
 }
 
@@ -117,7 +155,7 @@ TEST_CASE("bytes after the end are an error") {
 }
 
 TEST_CASE("every single-byte change is an error as long as its hash is wrong") {
-  for (const char* name : {"empty", "two", "optional", "degree3"}) {
+  for (const char* name : {"empty", "two", "optional", "degree3", "packed_degree1", "packed_global"}) {
     CAPTURE(name);
     Bytes bytes = golden(name);
     const std::uint64_t head = section_of(bytes, "SHSC");  // head and DECL: all values
@@ -141,7 +179,8 @@ TEST_CASE("every single-byte change is an error as long as its hash is wrong") {
 
 TEST_CASE("every single-byte change with hashes that fit is an error or a valid decode") {
   std::uint64_t errors = 0, decodes = 0;
-  for (const char* name : {"empty", "two", "optional", "global", "degree3"}) {
+  for (const char* name :
+       {"empty", "two", "optional", "global", "degree3", "packed_degree0", "packed_degree1", "packed_global"}) {
     CAPTURE(name);
     const Bytes golden_bytes = golden(name);
     Bytes bytes = golden_bytes;
@@ -217,6 +256,24 @@ TEST_CASE("limits of the caller are kept") {
   limits.max_file_bytes = bytes.size() - 1;
   CHECK(open(bytes, limits).error().code == Errc::limit_exceeded);
   CHECK(open(bytes, limits).error().offset == 16);
+}
+
+TEST_CASE("what coded sections decode to is limited by the size of the file") {
+  SplatCloud cloud;
+  cloud.resize(50000, 3);
+  for (std::size_t i = 0; i < cloud.size(); ++i) cloud.set(i, {});
+  EncodeOptions options;
+  options.profile = Profile::packed;
+  const auto bytes = encode(cloud.view(), options);
+  REQUIRE(bytes);
+  CHECK(bytes->size() < 50000);  // 3.8 MB decoded
+  CHECK(decode(*bytes));
+  DecodeLimits limits;
+  limits.max_expansion = 10;
+  const auto view = open(*bytes, limits);
+  REQUIRE_FALSE(view);
+  CHECK(view.error().code == Errc::limit_exceeded);
+  CHECK(view.error().offset == entry_of(*bytes, "GEOM") + 32);
 }
 
 TEST_CASE("a small file makes no large allocation") {

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# rgs_reader.py - an independent reader of .rgs files, written from docs/FORMAT.md alone; needs numpy and xxhash.
+# rgs_reader.py - an independent reader of .rgs files, written from docs/FORMAT.md alone; needs numpy, xxhash, zstandard.
 # SPDX-License-Identifier: Apache-2.0
 """Reads an .rgs file, checks every rule of docs/FORMAT.md, and gives every value as a numpy array.
 
@@ -20,6 +20,7 @@ from typing import Any
 
 import numpy as np
 import xxhash
+import zstandard
 from numpy.typing import NDArray
 
 MAGIC = bytes.fromhex("89 52 47 53 0D 0A 1A 0A")
@@ -28,6 +29,7 @@ SH_BYTES = (4, 12, 28, 48)                                        # bytes a Gaus
 DEGREE = np.array([0] + [1] * 3 + [2] * 5 + [3] * 7)              # degree of SH coefficient k
 KNOWN = ("DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PERM", "PROV")
 REQUIRED = KNOWN[:6]
+CODED = ("SHSC", "CHNK", "MEAN", "GEOM", "SHI8")
 PROV_HEAD = struct.Struct("<QQII")
 PROV_TEXT_MAX = 4096
 
@@ -177,8 +179,9 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
         s["type"] = bytes(s["type"]).decode("latin-1")        # known types are ASCII, others may be anything
         if s["type"] in KNOWN:
             require(s["type"] not in seen, "duplicate_section", s["at"], s["type"] + " is there twice")
-            require(s["codec"] == 0, "unsupported_codec", s["at"] + at["codec"], "codec 0 is the only one")
-            require(s["decoded_bytes"] == s["stored_bytes"], "size_mismatch", s["at"] + at["decoded_bytes"],
+            coded = s["codec"] == 1 and h["version_minor"] >= 1 and s["type"] in CODED
+            require(coded or s["codec"] == 0, "unsupported_codec", s["at"] + at["codec"], "codec 0, for some types 1")
+            require(coded or s["decoded_bytes"] == s["stored_bytes"], "size_mismatch", s["at"] + at["decoded_bytes"],
                     "codec 0 stores as many bytes as it decodes to")
         else:
             require(s["flags"] == 0, "unknown_required", s["at"], "an unknown section that must be understood")
@@ -260,6 +263,121 @@ def read_provenance(data: memoryview, s: Record) -> Record:
             "source_name": name.decode("utf-8", "replace"), "tool": tool.decode("utf-8", "replace")}
 
 
+def read_frame_table(data: memoryview, h: Record, s: Record, row_bytes: int) -> None:
+    """Adds frame_rows and frames [(offset, stored_bytes, hash)] of a coded section to its entry."""
+    base, end = s["offset"], s["offset"] + s["stored_bytes"]
+    multiple = h["chunk_size"] if s["type"] in ("MEAN", "GEOM", "SHI8") else 1
+    require(end - base >= 8, "size_mismatch", base, "a frame table has at least 8 bytes")
+    rows, count = (int.from_bytes(data[base + k:base + k + 4], "little") for k in (0, 4))
+    require(1 <= rows <= 2**16 and rows % multiple == 0, "bad_value", base, "frame_rows: whole chunks, 1 to 2^16")
+    require(count == -(-(s["decoded_bytes"] // row_bytes) // rows), "bad_value", base + 4, "ceil(rows / frame_rows)")
+    table = base + 8 + 16 * count
+    require(end - base >= 16 + 16 * count, "size_mismatch", base, "the frame table leaves the section")
+    s["frame_rows"], s["frames"], at = rows, [], table + 8
+    for entry in range(base + 8, table, 16):
+        hash_, stored, reserved = struct.unpack("<QII", data[entry:entry + 16])
+        require(reserved == 0, "reserved_bits", entry + 12, "a reserved field of a frame")
+        require(stored <= end - at, "size_mismatch", entry + 8, "a frame leaves the section")
+        s["frames"].append((at, stored, hash_))
+        at += stored
+    require(xxhash.xxh3_64_intdigest(data[base:table]) == int.from_bytes(data[table:table + 8], "little"),
+            "checksum_mismatch", table, "hash of a frame table")
+    require(at == end, "size_mismatch", at, "the last frame ends the section")
+
+
+def inflate(data: memoryview, frame: tuple[int, int, int], size: int) -> NDArray[np.uint8]:
+    offset, stored, hash_ = frame
+    code = data[offset:offset + stored]
+    require(xxhash.xxh3_64_intdigest(code) == hash_, "checksum_mismatch", offset, "hash of a frame")
+    require(bytes(code[:4]) == b"\x28\xB5\x2F\xFD", "corrupt_data", offset, "a Zstandard frame")
+    stream = zstandard.ZstdDecompressor().decompressobj()
+    try:
+        content = stream.decompress(code)
+    except zstandard.ZstdError:
+        content = b""
+    require(stream.eof and not stream.unused_data and len(content) == size, "corrupt_data", offset,
+            "one Zstandard frame of the right size")
+    return np.frombuffer(content, np.uint8)
+
+
+def unfold(z: NDArray[Any]) -> NDArray[Any]:
+    return z >> 1 ^ (0 - (z & 1)).astype(z.dtype)
+
+
+def decode_words(content: NDArray[np.uint8], rows: int) -> bytes:
+    planes = content.reshape(-1, 4, rows).astype(np.uint32)
+    z = planes[:, 0] | planes[:, 1] << 8 | planes[:, 2] << 16 | planes[:, 3] << 24
+    key = np.cumsum(unfold(z), axis=1, dtype=np.uint32)
+    return np.where(key >> 31, key & 0x7FFFFFFF, ~key).T.astype("<u4").tobytes()
+
+
+def decode_geometry(content: NDArray[np.uint8], rows: int) -> bytes:
+    columns = np.ascontiguousarray(content.reshape(16, rows).T).view("<u2")
+    x, y, z = columns[:, 1:4].view("<f2").astype(np.float32).T
+    with np.errstate(invalid="ignore", over="ignore"):
+        s = np.float32(1) - ((x * x + y * y) + z * z)
+        root = np.sqrt(np.where(s > 0, s, np.float32(0)))
+    columns[:, 0] = root.astype(np.float16).view(np.uint16) + unfold(columns[:, 0])
+    return columns.tobytes()
+
+
+def decode_sh(content: NDArray[np.uint8], rows: int, h: Record, steps: NDArray[np.float32]) -> bytes:
+    """steps [chunks of the frame, 4, 3]"""
+    c = 3 * (h["sh_degree"] + 1) ** 2
+    n_weights = c * (c - 1) // 2
+    weights = content[:n_weights + c].view(np.int8).astype(np.int32) * 256
+    residual = content[n_weights + c:].reshape(c, rows)
+    largest = steps.max(axis=(0, 2), keepdims=True)
+    share = np.divide(steps, largest, out=np.zeros_like(steps), where=largest > 0)
+    q = np.rint(np.float32(256) * share).astype(np.int32)
+    r = np.where(q < 3, 0, 65536 // np.maximum(q, 1))
+    lane_rows = rows // 64
+    out = np.zeros((rows, h["sh_bytes"]), np.int8)
+    e = np.zeros((c, 64), np.int16)
+
+    def product(a: NDArray[np.int16], b: int) -> NDArray[np.int32]:
+        return a.astype(np.int32) * b >> 16
+
+    for first in range(0, rows, 64):
+        p = np.arange(first, min(first + 64, rows))
+        row = p % 64 * lane_rows + p // 64 if first < 64 * lane_rows else p
+        lanes, chunk = len(p), row // h["chunk_size"]
+        v = np.zeros((c, lanes), np.int16)
+        for i in range(c):
+            k, channel = i // 3, (1, 0, 2)[i % 3]
+            w = weights[i * (i - 1) // 2:i * (i + 1) // 2]
+            base = np.full(lanes, i // 2, np.int32)
+            for j in range(i):
+                base += product(v[j], w[j])
+            base = base.astype(np.int16)
+            half = (base + 2 * product(e[i, :lanes], weights[n_weights + i])).astype(np.int16)
+            guess = (half.astype(np.int32) * r[chunk, DEGREE[k], channel] + 2**14 >> 15).astype(np.int16)
+            code = (residual[i, p] + guess.clip(-127, 127)).astype(np.int8)
+            out[row, 3 * k + channel] = code
+            v[i] = code.astype(np.int32) * q[chunk, DEGREE[k], channel]
+            e[i, :lanes] = (v[i] >> 1) - base.astype(np.int32)
+    return out.tobytes()
+
+
+def decode_section(data: memoryview, h: Record, s: Record, steps: NDArray[np.float32] | None = None) -> bytes:
+    """The bytes that codec 0 would have stored; SHI8 needs steps [n_chunks, 4, 3]."""
+    if s["codec"] == 0:
+        return data[s["offset"]:s["offset"] + s["stored_bytes"]]
+    row_bytes = {"MEAN": 12, "GEOM": 16, "SHI8": h["sh_bytes"]}.get(s["type"], 48)
+    total, parts = s["decoded_bytes"] // row_bytes, []
+    for f, frame in enumerate(s["frames"]):
+        first = f * s["frame_rows"]
+        rows = min(s["frame_rows"], total - first)
+        if s["type"] == "SHI8":
+            c = 3 * (h["sh_degree"] + 1) ** 2
+            chunks = steps[first // h["chunk_size"]:-(-(first + rows) // h["chunk_size"])]
+            parts.append(decode_sh(inflate(data, frame, c * (c + 1) // 2 + c * rows), rows, h, chunks))
+        else:
+            content = inflate(data, frame, row_bytes * rows)
+            parts.append((decode_geometry if s["type"] == "GEOM" else decode_words)(content, rows))
+    return b"".join(parts)
+
+
 def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales: NDArray[np.float16],
                        opacities: NDArray[np.float32]) -> None:
     def rule(ok: Any, name: str, text: str) -> None:
@@ -275,7 +393,8 @@ def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales:
         rule((np.float32(d[name]) == box).all(), name, f"{name} is that of the means")
 
 
-def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_gaussians: int = 2**33) -> Scene:
+def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_gaussians: int = 2**33,
+         max_expansion: int = 1024) -> Scene:
     """Parses and checks a whole file; raises RgsError on the first broken rule."""
     data = memoryview(data)
     h = read_header(data, max_file_bytes, max_gaussians)
@@ -288,23 +407,33 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     require_sizes(h, sections, d["n_source"])
     provenance = read_provenance(data, sections["PROV"]) if "PROV" in sections else None
 
-    for s in entries:
-        require_hash(data, s)
+    row_bytes = {"MEAN": 12, "GEOM": 16, "SHI8": h["sh_bytes"], "CHNK": 48, "SHSC": 48}
+    coded = [s for s in entries if s["type"] in CODED and s["codec"] == 1]
+    budget = max_expansion * len(data) + 2**20
+    for s in coded:
+        read_frame_table(data, h, s, row_bytes[s["type"]])
+        budget -= s["decoded_bytes"]
+        require(budget >= 0, "limit_exceeded", s["at"] + ENTRY.fields["decoded_bytes"][1], "too much for so small a file")
 
-    def array(kind: str, dtype: Any, *shape: int) -> NDArray[Any]:
-        s = sections[kind]
-        return np.frombuffer(data[s["offset"]:s["offset"] + s["stored_bytes"]], dtype).reshape(shape)
+    def array(kind: str, dtype: Any, *shape: int, **more: Any) -> NDArray[Any]:
+        return np.frombuffer(decode_section(data, h, sections[kind], **more), dtype).reshape(shape)
 
     n, k = h["n_gaussians"], (h["sh_degree"] + 1) ** 2
-    steps = array("SHSC", "<f4", h["n_scale_sets"], 4, 3)
-    chunks = array("CHNK", CHUNK, h["n_chunks"])
-    means = array("MEAN", "<f4", n, 3)
-    geom = array("GEOM", "<f2", n, 8)
-    rows = array("SHI8", "i1", n, h["sh_bytes"])
+    early = {kind: array(kind, "u1", -1) for kind in ("CHNK", "SHSC") if sections[kind]["codec"] == 1}
+    for s in entries:
+        require_hash(data, s)
+    tables = {kind: early[kind] if kind in early else array(kind, "u1", -1) for kind in ("CHNK", "SHSC")}
+    steps = tables["SHSC"].view("<f4").reshape(h["n_scale_sets"], 4, 3)
+    chunks = tables["CHNK"].view(CHUNK)
 
     step_ok = (steps.view("<u4") == 0) | ((steps >= 2.0**-107) & (steps <= 2.0**93) & (steps.view("<u4") % 128 == 0))
     step_ok[:, h["sh_degree"] + 1:] &= steps[:, h["sh_degree"] + 1:] == 0
     require_all(step_ok.ravel(), base["SHSC"], 4, 0, "a step is +0, or 2^-107 to 2^93 in 17 bits, up to degree D")
+
+    sets = np.minimum(chunks["scale_set"], max(h["n_scale_sets"], 1) - 1)      # legal or not is checked below
+    means = array("MEAN", "<f4", n, 3)
+    geom = array("GEOM", "<f2", n, 8)
+    rows = array("SHI8", "i1", n, h["sh_bytes"], **({"steps": steps[sets]} if sections["SHI8"]["codec"] else {}))
 
     require_all(np.isfinite(means), base["MEAN"], 12, 4, "means are finite")
 

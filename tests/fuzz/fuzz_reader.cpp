@@ -8,22 +8,36 @@
 
 namespace {
 
+// Everything that can be read of decoded attributes; false if an entry of the tables stops it.
+bool read_attributes(const rgs::DirectData& data) {
+  std::vector<rgs::Splat> splats(std::min<std::uint64_t>(data.size(), 100));
+  std::vector<rgs::ActivatedSplat> activated(splats.size());
+  for (std::uint64_t done = 0; done < data.size(); done += splats.size()) {
+    const std::uint64_t count = std::min<std::uint64_t>(splats.size(), data.size() - done);
+    if (!data.read(data.first() + done, std::span(splats).first(count)) ||
+        !data.read(data.first() + done, std::span(activated).first(count))) {
+      return false;
+    }
+  }
+  return true;
+}
+
 void read_all(std::span<const std::byte> bytes) {
   const auto view = rgs::open(bytes);
   if (!view) return;
   const bool valid = rgs::validate(*view).has_value();
-  const std::uint64_t n = view->header().n_gaussians;
-  for (std::uint64_t i = 0; i < view->header().n_chunks; ++i) static_cast<void>(view->chunk(i));
+  const std::uint64_t n = view->header().n_gaussians, n_chunks = view->header().n_chunks;
+  for (std::uint64_t i = 0; i < n_chunks; ++i) static_cast<void>(view->chunk(i));
   for (std::uint64_t i = 0; i < view->header().n_scale_sets; ++i) static_cast<void>(view->scale_set(i));
   for (std::uint64_t i = 0; i < n; ++i) static_cast<void>(view->source_index(i));
-  std::vector<rgs::Splat> splats(std::min<std::uint64_t>(n, 100));
-  std::vector<rgs::ActivatedSplat> activated(splats.size());
-  for (std::uint64_t first = 0; first < n; first += splats.size()) {
-    const std::uint64_t count = std::min<std::uint64_t>(splats.size(), n - first);
-    const bool ok =
-        view->read(first, std::span(splats).first(count)) && view->read(first, std::span(activated).first(count));
-    if (valid && !ok) std::abort();  // documented: after validate() reading cannot fail
+  const auto data = rgs::load_direct(*view, {.validate = false, .threads = 1});
+  const bool read = data && read_attributes(*data);
+  if (n_chunks != 0) {
+    const auto last = rgs::read_chunks(*view, n_chunks - 1, 1, {.validate = false, .threads = 1});
+    if (last) static_cast<void>(read_attributes(*last));
   }
+  // Documented: after validate() nothing of this can fail.
+  if (valid && !(read && rgs::load_direct(*view, {.threads = 1}))) std::abort();
 }
 
 }  // namespace

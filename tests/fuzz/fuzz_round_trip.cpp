@@ -24,6 +24,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   options.chunk_scales = (data[0] & 4) != 0;
   options.order = (data[0] & 8) != 0 ? rgs::Order::input : rgs::Order::morton;
   options.keep_permutation = (data[0] & 16) != 0;
+  options.profile = (data[0] & 32) != 0 ? rgs::Profile::packed : rgs::Profile::direct;
+  options.level = (data[0] & 64) != 0 ? 3 : 1;
   options.on_bad = static_cast<rgs::BadPolicy>(data[1] % 3);
   options.max_bad_fraction = 1;
   options.chunk_size = 32u * (1u + data[2] % 8u);
@@ -55,12 +57,20 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   const auto again = rgs::decode(*second);
   require(again.has_value());
   require(*rgs::encode(again->view(), options) == *second);
-  // Attributes are those of the first encoding.
-  const auto a = rgs::open(*first), b = rgs::open(*second);
-  require(a && b);
-  for (const auto type : {rgs::SectionType::sh_scales, rgs::SectionType::chunks, rgs::SectionType::means,
-                          rgs::SectionType::geometry, rgs::SectionType::sh}) {
-    require(std::ranges::equal(a->stored(type), b->stored(type)));
+  // Attributes are those of the first encoding, and in the other profile they are the same.
+  options.profile = options.profile == rgs::Profile::packed ? rgs::Profile::direct : rgs::Profile::packed;
+  const auto other = rgs::encode(again->view(), options);
+  require(other.has_value());
+  const auto a = rgs::open(*first), b = rgs::open(*second), c = rgs::open(*other);
+  require(a && b && c);
+  const auto x = rgs::load_direct(*a), y = rgs::load_direct(*b), z = rgs::load_direct(*c);
+  require(x && y && z);
+  for (const auto* data_of : {&*y, &*z}) {
+    require(std::ranges::equal(x->means(), data_of->means()));
+    require(std::ranges::equal(x->geometry(), data_of->geometry()));
+    require(std::ranges::equal(x->sh(), data_of->sh()));
+    require(std::ranges::equal(x->chunk_table(), data_of->chunk_table()));
+    require(std::ranges::equal(x->scale_table(), data_of->scale_table()));
   }
   return 0;
 }

@@ -114,12 +114,13 @@ class DeviceAttributes {
       : attributes_(cuda::Fp32Attributes{copy<float>(std::as_bytes(s.mean)), copy<float>(std::as_bytes(s.rotation)),
                                          copy<float>(std::as_bytes(s.scale)), copy<float>(std::as_bytes(s.opacity)),
                                          copy<float>(std::as_bytes(s.sh)), s.sh_degree}) {}
-  explicit DeviceAttributes(const FileView& file)
-      : attributes_(cuda::CompactAttributes{
-            copy<float>(file.stored(SectionType::means)), copy<std::uint16_t>(file.stored(SectionType::geometry)),
-            copy<std::uint32_t>(file.stored(SectionType::sh)), copy<float>(file.stored(SectionType::sh_scales)),
-            copy<std::uint32_t>(file.stored(SectionType::chunks)), file.header().chunk_size,
-            std::ldexp(1.0F, -file.header().scale_exponent), file.header().sh_degree}) {}
+  explicit DeviceAttributes(const FileView& file) : DeviceAttributes(load_direct(file).value()) {}
+  explicit DeviceAttributes(const DirectData& file)
+      : attributes_(cuda::CompactAttributes{copy<float>(file.means()), copy<std::uint16_t>(file.geometry()),
+                                            copy<std::uint32_t>(file.sh()), copy<float>(file.scale_table()),
+                                            copy<std::uint32_t>(file.chunk_table()), file.header().chunk_size,
+                                            std::ldexp(1.0F, -file.header().scale_exponent), file.header().sh_degree}) {
+  }
 
   const cuda::Attributes& get() const { return attributes_; }
 

@@ -5,11 +5,14 @@
 #include <doctest/doctest.h>
 #include <hwy/targets.h>
 
+#include <algorithm>
 #include <limits>
 #include <numeric>
 #include <thread>
 
+#include "random_cloud.hpp"
 #include "renderer_fixture.hpp"
+#include "rgs/encode.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -270,6 +273,30 @@ TEST_CASE("degenerate Gaussians draw something finite or nothing") {
       }
     }
   }
+}
+
+TEST_CASE("a packed file loads as the scene of the direct one") {
+  SplitMix random{21};
+  const SplatCloud cloud = random_cloud(20000, 3, random);
+  EncodeOptions options;
+  const auto direct = encode(cloud.view(), options);
+  options.profile = Profile::packed;
+  const auto packed = encode(cloud.view(), options);
+  REQUIRE(direct);
+  REQUIRE(packed);
+  const auto a = Scene::load(*direct), b = Scene::load(*packed);
+  REQUIRE(a);
+  REQUIRE(b);
+  const SceneView x = a->view(), y = b->view();
+  CHECK(std::ranges::equal(x.mean, y.mean));
+  CHECK(std::ranges::equal(x.rotation, y.rotation));
+  CHECK(std::ranges::equal(x.scale, y.scale));
+  CHECK(std::ranges::equal(x.opacity, y.opacity));
+  CHECK(std::ranges::equal(x.sh, y.sh));
+  std::vector<std::byte> damaged = *packed;
+  damaged[damaged.size() - 100] ^= std::byte{1};
+  REQUIRE_FALSE(Scene::load(damaged));
+  CHECK(Scene::load(damaged).error().code == Errc::checksum_mismatch);
 }
 
 TEST_CASE("refusals: cameras, options, targets, scenes, backends") {

@@ -18,8 +18,10 @@
 
 #include "image_file.hpp"
 #include "rgs/encode.hpp"
+#include "rgs/interchange.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_cloud.hpp"
+#include "rgs/splat_edit.hpp"
 #include "temporary_folder.hpp"
 
 namespace fs = std::filesystem;
@@ -119,6 +121,23 @@ float largest_difference(const rgs::Image& a, const rgs::Image& b) {
 
 }  // namespace
 
+TEST_CASE("the formats of others show the same scene in the same frame") {
+  const Stage stage;
+  REQUIRE(stage.run("@scene.ply -c @cameras.json --out @ply.exr").code == 0);
+  for (const rgs::SplatFormat format :
+       {rgs::SplatFormat::spz, rgs::SplatFormat::compressed_ply, rgs::SplatFormat::glb}) {
+    CAPTURE(rgs::format_name(format));
+    rgs::SplatCloud cloud = ball();
+    rgs::convert_axes(cloud, rgs::kAxes3dgs, rgs::format_axes(format));
+    const auto bytes = rgs::encode_splats(cloud.view(), format);
+    REQUIRE(bytes);
+    write_text(stage.file("other"), {reinterpret_cast<const char*>(bytes->data()), bytes->size()});
+    REQUIRE(stage.run("@other -c @cameras.json --overwrite --out @other.exr").code == 0);
+    const float apart = largest_difference(stage.picture("ply.exr"), stage.picture("other.exr"));
+    CHECK(apart < (format == rgs::SplatFormat::glb ? 1e-3F : 0.1F));
+  }
+}
+
 TEST_CASE("one picture from a camera, in every format and at another size") {
   const Stage stage;
   for (const char* name : {"a.png", "a.jpg", "a.tif", "a.exr"}) {
@@ -209,12 +228,14 @@ TEST_CASE("options change the picture as they say") {
   }
   CHECK(largest_difference(plain, picture("--exp paper")) > 0);
   // On the CPU, so that equal options give equal bytes.
-  for (const auto& [mode, options] : {std::pair("--mode baseline", "--extent square"),
-                                      std::pair("--mode paper", "--exp paper --exponent folded --key linear"),
-                                      std::pair("--mode turbo", "--exponent folded")}) {
-    CAPTURE(mode);
-    CHECK(largest_difference(picture(std::string(mode) + " --backend cpu"),
-                             picture(std::string(options) + " --backend cpu")) == 0);
+  struct Mode {
+    std::string name, options;
+  };
+  for (const Mode& mode :
+       {Mode{"--mode baseline", "--extent square"}, Mode{"--mode paper", "--exp paper --exponent folded --key linear"},
+        Mode{"--mode turbo", "--exponent folded"}}) {
+    CAPTURE(mode.name);
+    CHECK(largest_difference(picture(mode.name + " --backend cpu"), picture(mode.options + " --backend cpu")) == 0);
   }
 }
 

@@ -59,14 +59,34 @@ inline std::uint64_t section_of(std::span<const std::byte> file, std::string_vie
   return get<std::uint64_t>(file, entry_of(file, type) + 16);
 }
 
-/// Recomputes the hash of each section, then that of the head, as far as the file has them. Safe on any bytes.
-inline void fix_hashes(std::span<std::byte> file) {
+/// Recomputes the hashes of the frames of a coded section and of their table, as far as the section has them.
+inline void fix_frame_hashes(std::span<std::byte> section) {
+  if (section.size() < 16) return;
+  const std::uint64_t n = get<std::uint32_t>(section, 4), table = 8 + 16 * n;
+  if (table > section.size() - 8) return;
+  std::uint64_t at = table + 8;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    const std::uint64_t size = get<std::uint32_t>(section, 16 + 16 * i);
+    if (size > section.size() - at) break;
+    put(section, 8 + 16 * i, xxh3(section.subspan(at, size)));
+    at += size;
+  }
+  put(section, table, xxh3(section.first(table)));
+}
+
+enum class Hashes { all, but_frames };
+
+/// Recomputes the hash of each section, in coded ones those of their frames first, then that of the head, as far as the
+/// file has them. Safe on any bytes.
+inline void fix_hashes(std::span<std::byte> file, Hashes which = Hashes::all) {
   if (file.size() < 128) return;
   const std::uint64_t n = get<std::uint32_t>(file, 52);
   if (n > (file.size() - 128) / 64) return;
   for (std::uint64_t i = 0; i < n; ++i) {
     const auto offset = get<std::uint64_t>(file, entry_at(i) + 16), size = get<std::uint64_t>(file, entry_at(i) + 24);
     if (offset > file.size() || size > file.size() - offset) continue;
+    if (which == Hashes::all && get<std::uint32_t>(file, entry_at(i) + 8) == 1)
+      fix_frame_hashes(file.subspan(offset, size));
     put(file, entry_at(i) + 40, xxh3(file.subspan(offset, size)));
   }
   if (file.size() - entry_at(n) >= 8) put(file, entry_at(n), xxh3(file.first(entry_at(n))));

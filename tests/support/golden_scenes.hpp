@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <limits>
 #include <string>
@@ -126,6 +127,18 @@ inline std::vector<GoldenScene> golden_scenes() {
     scenes.back().options.chunk_size = 64;
     scenes.back().options.keep_permutation = true;
   }
+  // The same in coded sections, and enough Gaussians for lanes that cross chunks, and for a rest.
+  for (const char* name : {"empty", "degree0", "degree1", "global", "edges"}) {
+    scenes.push_back(*std::ranges::find(scenes, name, &GoldenScene::name));
+    scenes.back().name = "packed_" + scenes.back().name;
+    scenes.back().options.profile = Profile::packed;
+  }
+  scenes.push_back({"packed_degree3", golden_cloud(300, 3, 18), golden_options()});
+  scenes.back().options.profile = Profile::packed;
+  scenes.back().options.chunk_size = 32;
+  scenes.back().options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
+  scenes.push_back({"packed_degree2", golden_cloud(130, 2, 19), golden_options()});
+  scenes.back().options.profile = Profile::packed;
   return scenes;
 }
 

@@ -31,10 +31,10 @@ class RejectMaker {
 
   /// `change(bytes)` makes the defect; hashes are made to fit afterwards.
   template <class Change>
-  void change(const std::string& name, Errc code, std::uint64_t offset, Change change) {
+  void change(const std::string& name, Errc code, std::uint64_t offset, Change change, Hashes hashes = Hashes::all) {
     Bytes bytes = file_;
     change(bytes);
-    fix_hashes(bytes);
+    fix_hashes(bytes, hashes);
     cases_.push_back({name, code, offset, std::move(bytes)});
   }
   template <class T>
@@ -280,6 +280,43 @@ inline void reject_payload(RejectMaker& m) {
   });
 }
 
+// `m` is of a packed file.
+inline void reject_coded(RejectMaker& m) {
+  using enum Errc;
+  const std::uint64_t mean = m.section("MEAN"), sh = m.section("SHI8"), steps = m.section("SHSC");
+  const auto first_frame = [&m](std::uint64_t section) {
+    return section + 16 + 16 * std::uint64_t{get<std::uint32_t>(m.file(), section + 4)};
+  };
+  const auto frame_bytes = get<std::uint32_t>(m.file(), mean + 16);
+  m.set("coded_in_1_0", unsupported_codec, m.entry("SHSC") + 8, 10, std::uint16_t{0});
+  m.set("coded_permutation", unsupported_codec, m.entry("PERM") + 8, 1u);
+  m.set("coded_codec_2", unsupported_codec, m.entry("GEOM") + 8, 2u);
+  m.set("coded_size", size_mismatch, m.entry("MEAN") + 32, m.entry("MEAN") + 32, std::uint64_t{24});
+  m.set("frame_rows_0", bad_value, mean, 0u);
+  m.set("frame_rows_part_of_chunk", bad_value, sh, 16u);
+  m.set("frame_rows_large", bad_value, steps, 65537u);
+  m.set("frame_count", bad_value, mean + 4, 2u);
+  m.set("frame_reserved", reserved_bits, mean + 20, 1u);
+  m.set("frame_longer", size_mismatch, mean + 16, frame_bytes + 1);
+  m.set("frame_shorter", size_mismatch, first_frame(mean) + frame_bytes - 1, mean + 16, frame_bytes - 1);
+  m.set("frame_magic", corrupt_data, first_frame(mean), std::uint8_t{0x29});
+  m.set("frame_skippable", corrupt_data, first_frame(sh), 0x184D2A50u);
+  m.set("frame_table_corrupt", corrupt_data, first_frame(steps), first_frame(steps) + 4, std::uint8_t{0xFF});
+  m.change("frame_empty", corrupt_data, first_frame(sh), [&](Bytes& b) {
+    // A last block without content, right behind the header of the Zstandard frame: 2 + 4 bytes and its size's.
+    const std::uint64_t at = first_frame(sh) + 4;
+    const auto descriptor = get<std::uint8_t>(b, at);
+    const std::uint64_t sizes[4] = {(descriptor & 0x20) != 0 ? 1u : 0u, 2, 4, 8};
+    put(b, at + 1 + ((descriptor & 0x20) != 0 ? 0 : 1) + sizes[descriptor >> 6], std::uint8_t{1});
+  });
+  m.change(
+      "frame_checksum", checksum_mismatch, first_frame(sh), [&](Bytes& b) { b[first_frame(sh) + 9] ^= std::byte{4}; },
+      Hashes::but_frames);
+  m.change(
+      "frame_table_checksum", checksum_mismatch, first_frame(mean) - 8,
+      [&](Bytes& b) { b[first_frame(mean) - 8] ^= std::byte{1}; }, Hashes::but_frames);
+}
+
 }  // namespace detail
 
 inline std::vector<RejectCase> reject_cases() {
@@ -306,6 +343,10 @@ inline std::vector<RejectCase> reject_cases() {
   two.set("second_chunk_count", Errc::bad_value, two.section("CHNK") + 48 + 40, 32u);
   two.set("second_chunk_step", Errc::bad_value, two.section("SHSC") + 48 + 36, 1.f);
   two.set("second_chunk_code", Errc::bad_value, two.section("SHI8") + 32 * 4, std::int8_t{-128});
+
+  options.profile = Profile::packed;
+  detail::RejectMaker coded(cases, detail::sound(golden_cloud(200, 0, 17), options));
+  detail::reject_coded(coded);
   return cases;
 }
 

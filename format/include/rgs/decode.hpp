@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <span>
 #include <vector>
@@ -18,6 +19,9 @@ namespace rgs {
 struct DecodeLimits {
   std::uint64_t max_file_bytes = std::uint64_t{1} << 40;
   std::uint64_t max_gaussians = std::uint64_t{1} << 33;
+  /// Coded sections together decode to at most this many times the file's size (and 1 MiB): what a small file can make
+  /// a reader allocate.
+  std::uint64_t max_expansion = 1024;
 };
 
 /// One Gaussian as the renderer wants it.
@@ -29,6 +33,13 @@ struct ActivatedSplat {
   float sh[3 * 16];   ///< [16, 3] coefficient-major; unused degrees are 0
 };
 
+struct LoadOptions {
+  bool validate = true;  ///< as validate(); without, values of a damaged file may be anything, and are safe to read
+  unsigned threads = 0;  ///< 0: as many as the machine runs at once
+};
+
+class DirectData;
+
 /// An opened file: its parsed head over the caller's bytes, which must outlive the view. Reading is thread-safe.
 class FileView {
  public:
@@ -39,11 +50,20 @@ class FileView {
   std::span<const std::byte> bytes() const { return bytes_; }
 
   const SectionEntry* find(SectionType type) const;
-  /// Stored bytes of a section; empty if the file has none of that type.
+  /// Stored bytes of a section, coded or not; empty if the file has none of that type.
   std::span<const std::byte> stored(SectionType type) const;
   std::span<const std::byte> stored(const SectionEntry& entry) const {
     return bytes_.subspan(entry.offset, entry.stored_bytes);
   }
+  /// Frames of a section of a type that the file has; none if it is stored as is.
+  const FrameTable& frames(SectionType type) const;
+  /// Some section is coded: its Gaussians are decoded a frame at a time.
+  bool coded() const;
+  /// Where byte `byte` of row `row` of a section is in the file: itself if the section is stored as is, else its frame.
+  std::uint64_t place(SectionType type, std::uint64_t row, std::uint64_t byte = 0) const;
+  /// Decoded bytes of the chunk table [n_chunks, 48] or the scale sets [n_scale_sets, 48].
+  std::span<const std::byte> chunk_table() const { return table(SectionType::chunks); }
+  std::span<const std::byte> scale_table() const { return table(SectionType::sh_scales); }
 
   /// Entry of chunk `i` < n_chunks. Errors: reserved_bits, bad_value, with the offset in the file.
   Result<ChunkEntry> chunk(std::uint64_t i) const;
@@ -53,21 +73,31 @@ class FileView {
   std::uint64_t source_index(std::uint64_t i) const;
 
   /// Gaussians first .. first + out.size() - 1 in the parameters of training. Stored opacities of 0 and 1 and scales of
-  /// 0 get finite logits and logarithms that encode to the same codes again.
-  /// Errors: those of chunk() and scale_set(); values are not checked otherwise, see validate().
+  /// 0 get finite logits and logarithms that encode to the same codes again. In a coded file this decodes every frame
+  /// that has some of them: read a frame at a time, or from load_direct().
+  /// Errors: those of chunk(), scale_set() and read_chunks(); values are not checked otherwise, see validate().
   Status read(std::uint64_t first, std::span<Splat> out) const;
   Status read(std::uint64_t first, std::span<ActivatedSplat> out) const;
+  /// Decodes what is coded into memory that this view shares with copies made from now on, for readers of single
+  /// Gaussians: read() then costs what it does in a file stored as is. Checks and errors: those of load_direct().
+  Status preload(const LoadOptions& options = {});
 
  private:
   friend Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits);
-  template <class T, class Convert>
-  Status read_as(std::uint64_t first, std::span<T> out, Convert convert) const;
+  std::span<const std::byte> table(SectionType type) const;
+  Status open_coded(const DecodeLimits& limits);
 
   std::span<const std::byte> bytes_;
   Header header_;
   Declarations declarations_;
   std::optional<Provenance> provenance_;
   std::vector<SectionEntry> sections_;
+  std::vector<FrameTable> frames_;  // [sections]; empty if no section is coded
+  struct Tables {
+    std::vector<std::byte> chunks, scales;
+  };
+  std::shared_ptr<const Tables> tables_;         // what is coded of them, decoded
+  std::shared_ptr<const DirectData> preloaded_;  // all attributes, after preload()
 };
 
 /// Parses and checks the head of a file: everything but the payload of the large sections, which is not touched, so
@@ -77,8 +107,55 @@ class FileView {
 /// limit_exceeded, bad_value; the offset says where.
 Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
+/// Attributes of consecutive chunks in the layout that a GPU reads, whatever the profile of the file: spans over the
+/// file's bytes where a section is stored as is, over memory of this object where it had to be decoded. Move-only; the
+/// file's bytes must outlive it. Reading is thread-safe.
+class DirectData {
+ public:
+  const Header& header() const { return view_.header(); }  ///< of the file
+  const FileView& file() const { return view_; }           ///< the view that it comes from
+  std::uint64_t first_chunk() const { return first_chunk_; }
+  std::uint64_t n_chunks() const { return n_chunks_; }  ///< of this range
+  std::uint64_t first() const { return first_; }        ///< first Gaussian
+  std::uint64_t size() const { return n_; }             ///< Gaussians
+
+  std::span<const std::byte> means() const { return means_; }        ///< FP32 [size, 3]
+  std::span<const std::byte> geometry() const { return geometry_; }  ///< FP16 [size, 8], 16-byte aligned
+  std::span<const std::byte> sh() const { return sh_; }              ///< INT8 [size, sh_bytes], 16-byte aligned
+  /// Chunk table and scale sets of the whole file: [n_chunks, 48], [n_scale_sets, 48] bytes.
+  std::span<const std::byte> chunk_table() const { return view_.chunk_table(); }
+  std::span<const std::byte> scale_table() const { return view_.scale_table(); }
+
+  /// As FileView::read(), `first` counted in the file; the range must lie within this one.
+  Status read(std::uint64_t first, std::span<Splat> out) const;
+  Status read(std::uint64_t first, std::span<ActivatedSplat> out) const;
+
+ private:
+  friend Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                                        const LoadOptions& options);
+  struct Free {
+    void operator()(std::byte* memory) const;
+  };
+  FileView view_;
+  std::uint64_t first_chunk_ = 0, n_chunks_ = 0, first_ = 0, n_ = 0;
+  std::span<const std::byte> means_, geometry_, sh_;
+  std::vector<std::unique_ptr<std::byte[], Free>> memory_;
+};
+
+/// Chunks first_chunk .. first_chunk + n_chunks - 1 <= n_chunks of the file. Only frames that hold some of them are
+/// read, on all threads. Every frame's checksum is checked, nothing else of sections that are stored as is; with
+/// LoadOptions::validate also the values of these Gaussians. Errors: checksum_mismatch, corrupt_data (the offset is the
+/// frame's), those of FileView::chunk() and scale_set(), bad_value.
+Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                               const LoadOptions& options = {});
+
+/// The whole file: with LoadOptions::validate all that validate() checks, on all threads; without, what read_chunks()
+/// checks. Errors: those of read_chunks() and validate().
+Result<DirectData> load_direct(const FileView& view, const LoadOptions& options = {});
+
 /// Checks the payload: every checksum, every stored value against its legal range, tables against what they describe.
-/// After success read() cannot fail. Reads the whole file; takes 8 bytes a Gaussian if there is a permutation.
+/// After success read() cannot fail. Reads the whole file; takes 8 bytes a Gaussian if there is a permutation, and a
+/// few frames of memory if sections are coded. Uses all threads.
 Status validate(const FileView& view);
 
 /// open(), validate() and all Gaussians in memory.

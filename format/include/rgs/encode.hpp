@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <span>
 #include <vector>
@@ -47,7 +48,16 @@ struct DepthRange {
   DepthSource source = DepthSource::by_hand;
 };
 
+/// How sections are stored; all profiles decode to the same bytes.
+enum class Profile : std::uint8_t {
+  direct,  ///< as the GPU reads them
+  packed   ///< Codec::planes: about two thirds of the size
+};
+inline constexpr int kMaxLevel = 19;
+
 struct EncodeOptions {
+  Profile profile = Profile::direct;
+  int level = 1;                   ///< packed: effort, 1 to kMaxLevel; see docs/PROFILES.md
   std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16]
   bool chunk_scales = true;        ///< SH steps per chunk; false: one set for the file (the paper's scheme)
   Order order = Order::morton;
@@ -64,7 +74,7 @@ struct EncodeOptions {
   std::optional<Provenance> provenance;
 };
 
-/// The file for `splats`. Deterministic. Single-threaded.
+/// The file for `splats`. Deterministic (packed: for one version of Zstandard). Single-threaded.
 /// Errors: bad_argument (options out of range, sizes of the view disagree), bad_value (BadPolicy::refuse; offset is the
 /// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort).
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
@@ -76,7 +86,8 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
 //   3. make_plan(): every size and offset of the file is known from here on.
 //   4. encode_chunk() for each chunk, in any order, on any thread.          (second pass)
 //   5. finish(): head, tables and small sections, given the hashes of the large ones.
-// Results do not depend on the split.
+// Results do not depend on the split. For Profile::packed the chunks of a frame go through PackedEncoder, frames are
+// put anywhere, and finish_packed() says where each belongs.
 
 /// Largest |SH| of each coefficient over the Gaussians added.
 class ShMagnitudes {
@@ -126,8 +137,10 @@ class SceneScan {
   std::vector<std::uint64_t> histogram_;  // [3, 65536] of the top 16 bits of each coordinate, order-preserving
 };
 
-/// Where the bytes go. Section offsets are in file order.
+/// Where the bytes go. Section offsets are in file order; those of Profile::packed leave room for the worst case.
 struct EncodePlan {
+  Profile profile = Profile::direct;
+  int level = 1;
   Header header;
   Declarations declarations;
   std::optional<Provenance> provenance;
@@ -138,6 +151,8 @@ struct EncodePlan {
   std::vector<SectionEntry> sections;         ///< hashes still 0
 
   const SectionEntry* find(SectionType type) const;
+  /// Gaussians a frame of Profile::packed: whole chunks, at least one.
+  std::uint32_t frame_rows() const;
 };
 
 /// Errors: as encode().
@@ -174,5 +189,49 @@ struct FilePiece {
 std::vector<FilePiece> finish(const EncodePlan& plan, std::span<const ChunkEntry> chunks,
                               std::span<const ScaleSet> scales, const EncodeCounts& counts,
                               const SectionHashes& hashes);
+
+// ---- Profile::packed
+// -------------------------------------------------------------------------------------------------
+
+/// Stored bytes of one frame of each large section.
+struct PackedFrames {
+  std::vector<std::byte> means, geometry, sh;
+};
+
+/// Codes frames, one at a time; takes a few MB. One a thread.
+class PackedEncoder {
+ public:
+  explicit PackedEncoder(const EncodePlan& plan);
+  PackedEncoder(PackedEncoder&& other) noexcept;
+  ~PackedEncoder();
+  /// The chunks of one frame (frame_rows() Gaussians, fewer in the last), as encode_chunk() gave them; `scales` of each
+  /// chunk.
+  PackedFrames encode(std::span<const std::byte> means, std::span<const std::byte> geometry,
+                      std::span<const std::byte> sh, std::span<const ScaleSet> scales);
+
+ private:
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+/// Frames of the large sections in order. CodedFrame::offset is the caller's own: finish_packed() does not look at it.
+struct PackedSections {
+  std::vector<CodedFrame> means, geometry, sh;
+};
+
+/// Where everything of a packed file belongs.
+struct PackedLayout {
+  Header header;
+  std::vector<SectionEntry> sections;  ///< hashes of MEAN, GEOM, SHI8 and PERM are for the caller to fill in
+  std::vector<FilePiece> pieces;       ///< small sections, complete, and the frame tables of the large ones
+  /// Section of the type; the plan has it.
+  SectionEntry& find(SectionType type);
+  /// Stored bytes of a large section before its first frame; part of what its hash covers.
+  std::span<const std::byte> table(SectionType type);
+  /// The head, once the hashes are there.
+  FilePiece head() const;
+};
+PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> chunks, std::span<const ScaleSet> scales,
+                           const EncodeCounts& counts, const PackedSections& frames);
 
 }  // namespace rgs

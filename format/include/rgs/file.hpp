@@ -56,6 +56,10 @@ class AtomicFile {
   /// Reserves `size` bytes so that a full disk shows now (write_failed, errno ENOSPC) and not at the end.
   Status reserve(std::uint64_t size);
   Status write_at(std::uint64_t offset, std::span<const std::byte> bytes);
+  /// Bytes that have been written. Errors: read_failed.
+  Status read_at(std::uint64_t offset, std::span<std::byte> bytes) const;
+  /// Makes the output end at `size`.
+  Status truncate(std::uint64_t size);
   /// Syncs if asked for, then renames. Seconds spent in fsync are returned.
   Result<double> commit();
   int descriptor() const { return fd_; }

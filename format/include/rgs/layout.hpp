@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "rgs/splat_cloud.hpp"
 
@@ -13,7 +14,8 @@ namespace rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-inline constexpr std::uint16_t kVersionMinor = 0;
+/// Newest that this library knows. A file states the lowest that describes it: 1 if a section is coded, else 0.
+inline constexpr std::uint16_t kVersionMinor = 1;
 
 inline constexpr std::uint64_t kHeaderBytes = 128;
 inline constexpr std::uint64_t kSectionEntryBytes = 64;
@@ -58,8 +60,32 @@ enum class SectionType : std::uint32_t {
 };
 
 enum class Codec : std::uint32_t {
-  none = 0,  ///< stored bytes are the decoded bytes
+  none = 0,    ///< stored bytes are the decoded bytes
+  planes = 1,  ///< a frame table and frames: rows transformed into byte planes, Zstandard; for those of coded_type()
 };
+
+/// Section types that may have Codec::planes.
+constexpr bool coded_type(SectionType type) {
+  return type == SectionType::sh_scales || type == SectionType::chunks || type == SectionType::means ||
+         type == SectionType::geometry || type == SectionType::sh;
+}
+
+/// One independently decodable piece of a coded section.
+struct CodedFrame {
+  std::uint64_t offset = 0;  ///< in the file
+  std::uint32_t stored_bytes = 0;
+  std::uint64_t xxh3 = 0;  ///< of the stored bytes
+};
+
+/// Frame i of a section holds rows i * rows .. min(n, (i + 1) * rows) - 1; a row is a Gaussian, a chunk, or a
+/// scale set.
+struct FrameTable {
+  std::uint32_t rows = 0;
+  std::vector<CodedFrame> frames;  ///< empty in a section that is stored as is
+};
+inline constexpr std::uint32_t kMaxFrameRows = 1u << 16;
+inline constexpr std::uint64_t kFrameTableBytes = 8;  ///< without its entries and hash
+inline constexpr std::uint64_t kFrameEntryBytes = 16;
 
 inline constexpr std::uint32_t kSectionMustUnderstand = 1;  ///< bit of SectionEntry::flags; the others are reserved
 
@@ -75,7 +101,7 @@ struct SectionEntry {
 
 struct Header {
   std::uint16_t version_major = kVersionMajor;
-  std::uint16_t version_minor = kVersionMinor;
+  std::uint16_t version_minor = 0;
   std::uint64_t file_bytes = 0;
   std::uint64_t n_gaussians = 0;
   std::uint64_t n_chunks = 0;

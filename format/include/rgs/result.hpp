@@ -46,6 +46,7 @@ enum class Errc : std::uint16_t {
   not_gaussian_splats,  ///< a well-formed file that does not hold 3D Gaussian splats
   unsupported_feature,  ///< well-formed, but of a kind this program does not read
   too_many_bad,         ///< more damaged Gaussians than the policy allows
+  corrupt_data,         ///< coded bytes that do not decode
 
   gate_failed = 500,  ///< a quality condition asked for by the caller does not hold
 };

@@ -1,0 +1,57 @@
+// splat_edit.hpp - moving, turning, merging, filtering and stripping Gaussians in memory.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <optional>
+
+#include "rgs/encode.hpp"
+#include "rgs/interchange.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs {
+
+/// x -> scale * rotation * x + translation.
+struct Similarity {
+  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  ///< row-major, proper
+  double scale = 1;                                           ///< above 0
+  std::array<double, 3> translation{0, 0, 0};
+};
+
+/// Turns about x, then y, then z, each by so many degrees about the fixed axis.
+std::array<double, 9> rotation_from_euler(const std::array<double, 3>& degrees);
+/// From a quaternion w, x, y, z of any norm but 0.
+std::array<double, 9> rotation_from_quaternion(const std::array<double, 4>& wxyz);
+/// First `inner`, then `outer`.
+Similarity compose(const Similarity& outer, const Similarity& inner);
+
+/// Moves the scene: means, scales, rotations and harmonics.
+void transform(SplatCloud& cloud, const Similarity& similarity);
+
+/// Re-expresses the scene in other axes, mirrored ones too. Exact but for the harmonics when axes are exchanged.
+/// Does nothing where `from` or `to` is undeclared.
+void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to);
+
+/// Drops the harmonics above `degree`.
+void strip_sh(SplatCloud& cloud, int degree);
+
+/// Appends `other`; the degree becomes the larger of both, missing harmonics are 0.
+void append(SplatCloud& cloud, const SplatCloud& other);
+
+struct SplatFilter {
+  std::optional<Box> crop;                  ///< keeps means inside, borders included
+  float min_opacity = 0;                    ///< keeps opacities of at least this
+  std::uint64_t max_n = ~std::uint64_t{0};  ///< keeps that many with the largest opacity times the two largest scales
+
+  bool keeps_all() const { return !crop && min_opacity <= 0 && max_n == ~std::uint64_t{0}; }
+};
+/// What passes stays in order. NaN passes neither crop nor opacity. Ties of max_n go to the earlier Gaussian.
+void filter(SplatCloud& cloud, const SplatFilter& filter);
+
+/// Applies options.on_bad and max_bad_fraction as encode() does; the counts are in the result.
+/// Errors: bad_value (refuse; the offset is the first damaged one's index), too_many_bad.
+Result<SceneScan> clean(SplatCloud& cloud, const EncodeOptions& options);
+
+}  // namespace rgs

@@ -1,0 +1,23 @@
+// compressed_ply.hpp - PlayCanvas's compressed PLY files.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "rgs/interchange.hpp"
+
+namespace rgs::detail {
+
+/// Whether a PLY header declares packed_position.
+bool is_compressed_ply(std::span<const std::byte> bytes);
+
+/// With chunk colours (18 properties) or without (12), with or without SH, as PlayCanvas's tools and gsplat write it.
+Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const DecodeLimits& limits);
+
+/// Chunks of 256 Gaussians that lie together, or as they come if `keep_order`.
+/// Errors: limit_exceeded (2^32 Gaussians to sort).
+Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, bool keep_order);
+
+}  // namespace rgs::detail

@@ -1,0 +1,103 @@
+// convert_arguments.cpp - values of rgs-convert's options out of their texts.
+// SPDX-License-Identifier: Apache-2.0
+#include "convert_arguments.hpp"
+
+#include <charconv>
+#include <cmath>
+#include <map>
+#include <string_view>
+#include <vector>
+
+namespace rgs {
+namespace {
+
+std::vector<std::string_view> split(std::string_view text) {
+  std::vector<std::string_view> parts;
+  for (;;) {
+    const std::size_t comma = text.find(',');
+    parts.push_back(text.substr(0, comma));
+    if (comma == text.npos) return parts;
+    text.remove_prefix(comma + 1);
+  }
+}
+
+// Finite numbers between commas; empty if the text is anything else.
+std::vector<double> numbers(const std::string& text) {
+  std::vector<double> values;
+  for (const std::string_view part : split(text)) {
+    double value = 0;
+    const auto [end, error] = std::from_chars(part.data(), part.data() + part.size(), value);
+    if (error != std::errc() || end != part.data() + part.size() || !std::isfinite(value)) return {};
+    values.push_back(value);
+  }
+  return values;
+}
+
+tl::unexpected<Error> refuse(const char* what) {
+  return fail(Errc::bad_argument, Error::kNone, what);
+}
+
+}  // namespace
+
+Result<Axes> parse_axes(const std::string& text) {
+  static const std::map<std::string, Axes> kFrames = {
+      {"3dgs", kAxes3dgs},
+      {"opengl", kAxesOpenGl},
+      {"gltf", kAxesGltf},
+      {"undeclared", {Axis::undeclared, Axis::undeclared, Axis::undeclared}}};
+  static const std::map<std::string_view, Axis> kDirections = {
+      {"right", Axis::right}, {"left", Axis::left},       {"up", Axis::up},
+      {"down", Axis::down},   {"forward", Axis::forward}, {"backward", Axis::backward}};
+  if (const auto frame = kFrames.find(text); frame != kFrames.end()) return frame->second;
+  const auto parts = split(text);
+  Axes axes{};
+  unsigned spanned = 0;
+  for (std::size_t i = 0; i < 3 && parts.size() == 3; ++i) {
+    const auto direction = kDirections.find(parts[i]);
+    if (direction == kDirections.end()) break;
+    axes[i] = direction->second;
+    spanned |= 1u << ((static_cast<unsigned>(axes[i]) - 1) / 2);
+  }
+  if (spanned == 7) return axes;
+  return refuse("axes are 3dgs, opengl, gltf, undeclared or three directions that span space, e.g. right,down,forward");
+}
+
+Result<Similarity> parse_similarity(const std::string& translate, const std::string& rotate, const std::string& scale) {
+  Similarity similarity;
+  if (!translate.empty()) {
+    const std::vector<double> t = numbers(translate);
+    if (t.size() != 3) return refuse("--translate takes three numbers, e.g. 1,0,-2.5");
+    similarity.translation = {t[0], t[1], t[2]};
+  }
+  if (!rotate.empty()) {
+    const std::vector<double> r = numbers(rotate);
+    if (r.size() == 3) {
+      similarity.rotation = rotation_from_euler({r[0], r[1], r[2]});
+    } else if (r.size() == 4 && std::hypot(std::hypot(r[0], r[1]), std::hypot(r[2], r[3])) > 1e-30) {
+      similarity.rotation = rotation_from_quaternion({r[0], r[1], r[2], r[3]});
+    } else {
+      return refuse("--rotate takes degrees about x,y,z, or a quaternion w,x,y,z other than 0");
+    }
+  }
+  if (!scale.empty()) {
+    const std::vector<double> s = numbers(scale);
+    if (s.size() != 1 || !(s[0] > 0)) return refuse("--scale takes one factor above 0");
+    similarity.scale = s[0];
+  }
+  return similarity;
+}
+
+Result<Box> parse_box(const std::string& text) {
+  const std::vector<double> v = numbers(text);
+  if (v.size() != 6 || !(v[0] <= v[3] && v[1] <= v[4] && v[2] <= v[5])) {
+    return refuse("--crop takes two corners, the smaller first: x,y,z,X,Y,Z");
+  }
+  Box box;
+  for (std::size_t k = 0; k < 3; ++k) {
+    box.min[k] = static_cast<float>(v[k]);
+    box.max[k] = static_cast<float>(v[3 + k]);
+  }
+  return box;
+}
+
+}  // namespace rgs

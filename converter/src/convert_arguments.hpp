@@ -1,0 +1,23 @@
+// convert_arguments.hpp - values of rgs-convert's options out of their texts.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+
+#include "rgs/interchange.hpp"
+#include "rgs/result.hpp"
+#include "rgs/splat_edit.hpp"
+
+namespace rgs {
+
+// All errors are bad_argument.
+
+/// "right,down,forward" or a name for a usual frame: 3dgs, opengl, gltf, undeclared.
+Result<Axes> parse_axes(const std::string& text);
+/// `translate`: "x,y,z". `rotate`: "x,y,z" in degrees (see rotation_from_euler) or a quaternion "w,x,y,z". `scale`: a
+/// factor above 0. An empty text leaves its part out.
+Result<Similarity> parse_similarity(const std::string& translate, const std::string& rotate, const std::string& scale);
+/// "x,y,z,X,Y,Z": two corners.
+Result<Box> parse_box(const std::string& text);
+
+}  // namespace rgs

@@ -1,0 +1,20 @@
+// gltf_splats.hpp - binary glTF files with KHR_gaussian_splatting.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "rgs/interchange.hpp"
+
+namespace rgs::detail {
+
+/// All splat primitives of the default scene, moved by their nodes. Attributes must be uncompressed 32-bit floats in
+/// the file's own binary chunk.
+Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits);
+
+/// One primitive, with COLOR_0 for viewers that show points. Errors: limit_exceeded (above 4 GiB).
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space);
+
+}  // namespace rgs::detail

@@ -1,0 +1,234 @@
+// ksplat.cpp - .ksplat of github.com/mkkellogg/GaussianSplats3D: a header of 4,096 bytes, one of 1,024 for each
+// section, then the sections.
+//
+//   header   0 u8 version 0, 1   4 u32 most sections   8 u32 sections   12 u32 most Gaussians   16 u32 Gaussians
+//            20 u16 level   36 f32 smallest, 40 f32 largest SH of level 2 (0: -3/2, 3/2)
+//   section  0 u32 Gaussians   4 u32 most Gaussians (room for)   8 u32 Gaussians a bucket   12 u32 buckets
+//            16 f32 width of a bucket   20 u16 bytes a bucket   24 u32 code range   32 u32 full buckets
+//            36 u32 partly filled buckets   40 u16 SH degree
+//   data     u32 lengths of the partly filled buckets; f32 centre [3] of each bucket; Gaussians
+//   Gaussian mean, scale [3] (activated), rotation w, x, y, z; u8 red, green, blue, opacity; SH by degree, then channel
+// Level 0 has floats; level 1 FP16, and means as u16 about the bucket's centre; level 2 SH as u8 besides.
+// SPDX-License-Identifier: Apache-2.0
+#include "ksplat.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <vector>
+
+#include "quantised.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+namespace {
+
+constexpr std::uint64_t kHeaderSize = 4096, kSectionHeaderBytes = 1024;
+constexpr std::uint32_t kDefaultCodeRange = 32767;
+constexpr float kDefaultShBound = 1.5F;
+
+struct Section {
+  std::uint64_t n = 0, room = 0, bucket_size = 0, n_buckets = 0, bucket_bytes = 0, n_full = 0, n_partial = 0;
+  double bucket_width = 0, code_range = 1;
+  int sh_degree = 0;
+  std::uint64_t start = 0;    // in the file
+  std::uint64_t centres = 0;  // of the buckets
+  std::uint64_t data = 0;     // first Gaussian
+};
+
+struct KsplatHeader {
+  int level = 0;
+  double sh_low = 0, sh_high = 0;
+  std::vector<Section> sections;
+  std::uint64_t n = 0;
+};
+
+constexpr std::uint64_t number_bytes(int level) {
+  return level == 0 ? 4 : 2;
+}
+constexpr std::uint64_t sh_number_bytes(int level) {
+  return level == 0 ? 4 : level == 1 ? 2 : 1;
+}
+std::uint64_t splat_bytes(int level, int sh_degree) {
+  return 10 * number_bytes(level) + 4 +
+         sh_number_bytes(level) * 3 * (static_cast<std::uint64_t>(sh_coefficients(sh_degree)) - 1);
+}
+
+// Reads a section's header at `at` and lays it out from `start`; the sizes must fit into the file.
+Result<Section> parse_section(std::span<const std::byte> bytes, std::uint64_t at, std::uint64_t start, int level) {
+  const auto u32 = [&](std::uint64_t offset) { return load<std::uint32_t>(bytes, at + offset); };
+  Section s;
+  s.n = u32(0);
+  s.room = u32(4);
+  s.bucket_size = u32(8);
+  s.n_buckets = u32(12);
+  s.bucket_width = static_cast<double>(load<float>(bytes, at + 16));
+  s.bucket_bytes = load<std::uint16_t>(bytes, at + 20);
+  s.code_range = u32(24) != 0 ? u32(24) : kDefaultCodeRange;
+  s.n_full = u32(32);
+  s.n_partial = u32(36);
+  const int degree = load<std::uint16_t>(bytes, at + 40);
+  if (degree > kMaxShDegree) {
+    return fail(Errc::unsupported_feature, at + 40, "the SH degree is not 0 to 3", kMaxShDegree,
+                static_cast<std::uint64_t>(degree));
+  }
+  s.sh_degree = degree;
+  if (s.n > s.room) {
+    return fail(Errc::bad_header, at, "a section has more Gaussians than it has room for", s.room, s.n);
+  }
+  if (level == 0) {
+    s.n_buckets = s.n_full = s.n_partial = s.bucket_bytes = 0;
+  } else if (s.bucket_bytes < 12 || !std::isfinite(s.bucket_width)) {
+    return fail(Errc::bad_header, at + 16, "a section's buckets have no room for a centre, or no width");
+  } else if (s.n_full > s.n_buckets || s.n_partial > s.n_buckets - s.n_full || (s.n_full != 0 && s.bucket_size == 0)) {
+    return fail(Errc::bad_header, at + 32, "a section's numbers of buckets contradict each other", s.n_buckets,
+                s.n_full + s.n_partial);
+  }
+  s.start = start;
+  s.centres = start + 4 * s.n_partial;  // all counts are below 2^32: no sum can wrap
+  s.data = s.centres + s.bucket_bytes * s.n_buckets;
+  const std::uint64_t end = s.data + splat_bytes(level, s.sh_degree) * s.room;
+  if (end > bytes.size()) return fail(Errc::truncated, at + 4, "a section ends behind the file", end, bytes.size());
+  return s;
+}
+
+Result<KsplatHeader> parse_header(std::span<const std::byte> bytes) {
+  if (bytes.size() < kHeaderSize) {
+    return fail(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderSize, bytes.size());
+  }
+  if (load_u8(bytes, 0) != 0 || load_u8(bytes, 1) < 1) {
+    return fail(Errc::unsupported_version, 0, "a .ksplat version before 0.1 or from 1 on");
+  }
+  KsplatHeader header;
+  header.level = load<std::uint16_t>(bytes, 20);
+  if (header.level > 2) {
+    return fail(Errc::unsupported_feature, 20, "the compression level is not 0 to 2", 2,
+                static_cast<std::uint64_t>(header.level));
+  }
+  const std::uint64_t room = load<std::uint32_t>(bytes, 4), n_sections = load<std::uint32_t>(bytes, 8);
+  if (n_sections > room) return fail(Errc::bad_header, 8, "more sections than there is room for", room, n_sections);
+  if (room > (bytes.size() - kHeaderSize) / kSectionHeaderBytes) {
+    return fail(Errc::truncated, 4, "the file ends inside its section headers",
+                (bytes.size() - kHeaderSize) / kSectionHeaderBytes, room);
+  }
+  const float low = load<float>(bytes, 36), high = load<float>(bytes, 40);
+  header.sh_low = static_cast<double>(low != 0 ? low : -kDefaultShBound);
+  header.sh_high = static_cast<double>(high != 0 ? high : kDefaultShBound);
+  std::uint64_t start = kHeaderSize + room * kSectionHeaderBytes;
+  for (std::uint64_t i = 0; i < n_sections; ++i) {
+    const auto section = parse_section(bytes, kHeaderSize + i * kSectionHeaderBytes, start, header.level);
+    if (!section) return tl::unexpected(section.error());
+    start = section->data + splat_bytes(header.level, section->sh_degree) * section->room;
+    header.n += section->n;
+    header.sections.push_back(*section);
+  }
+  return header;
+}
+
+// Goes through a section's buckets as its Gaussians are read in order.
+class Buckets {
+ public:
+  Buckets(std::span<const std::byte> bytes, const Section& section) : bytes_(bytes), section_(section) {}
+
+  /// Centre of the bucket of the next Gaussian. Errors: bad_header (the buckets hold fewer than the section).
+  Result<std::array<double, 3>> next() {
+    while (left_ == 0) {
+      if (bucket_ + 1 > section_.n_full + section_.n_partial) {
+        return fail(Errc::bad_header, section_.start, "a section's buckets hold fewer Gaussians than the section");
+      }
+      left_ = bucket_ < section_.n_full ? section_.bucket_size
+                                        : load<std::uint32_t>(bytes_, section_.start + 4 * (bucket_ - section_.n_full));
+      const std::uint64_t at = section_.centres + bucket_ * section_.bucket_bytes;
+      for (std::uint64_t k = 0; k < 3; ++k) centre_[k] = static_cast<double>(load<float>(bytes_, at + 4 * k));
+      ++bucket_;
+    }
+    --left_;
+    return centre_;
+  }
+
+ private:
+  std::span<const std::byte> bytes_;
+  const Section& section_;
+  std::uint64_t bucket_ = 0, left_ = 0;
+  std::array<double, 3> centre_{};
+};
+
+class RecordReader {
+ public:
+  RecordReader(const KsplatHeader& header, const Section& section) : header_(header), section_(section) {}
+
+  Splat read(std::span<const std::byte> record, const std::array<double, 3>& centre) const {
+    Splat s;
+    const std::uint64_t size = number_bytes(header_.level);
+    for (std::uint64_t k = 0; k < 3; ++k) {
+      s.mean[k] = mean(record, k, centre[k]);
+      s.log_scale[k] = log_from_scale(number(record, (3 + k) * size), 0);
+      s.sh[k] = dc_from_colour(load_u8(record, 10 * size + k) / 255.0);
+    }
+    for (std::uint64_t k = 0; k < 4; ++k) s.rotation[k] = number(record, (6 + k) * size);
+    s.opacity_logit = logit_from_opacity(static_cast<float>(load_u8(record, 10 * size + 3)) / 255.F);
+    std::uint64_t at = 10 * size + 4;
+    for (int degree = 1; degree <= section_.sh_degree; ++degree) {
+      for (int c = 0; c < 3; ++c) {
+        for (int k = sh_coefficients(degree - 1); k < sh_coefficients(degree); ++k) {
+          s.sh[3 * k + c] = harmonic(record, at);
+          at += sh_number_bytes(header_.level);
+        }
+      }
+    }
+    return s;
+  }
+
+ private:
+  float number(std::span<const std::byte> record, std::uint64_t at) const {
+    return header_.level == 0 ? load<float>(record, at) : float_from_half(load<std::uint16_t>(record, at));
+  }
+  float mean(std::span<const std::byte> record, std::uint64_t k, double centre) const {
+    if (header_.level == 0) return load<float>(record, 4 * k);
+    const double code = load<std::uint16_t>(record, 2 * k);
+    return static_cast<float>(centre +
+                              (code - section_.code_range) * (section_.bucket_width / 2 / section_.code_range));
+  }
+  float harmonic(std::span<const std::byte> record, std::uint64_t at) const {
+    if (header_.level < 2) return number(record, at);
+    return static_cast<float>(header_.sh_low + load_u8(record, at) / 255.0 * (header_.sh_high - header_.sh_low));
+  }
+
+  const KsplatHeader& header_;
+  const Section& section_;
+};
+
+}  // namespace
+
+bool looks_like_ksplat(std::span<const std::byte> bytes) {
+  const auto header = parse_header(bytes);
+  return header && !header->sections.empty();
+}
+
+Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  const auto header = parse_header(bytes);
+  if (!header) return tl::unexpected(header.error());
+  if (header->n > limits.max_gaussians) {
+    return fail(Errc::limit_exceeded, 16, "more Gaussians than the caller allows", limits.max_gaussians, header->n);
+  }
+  int degree = 0;
+  for (const Section& section : header->sections) degree = std::max(degree, section.sh_degree);
+  SplatFile file;
+  file.format = SplatFormat::ksplat;
+  file.bytes = bytes.size();
+  file.cloud.resize(header->n, degree);
+  std::uint64_t written = 0;
+  for (const Section& section : header->sections) {
+    const std::uint64_t stride = splat_bytes(header->level, section.sh_degree);
+    const RecordReader reader(*header, section);
+    Buckets buckets(bytes, section);
+    for (std::uint64_t i = 0; i < section.n; ++i) {
+      const auto centre = header->level == 0 ? Result<std::array<double, 3>>() : buckets.next();
+      if (!centre) return tl::unexpected(centre.error());
+      file.cloud.set(written++, reader.read(bytes.subspan(section.data + stride * i, stride), *centre));
+    }
+  }
+  return file;
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,18 @@
+// ksplat.hpp - .ksplat files of GaussianSplats3D.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+#include "rgs/interchange.hpp"
+
+namespace rgs::detail {
+
+/// The format has no signature: whether version, level and counts of the header agree with each other and the size.
+bool looks_like_ksplat(std::span<const std::byte> bytes);
+
+/// Compression levels 0 to 2, SH degrees 0 to 3 (the largest of the sections; smaller ones are filled up with zeros).
+Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLimits& limits);
+
+}  // namespace rgs::detail

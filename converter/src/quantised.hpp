@@ -1,0 +1,93 @@
+// quantised.hpp - what the compact formats share: little-endian access, unsigned codes, colours, smallest-three
+// rotations, and the bound on what a compressed file may unfold to.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <span>
+
+#include "rgs/result.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs::detail {
+
+static_assert(std::endian::native == std::endian::little, "the formats are little-endian and read in place");
+
+/// The value at `offset`, which the caller has checked.
+template <class T>
+T load(std::span<const std::byte> bytes, std::uint64_t offset) {
+  T value;
+  std::memcpy(&value, bytes.data() + offset, sizeof(T));
+  return value;
+}
+template <class T>
+void store(std::span<std::byte> bytes, std::uint64_t offset, T value) {
+  std::memcpy(bytes.data() + offset, &value, sizeof(T));
+}
+inline std::uint8_t load_u8(std::span<const std::byte> bytes, std::uint64_t offset) {
+  return std::to_integer<std::uint8_t>(bytes[offset]);
+}
+
+/// round(value * max_code), ties away from zero, clamped to 0..max_code; 0 for NaN.
+inline std::uint32_t unit_code(double value, std::uint32_t max_code) {
+  const double scaled = value * max_code;
+  return scaled > 0 ? static_cast<std::uint32_t>(std::min(scaled + 0.5, static_cast<double>(max_code))) : 0;
+}
+
+/// Colour of the constant harmonic: 1/2 + kSh0 * coefficient (Kerbl et al. 2023).
+inline constexpr double kSh0 = 0.28209479177387814;
+inline float dc_from_colour(double colour) {
+  return static_cast<float>((colour - 0.5) / kSh0);
+}
+inline double colour_from_dc(float dc) {
+  return 0.5 + kSh0 * static_cast<double>(dc);
+}
+
+/// A unit quaternion without its largest component, which is made positive: three components of at most sqrt(1/2).
+struct SmallestThree {
+  std::uint32_t largest = 0;   ///< 0..3
+  double rest[3] = {0, 0, 0};  ///< the others, in order
+};
+inline constexpr double kRootHalf = 0.70710678118654752;
+
+/// `q` (four numbers in the order in which the format counts them) need not be normalised; zero gives the first axis.
+inline SmallestThree smallest_three(const float (&q)[4]) {
+  SmallestThree s;
+  double squared = 0;
+  for (std::uint32_t i = 0; i < 4; ++i) {
+    squared += static_cast<double>(q[i]) * static_cast<double>(q[i]);
+    if (std::abs(q[i]) > std::abs(q[s.largest])) s.largest = i;
+  }
+  const double factor = squared > 0 ? (q[s.largest] < 0 ? -1 : 1) / std::sqrt(squared) : 0;
+  for (std::uint32_t i = 0, k = 0; i < 4; ++i) {
+    if (i != s.largest) s.rest[k++] = static_cast<double>(q[i]) * factor;
+  }
+  return s;
+}
+
+inline void from_smallest_three(const SmallestThree& s, float (&q)[4]) {
+  double squared = 0;
+  for (std::uint32_t i = 0, k = 0; i < 4; ++i) {
+    if (i == s.largest) continue;
+    squared += s.rest[k] * s.rest[k];
+    q[i] = static_cast<float>(s.rest[k++]);
+  }
+  q[s.largest] = static_cast<float>(std::sqrt(std::max(0.0, 1 - squared)));
+}
+
+/// Whether a file of `stored` bytes may unfold to `decoded`: at most 1,032 times as much, which is what DEFLATE itself
+/// cannot exceed and what no scene comes near, plus 1 MiB for tiny files. A header can promise more; memory is only
+/// allocated for what passes.
+inline Status check_expansion(std::uint64_t decoded, std::uint64_t stored, std::uint64_t offset) {
+  const std::uint64_t limit = stored > (std::uint64_t{1} << 50) ? Error::kNone - 1 : stored * 1032 + (1u << 20);
+  if (decoded <= limit) return {};
+  return fail(Errc::limit_exceeded, offset, "the header promises more Gaussians than a file of this size can hold",
+              limit, decoded);
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,24 @@
+// sh_rotation.hpp - spherical harmonics under rotations and reflections of the scene.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+
+namespace rgs::detail {
+
+/// Row-major 3x3.
+using Matrix3 = std::array<double, 9>;
+
+/// Turns SH coefficients of degree 0..3 with the scene: colour(R d) after = colour(d) before.
+class ShRotation {
+ public:
+  /// `rotation`: orthogonal, of either handedness.
+  explicit ShRotation(const Matrix3& rotation);
+  /// sh: [sh_coefficients(degree), 3], coefficient-major, in place.
+  void apply(float* sh, int degree) const;
+
+ private:
+  double degree1_[3][3], degree2_[5][5], degree3_[7][7];
+};
+
+}  // namespace rgs::detail

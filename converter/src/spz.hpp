@@ -1,0 +1,23 @@
+// spz.hpp - Niantic's .spz files.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "rgs/interchange.hpp"
+
+namespace rgs::detail {
+
+/// Whether the bytes begin as an SPZ does; a gzip stream is unpacked far enough to see its signature.
+bool is_spz(std::span<const std::byte> bytes);
+
+/// Versions 2 and 3 (one gzip stream) and 4 (zstd streams by attribute). Gaussians stay in kAxesOpenGl.
+Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimits& limits);
+
+/// Version 4 with 12 fractional bits, fewer if a mean needs it; SH of degree 1 in 5 bits, above in 4, as the
+/// reference encoder's default. Single-threaded; Gaussians keep their order.
+Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode);
+
+}  // namespace rgs::detail

@@ -1,0 +1,120 @@
+#!/usr/bin/python3
+# measure_formats.py - size and rendered quality of a scene in each format that rgs-convert writes.
+# SPDX-License-Identifier: Apache-2.0
+"""Converts a PLY to each format, renders the test views of all at half size with rgs-render (FP32 pictures), and prints
+bytes per Gaussian and PSNR against the PLY's pictures as a table and, with --json, as the record kept in docs/.
+
+  measure_formats.py scene.ply cameras.json [--bin build/release/bin] [--work FOLDER] [--json OUT] [NAME=FILE...]
+
+NAME=FILE adds files that other programs wrote of the same scene, e.g. SOG=scene.sog.
+"""
+import argparse
+import datetime
+import json
+import pathlib
+import platform
+import struct
+import subprocess
+import sys
+import zlib
+
+import numpy as np
+
+WRITTEN = [("rgs (packed)", "packed.rgs", []), ("rgs (direct)", "direct.rgs", ["--profile", "direct"]),
+           ("compressed.ply", "compressed.ply", []), ("spz", "spz", []), ("splat", "splat", []), ("glb", "glb", [])]
+
+
+def run(*command):
+    result = subprocess.run([str(part) for part in command], stdin=subprocess.DEVNULL, capture_output=True, text=True)
+    if result.returncode != 0:
+        sys.exit(f"measure_formats: {' '.join(map(str, command))}\n{result.stdout}{result.stderr}")
+    return result.stdout
+
+
+def read_exr(path):
+    """[height, width, channels] of an OpenEXR scanline file of 32-bit floats with ZIP compression."""
+    data = path.read_bytes()
+    at, attributes = 8, {}
+    while data[at] != 0:
+        name, kind = (part.decode() for part in data[at:].split(b"\0", 2)[:2])
+        at += len(name) + len(kind) + 2
+        size = struct.unpack_from("<i", data, at)[0]
+        attributes[name] = data[at + 4:at + 4 + size]
+        at += 4 + size
+    left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
+    width, height = right - left + 1, bottom - top + 1
+    channels = attributes["channels"].count(b"\x02\0\0\0")  # each entry says once that it is a float
+    if attributes["compression"] != b"\x03":
+        sys.exit(f"measure_formats: {path} is not compressed by ZIP")
+    picture = np.empty((height, channels, width), np.float32)
+    for offset in struct.unpack_from(f"<{(height + 15) // 16}Q", data, at + 1):
+        y, size = struct.unpack_from("<2i", data, offset)
+        lines = min(16, bottom + 1 - y)
+        raw_bytes = lines * channels * width * 4
+        block = np.frombuffer(data, np.uint8, size, offset + 8)
+        if size < raw_bytes:  # differences of bytes, the even ones before the odd ones
+            codes = np.frombuffer(zlib.decompress(block.tobytes()), np.uint8).astype(np.int64)
+            codes[1:] -= 128
+            block = (np.cumsum(codes) & 255).astype(np.uint8)
+            halves = block[:(raw_bytes + 1) // 2], block[(raw_bytes + 1) // 2:]
+            block = np.stack(halves, 1).reshape(-1)
+        picture[y - top:y - top + lines] = np.frombuffer(block.tobytes(), "<f4").reshape(lines, channels, width)
+    return picture.transpose(0, 2, 1)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("ply", type=pathlib.Path)
+    parser.add_argument("cameras", type=pathlib.Path)
+    parser.add_argument("others", nargs="*", metavar="NAME=FILE")
+    parser.add_argument("--bin", type=pathlib.Path, default=pathlib.Path("build/release/bin"))
+    parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("build/formats"))
+    parser.add_argument("--json", type=pathlib.Path)
+    arguments = parser.parse_intermixed_args()
+    arguments.work.mkdir(parents=True, exist_ok=True)
+    cameras = [camera for camera in json.loads(arguments.cameras.read_text()) if camera.get("split", "test") == "test"]
+    size = f"{cameras[0]['width'] // 2}x{cameras[0]['height'] // 2}"
+
+    def render(scene, name):
+        folder = arguments.work / f"{name.replace(' ', '_')}_views"
+        run(arguments.bin / "rgs-render", scene, "--cameras", arguments.cameras, "--split", "test", "--size", size,
+            "--format", "exr", "--out", f"{folder}/", "--overwrite", "--quiet")
+        return [read_exr(path).astype(np.float64) for path in sorted(folder.glob("*.exr"))]
+
+    reference = render(arguments.ply, "ply")
+    n = None
+    entries = [{"format": "ply", "bytes": arguments.ply.stat().st_size, "psnr_db": None}]
+    files = []
+    for name, ending, options in WRITTEN:
+        path = arguments.work / f"scene.{ending}"
+        summary = json.loads(run(arguments.bin / "rgs-convert", *options, "--json", "--quiet", "--overwrite",
+                                 arguments.ply, path))
+        n = summary["source"]["gaussians"]
+        files.append((name, path))
+    files += [(name, pathlib.Path(path)) for name, path in (other.split("=", 1) for other in arguments.others)]
+    for name, path in files:
+        pictures = render(path, name)
+        errors = [np.mean((a - b) ** 2) for a, b in zip(reference, pictures, strict=True)]
+        psnr = float(np.mean([-10 * np.log10(max(error, 1e-20)) for error in errors]))
+        entries.append({"format": name, "bytes": path.stat().st_size, "psnr_db": round(psnr, 2)})
+    for entry in entries:
+        entry["bytes_per_gaussian"] = round(entry["bytes"] / n, 2)
+    record = {"schema": "rgs-formats/1", "date": datetime.date.today().isoformat(), "renderer": "CPU, FP32",
+              "device": cpu_name(), "scene": arguments.ply.name, "gaussians": n, "views": len(reference), "size": size,
+              "psnr": "mean over views, float pictures, against the PLY", "entries": entries}
+    print("| file | bytes per Gaussian | PSNR |\n|---|---|---|")
+    for entry in entries:
+        psnr = "-" if entry["psnr_db"] is None else f"{entry['psnr_db']:.1f} dB"
+        print(f"| {entry['format']} | {entry['bytes_per_gaussian']:.1f} | {psnr} |")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def cpu_name():
+    for line in pathlib.Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.split(":", 1)[1].strip()
+    return platform.machine()
+
+
+main()

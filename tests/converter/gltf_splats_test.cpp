@@ -1,0 +1,156 @@
+// gltf_splats_test.cpp - .glb with KHR_gaussian_splatting: round trips, nodes, hostile files.
+// SPDX-License-Identifier: Apache-2.0
+#include <functional>
+#include <nlohmann/json.hpp>
+
+#include "interchange_samples.hpp"
+#include "rgs/splat_edit.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using nlohmann::json;
+
+namespace {
+
+json json_of(const Bytes& glb) {
+  const std::string text = text_of(glb).substr(20, get<std::uint32_t>(glb, 12));
+  return json::parse(text);
+}
+
+// The file with another JSON chunk.
+Bytes with_json(const Bytes& glb, const json& root) {
+  std::string text = root.dump();
+  text.resize((text.size() + 3) / 4 * 4, ' ');
+  const std::size_t bin = 20 + get<std::uint32_t>(glb, 12);
+  Bytes file(glb.begin(), glb.begin() + 20);
+  const Bytes chunk = bytes_of(text);
+  file.insert(file.end(), chunk.begin(), chunk.end());
+  file.insert(file.end(), glb.begin() + static_cast<std::ptrdiff_t>(bin), glb.end());
+  put(file, 8, static_cast<std::uint32_t>(file.size()));
+  put(file, 12, static_cast<std::uint32_t>(text.size()));
+  return file;
+}
+
+Result<SplatFile> read_edited(const Bytes& glb, const std::function<void(json&)>& edit) {
+  json root = json_of(glb);
+  edit(root);
+  return read_splats(with_json(glb, root), kKeepAxes);
+}
+
+}  // namespace
+
+TEST_CASE(".glb round trip: everything to the last places of a float") {
+  for (int degree = 0; degree <= 3; ++degree) {
+    for (const std::uint64_t n : {0U, 1U, 500U}) {
+      CAPTURE(degree);
+      CAPTURE(n);
+      const SplatCloud cloud = ordinary_cloud(n, degree, n + 1);
+      const auto bytes = encode_splats(cloud.view(), SplatFormat::glb, {.colour_space = ColourSpace::linear_display});
+      REQUIRE(bytes);
+      const auto file = read_splats(*bytes, kKeepAxes);
+      REQUIRE(file);
+      CHECK(file->format == SplatFormat::glb);
+      CHECK(file->axes == kAxesGltf);
+      CHECK(file->colour_space == ColourSpace::linear_display);
+      const SplatError e = compare(file->cloud, cloud);
+      CHECK(file->cloud.mean == cloud.mean);
+      CHECK(file->cloud.sh == cloud.sh);
+      for (const double error : e.log_scale) CHECK(error <= 1e-6);
+      CHECK(e.opacity <= 1e-7);
+      CHECK(e.rotation <= 1e-6);
+    }
+  }
+}
+
+TEST_CASE(".glb says what glTF asks for") {
+  const SplatCloud cloud = ordinary_cloud(9, 1, 1);
+  const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();
+  const json root = json_of(bytes);
+  CHECK(bytes.size() % 4 == 0);
+  CHECK(get<std::uint32_t>(bytes, 8) == bytes.size());
+  CHECK(root["asset"]["version"] == "2.0");
+  CHECK(root["extensionsUsed"] == json::array({"KHR_gaussian_splatting"}));
+  const json& primitive = root["meshes"][0]["primitives"][0];
+  CHECK(primitive["mode"] == 0);
+  CHECK(primitive["extensions"]["KHR_gaussian_splatting"]["kernel"] == "ellipse");
+  CHECK(primitive["extensions"]["KHR_gaussian_splatting"]["colorSpace"] == "srgb_rec709_display");
+  CHECK(primitive["attributes"].size() == 5 + 4);
+  const json& position = root["accessors"][primitive["attributes"]["POSITION"].get<std::size_t>()];
+  for (std::size_t k = 0; k < 3; ++k) {
+    float low = cloud.mean[k], high = cloud.mean[k];
+    for (std::size_t i = k; i < cloud.mean.size(); i += 3) {
+      low = std::min(low, cloud.mean[i]), high = std::max(high, cloud.mean[i]);
+    }
+    CHECK(position["min"][k].get<float>() == low);
+    CHECK(position["max"][k].get<float>() == high);
+  }
+  CHECK(root["buffers"][0]["byteLength"] == bytes.size() - 28 - get<std::uint32_t>(bytes, 12));
+}
+
+TEST_CASE(".glb: nodes move, turn and scale what they show, as often as they show it") {
+  const SplatCloud cloud = ordinary_cloud(50, 3, 2);
+  const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();
+  const double half = std::sqrt(0.5);
+  const auto file = read_edited(bytes, [&](json& root) {
+    root["nodes"] = json::parse(R"([{"children": [1], "translation": [1, 2, 3]}, {"mesh": 0, "scale": [2, 2, 2]},
+                                    {"mesh": 0, "matrix": [0, 3, 0, 0, -3, 0, 0, 0, 0, 0, 3, 0, 5, 6, 7, 1]}])");
+    root["nodes"][0]["rotation"] = {half, 0, 0, half};  // a quarter turn about x
+    root["scenes"][0]["nodes"] = {0, 2};
+  });
+  REQUIRE(file);
+  REQUIRE(file->cloud.size() == 100);
+  SplatCloud first = cloud, second = cloud;
+  transform(first, {rotation_from_euler({90, 0, 0}), 2, {1, 2, 3}});
+  transform(second, {rotation_from_euler({0, 0, 90}), 3, {5, 6, 7}});
+  append(first, second);
+  const SplatError e = compare(file->cloud, first);
+  for (const double error : e.mean) CHECK(error <= 1e-5);
+  for (const double error : e.log_scale) CHECK(error <= 2e-6);
+  for (const double error : e.sh) CHECK(error <= 1e-6);
+  CHECK(e.rotation <= 1e-6);
+}
+
+TEST_CASE(".glb: what is not supported or not sound is refused with its reason") {
+  const Bytes bytes = encode_splats(ordinary_cloud(4, 1, 3).view(), SplatFormat::glb).value();
+  const auto refused = [&](const std::function<void(json&)>& edit, Errc code) {
+    const auto file = read_edited(bytes, edit);
+    REQUIRE_FALSE(file);
+    CHECK(std::string(errc_name(file.error().code)) == errc_name(code));
+  };
+  refused([](json& r) { r["nodes"][0]["scale"] = {1, 2, 1}; }, Errc::unsupported_feature);
+  refused([](json& r) { r["nodes"][0]["scale"] = {-1, -1, -1}; }, Errc::unsupported_feature);
+  refused([](json& r) { r["nodes"][0]["rotation"] = {0, 0, 0, 0}; }, Errc::unsupported_feature);
+  refused([](json& r) { r["nodes"][0]["translation"] = {"a", 0, 0}; }, Errc::bad_syntax);
+  refused([](json& r) { r["nodes"][0]["children"] = {0}; }, Errc::bad_syntax);
+  refused([](json& r) { r["scenes"][0]["nodes"] = {1}; }, Errc::bad_syntax);
+  refused([](json& r) { r["scenes"][0]["nodes"] = json::array(); }, Errc::not_gaussian_splats);
+  refused([](json& r) { r["meshes"][0]["primitives"][0].erase("extensions"); }, Errc::not_gaussian_splats);
+  refused([](json& r) { r["meshes"][0]["primitives"][0]["mode"] = 4; }, Errc::bad_syntax);
+  refused([](json& r) { r["meshes"][0]["primitives"][0]["attributes"].erase("KHR_gaussian_splatting:SCALE"); },
+          Errc::bad_syntax);
+  refused(
+      [](json& r) { r["meshes"][0]["primitives"][0]["attributes"].erase("KHR_gaussian_splatting:SH_DEGREE_1_COEF_1"); },
+      Errc::bad_syntax);
+  refused([](json& r) { r["accessors"][0]["count"] = 5; }, Errc::truncated);
+  refused([](json& r) { r["accessors"][0]["count"] = 3; }, Errc::bad_syntax);
+  refused([](json& r) { r["accessors"][0]["count"] = 4294967295U; }, Errc::truncated);
+  refused([](json& r) { r["accessors"][0]["count"] = 1.5; }, Errc::bad_syntax);
+  refused([](json& r) { r["accessors"][0]["componentType"] = 5123; }, Errc::unsupported_feature);
+  refused([](json& r) { r["accessors"][0]["sparse"] = json::object(); }, Errc::unsupported_feature);
+  refused([](json& r) { r["bufferViews"][0]["byteOffset"] = 4294967295U; }, Errc::truncated);
+  refused([](json& r) { r["bufferViews"][0]["byteStride"] = 4; }, Errc::bad_syntax);
+  refused([](json& r) { r["bufferViews"][0]["buffer"] = 1; }, Errc::unsupported_feature);
+  refused(  // one mesh, shown again and again
+      [](json& r) {
+        for (int i = 0; i < 100; ++i) r["meshes"][0]["primitives"].push_back(r["meshes"][0]["primitives"][0]);
+        for (int i = 1; i < 400; ++i) {
+          r["nodes"].push_back({{"mesh", 0}});
+          r["scenes"][0]["nodes"].push_back(i);
+        }
+      },
+      Errc::limit_exceeded);
+}
+
+TEST_CASE("damaged .glb files are refused or read, never more") {
+  check_hostile(encode_splats(ordinary_cloud(4, 0, 3).view(), SplatFormat::glb).value(), 8, 1000);
+}

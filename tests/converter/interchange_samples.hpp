@@ -1,0 +1,213 @@
+// interchange_samples.hpp - clouds that every format can hold, comparison by attribute, the peer's files, and hostile
+// variants of a file.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <optional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "edit_file.hpp"
+#include "golden_scenes.hpp"
+#include "rgs/file.hpp"
+#include "rgs/interchange.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::test {
+
+inline Bytes bytes_of(const std::string& text) {
+  const auto bytes = std::as_bytes(std::span(text));
+  return {bytes.begin(), bytes.end()};
+}
+inline std::string text_of(std::span<const std::byte> bytes) {
+  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+}
+inline void write_bytes(const std::string& path, std::span<const std::byte> bytes) {
+  std::ofstream(path, std::ios::binary) << text_of(bytes);
+}
+
+/// n Gaussians within the range of all formats: means within 8 units, log-scales -9..1, unit rotations, logits +-5,
+/// constant harmonics +-1.7, others +-0.95.
+inline SplatCloud ordinary_cloud(std::uint64_t n, int sh_degree, std::uint64_t seed) {
+  SplitMix random(seed);
+  SplatCloud cloud;
+  cloud.resize(n, sh_degree);
+  for (std::uint64_t i = 0; i < n; ++i) {
+    Splat s;
+    for (float& x : s.mean) x = random.dyadic(-8, 8);
+    for (float& x : s.log_scale) x = random.dyadic(-9, 1);
+    float squared = 0;
+    for (float& x : s.rotation) {
+      x = random.dyadic(-1, 1) + 0x1p-13F;
+      squared += x * x;
+    }
+    for (float& x : s.rotation) x /= std::sqrt(squared);
+    s.opacity_logit = random.dyadic(-5, 5);
+    for (int k = 0; k < 3 * sh_coefficients(sh_degree); ++k) s.sh[k] = random.dyadic(-1, 1) * (k < 3 ? 1.7F : 0.95F);
+    cloud.set(i, s);
+  }
+  return cloud;
+}
+
+/// Largest differences between two Gaussians.
+struct SplatError {
+  double mean[3] = {0, 0, 0}, log_scale[3] = {0, 0, 0};  ///< by axis
+  double opacity = 0;                                    ///< activated
+  double rotation = 0;                                   ///< largest of a component, the signs made alike
+  double sh[4] = {0, 0, 0, 0};                           ///< by degree
+
+  void widen(const SplatError& other) {
+    const auto larger = [](double& a, double b) { a = std::max(a, b); };
+    for (int k = 0; k < 3; ++k) larger(mean[k], other.mean[k]), larger(log_scale[k], other.log_scale[k]);
+    larger(opacity, other.opacity);
+    larger(rotation, other.rotation);
+    for (int d = 0; d < 4; ++d) larger(sh[d], other.sh[d]);
+  }
+  /// Largest ratio to a step; steps of 0 do not count.
+  double over(const SplatError& step) const {
+    double worst = 0;
+    const auto ratio = [&worst](double a, double b) { worst = b > 0 ? std::max(worst, a / b) : worst; };
+    for (int k = 0; k < 3; ++k) ratio(mean[k], step.mean[k]), ratio(log_scale[k], step.log_scale[k]);
+    ratio(opacity, step.opacity);
+    ratio(rotation, step.rotation);
+    for (int d = 0; d < 4; ++d) ratio(sh[d], step.sh[d]);
+    return worst;
+  }
+  double sum() const {
+    return mean[0] + mean[1] + mean[2] + log_scale[0] + log_scale[1] + log_scale[2] + opacity + rotation + sh[0] +
+           sh[1] + sh[2] + sh[3];
+  }
+};
+
+inline SplatError compare(const Splat& a, const Splat& b, int sh_degree) {
+  const auto apart = [](float x, float y) { return std::abs(static_cast<double>(x) - static_cast<double>(y)); };
+  SplatError e;
+  for (int k = 0; k < 3; ++k) {
+    e.mean[k] = apart(a.mean[k], b.mean[k]);
+    e.log_scale[k] = apart(a.log_scale[k], b.log_scale[k]);
+  }
+  e.opacity = apart(opacity_from_logit(a.opacity_logit), opacity_from_logit(b.opacity_logit));
+  double dot = 0, aa = 0, bb = 0;
+  for (int k = 0; k < 4; ++k) {
+    const double x = static_cast<double>(a.rotation[k]), y = static_cast<double>(b.rotation[k]);
+    dot += x * y, aa += x * x, bb += y * y;
+  }
+  for (int k = 0; k < 4; ++k) {
+    const double x = static_cast<double>(a.rotation[k]) / std::sqrt(aa),
+                 y = static_cast<double>(b.rotation[k]) / std::sqrt(bb);
+    e.rotation = std::max(e.rotation, std::abs(dot < 0 ? x + y : x - y));
+  }
+  for (int k = 0; k < 3 * sh_coefficients(sh_degree); ++k) {
+    double& worst = e.sh[sh_degree_of(k / 3)];
+    worst = std::max(worst, apart(a.sh[k], b.sh[k]));
+  }
+  return e;
+}
+
+/// Largest differences between Gaussians of the same index.
+inline SplatError compare(const SplatCloud& a, const SplatCloud& b) {
+  REQUIRE(a.size() == b.size());
+  REQUIRE(a.sh_degree == b.sh_degree);
+  SplatError e;
+  for (std::uint64_t i = 0; i < a.size(); ++i) e.widen(compare(a.view().splat(i), b.view().splat(i), a.sh_degree));
+  return e;
+}
+
+/// Finds Gaussians again in a scene whose order was changed.
+class Matcher {
+ public:
+  explicit Matcher(const SplatCloud& original) : original_(original) {
+    for (std::uint64_t i = 0; i < original.size(); ++i) by_x_.emplace_back(original.mean[3 * i], i);
+    std::ranges::sort(by_x_);
+    used_.resize(original.size());
+  }
+  /// The Gaussian whose largest difference from `s`, each over its step, is the least; among those whose means are
+  /// within two steps and 1e-6. Steps of 0 do not count.
+  std::uint64_t nearest(const Splat& s, const SplatError& step) {
+    std::optional<std::pair<double, std::uint64_t>> best;
+    const auto reach = static_cast<float>(2 * step.mean[0] + 1e-6);
+    for (auto it = std::ranges::lower_bound(by_x_, std::pair(s.mean[0] - reach, std::uint64_t{0}));
+         it != by_x_.end() && it->first <= s.mean[0] + reach; ++it) {
+      const SplatError e = compare(s, original_.view().splat(it->second), original_.sh_degree);
+      if (e.mean[1] > 2 * step.mean[1] + 1e-6 || e.mean[2] > 2 * step.mean[2] + 1e-6) continue;
+      const double apart = e.over(step);
+      if (!best || apart < best->first) best = {apart, it->second};
+    }
+    REQUIRE(best);
+    used_[best->second] = true;
+    return best->second;
+  }
+  /// How many different ones were found.
+  std::uint64_t n_found() const { return static_cast<std::uint64_t>(std::ranges::count(used_, true)); }
+
+ private:
+  const SplatCloud& original_;
+  std::vector<std::pair<float, std::uint64_t>> by_x_;
+  std::vector<bool> used_;
+};
+
+/// A file that the peer's tool wrote: in formats/ of $RGS_DATA_DIR, or of ../shared/data beside the source tree.
+inline std::string peer_file(const std::string& name) {
+  const char* folder = std::getenv("RGS_DATA_DIR");
+  const std::filesystem::path data = folder != nullptr
+                                         ? std::filesystem::path(folder)
+                                         : std::filesystem::path(RGS_SOURCE_DIR) / ".." / "shared" / "data";
+  return (data / "formats" / name).string();
+}
+inline bool has_peer_files() {
+  const bool found = std::filesystem::exists(peer_file("crop.ply"));
+  if (!found) MESSAGE("skipped: the peer's files are not here; set RGS_DATA_DIR to a folder with formats/crop.*");
+  return found;
+}
+
+inline constexpr ReadOptions kKeepAxes{{}, SplatFormat::unknown, true};
+
+inline Result<SplatFile> read_exact(std::span<const std::byte> bytes) {
+  // A heap block of the exact size, so that the address sanitizer sees a read past its end.
+  const auto block = std::make_unique<std::byte[]>(bytes.size());
+  std::ranges::copy(bytes, block.get());
+  return read_splats(std::span<const std::byte>(block.get(), bytes.size()));
+}
+
+/// An error of malformed input with a text and, if it has an offset, one inside the file.
+inline void check_refusal(const Result<SplatFile>& file, std::uint64_t size) {
+  REQUIRE_FALSE(file);
+  CHECK(exit_code(file.error().code) == 4);
+  CHECK(file.error().what[0] != '\0');
+  CHECK((file.error().offset == Error::kNone || file.error().offset <= size));
+}
+
+/// Every prefix is refused; files with flipped bytes are refused or read, and what is read keeps to what the file's
+/// size allows.
+inline void check_hostile(const Bytes& bytes, std::uint64_t seed, int flips = 400) {
+  for (std::size_t size = 0; size < bytes.size(); ++size) {
+    CAPTURE(size);
+    check_refusal(read_exact(std::span(bytes).first(size)), size);
+  }
+  SplitMix random(seed);
+  for (int i = 0; i < flips; ++i) {
+    Bytes damaged = bytes;
+    for (std::uint64_t n = random.below(3) + 1; n > 0; --n) {
+      damaged[random.below(damaged.size())] = static_cast<std::byte>(random.below(256));
+    }
+    CAPTURE(i);
+    const auto file = read_exact(damaged);
+    if (!file) {
+      check_refusal(file, damaged.size());
+    } else {
+      CHECK(file->cloud.view().consistent());
+      CHECK(file->cloud.size() <= 64 * damaged.size() + 65536);
+    }
+  }
+}
+
+}  // namespace rgs::test

@@ -1,0 +1,204 @@
+// ksplat_test.cpp - .ksplat: files made after the format's layout, all levels and degrees, buckets, hostile files.
+// SPDX-License-Identifier: Apache-2.0
+#include <cstring>
+
+#include "interchange_samples.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+constexpr double kBucketWidth = 5, kCodeRange = 32767;
+constexpr std::uint64_t kBucketSize = 4;
+
+template <class T>
+void add(Bytes& bytes, T value) {
+  const auto raw = std::as_bytes(std::span(&value, 1));
+  bytes.insert(bytes.end(), raw.begin(), raw.end());
+}
+
+void add_number(Bytes& bytes, float value, int level) {
+  level == 0 ? add(bytes, value) : add(bytes, half_from_float(value));
+}
+
+std::uint8_t byte_of(double value) {
+  return static_cast<std::uint8_t>(std::clamp(value * 255 + 0.5, 0.0, 255.0));
+}
+
+void add_record(Bytes& bytes, const Splat& s, int level, int degree, const float (&centre)[3]) {
+  for (int k = 0; k < 3; ++k) {
+    if (level == 0) {
+      add(bytes, s.mean[k]);
+    } else {
+      const double offset = static_cast<double>(s.mean[k] - centre[k]) * 2 * kCodeRange / kBucketWidth;
+      add(bytes, static_cast<std::uint16_t>(std::lround(offset) + 32767));
+    }
+  }
+  for (const float x : s.log_scale) add_number(bytes, std::exp(x), level);
+  for (const float x : s.rotation) add_number(bytes, x, level);
+  for (int k = 0; k < 3; ++k) add(bytes, byte_of(0.5 + 0.28209479 * static_cast<double>(s.sh[k])));
+  add(bytes, byte_of(static_cast<double>(opacity_from_logit(s.opacity_logit))));
+  for (int d = 1; d <= degree; ++d) {
+    for (int c = 0; c < 3; ++c) {
+      for (int k = d * d; k < (d + 1) * (d + 1); ++k) {
+        const float value = s.sh[3 * k + c];
+        level == 2 ? add(bytes, byte_of((static_cast<double>(value) + 1.5) / 3)) : add_number(bytes, value, level);
+      }
+    }
+  }
+}
+
+struct Layout {
+  int level = 0, degree = 0;
+  std::uint64_t n_full = 0;            ///< buckets of kBucketSize
+  std::vector<std::uint32_t> partial;  ///< lengths of the others
+  std::uint32_t room = 0;              ///< places after the Gaussians
+};
+
+// One section; Gaussians fill the buckets in order, each bucket's centre is that of its first Gaussian.
+void add_section(Bytes& headers, Bytes& data, const SplatCloud& cloud, const Layout& layout) {
+  const auto n = static_cast<std::uint32_t>(cloud.size());
+  const auto n_buckets = static_cast<std::uint32_t>(layout.n_full + layout.partial.size());
+  const std::size_t at = headers.size();
+  headers.resize(at + 1024);
+  put(headers, at, n);
+  put(headers, at + 4, n + layout.room);
+  if (layout.level > 0) {
+    put(headers, at + 8, static_cast<std::uint32_t>(kBucketSize));
+    put(headers, at + 12, n_buckets);
+    put(headers, at + 16, static_cast<float>(kBucketWidth));
+    put(headers, at + 20, std::uint16_t{12});
+    put(headers, at + 24, static_cast<std::uint32_t>(kCodeRange));
+    put(headers, at + 32, static_cast<std::uint32_t>(layout.n_full));
+    put(headers, at + 36, static_cast<std::uint32_t>(layout.partial.size()));
+  }
+  put(headers, at + 40, static_cast<std::uint16_t>(layout.degree));
+  std::vector<std::uint64_t> starts;
+  std::uint64_t next = 0;
+  if (layout.level > 0) {
+    for (std::uint64_t b = 0; b < layout.n_full; ++b) starts.push_back(next), next += kBucketSize;
+    for (const std::uint32_t length : layout.partial) {
+      add(data, length);
+      starts.push_back(next);
+      next += length;
+    }
+    REQUIRE(next >= n);
+    for (const std::uint64_t start : starts) {
+      for (int k = 0; k < 3; ++k) add(data, cloud.mean[3 * start + static_cast<std::uint64_t>(k)]);
+    }
+  }
+  Bytes records;
+  std::size_t bucket = 0;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    while (bucket + 1 < starts.size() && starts[bucket + 1] <= i) ++bucket;
+    float centre[3] = {0, 0, 0};
+    if (!starts.empty()) std::copy_n(&cloud.mean[3 * starts[bucket]], 3, centre);
+    add_record(records, cloud.view().splat(i), layout.level, layout.degree, centre);
+  }
+  records.resize(records.size() / n * (n + layout.room));
+  data.insert(data.end(), records.begin(), records.end());
+}
+
+Bytes ksplat(const std::vector<std::pair<SplatCloud, Layout>>& sections, std::uint32_t spare_headers = 0) {
+  Bytes file(4096), data;
+  const auto n_sections = static_cast<std::uint32_t>(sections.size());
+  file[1] = std::byte{1};
+  put(file, 4, n_sections + spare_headers);
+  put(file, 8, n_sections);
+  put(file, 20, static_cast<std::uint16_t>(sections[0].second.level));
+  put(file, 36, -1.5F);
+  put(file, 40, 1.5F);
+  for (const auto& [cloud, layout] : sections) add_section(file, data, cloud, layout);
+  file.resize(file.size() + 1024 * spare_headers);
+  file.insert(file.end(), data.begin(), data.end());
+  return file;
+}
+
+// Means within a bucket's reach of each other.
+SplatCloud near_cloud(std::uint64_t n, int degree, std::uint64_t seed) {
+  SplatCloud cloud = ordinary_cloud(n, degree, seed);
+  for (float& x : cloud.mean) x /= 8;
+  return cloud;
+}
+
+void check_within_steps(const SplatError& e, int level) {
+  for (int k = 0; k < 3; ++k) {
+    CHECK(e.mean[k] <= (level == 0 ? 0 : 0.501 * kBucketWidth / 2 / kCodeRange));
+    CHECK(e.log_scale[k] <= (level == 0 ? 1e-6 : 0x1p-11));
+  }
+  CHECK(e.rotation <= (level == 0 ? 1e-6 : 2 * 0x1p-12));
+  CHECK(e.opacity <= 0.501 / 255);
+  CHECK(e.sh[0] <= 0.501 / 255 / 0.28209479);
+  for (int d = 1; d <= 3; ++d) CHECK(e.sh[d] <= (level == 0 ? 0 : level == 1 ? 0x1p-12 : 0.501 * 3 / 255));
+}
+
+}  // namespace
+
+TEST_CASE(".ksplat of all levels and degrees") {
+  for (int level = 0; level <= 2; ++level) {
+    for (int degree = 0; degree <= 3; ++degree) {
+      CAPTURE(level);
+      CAPTURE(degree);
+      const SplatCloud cloud = near_cloud(17, degree, 5);
+      const auto file = read_splats(ksplat({{cloud, {level, degree, 3, {2, 3}, 0}}}));
+      REQUIRE(file);
+      CHECK(file->format == SplatFormat::ksplat);
+      check_within_steps(compare(file->cloud, cloud), level);
+    }
+  }
+}
+
+TEST_CASE(".ksplat with several sections, room to spare and unlike degrees") {
+  for (int level = 0; level <= 2; ++level) {
+    CAPTURE(level);
+    const SplatCloud a = near_cloud(5, 2, 6), b = near_cloud(8, 0, 7), c = near_cloud(3, 1, 8);
+    const auto file = read_splats(
+        ksplat({{a, {level, 2, 1, {1}, 3}}, {b, {level, 0, 2, {}, 0}}, {c, {level, 1, 0, {1, 1, 1}, 9}}}, 2));
+    REQUIRE(file);
+    REQUIRE(file->cloud.size() == 16);
+    CHECK(file->cloud.sh_degree == 2);
+    std::uint64_t at = 0;
+    for (const SplatCloud* part : {&a, &b, &c}) {
+      for (std::uint64_t i = 0; i < part->size(); ++i, ++at) {
+        check_within_steps(compare(file->cloud.view().splat(at), part->view().splat(i), part->sh_degree), level);
+      }
+    }
+    CHECK(file->cloud.sh[27 * 6 + 3] == 0);  // b has no harmonics of its own
+  }
+}
+
+TEST_CASE("damaged .ksplat files are refused or read, never more") {
+  const Bytes file = ksplat({{near_cloud(6, 1, 9), {1, 1, 1, {2}, 0}}});
+  for (std::size_t size = 0; size < file.size(); ++size) {
+    CAPTURE(size);
+    check_refusal(read_exact(std::span(file).first(size)), size);
+    check_refusal(read_splats(std::span(file).first(size), {{}, SplatFormat::ksplat, true}), size);
+  }
+  SplitMix random(10);
+  for (int i = 0; i < 600; ++i) {
+    Bytes damaged = file;
+    const std::uint64_t place = random.below(3);
+    damaged[place == 0   ? random.below(48)
+            : place == 1 ? 4096 + random.below(48)
+                         : random.below(file.size())] = static_cast<std::byte>(random.below(256));
+    const auto read = read_exact(damaged);
+    if (!read) check_refusal(read, damaged.size());
+    if (read) CHECK(read->cloud.size() <= damaged.size() / 24);
+  }
+}
+
+TEST_CASE(".ksplat headers that promise too much are no scene") {
+  const Bytes file = ksplat({{near_cloud(6, 1, 9), {1, 1, 1, {2}, 0}}});
+  for (const std::size_t at : {4U, 8U, 4096U, 4100U, 4108U, 4128U, 4132U}) {
+    for (const std::uint32_t value : {7U, 1000000U, 0xFFFFFFFFU}) {
+      CAPTURE(at);
+      CAPTURE(value);
+      Bytes damaged = file;
+      put(damaged, at, value);
+      const auto read = read_splats(damaged);
+      check_refusal(read, damaged.size());
+      check_refusal(read_splats(damaged, {{}, SplatFormat::ksplat, true}), damaged.size());
+    }
+  }
+}

@@ -1,0 +1,263 @@
+// splat_edit_test.cpp - moving, turning, mirroring, merging, filtering and stripping: judged by the colours, shapes and
+// places that come out.
+// SPDX-License-Identifier: Apache-2.0
+#include <limits>
+
+#include "interchange_samples.hpp"
+#include "rgs/math/sh.hpp"
+#include "rgs/splat_edit.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+using Matrix = std::array<double, 9>;
+
+Matrix product(const Matrix& a, const Matrix& b) {
+  Matrix c{};
+  for (std::size_t i = 0; i < 9; ++i) {
+    for (std::size_t k = 0; k < 3; ++k) c[i] += a[i / 3 * 3 + k] * b[3 * k + i % 3];
+  }
+  return c;
+}
+Matrix transposed(const Matrix& m) {
+  return {m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]};
+}
+
+Matrix covariance(const Splat& s) {
+  const Matrix r = rotation_from_quaternion({static_cast<double>(s.rotation[0]), static_cast<double>(s.rotation[1]),
+                                             static_cast<double>(s.rotation[2]), static_cast<double>(s.rotation[3])});
+  Matrix scale{};
+  for (std::size_t k = 0; k < 3; ++k) scale[4 * k] = std::exp(2 * static_cast<double>(s.log_scale[k]));
+  return product(product(r, scale), transposed(r));
+}
+
+double colour(const Splat& s, int degree, const math::Vec3<double>& d, int channel) {
+  const auto basis = math::sh_basis(degree, d);
+  double sum = 0;
+  for (int k = 0; k < sh_coefficients(degree); ++k) sum += basis.y[k] * static_cast<double>(s.sh[3 * k + channel]);
+  return sum;
+}
+
+// `after` is `before` under x -> scale * m x + shift: places, shapes, and colours seen from turned directions.
+void check_moved(const SplatCloud& before, const SplatCloud& after, const Matrix& m, double scale,
+                 const std::array<double, 3>& shift) {
+  REQUIRE(before.size() == after.size());
+  SplitMix random(77);
+  for (std::uint64_t i = 0; i < before.size(); ++i) {
+    const Splat a = before.view().splat(i), b = after.view().splat(i);
+    for (std::size_t k = 0; k < 3; ++k) {
+      double expected = 0;
+      for (std::size_t j = 0; j < 3; ++j) expected += m[3 * k + j] * static_cast<double>(a.mean[j]);
+      CHECK(static_cast<double>(b.mean[k]) == doctest::Approx(expected * scale + shift[k]).epsilon(1e-5));
+    }
+    const Matrix expected = product(product(m, covariance(a)), transposed(m)), found = covariance(b);
+    double largest = 0;
+    for (const double entry : expected) largest = std::max(largest, std::abs(entry));
+    for (std::size_t k = 0; k < 9; ++k) {
+      CHECK(std::abs(found[k] - scale * scale * expected[k]) <= 4e-6 * scale * scale * largest);
+    }
+    math::Vec3<double> d{static_cast<double>(random.dyadic(-1, 1)), static_cast<double>(random.dyadic(-1, 1)), 0.25};
+    const double length = std::sqrt(math::dot(d, d));
+    d = {d.x / length, d.y / length, d.z / length};
+    const math::Vec3<double> turned{m[0] * d.x + m[1] * d.y + m[2] * d.z, m[3] * d.x + m[4] * d.y + m[5] * d.z,
+                                    m[6] * d.x + m[7] * d.y + m[8] * d.z};
+    for (int c = 0; c < 3; ++c) {
+      CHECK(std::abs(colour(b, after.sh_degree, turned, c) - colour(a, before.sh_degree, d, c)) <= 3e-6);
+    }
+    CHECK(a.opacity_logit == b.opacity_logit);
+  }
+}
+
+}  // namespace
+
+TEST_CASE("a similarity moves places, shapes and view-dependent colours together") {
+  SplitMix random(3);
+  for (int degree = 0; degree <= 3; ++degree) {
+    for (int round = 0; round < 8; ++round) {
+      Similarity s;
+      s.rotation = round % 2 == 0 ? rotation_from_euler({static_cast<double>(random.dyadic(-180, 180)),
+                                                         static_cast<double>(random.dyadic(-180, 180)),
+                                                         static_cast<double>(random.dyadic(-180, 180))})
+                                  : rotation_from_quaternion({static_cast<double>(random.dyadic(-1, 1)), 0.25,
+                                                              static_cast<double>(random.dyadic(-1, 1)),
+                                                              static_cast<double>(random.dyadic(-1, 1))});
+      s.scale = 0.25 + static_cast<double>(random.dyadic(0, 4));
+      s.translation = {1, -2, static_cast<double>(random.dyadic(-9, 9))};
+      const SplatCloud before = ordinary_cloud(20, degree, random.bits());
+      SplatCloud after = before;
+      transform(after, s);
+      check_moved(before, after, s.rotation, s.scale, s.translation);
+    }
+  }
+}
+
+TEST_CASE("Euler angles turn about x, then y, then z; composition is application in turn") {
+  const auto apply = [](const Matrix& m, std::array<double, 3> v) {
+    return std::array<double, 3>{m[0] * v[0] + m[1] * v[1] + m[2] * v[2], m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
+                                 m[6] * v[0] + m[7] * v[1] + m[8] * v[2]};
+  };
+  const auto turned = apply(rotation_from_euler({90, 90, 0}), {0, 1, 0});  // y -> z by x, z -> x by y
+  CHECK(turned[0] == doctest::Approx(1));
+  CHECK(std::abs(turned[1]) < 1e-12);
+  CHECK(std::abs(turned[2]) < 1e-12);
+  const Similarity a{rotation_from_euler({10, 20, 30}), 2, {1, 2, 3}},
+      b{rotation_from_euler({-40, 50, 60}), 3, {4, 5, 6}};
+  SplatCloud one = ordinary_cloud(10, 2, 4), two = one;
+  transform(one, a);
+  transform(one, b);
+  transform(two, compose(b, a));
+  const SplatError e = compare(one, two);
+  for (const double error : e.mean) CHECK(error <= 1e-4);
+  CHECK(e.rotation <= 1e-6);
+  for (const double error : e.sh) CHECK(error <= 2e-6);
+}
+
+TEST_CASE("a whole turn in twelve steps gives the scene back") {
+  const SplatCloud before = ordinary_cloud(30, 3, 5);
+  SplatCloud after = before;
+  for (int i = 0; i < 12; ++i) transform(after, {rotation_from_euler({0, 30, 0}), 1, {0, 0, 0}});
+  const SplatError e = compare(before, after);
+  for (const double error : e.mean) CHECK(error <= 1e-5);
+  for (const double error : e.sh) CHECK(error <= 3e-6);
+  CHECK(e.rotation <= 2e-6);
+}
+
+TEST_CASE("axes: every pair of frames, mirrored ones too, and exactly back") {
+  const std::vector<Axes> frames{kAxes3dgs,
+                                 kAxesOpenGl,
+                                 kAxesGltf,
+                                 {Axis::right, Axis::forward, Axis::up},    // z up
+                                 {Axis::right, Axis::up, Axis::forward},    // left-handed
+                                 {Axis::forward, Axis::left, Axis::down}};  // left-handed
+  const auto direction = [](Axis axis) {
+    std::array<double, 3> d{0, 0, 0};
+    const auto index = static_cast<std::size_t>(axis) - 1;
+    const double sign = axis == Axis::right || axis == Axis::up || axis == Axis::forward ? 1 : -1;
+    d[index / 2] = sign;
+    return d;
+  };
+  for (const Axes& from : frames) {
+    for (const Axes& to : frames) {
+      Matrix m{};
+      for (std::size_t i = 0; i < 3; ++i) {
+        for (std::size_t j = 0; j < 3; ++j) {
+          for (std::size_t k = 0; k < 3; ++k) m[3 * i + j] += direction(to[i])[k] * direction(from[j])[k];
+        }
+      }
+      const SplatCloud before = ordinary_cloud(10, 3, 6);
+      SplatCloud after = before;
+      convert_axes(after, from, to);
+      check_moved(before, after, m, 1, {0, 0, 0});
+      convert_axes(after, to, from);
+      CHECK(after.mean == before.mean);
+      CHECK(after.log_scale == before.log_scale);
+      CHECK(after.rotation == before.rotation);
+      const SplatError e = compare(after, before);
+      for (const double error : e.sh) CHECK(error <= 1e-6);
+    }
+  }
+  // Signs only: harmonics are exact too.
+  const SplatCloud before = ordinary_cloud(10, 3, 6);
+  SplatCloud after = before;
+  convert_axes(after, kAxes3dgs, kAxesOpenGl);
+  convert_axes(after, kAxesOpenGl, kAxes3dgs);
+  CHECK(after.sh == before.sh);
+  convert_axes(after, kAxes3dgs, {Axis::undeclared, Axis::undeclared, Axis::undeclared});
+  CHECK(after.mean == before.mean);
+}
+
+TEST_CASE("merging keeps everything in order and fills missing harmonics with zero") {
+  const SplatCloud a = ordinary_cloud(5, 1, 7), b = ordinary_cloud(4, 3, 8);
+  for (const bool swapped : {false, true}) {
+    const SplatCloud &first = swapped ? b : a, &second = swapped ? a : b;
+    SplatCloud both = first;
+    append(both, second);
+    REQUIRE(both.view().consistent());
+    REQUIRE(both.size() == 9);
+    CHECK(both.sh_degree == 3);
+    for (std::uint64_t i = 0; i < 9; ++i) {
+      const Splat expected = i < first.size() ? first.view().splat(i) : second.view().splat(i - first.size());
+      CHECK(std::memcmp(&expected, std::array{both.view().splat(i)}.data(), sizeof(Splat)) == 0);
+    }
+  }
+}
+
+TEST_CASE("stripping harmonics keeps the lower ones") {
+  const SplatCloud before = ordinary_cloud(7, 3, 9);
+  for (int degree = 0; degree <= 3; ++degree) {
+    SplatCloud after = before;
+    strip_sh(after, degree);
+    REQUIRE(after.view().consistent());
+    CHECK(after.sh_degree == degree);
+    for (std::uint64_t i = 0; i < 7; ++i) {
+      const Splat a = before.view().splat(i), b = after.view().splat(i);
+      for (int k = 0; k < 48; ++k) CHECK(b.sh[k] == (k < 3 * sh_coefficients(degree) ? a.sh[k] : 0));
+    }
+  }
+}
+
+TEST_CASE("filters keep what they say, in order") {
+  const SplatCloud before = ordinary_cloud(500, 1, 10);
+  SplatFilter crop;
+  crop.crop = Box{{-4, -8, 0}, {4, 8, 8}};
+  SplatCloud cropped = before;
+  filter(cropped, crop);
+  std::vector<float> expected;
+  for (std::uint64_t i = 0; i < before.size(); ++i) {
+    const float* m = &before.mean[3 * i];
+    if (m[0] >= -4 && m[0] <= 4 && m[2] >= 0) expected.insert(expected.end(), m, m + 3);
+  }
+  CHECK(cropped.mean == expected);
+  CHECK(cropped.view().consistent());
+  CHECK((cropped.size() > 50 && cropped.size() < 250));
+
+  SplatCloud opaque = before;
+  opaque.opacity_logit[3] = std::numeric_limits<float>::quiet_NaN();
+  filter(opaque, {.crop = {}, .min_opacity = 0.5F});
+  for (const float logit : opaque.opacity_logit) CHECK(logit >= 0);
+  CHECK(opaque.size() ==
+        static_cast<std::uint64_t>(std::ranges::count_if(before.opacity_logit, [](float x) { return x >= 0; })) -
+            (before.opacity_logit[3] >= 0 ? 1 : 0));
+
+  const auto weight = [](const Splat& s) {
+    float scales[3] = {s.log_scale[0], s.log_scale[1], s.log_scale[2]};
+    std::sort(scales, scales + 3);
+    return std::log(opacity_from_logit(s.opacity_logit)) + scales[1] + scales[2];
+  };
+  SplatCloud few = before;
+  filter(few, {.crop = {}, .min_opacity = 0, .max_n = 100});
+  REQUIRE(few.size() == 100);
+  float least = std::numeric_limits<float>::infinity();
+  for (std::uint64_t i = 0; i < 100; ++i) least = std::min(least, weight(few.view().splat(i)));
+  int heavier = 0;
+  for (std::uint64_t i = 0; i < before.size(); ++i) heavier += weight(before.view().splat(i)) > least + 1e-5F ? 1 : 0;
+  CHECK(heavier <= 99);
+  SplatCloud none = before;
+  filter(none, {.crop = {}, .min_opacity = 0, .max_n = 0});
+  CHECK(none.size() == 0);
+}
+
+TEST_CASE("cleaning applies the damage policies of encode()") {
+  SplatCloud cloud = ordinary_cloud(300, 1, 11);
+  cloud.mean[3 * 10] = std::numeric_limits<float>::quiet_NaN();
+  cloud.opacity_logit[20] = std::numeric_limits<float>::infinity();
+  EncodeOptions options;
+  SplatCloud dropped = cloud;
+  const auto scan = clean(dropped, options);
+  REQUIRE(scan);
+  CHECK(dropped.size() == 298);
+  CHECK(scan->defects(Defect::mean) == 1);
+  CHECK(dropped.mean[3 * 10] == cloud.mean[3 * 11]);
+  options.on_bad = BadPolicy::repair;
+  SplatCloud repaired = cloud;
+  REQUIRE(clean(repaired, options));
+  CHECK(repaired.size() == 299);
+  CHECK(repaired.opacity_logit[19] == 20);
+  options.on_bad = BadPolicy::refuse;
+  CHECK(clean(cloud, options).error().offset == 10);
+  options.on_bad = BadPolicy::drop;
+  options.max_bad_fraction = 0.001;
+  CHECK(clean(cloud, options).error().code == Errc::too_many_bad);
+}
