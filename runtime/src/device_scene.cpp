@@ -18,12 +18,16 @@ Status check_size(std::uint64_t n) {
   return fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1, n);
 }
 
+// Copies from pageable memory may still be on their way when they return, and streams of the caller do not wait for them.
+Status wait_for_copies() {
+  return device_status(cudaStreamSynchronize(nullptr), "a scene could not be copied to the device");
+}
+
 // One allocation for several arrays, each at a multiple of 256 bytes.
 class Uploader {
  public:
   void add(std::span<const std::byte> bytes) { total_ += aligned(bytes.size()); }
   Status allocate(detail::DeviceBuffer& buffer) {
-    base_ = nullptr;
     if (const auto ok = buffer.reserve(total_); !ok) return ok;
     base_ = buffer.as<std::byte>();
     return {};
@@ -59,6 +63,7 @@ Result<DeviceScene> DeviceScene::upload(const SceneView& scene) {
   if (!ok) return tl::unexpected(ok.error());
   const float* placed[5];
   for (int k = 0; k < 5; ++k) placed[k] = reinterpret_cast<const float*>(uploader.copy(std::as_bytes(arrays[k]), ok));
+  if (ok) ok = wait_for_copies();
   if (!ok) return tl::unexpected(ok.error());
   storage->attributes = cuda::Fp32Attributes{placed[0], placed[1], placed[2], placed[3], placed[4], scene.sh_degree};
   DeviceScene result;
@@ -83,6 +88,7 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file) {
   if (!ok) return tl::unexpected(ok.error());
   const std::byte* placed[5];
   for (int k = 0; k < 5; ++k) placed[k] = uploader.copy(sections[k], ok);
+  if (ok) ok = wait_for_copies();
   if (!ok) return tl::unexpected(ok.error());
   storage->attributes = cuda::CompactAttributes{
       reinterpret_cast<const float*>(placed[0]),         reinterpret_cast<const std::uint16_t*>(placed[1]),
