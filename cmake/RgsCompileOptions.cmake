@@ -39,5 +39,5 @@ if(PROJECT_IS_TOP_LEVEL)
   set(CMAKE_INSTALL_RPATH_USE_LINK_PATH ON)
   set(CMAKE_BUILD_WITH_INSTALL_RPATH ON)
   # As DT_RPATH, which libraries of libraries are looked for by as well; DT_RUNPATH is for the program's own alone.
-  add_link_options($<$<NOT:$<BOOL:${RGS_SANITIZE}>>:-Wl,--disable-new-dtags>)
+  add_link_options(-Wl,--disable-new-dtags)
 endif()
