@@ -99,6 +99,7 @@ class Input {
   }
   const std::string& path() const { return path_; }
   std::span<const std::byte> bytes() const { return bytes_; }
+  const rgs::MappedFile& file() const { return file_; }
   std::string name() const {
     std::string name = path_ == "-" ? "stdin" : std::filesystem::path(path_).filename().string();
     name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
@@ -118,6 +119,13 @@ class Input {
   rgs::detail::SpoolFile spool_;
   std::span<const std::byte> bytes_;
 };
+
+// The file that an error of the whole conversion is about.
+const std::string& file_of(const rgs::Error& error, const Arguments& arguments, const std::deque<Input>& inputs) {
+  if (concerns_output(error.code)) return arguments.output();
+  const auto changed = std::ranges::find_if(inputs, [](const Input& input) { return !input.file().check_size(); });
+  return (changed != inputs.end() ? *changed : inputs.front()).path();
+}
 
 // The error of one file, or of none ("").
 struct Failure {
@@ -199,7 +207,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
   const SplatFormat from = format_of_input(arguments, first);
   const auto outcome = [&](rgs::Result<rgs::ConvertSummary> summary) -> Outcome<rgs::ConvertSummary> {
     if (summary) return std::move(*summary);
-    return failed(concerns_output(summary.error().code) ? arguments.output() : first.path(), summary.error());
+    return failed(file_of(summary.error(), arguments, inputs), summary.error());
   };
   if (from == SplatFormat::ply && to == SplatFormat::rgs && !edits(arguments)) {
     const auto ply = rgs::PlyFile::open(first.bytes());
@@ -321,6 +329,7 @@ int convert_main(Arguments& arguments) {
     }
     if (const rgs::Status s = inputs.emplace_back().open(path); !s) return tool::report(path, s.error());
     source_bytes += inputs.back().bytes().size();
+    arguments.convert.output.inputs.push_back(&inputs.back().file());
   }
   const SplatFormat to = arguments.to != SplatFormat::unknown ? arguments.to : rgs::format_of_name(output);
   if (to == SplatFormat::unknown)
