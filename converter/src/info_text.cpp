@@ -5,20 +5,19 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <iterator>
 #include <string_view>
-#include <utility>
 
 #include "console.hpp"
 #include "info_escape.hpp"
 #include "rgs/quantize.hpp"
+#include "text_lines.hpp"
 
 namespace rgs::tool {
 namespace {
 
 constexpr const char* kChannels[3] = {"red", "green", "blue"};
 
-class TextReport {
+class TextReport : private TextLines {
  public:
   TextReport(const InfoReport& report, bool ascii)
       : report_(report), view_(*report.view), header_(view_.header()), ascii_(ascii) {}
@@ -31,7 +30,7 @@ class TextReport {
     if (report_.steps) steps();
     if (report_.chunks) chunks();
     values();
-    return std::move(out_);
+    return take();
   }
 
   std::string chunk() {
@@ -50,16 +49,10 @@ class TextReport {
     bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
     step_table(fmt::format("SH steps, set {}", format_count(c.entry.scale_set)), c.steps);
     values();
-    return std::move(out_);
+    return take();
   }
 
  private:
-  template <class... Args>
-  void line(fmt::format_string<Args...> format, Args&&... args) {
-    fmt::format_to(std::back_inserter(out_), format, std::forward<Args>(args)...);
-    out_.erase(out_.find_last_not_of(' ') + 1);
-    out_ += '\n';
-  }
   void row(std::string_view key, std::string_view value) { line("  {:<17}{}", key, value); }
 
   void title(const std::string& what) {
@@ -263,7 +256,6 @@ class TextReport {
   const FileView& view_;
   const Header& header_;
   bool ascii_;
-  std::string out_;
 };
 
 }  // namespace
