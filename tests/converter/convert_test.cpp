@@ -54,10 +54,6 @@ ProgramResult rgs_convert(std::vector<std::string> arguments) {
   return run_program(arguments);
 }
 
-ProgramResult shell(const std::string& line) {
-  return run_program({"/bin/sh", "-c", line});
-}
-
 void check_same_sections(std::span<const std::byte> a, std::span<const std::byte> b,
                          const std::vector<SectionType>& types) {
   const auto x = open(a), y = open(b);
@@ -231,20 +227,20 @@ TEST_CASE("pipes: standard input and output in both directions") {
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(20000, 3, 4)),
                     rgs = folder.file("piped.rgs"), back = folder.file("back.ply"), named = folder.file("named.ply");
   const std::string program = "'" RGS_CONVERT "' ";
-  REQUIRE(shell("cat " + ply + " | " + program + "--quiet --to rgs - - | cat > " + rgs).exit_code == 0);
+  REQUIRE(run_shell("cat " + ply + " | " + program + "--quiet --to rgs - - | cat > " + rgs).exit_code == 0);
   CHECK(read_bytes(rgs) == expected_rgs(ply, packed, "stdin"));
-  const ProgramResult run = shell("cat " + rgs + " | " + program + "--to ply - - > " + back);
+  const ProgramResult run = run_shell("cat " + rgs + " | " + program + "--to ply - - > " + back);
   REQUIRE(run.exit_code == 0);
   CHECK(holds(run.err, "20,000 written"));  // the summary makes way for the data
   REQUIRE(rgs_convert({rgs, named}).exit_code == 0);
   CHECK(read_bytes(back) == read_bytes(named));
-  CHECK(shell(program + "- " + folder.file("empty.rgs") + " < /dev/null").exit_code == 4);
+  CHECK(run_shell(program + "- " + folder.file("empty.rgs") + " < /dev/null").exit_code == 4);
 }
 
 TEST_CASE("a reader that closes the pipe early leaves no temporary file behind") {
   const TemporaryFolder folder, scratch;
   const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(20000, 3, 4));
-  shell("TMPDIR=" + scratch.path().string() + " '" RGS_CONVERT "' --quiet --to rgs " + ply + " - | head -c 10");
+  run_shell("TMPDIR=" + scratch.path().string() + " '" RGS_CONVERT "' --quiet --to rgs " + ply + " - | head -c 10");
   CHECK(entries(scratch.path()) == 0);
 }
 
