@@ -406,6 +406,7 @@ const char* describe(SectionType type) {
     case SectionType::means: return "means";
     case SectionType::geometry: return "rotation, scale, opacity";
     case SectionType::sh: return "SH codes";
+    case SectionType::archive: return "archive: steps, tables";
     case SectionType::permutation: return "source positions";
     case SectionType::provenance: return "provenance";
   }
@@ -422,6 +423,7 @@ std::string codec_name(std::uint32_t codec) {
   switch (static_cast<Codec>(codec)) {
     case Codec::none: return "none";
     case Codec::planes: return "planes";
+    case Codec::archive: return "archive";
   }
   return "codec " + std::to_string(codec);
 }
