@@ -43,7 +43,7 @@ namespace {
 
 using namespace detail;
 
-constexpr float kClassOctaves = 1;
+constexpr float kClassOctaves = 2;  // finer classes cost more than their finer steps gain: docs/PROFILES.md
 constexpr float kDeadZone = 0.1f;  // how much later than at half a step SH rounds away from zero: costs less than it saves
 constexpr float kLargestSh = 0x1p30f;
 
