@@ -58,11 +58,24 @@ struct Arguments {
 };
 
 // What shapes an .rgs file alone. With another output they are refused: leaving them without effect would mislead.
-constexpr const char* kRgsOptions[] = {
-    "--profile", "--level", "--keep-permutation", "--chunk-size",      "--file-scales", "--cameras",
-    "--near",    "--far",   "--depth-map",        "--metres-per-unit", "--audit",
-    "--archive-mean-cells",     "--archive-sh-step",    "--archive-dc-step",        "--archive-rotation-step",
-    "--archive-scale-step",     "--archive-opacity-levels", "--archive-slope"};
+constexpr const char* kRgsOptions[] = {"--profile",
+                                       "--level",
+                                       "--keep-permutation",
+                                       "--chunk-size",
+                                       "--file-scales",
+                                       "--cameras",
+                                       "--near",
+                                       "--far",
+                                       "--depth-map",
+                                       "--metres-per-unit",
+                                       "--audit",
+                                       "--archive-mean-cells",
+                                       "--archive-sh-step",
+                                       "--archive-dc-step",
+                                       "--archive-rotation-step",
+                                       "--archive-scale-step",
+                                       "--archive-opacity-levels",
+                                       "--archive-slope"};
 
 rgs::StageObserver observe(tool::Progress& progress) {
   rgs::StageObserver observer;
@@ -387,25 +400,24 @@ int convert_main(Arguments& arguments) {
 
 void choose_profile(const std::string& name, Arguments& a) {
   rgs::EncodeOptions& e = a.convert.encode;
-  e.profile = name == "direct"   ? rgs::Profile::direct
-              : name == "packed" ? rgs::Profile::packed
-                                 : rgs::Profile::archive;
+  e.profile = name == "direct" ? rgs::Profile::direct : name == "packed" ? rgs::Profile::packed : rgs::Profile::archive;
   a.archive = name == "archive:small" ? rgs::archive_small() : rgs::archive_high();
 }
 
 // Steps of one's own, on top of a preset: kept apart from it until all options are read.
 void add_archive_options(CLI::App& app, Arguments& a) {
   auto& c = a.archive_changes;
-  app.add_option("--archive-mean-cells", c.mean_cells,
-                 "archive: 2^N cells between the middle and the side of the scene's robust box, 4 to 20 [14; small 13]");
-  app.add_option("--archive-sh-step", c.sh_step, "archive: step of SH above degree 0 [0.09; small 0.22]");
-  app.add_option("--archive-dc-step", c.dc_step, "archive: step of SH degree 0 [0.1; small 0.2]");
+  app.add_option(
+      "--archive-mean-cells", c.mean_cells,
+      "archive: 2^N cells between the middle and the side of the scene's robust box, 4 to 20 [15; small 13]");
+  app.add_option("--archive-sh-step", c.sh_step, "archive: step of SH above degree 0 [0.11; small 0.24]");
+  app.add_option("--archive-dc-step", c.dc_step, "archive: step of SH degree 0 [0.14; small 0.3]");
   app.add_option("--archive-rotation-step", c.rotation_step,
-                 "archive: step of quaternion components [0.0156; small 0.0312]");
-  app.add_option("--archive-scale-step", c.scale_step, "archive: step of ln(scale) [0.12; small 0.2]");
-  app.add_option("--archive-opacity-levels", c.opacity_levels, "archive: steps of opacity from 0 to 1 [64; small 48]");
+                 "archive: step of quaternion components [0.0156; small 0.0357]");
+  app.add_option("--archive-scale-step", c.scale_step, "archive: step of ln(scale) [0.15; small 0.35]");
+  app.add_option("--archive-opacity-levels", c.opacity_levels, "archive: steps of opacity from 0 to 1 [96; small 32]");
   app.add_option("--archive-slope", c.slope,
-                 "archive: steps fall with importance to the power of half of this, 0 to 1 [0.7]");
+                 "archive: steps fall with importance to the power of half of this, 0 to 1 [0.6]");
 }
 
 void add_options(CLI::App& app, Arguments& a) {

@@ -336,8 +336,9 @@ class ChunkStream {
   Status status_;
 };
 
-Result<Finished> write_archive(const SplatSource& source, const EncodePlan& plan, std::span<const std::uint32_t> indices,
-                               bool repairing, AtomicFile& file, EncodeCounts& counts) {
+Result<Finished> write_archive(const SplatSource& source, const EncodePlan& plan,
+                               std::span<const std::uint32_t> indices, bool repairing, AtomicFile& file,
+                               EncodeCounts& counts) {
   SplatCloud cloud;
   cloud.resize(indices.size(), plan.header.sh_degree);
   tbb::parallel_for(tbb::blocked_range<std::size_t>(0, indices.size(), 1024), [&](const auto& range) {

@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <numbers>
 
 #include "rgs/checksum.hpp"
+#include "rgs/encode.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/quantize.hpp"
 
@@ -396,6 +398,26 @@ Name name_of(Order order) {
     case Order::morton: return {"morton", "Morton order"};
   }
   return {"input", "order of the source"};
+}
+
+std::string archive_name(const ArchiveParameters& p) {
+  ArchiveOptions found;
+  found.mean_cells = static_cast<int>(p.mean_cells);
+  found.sh_step = p.sh_step;
+  found.dc_step = p.dc_step;
+  found.rotation_step = p.rotation_step;
+  found.scale_step = p.scale_step;
+  found.opacity_levels = static_cast<int>(p.opacity_levels);
+  found.slope = p.slope;
+  return found == archive_high() ? "archive:high" : found == archive_small() ? "archive:small" : "archive";
+}
+
+double scale_step(const ArchiveClass& c) {
+  return c.scale_step / 65536.0 * std::numbers::ln2;
+}
+
+double dc_step(const ArchiveClass& c) {
+  return c.dc_step / 65536.0;
 }
 
 const char* describe(SectionType type) {

@@ -47,7 +47,8 @@ void CodeSizes::note(const std::int16_t* codes) {
     const int magnitude = std::min(codes[i] < 0 ? -codes[i] : codes[i], 255);
     const int h = (13 * history[i] + 128 * magnitude) >> 4;  // at most 10880
     history[i] = static_cast<std::uint16_t>(h);
-    sizes[i] = static_cast<std::uint8_t>((h >= 3) + (h >= 7) + (h >= 12) + (h >= 22) + (h >= 37) + (h >= 60) + (h >= 98));
+    sizes[i] =
+        static_cast<std::uint8_t>((h >= 3) + (h >= 7) + (h >= 12) + (h >= 22) + (h >= 37) + (h >= 60) + (h >= 98));
   }
 }
 
@@ -131,8 +132,7 @@ void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, cons
     for (std::size_t i = 0; i < count; ++i) {
       std::int64_t sum = 0;
       for (std::size_t m = 0; m < 3; ++m) sum += std::int64_t{t.dc_matrix[3 * j + m]} * dc[m * f.n + first + i];
-      block.value[j][i] =
-          static_cast<float>(static_cast<double>(sum) * 0x1p-30 + static_cast<double>(t.dc_centre[j]));
+      block.value[j][i] = static_cast<float>(static_cast<double>(sum) * 0x1p-30 + static_cast<double>(t.dc_centre[j]));
     }
   }
   const std::size_t n_pairs = (t.n_sh + 1) / 2;
@@ -174,7 +174,8 @@ Status ArchiveDecoder::geometry_codes(std::span<const std::byte> stored, std::ui
   RansReader reader(tables_.rans, tables_.map);
   if (!reader.begin(stored)) return fail(Errc::corrupt_data, offset, "a frame of geometry has no whole stream");
   walk_geometry(codes_, tables_, reader);
-  if (!reader.ok() || !reader.finished()) return fail(Errc::corrupt_data, offset, "a frame of geometry does not decode");
+  if (!reader.ok() || !reader.finished())
+    return fail(Errc::corrupt_data, offset, "a frame of geometry does not decode");
   return {};
 }
 

@@ -31,11 +31,11 @@ ArchiveOptions archive_high() {
 ArchiveOptions archive_small() {
   ArchiveOptions o;
   o.mean_cells = 13;
-  o.sh_step = 0.22f;
-  o.dc_step = 0.20f;
-  o.rotation_step = 1.f / 32;
-  o.scale_step = 0.20f;
-  o.opacity_levels = 48;
+  o.sh_step = 0.24f;
+  o.dc_step = 0.30f;
+  o.rotation_step = 1.f / 28;
+  o.scale_step = 0.35f;
+  o.opacity_levels = 32;
   return o;
 }
 
@@ -44,7 +44,6 @@ namespace {
 using namespace detail;
 
 constexpr float kClassOctaves = 2;  // finer classes cost more than their finer steps gain: docs/PROFILES.md
-constexpr float kDeadZone = 0.1f;  // how much later than at half a step SH rounds away from zero: costs less than it saves
 constexpr float kLargestSh = 0x1p30f;
 
 struct Frame {
@@ -216,8 +215,7 @@ class Encoder {
       }
       const double level = std::nearbyint(y * (65536 >> kMatrixBits) / c.dc_step);
       if (!(std::abs(level) * c.dc_step < 0x1p30)) return false;
-      const std::int64_t expected =
-          expected_dc(&tables_.dc_weights[2 * m], before[m][0], before[m][1], c.dc_step);
+      const std::int64_t expected = expected_dc(&tables_.dc_weights[2 * m], before[m][0], before[m][1], c.dc_step);
       if (!code_of(level - static_cast<double>(expected), codes.dc[m * codes.n + i])) return false;
       before[m][1] = before[m][0];
       before[m][0] = static_cast<std::int64_t>(level) * c.dc_step;
@@ -237,7 +235,8 @@ class Encoder {
     const float per_step = 0x1p-14f / c.sh_step;
     double size = 0;
     for (std::size_t k = 0; k < n; ++k) {
-      const float level = std::floor(std::abs(y[k]) * per_step + (0.5f - kDeadZone));
+      // No dead zone: what it saves costs more than a larger step would (docs/PROFILES.md).
+      const float level = std::floor(std::abs(y[k]) * per_step + 0.5f);
       if (!(level <= 32767)) return false;
       codes.sh[k * codes.n + i] = static_cast<std::int16_t>(y[k] < 0 ? -level : level);
       size += static_cast<double>(level) * static_cast<double>(level);
@@ -330,9 +329,8 @@ class Encoder {
           stored[i].mean[k] = grid_mean(tables_.parameters, k, points[at + i][k]);
         }
         geometry_row(tables_.parameters, f.codes, at + i, plan_.header.scale_exponent, stored[i].geometry);
-        errors.add(f.codes.classes[at + i],
-                   splat_errors(tables_.parameters, plan_.header.scale_exponent, degree_,
-                                splats_.splat(order_[f.first + at + i]), stored[i]));
+        errors.add(f.codes.classes[at + i], splat_errors(tables_.parameters, plan_.header.scale_exponent, degree_,
+                                                         splats_.splat(order_[f.first + at + i]), stored[i]));
       }
       describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), counts);
     }

@@ -13,8 +13,8 @@
 namespace rgs::detail {
 namespace {
 
-constexpr double kMaxOctaves = 8;            // of importance on either side of the median
-constexpr std::size_t kSample = 1u << 17;    // Gaussians that transforms are fitted to
+constexpr double kMaxOctaves = 8;              // of importance on either side of the median
+constexpr std::size_t kSample = 1u << 17;      // Gaussians that transforms are fitted to
 constexpr std::size_t kMinForTransform = 512;  // fewer do not tell 45 directions apart
 
 double median(std::vector<double> values) {
@@ -74,7 +74,8 @@ Transform fit_transform(const SplatView& splats, std::span<const double> weights
   std::vector<double> centre(n), covariance(n * n), x(n);
   double total = 0;
   for (std::size_t i = 0, row = 0; row < splats.n; ++i, row += stride) {
-    for (std::size_t k = 0; k < n; ++k) centre[k] += weights[i] * static_cast<double>(splats.sh[row * width + first + k]);
+    for (std::size_t k = 0; k < n; ++k)
+      centre[k] += weights[i] * static_cast<double>(splats.sh[row * width + first + k]);
     total += weights[i];
   }
   for (double& value : centre) value /= total;
@@ -132,7 +133,8 @@ void normalise(const Counts& counts, std::uint16_t* frequencies) {
   for (std::size_t s = 0; s < kRansTokens; ++s) {
     frequencies[s] = 0;
     if (counts[s] != 0) {
-      frequencies[s] = static_cast<std::uint16_t>(std::max<std::uint64_t>(1, (counts[s] * kRansTotal + total / 2) / total));
+      frequencies[s] =
+          static_cast<std::uint16_t>(std::max<std::uint64_t>(1, (counts[s] * kRansTotal + total / 2) / total));
     }
     sum += frequencies[s];
   }
@@ -225,8 +227,8 @@ void fit_grid(const Box& robust, const Box& full, ArchiveParameters& p) {
   for (std::size_t k = 0; k < 3; ++k) {
     const double low = static_cast<double>(robust.min[k]), high = static_cast<double>(robust.max[k]);
     p.centre[k] = (low + high) / 2;
-    const double reach = std::max(static_cast<double>(full.max[k]) - p.centre[k],
-                                  p.centre[k] - static_cast<double>(full.min[k]));
+    const double reach =
+        std::max(static_cast<double>(full.max[k]) - p.centre[k], p.centre[k] - static_cast<double>(full.min[k]));
     // At most 100 octaves outside, for which coordinates have room.
     p.half_width[k] = std::max((high - low) / 2, std::ldexp(reach, -100));
     if (!(p.half_width[k] >= 0x1p-200)) p.half_width[k] = 1;
@@ -294,7 +296,8 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, const Classes& 
     ArchiveClass& out = p.classes[c];
     out.rotation_step = std::min(static_cast<float>(static_cast<double>(o.rotation_step) * factor), 2.f);
     out.scale_step = fixed(static_cast<double>(o.scale_step) / std::log(2.0));
-    out.scale_base = static_cast<std::int32_t>(std::nearbyint(sums[c] / std::max(counts[c], 1.0) / std::log(2.0) * 65536));
+    out.scale_base =
+        static_cast<std::int32_t>(std::nearbyint(sums[c] / std::max(counts[c], 1.0) / std::log(2.0) * 65536));
     out.dc_step = fixed(static_cast<double>(o.dc_step));
     out.sh_step = static_cast<float>(static_cast<double>(o.sh_step) * factor);
   }
@@ -303,7 +306,8 @@ void fit_steps(const ArchiveOptions& o, const SplatView& splats, const Classes& 
 void fit_transforms(const SplatView& splats, std::span<const float> importance, ArchiveTables& t) {
   const std::size_t stride = (splats.n + kSample - 1) / kSample;
   std::vector<double> weights;
-  for (std::size_t i = 0; i < splats.n; i += stride) weights.push_back(std::exp2(static_cast<double>(importance[i]) / 2));
+  for (std::size_t i = 0; i < splats.n; i += stride)
+    weights.push_back(std::exp2(static_cast<double>(importance[i]) / 2));
   const Transform dc = fit_transform(splats, weights, stride, 0, 3);
   std::ranges::copy(dc.centre, t.dc_centre.begin());
   std::ranges::copy(dc.matrix, t.dc_matrix.begin());

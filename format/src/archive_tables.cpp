@@ -136,15 +136,14 @@ Status parse_content(std::span<const std::byte> content, std::uint64_t offset, s
 std::vector<std::byte> write_archive_tables(const ArchiveTables& t) {
   const ArchiveParameters& p = t.parameters;
   ByteWriter out;
-  for (const std::uint32_t value :
-       {p.mean_cells, p.mean_bits, static_cast<std::uint32_t>(p.classes.size()), p.opacity_levels,
-        static_cast<std::uint32_t>(t.n_distributions()), 0u}) {
+  for (const std::uint32_t value : {p.mean_cells, p.mean_bits, static_cast<std::uint32_t>(p.classes.size()),
+                                    p.opacity_levels, static_cast<std::uint32_t>(t.n_distributions()), 0u}) {
     out.u32(value);
   }
   for (const double value : p.centre) out.u64(bits_of_double(value));
   for (const double value : p.half_width) out.u64(bits_of_double(value));
-  for (const float value : {p.sh_step, p.dc_step, p.rotation_step, p.scale_step, p.slope, p.class_octaves, p.bound_mean,
-                            p.bound_opacity}) {
+  for (const float value :
+       {p.sh_step, p.dc_step, p.rotation_step, p.scale_step, p.slope, p.class_octaves, p.bound_mean, p.bound_opacity}) {
     out.f32(value);
   }
   out.pad_to(kFixedBytes);

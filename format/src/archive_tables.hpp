@@ -35,13 +35,13 @@ struct ArchiveTables {
   ArchiveParameters parameters;
   std::size_t n_sh = 0;  ///< coefficients above degree 0, all channels: 0, 9, 24, 45
   std::array<float, 3> dc_centre{};
-  std::vector<float> sh_centre;                ///< [n_sh]
-  std::array<std::int16_t, 9> dc_matrix{};     ///< [3, 3]
-  std::array<std::int16_t, 6> dc_weights{};    ///< [3, 2], times 2^8
-  std::vector<std::int16_t> sh_matrix;         ///< [n_sh, n_sh]
-  std::vector<std::uint8_t> map;               ///< [contexts().count]
-  std::vector<std::uint16_t> frequencies;      ///< [n_distributions, kRansTokens]
-  RansTables rans;                             ///< of frequencies, once parsed
+  std::vector<float> sh_centre;              ///< [n_sh]
+  std::array<std::int16_t, 9> dc_matrix{};   ///< [3, 3]
+  std::array<std::int16_t, 6> dc_weights{};  ///< [3, 2], times 2^8
+  std::vector<std::int16_t> sh_matrix;       ///< [n_sh, n_sh]
+  std::vector<std::uint8_t> map;             ///< [contexts().count]
+  std::vector<std::uint16_t> frequencies;    ///< [n_distributions, kRansTokens]
+  RansTables rans;                           ///< of frequencies, once parsed
 
   std::size_t n_distributions() const { return frequencies.size() / kRansTokens; }
   ArchiveContexts contexts() const { return ArchiveContexts(parameters.classes.size(), n_sh); }

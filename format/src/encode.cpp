@@ -31,7 +31,8 @@ Status check_options(const EncodeOptions& o) {
     if (a.mean_cells < 4 || a.mean_cells > 20) return bad("archive: mean cells must be 2^4 to 2^20");
     if (!(a.sh_step >= 0x1p-20f && a.sh_step <= 0x1p20f)) return bad("archive: the SH step must be 2^-20 to 2^20");
     if (!(a.dc_step >= 0x1p-10f && a.dc_step <= 0x1p6f)) return bad("archive: the DC step must be 2^-10 to 64");
-    if (!(a.rotation_step >= 0x1p-10f && a.rotation_step <= 0.5f)) return bad("archive: the rotation step must be 2^-10 to 0.5");
+    if (!(a.rotation_step >= 0x1p-10f && a.rotation_step <= 0.5f))
+      return bad("archive: the rotation step must be 2^-10 to 0.5");
     if (!(a.scale_step >= 0x1p-10f && a.scale_step <= 2.f)) return bad("archive: the scale step must be 2^-10 to 2");
     if (a.opacity_levels < 1 || a.opacity_levels > 4096) return bad("archive: opacity levels must be 1 to 4096");
     if (!(a.slope >= 0 && a.slope <= 1)) return bad("archive: the slope must be 0 to 1");

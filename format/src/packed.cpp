@@ -132,7 +132,9 @@ void FrameBytes::append(std::span<const std::byte> frame) {
 }
 
 std::vector<std::byte> assemble_frames(const EncodePlan& plan, FramedFile parts) {
-  PackedSections sections{std::move(parts.means.frames), std::move(parts.geometry.frames), std::move(parts.sh.frames),
+  PackedSections sections{std::move(parts.means.frames),
+                          std::move(parts.geometry.frames),
+                          std::move(parts.sh.frames),
                           {parts.tables.begin(), parts.tables.end()}};
   PackedLayout layout = finish_packed(plan, parts.chunks, parts.scales, parts.counts, sections);
   std::vector<std::byte> file(layout.header.file_bytes);

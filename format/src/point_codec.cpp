@@ -75,9 +75,8 @@ Status decode_points(std::span<const std::byte> stream, std::uint64_t offset, st
     decoded = false;
   }
   if (!decoded) return fail(Errc::corrupt_data, offset, "a frame of means is not accepted by Draco");
-  const bool in_range = std::ranges::all_of(points, [max_bits](const GridPoint& p) {
-    return ((p[0] | p[1] | p[2]) >> max_bits) == 0;
-  });
+  const bool in_range =
+      std::ranges::all_of(points, [max_bits](const GridPoint& p) { return ((p[0] | p[1] | p[2]) >> max_bits) == 0; });
   if (!in_range) return fail(Errc::corrupt_data, offset, "a mean's coordinate is outside the grid");
   return {};
 }

@@ -90,7 +90,8 @@ class RansReader {
     x = ((entry >> 8 & (kRansTotal - 1)) + 1) * (x >> 12) + (entry >> 20);
     refill<kAmple>(x);
     const std::uint32_t token = entry & 0xFF;
-    if (token < 32) [[likely]] return token;
+    if (token < 32) [[likely]]
+      return token;
     const std::uint32_t n_bits = (token - 32) / 4 + 3;
     const std::uint32_t z = (4 + token % 4) << n_bits | (x & ((1u << n_bits) - 1));
     x >>= n_bits;

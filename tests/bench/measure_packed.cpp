@@ -50,9 +50,9 @@ void print_row(const char* name, const rgs::FileView& view) {
   for (const auto type : {rgs::SectionType::means, rgs::SectionType::geometry, rgs::SectionType::sh}) {
     std::printf(" %.3f |", static_cast<double>(view.stored(type).size()) / n);
   }
-  const double tables = static_cast<double>(view.stored(rgs::SectionType::sh_scales).size() +
-                                            view.stored(rgs::SectionType::chunks).size() +
-                                            view.stored(rgs::SectionType::archive).size());
+  const double tables =
+      static_cast<double>(view.stored(rgs::SectionType::sh_scales).size() +
+                          view.stored(rgs::SectionType::chunks).size() + view.stored(rgs::SectionType::archive).size());
   std::printf(" %.3f | **%.3f** |", tables / n, static_cast<double>(view.bytes().size()) / n);
 }
 
@@ -87,7 +87,8 @@ int main(int argc, char** argv) {
   const auto source = rgs::read_ply(argv[1]);
   if (!source) return failed(argv[1], source.error());
   std::printf(
-      "| profile | MEAN | GEOM | SHI8 | tables | bytes per Gaussian | encode CPU s (archive: all threads) | decode, 1 thread "
+      "| profile | MEAN | GEOM | SHI8 | tables | bytes per Gaussian | encode CPU s (archive: all threads) | decode, 1 "
+      "thread "
       "| 2 threads | with every check, 2 threads |\n|---|---|---|---|---|---|---|---|---|---|\n");
   rgs::EncodeOptions options;
   int status = measure_level(*source, options, "direct");

@@ -165,7 +165,8 @@ TEST_CASE("verification refuses a source beyond the bounds, and bounds below the
     refused(other);
   }
   SplatCloud turned = cloud;
-  for (std::size_t k = 0; k < 4; ++k) turned.rotation[4 * 1234 + k] = k == 0 ? 1.f : 2.f * cloud.rotation[4 * 1234 + 3 - k];
+  for (std::size_t k = 0; k < 4; ++k)
+    turned.rotation[4 * 1234 + k] = k == 0 ? 1.f : 2.f * cloud.rotation[4 * 1234 + 3 - k];
   refused(turned);
 
   // A stated bound that does not hold: that of means is the f32 at byte 96 of ARCH.
@@ -285,7 +286,8 @@ TEST_CASE("archive options out of range are refused") {
 TEST_CASE("finer steps take more bytes and give smaller errors") {
   SplitMix random{108};
   const SplatCloud cloud = plausible_cloud(20000, 3, random);
-  const auto high = encode_archive_file(cloud, archive_options()), small = encode_archive_file(cloud, archive_options(archive_small()));
+  const auto high = encode_archive_file(cloud, archive_options()),
+             small = encode_archive_file(cloud, archive_options(archive_small()));
   CHECK(small.size() < 0.85 * static_cast<double>(high.size()));
   const auto a = open(high), b = open(small);
   CHECK(a->archive()->classes[4].bound_sh < b->archive()->classes[4].bound_sh);
@@ -380,7 +382,8 @@ TEST_CASE("archives whose sections do not fit together are refused") {
   }
   // More distributions than the tables have.
   bytes = original;
-  put<std::uint32_t>(bytes, section_of(bytes, "ARCH") + 16, get<std::uint32_t>(bytes, section_of(bytes, "ARCH") + 16) + 1);
+  put<std::uint32_t>(bytes, section_of(bytes, "ARCH") + 16,
+                     get<std::uint32_t>(bytes, section_of(bytes, "ARCH") + 16) + 1);
   CHECK(error_of(bytes).code == Errc::corrupt_data);
 }
 
@@ -462,7 +465,8 @@ TEST_CASE("Draco's streams are checked before Draco sees them") {
   using namespace rgs::detail;
   SplitMix random{112};
   std::vector<GridPoint> points(500);
-  for (GridPoint& p : points) p = {static_cast<std::uint32_t>(random.below(64)), static_cast<std::uint32_t>(random.below(4096)), 7};
+  for (GridPoint& p : points)
+    p = {static_cast<std::uint32_t>(random.below(64)), static_cast<std::uint32_t>(random.below(4096)), 7};
   const auto stream = encode_points(points);
   REQUIRE(stream);
   std::vector<GridPoint> decoded(points.size());

@@ -106,7 +106,7 @@ class FileView {
   struct Tables {
     std::vector<std::byte> chunks, scales;
   };
-  std::shared_ptr<const Tables> tables_;         // what is coded of them, decoded
+  std::shared_ptr<const Tables> tables_;  // what is coded of them, decoded
   std::shared_ptr<const detail::ArchiveTables> archive_;
   std::shared_ptr<const DirectData> preloaded_;  // all attributes, after preload()
 };

@@ -59,13 +59,13 @@ enum class Profile : std::uint8_t {
 /// distance where that is large); a Gaussian of x times its importance gets steps x^(-slope / 2) times as large, x limited
 /// to 2^-8 .. 2^8. Defaults are archive_high().
 struct ArchiveOptions {
-  int mean_cells = 14;  ///< 4 to 20: 2^mean_cells cells between centre and half width of the robust box, on each axis
-  float sh_step = 0.09f;           ///< of SH above degree 0, after decorrelation; 2^-20 to 2^20
-  float dc_step = 0.10f;           ///< of SH degree 0, after decorrelation; 2^-10 to 2^6
+  int mean_cells = 15;    ///< 4 to 20: 2^mean_cells cells between centre and half width of the robust box, on each axis
+  float sh_step = 0.11f;  ///< of SH above degree 0, after decorrelation; 2^-20 to 2^20
+  float dc_step = 0.14f;  ///< of SH degree 0, after decorrelation; 2^-10 to 2^6
   float rotation_step = 1.f / 64;  ///< of quaternion components; 2^-10 to 0.5
-  float scale_step = 0.12f;        ///< of ln(scale); 2^-10 to 2
-  int opacity_levels = 64;         ///< 1 to 4096 steps between 0 and 1
-  float slope = 0.7f;              ///< 0 to 1
+  float scale_step = 0.15f;        ///< of ln(scale); 2^-10 to 2
+  int opacity_levels = 96;         ///< 1 to 4096 steps between 0 and 1
+  float slope = 0.6f;              ///< 0 to 1
   unsigned threads = 0;            ///< 0: as many as the machine runs at once; the file does not depend on it
 
   bool operator==(const ArchiveOptions&) const = default;

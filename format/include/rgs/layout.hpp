@@ -183,15 +183,15 @@ struct ScaleSet {
 
 /// How finely Codec::archive stores the Gaussians of one class, and what its writer verified of their errors.
 struct ArchiveClass {
-  float rotation_step = 0;        ///< of quaternion components
-  std::uint32_t scale_step = 1;   ///< of log2(scale), 1/65536
-  std::int32_t scale_base = 0;    ///< log2(scale) of code 0, 1/65536
-  std::uint32_t dc_step = 1;      ///< of SH degree 0, 1/65536
-  float sh_step = 0;              ///< of the other degrees
-  float bound_rotation = 0;       ///< angle, radians
-  float bound_scale = 0;          ///< of ln(scale), where it is a normal FP16 number as stored
-  float bound_dc = 0;             ///< of each coefficient of degree 0; half a step of the chunk's scale set comes on top
-  float bound_sh = 0;             ///< of the other coefficients, likewise
+  float rotation_step = 0;       ///< of quaternion components
+  std::uint32_t scale_step = 1;  ///< of log2(scale), 1/65536
+  std::int32_t scale_base = 0;   ///< log2(scale) of code 0, 1/65536
+  std::uint32_t dc_step = 1;     ///< of SH degree 0, 1/65536
+  float sh_step = 0;             ///< of the other degrees
+  float bound_rotation = 0;      ///< angle, radians
+  float bound_scale = 0;         ///< of ln(scale), where it is a normal FP16 number as stored
+  float bound_dc = 0;            ///< of each coefficient of degree 0; half a step of the chunk's scale set comes on top
+  float bound_sh = 0;            ///< of the other coefficients, likewise
 };
 inline constexpr std::uint32_t kMaxArchiveClasses = 32;
 
