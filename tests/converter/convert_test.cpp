@@ -78,7 +78,7 @@ bool holds(const std::string& text, const std::string& part) {
 TEST_CASE("a streamed conversion writes the bytes of encode() on any number of threads") {
   const TemporaryFolder folder;
   const std::string out = folder.file("scene.rgs");
-  std::vector<EncodeOptions> variants(8);
+  std::vector<EncodeOptions> variants(10);
   variants[1].chunk_size = 32;
   variants[1].chunk_scales = false;
   variants[1].keep_permutation = true;
@@ -94,6 +94,11 @@ TEST_CASE("a streamed conversion writes the bytes of encode() on any number of t
   variants[6].on_bad = BadPolicy::repair;
   variants[7].chunk_size = 4096;
   variants[7].level = 3;
+  for (const std::size_t v : {8U, 9U}) variants[v].profile = Profile::archive;
+  variants[8].keep_permutation = true;
+  variants[8].on_bad = BadPolicy::repair;
+  variants[9].max_bad_fraction = 1;
+  variants[9].archive = archive_small();
   variants[7].max_bad_fraction = 1;
   for (const std::uint64_t n : {0U, 1U, 255U, 256U, 257U, 40000U}) {
     for (std::size_t v = 0; v < variants.size(); ++v) {
@@ -133,6 +138,24 @@ TEST_CASE("the program writes the bytes of encode() with the options it was give
   add({"--threads", "1"}, [](auto&) {});
   add({"--threads", "4", "--profile", "direct"}, [](auto& o) { o.profile = Profile::direct; });
   add({"--profile", "packed", "--level", "5"}, [](auto& o) { o.level = 5; });
+  add({"--profile", "archive"}, [](auto& o) { o.profile = Profile::archive; });
+  add({"--profile", "archive:high", "--threads", "1"}, [](auto& o) { o.profile = Profile::archive; });
+  add({"--archive-slope", "0.5", "--profile", "archive:small"}, [](auto& o) {
+    o.profile = Profile::archive;
+    o.archive = archive_small();
+    o.archive.slope = 0.5F;
+  });
+  add({"--profile", "archive", "--archive-mean-cells", "12", "--archive-sh-step", "0.5", "--archive-dc-step", "0.4",
+       "--archive-rotation-step", "0.125", "--archive-scale-step", "0.5", "--archive-opacity-levels", "10"},
+      [](auto& o) {
+        o.profile = Profile::archive;
+        o.archive = {.mean_cells = 12,
+                     .sh_step = 0.5F,
+                     .dc_step = 0.4F,
+                     .rotation_step = 0.125F,
+                     .scale_step = 0.5F,
+                     .opacity_levels = 10};
+      });
   add({"--keep-order"}, [](auto& o) { o.order = Order::input; });
   add({"--keep-permutation"}, [](auto& o) { o.keep_permutation = true; });
   add({"--chunk-size", "96"}, [](auto& o) { o.chunk_size = 96; });

@@ -207,6 +207,27 @@ TEST_CASE_FIXTURE(Fixture, "a packed file: its profile, frames and one chunk, al
   CHECK(has(other.err, std::to_string(frames.frames[0].offset)));
 }
 
+TEST_CASE_FIXTURE(Fixture, "an archive: its preset, steps and bounds") {
+  EncodeOptions options;
+  options.profile = Profile::archive;
+  for (const bool custom : {false, true}) {
+    if (custom) options.archive.opacity_levels = 77;
+    const auto bytes = encoded(3000, 2, options);
+    const std::string path = write(bytes);
+    const Run text = run(path + " --verify");
+    CHECK(text.code == 0);
+    CHECK(has(text.out, custom ? " archive, 1 frames" : " archive:high, 1 frames"));
+    CHECK(has(text.out, "77 levels") == custom);
+    const FileView view = open(bytes).value();
+    const auto j = json(path)["archive"];
+    CHECK(j["profile"] == (custom ? "archive" : "archive:high"));
+    CHECK(j["opacity_levels"] == options.archive.opacity_levels);
+    CHECK(j["bound_mean"].get<float>() == view.archive()->bound_mean);
+    REQUIRE(j["classes"].size() == view.archive()->classes.size());
+    CHECK(j["classes"][3]["bound_sh"].get<float>() == view.archive()->classes[3].bound_sh);
+  }
+}
+
 TEST_CASE_FIXTURE(Fixture, "one chunk") {
   EncodeOptions options;
   options.chunk_size = 64;
