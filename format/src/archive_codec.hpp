@@ -35,8 +35,7 @@ class CodeSizes {
   std::size_t operator[](std::size_t i) const { return sizes_[i]; }
 
  private:
-  std::vector<std::uint16_t> history_;
-  std::vector<std::uint8_t> sizes_;  // 0 to 7
+  std::vector<std::uint16_t> history_, sizes_;  // sizes: 0 to 7
 };
 
 constexpr std::size_t scale_bucket(std::int16_t code) {
