@@ -41,6 +41,8 @@ struct Shared {
   std::uint32_t cell_n[kTurboCells];      // of the whole list
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
   std::uint32_t chunks[kTurboCells][kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
+  TurboList head;
+  std::uint32_t tile;
   bool fits;
 };
 
@@ -174,10 +176,9 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int
 // Position of each of the s.n entries in the order of the entries, into s.order. Keys of 32 bits are ordered first. Their
 // depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
 // by looking at the entries themselves.
-__device__ inline void sort_entries(Shared& s) {
+// `range` is that of the depths that the thread has seen.
+__device__ inline void sort_entries(Shared& s, DepthRange range) {
   constexpr std::uint32_t kPosition = kEntries - 1;
-  DepthRange range;
-  for (std::uint32_t k = threadIdx.x; k < s.n; k += kThreads) range.add(depth_of(s.entries[k]));
   range.share(s);
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - kPositionBits));
@@ -185,14 +186,20 @@ __device__ inline void sort_entries(Shared& s) {
   std::uint32_t* const order =
       s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift) : sort_keys<8>(s, range.low, shift);
   s.order = order;  // the same from all threads
+  const auto is_inverted = [&](std::uint32_t k) {
+    const std::uint32_t a = order[k], b = order[k + 1];
+    return ((a ^ b) & ~kPosition) == 0 && s.entries[a & kPosition] > s.entries[b & kPosition];
+  };
+  bool any = false;
+  for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
+  if (!__syncthreads_or(any)) return;
   for (std::uint32_t odd = 0, quiet = 0; quiet < 2; odd ^= 1) {
     bool swapped = false;
     for (std::uint32_t k = 2 * threadIdx.x + odd; k + 1 < s.n; k += 2 * kThreads) {
-      const std::uint32_t a = order[k], b = order[k + 1];
-      if (((a ^ b) & ~kPosition) == 0 && s.entries[a & kPosition] > s.entries[b & kPosition]) {
-        order[k] = b, order[k + 1] = a;
-        swapped = true;
-      }
+      if (!is_inverted(k)) continue;
+      const std::uint32_t a = order[k];
+      order[k] = order[k + 1], order[k + 1] = a;
+      swapped = true;
     }
     quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
   }
@@ -457,20 +464,25 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const Turb
     TurboEntry from = 0;
     for (std::uint32_t left = n; left > 0;) {
       if (threadIdx.x == 0) s.n = n <= kEntries ? n : 0;
+      DepthRange range;
+      const auto take = [&](std::uint32_t k, TurboEntry entry) {
+        s.entries[k] = entry;
+        range.add(depth_of(entry));
+      };
       if (n <= kEntries) {
-        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) s.entries[k] = group[k];
+        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) take(k, group[k]);
       } else {
         const TurboEntry to = left <= kEntries ? ~TurboEntry{0} : round_end(s, group, n, from);
         __syncthreads();
         for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
           const TurboEntry entry = group[k];
-          if (entry >= from && entry < to) s.entries[atomicAdd(&s.n, 1u)] = entry;
+          if (entry >= from && entry < to) take(atomicAdd(&s.n, 1u), entry);
         }
         from = to;
       }
       __syncthreads();
       left -= s.n;
-      sort_entries(s);
+      sort_entries(s, range);
       count_chunks(s);
       deal_out(s, a);
       __syncthreads();
@@ -483,12 +495,19 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const Turb
 __global__ void __launch_bounds__(kThreads, 5) turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared memory;
   Shared& s = memory;
-  const std::uint32_t tile = tile_of_block(a);
-  const TurboList head = a.lists[tile];
-  const List list{a.tile_runs + head.begin, a.entries, head.n_runs};
-  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
-  if (threadIdx.x == 0) s.n = head.n_entries;
+  if (threadIdx.x < 32) {
+    const std::uint32_t tile = tile_of_block(a);
+    if (threadIdx.x == 0) {
+      s.tile = tile;
+      s.head = a.lists[tile];
+      s.n = s.head.n_entries;
+    }
+    if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
+  }
   __syncthreads();
+  const std::uint32_t tile = s.tile;
+  const TurboList head = s.head;
+  const List list{a.tile_runs + head.begin, a.entries, head.n_runs};
   if (head.n_entries > kEntries) {
     TurboEntry* const sorted = a.scratch + head.scratch;
     order_by_bins(s, list, sorted);
@@ -496,8 +515,12 @@ __global__ void __launch_bounds__(kThreads, 5) turbo_order_kernel(TurboArrays a,
     reserve_cells(s, a, grid, tile);
     if (s.fits) deal_out_long(s, a, sorted, head.n_entries);
   } else {
-    list.for_each(s, [&](TurboEntry entry, std::uint32_t k) { s.entries[k] = entry; });
-    if (s.n > 0) sort_entries(s);
+    DepthRange range;
+    list.for_each(s, [&](TurboEntry entry, std::uint32_t k) {
+      s.entries[k] = entry;
+      range.add(depth_of(entry));
+    });
+    if (s.n > 0) sort_entries(s, range);
     count_chunks(s);
     reserve_cells(s, a, grid, tile);
     if (s.fits) deal_out(s, a);
