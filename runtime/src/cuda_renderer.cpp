@@ -60,7 +60,7 @@ struct CudaRenderer::Impl {
 
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t n, bool narrow);
-  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint32_t n_tiles);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
@@ -301,8 +301,7 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
 }
 
 // Room for so many entries, runs and large Gaussians; grows by half at least.
-Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
-                                         std::uint32_t n_tiles) {
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large) {
   Status ok;
   const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
     const std::uint64_t held = buffer.bytes() / size;
@@ -311,8 +310,8 @@ Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t 
   reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
   reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
   reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
-  if (ok) ok = tile_runs.reserve((turbo_runs.bytes() / sizeof(cuda::TurboTileRun) + n_tiles) * sizeof(cuda::TurboRun));
-  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge));
+  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
+  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
   return ok;
 }
 
@@ -328,10 +327,7 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
   if (ok) ok = lists.reserve(arrays.n_tiles * sizeof(cuda::TurboList));
   if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
   const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
-  if (ok) {
-    ok = turbo_entries.bytes() == 0 ? reserve_turbo(first_entries, first_entries / 4, first_entries / 32, arrays.n_tiles)
-                                    : reserve_turbo(0, 0, 0, arrays.n_tiles);
-  }
+  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 4, first_entries / 32);
   while (ok) {
     arrays.state = turbo_state.as<cuda::TurboState>();
     arrays.entries = turbo_entries.as<cuda::TurboEntry>();
@@ -342,8 +338,10 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     arrays.scratch = turbo_scratch.as<cuda::TurboEntry>();
     arrays.large = turbo_large.as<cuda::TurboLarge>();
     arrays.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
-    arrays.run_capacity = turbo_runs.bytes() / sizeof(cuda::TurboTileRun);
-    arrays.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
+    arrays.run_capacity =
+        std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+    arrays.large_capacity = turbo_large.bytes() / (sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
+    arrays.large_boxes = reinterpret_cast<cuda::TurboBox*>(arrays.large + arrays.large_capacity);
     ok = mark(kStart, options, stream);
     if (ok) {
       ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), stream),
@@ -355,7 +353,7 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
           stream);
     }
     if (ok) ok = mark(kProjected, options, stream);
-    if (ok) ok = cuda::launch_turbo_lists(arrays, view.grid, &host->turbo, counted, stream);
+    if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
     for (const Mark m : {kDuplicated, kSorted, kRanged}) {
       if (ok) ok = mark(m, options, stream);
     }
@@ -373,7 +371,7 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
     if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
     // Counts without all large Gaussians are too low to be worth memory.
-    ok = all_large ? reserve_turbo(n, seen.runs, 0, arrays.n_tiles) : reserve_turbo(0, 0, seen.n_large, arrays.n_tiles);
+    ok = all_large ? reserve_turbo(n, seen.runs, 0) : reserve_turbo(0, 0, seen.n_large);
   }
   return tl::unexpected(ok.error());
 }
