@@ -47,7 +47,8 @@ inline CullPlanes cull_planes(const ViewParameters& v) {
     const float slope = std::fmax(std::fabs(low), std::fabs(high));
     return 3.34F * std::sqrt(1 + slope * slope);
   };
-  const float reach_x = reach(view.slope_low_x, view.slope_high_x), reach_y = reach(view.slope_low_y, view.slope_high_y);
+  const float reach_x = reach(view.slope_low_x, view.slope_high_x),
+              reach_y = reach(view.slope_low_y, view.slope_high_y);
   const float margin = 3.34F * std::sqrt(v.low_pass) + 1;
   const float left = (view.cx + margin) / view.fx, top = (view.cy + margin) / view.fy;
   const float right = (static_cast<float>(view.width) - view.cx + margin) / view.fx;
@@ -61,7 +62,8 @@ __device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const
   return true;
 }
 
-/// False only if no Gaussian of the chunk of Gaussian i can be listed in a tile.
+/// False only if no Gaussian of the chunk of Gaussian i can be listed in a tile. All lanes of a warp call it, with
+/// Gaussians of one chunk: each asks one plane.
 __device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const CullPlanes& planes) {
   const auto* const entry = reinterpret_cast<const float4*>(a.chunks + 12 * (i / a.chunk_size));
   const float4 low = __ldg(entry);  // x, y, z; w: three standard deviations
@@ -69,14 +71,12 @@ __device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i
   const math::Vec3<float> center{0.5F * (low.x + high.x), 0.5F * (low.y + high.y), 0.5F * (low.z + high.z)};
   const math::Vec3<float> half{0.5F * (high.x - low.x), 0.5F * (high.y - low.y), 0.5F * (high.z - low.z)};
   const float size = fabsf(center.x) + fabsf(center.y) + fabsf(center.z);
-  bool beyond = false;  // comparisons with boxes whose numbers overflow leave it so
-#pragma unroll
-  for (const CullPlanes::Plane& p : planes.plane) {
-    const float distance = fmaf(p.normal.x, center.x, fmaf(p.normal.y, center.y, fmaf(p.normal.z, center.z, p.offset)));
-    const float reach = fmaf(p.reach, low.w, p.rounding * size);
-    beyond = beyond || distance > fmaf(p.extent.x, half.x, fmaf(p.extent.y, half.y, fmaf(p.extent.z, half.z, reach)));
-  }
-  return !beyond;
+  const CullPlanes::Plane& p = planes.plane[math::min(threadIdx.x % 32, 5u)];
+  const float distance = fmaf(p.normal.x, center.x, fmaf(p.normal.y, center.y, fmaf(p.normal.z, center.z, p.offset)));
+  const float reach = fmaf(p.reach, low.w, p.rounding * size);
+  // The comparison with a box whose numbers overflow leaves it in view.
+  const bool beyond = distance > fmaf(p.extent.x, half.x, fmaf(p.extent.y, half.y, fmaf(p.extent.z, half.z, reach)));
+  return !__any_sync(0xFFFFFFFFu, beyond);
 }
 
 }  // namespace rgs::cuda

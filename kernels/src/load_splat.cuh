@@ -95,8 +95,13 @@ __device__ inline math::Vec3<float> load_color(const CompactAttributes& a, std::
     return __uint_as_float(bits) - 8388736.0F;
   };
   return math::sh_color<float>(
-      Degree, basis, [&](int k) { return math::Vec3<float>{code(3 * k), code(3 * k + 1), code(3 * k + 2)}; },
-      [&](int l) { return math::Vec3<float>{step[l][0], step[l][1], step[l][2]}; });
+      Degree, basis,
+      [&](int k) {
+        return math::Vec3<float>{code(3 * k), code(3 * k + 1), code(3 * k + 2)};
+      },
+      [&](int l) {
+        return math::Vec3<float>{step[l][0], step[l][1], step[l][2]};
+      });
 }
 
 /// Colour of Gaussian i seen from the view's position. Coefficients above the evaluated degree meet a basis of 0.

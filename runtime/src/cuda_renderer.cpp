@@ -60,10 +60,7 @@ struct CudaRenderer::Impl {
 
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t n, bool narrow);
-  struct TurboRoom {
-    std::uint64_t entries = 0, runs = 0, large = 0, in_cells = 0;
-  };
-  Status reserve_turbo(const TurboRoom& room, std::uint32_t n_tiles);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
@@ -87,7 +84,8 @@ struct CudaRenderer::Impl {
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
-  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes, cells, cell_gaussians;
+  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes, cells,
+      cell_gaussians;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -134,7 +132,8 @@ std::uint64_t CudaRenderer::Impl::bytes() const {
   for (const DeviceBuffer* b :
        {&counters,      &splats,        &covers,     &tiles,           &sums,           &sum_temporary, &block_state,
         &keys,          &spare_keys,    &gaussians,  &spare_gaussians, &sort_temporary, &ranges,        &turbo_state,
-        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes, &cells, &cell_gaussians}) {
+        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes,
+        &cells,         &cell_gaussians}) {
     sum += b->bytes();
   }
   return sum;
@@ -304,18 +303,19 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
 }
 
 // Room for so many entries, runs and large Gaussians; grows by half at least.
-Status CudaRenderer::Impl::reserve_turbo(const TurboRoom& room, std::uint32_t n_tiles) {
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
+                                         std::uint64_t n_in_cells) {
   Status ok;
   const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
     const std::uint64_t held = buffer.bytes() / size;
     if (ok && wanted > held) ok = buffer.reserve(std::min(std::max(wanted, held + held / 2), kMaxPairs) * size);
   };
-  reserve(turbo_entries, room.entries, sizeof(cuda::TurboEntry));
-  reserve(turbo_scratch, room.entries, sizeof(cuda::TurboEntry));
-  reserve(turbo_runs, room.runs, sizeof(cuda::TurboTileRun));
-  if (ok) ok = tile_runs.reserve((turbo_runs.bytes() / sizeof(cuda::TurboTileRun) + n_tiles) * sizeof(cuda::TurboRun));
-  reserve(turbo_large, room.large, sizeof(cuda::TurboLarge));
-  reserve(cell_gaussians, room.in_cells, sizeof(std::uint32_t));
+  reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
+  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
+  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
+  reserve(cell_gaussians, n_in_cells, sizeof(std::uint32_t));
   return ok;
 }
 
@@ -332,12 +332,8 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
   if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
   if (ok) ok = cells.reserve(arrays.n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
   const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
-  if (ok) {
-    const bool is_first = turbo_entries.bytes() == 0;
-    ok = reserve_turbo(is_first ? TurboRoom{first_entries, first_entries / 4, first_entries / 32, 3 * first_entries}
-                                : TurboRoom{},
-                       arrays.n_tiles);
-  }
+  if (ok && turbo_entries.bytes() == 0)
+    ok = reserve_turbo(first_entries, first_entries / 4, first_entries / 32, 3 * first_entries);
   while (ok) {
     arrays.state = turbo_state.as<cuda::TurboState>();
     arrays.entries = turbo_entries.as<cuda::TurboEntry>();
@@ -348,8 +344,10 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     arrays.scratch = turbo_scratch.as<cuda::TurboEntry>();
     arrays.large = turbo_large.as<cuda::TurboLarge>();
     arrays.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
-    arrays.run_capacity = turbo_runs.bytes() / sizeof(cuda::TurboTileRun);
-    arrays.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
+    arrays.run_capacity =
+        std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+    arrays.large_capacity = turbo_large.bytes() / (sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
+    arrays.large_boxes = reinterpret_cast<cuda::TurboBox*>(arrays.large + arrays.large_capacity);
     arrays.cells = cells.as<cuda::TurboCell>();
     arrays.cell_gaussians = cell_gaussians.as<std::uint32_t>();
     arrays.cell_capacity = cell_gaussians.bytes() / sizeof(std::uint32_t);
@@ -364,17 +362,17 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
           stream);
     }
     if (ok) ok = mark(kProjected, options, stream);
-    if (ok) ok = cuda::launch_turbo_lists(arrays, view.grid, &host->turbo, counted, stream);
+    if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
     if (ok) ok = mark(kDuplicated, options, stream);
     if (ok) ok = cuda::launch_turbo_order(arrays, view.grid, &host->turbo, counted, stream);
     for (const Mark m : {kSorted, kRanged}) {
       if (ok) ok = mark(m, options, stream);
     }
     if (ok) {
-      ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height,
-                                     background_of(options), arrays_of(target), options.cuda.count_pairs,
-                                     options.cuda.tensor_cores},
-                                    stream);
+      ok = cuda::launch_turbo_blend(
+          {arrays, splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height, background_of(options),
+           arrays_of(target), options.cuda.count_pairs, options.cuda.tensor_cores},
+          stream);
     }
     if (ok) ok = mark(kBlended, options, stream);
     if (ok) ok = device_status(cudaEventSynchronize(counted), "a kernel failed");
@@ -387,8 +385,7 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
     // Counts without all large Gaussians are too low to be worth memory.
-    ok = reserve_turbo(all_large ? TurboRoom{n, seen.runs, 0, seen.in_cells} : TurboRoom{0, 0, seen.n_large, 0},
-                       arrays.n_tiles);
+    ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large, 0);
   }
   return tl::unexpected(ok.error());
 }

@@ -53,7 +53,8 @@ inline math::Vec3<float> color_allowance(const SceneView& s, std::uint64_t i, co
   const float* sh = &s.sh[static_cast<std::uint64_t>(3 * n) * i];
   float sum[3] = {0.5F, 0.5F, 0.5F};
   for (int k = 0; k < n; ++k) {
-    for (int c = 0; c < 3; ++c) sum[c] += (std::abs(basis.y[k]) + (basis.y[k] != 0 ? 1.0F : 0.0F)) * std::abs(sh[3 * k + c]);
+    for (int c = 0; c < 3; ++c)
+      sum[c] += (std::abs(basis.y[k]) + (basis.y[k] != 0 ? 1.0F : 0.0F)) * std::abs(sh[3 * k + c]);
   }
   constexpr float kRounding = 24 * 0x1p-24F;
   return {kRounding * sum[0], kRounding * sum[1], kRounding * sum[2]};

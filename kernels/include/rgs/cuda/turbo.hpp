@@ -21,7 +21,7 @@ using TurboEntry = std::uint64_t;
 inline constexpr int kTurboIndexBits = 25;
 inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;
 
-/// Entries begin .. begin + n - 1 of one tile: those that one block has written, or those of its large Gaussians.
+/// Entries begin .. begin + n - 1 of one tile, written by one block.
 struct TurboRun {
   std::uint32_t begin, n;
 };
@@ -48,18 +48,19 @@ struct alignas(16) TurboCell {
 static_assert(sizeof(TurboCell) == 16);
 inline constexpr int kTurboCells = 8;  ///< of a tile
 
-/// A part of a Gaussian that touches many tiles: kept for kernels that spread it over threads, one a row.
+/// A Gaussian that touches many tiles: kept for a kernel in which tiles look for theirs.
 struct alignas(16) TurboLarge {
   math::Ellipse<float> ellipse;
   std::uint32_t depth;  ///< bits
   std::uint32_t index;
-  std::uint32_t leader;  ///< the Gaussian's first part
-  std::uint32_t listed;  ///< of a leader: 1 if a part has an entry
-  std::uint16_t row, n_rows, column, n_columns;  ///< of tiles; see kTurboLargeRows
-  std::uint32_t unused;
+  std::uint32_t listed;  ///< 1 once it has an entry
+  std::uint32_t unused[4];
 };
 static_assert(sizeof(TurboLarge) == 64);
-inline constexpr int kTurboLargeRows = 8, kTurboLargeColumns = 64;  ///< of a part, at most
+/// Its bounding box: tiles x0 <= x < x1, y0 <= y < y1.
+struct alignas(8) TurboBox {
+  std::uint16_t x0, y0, x1, y1;
+};
 
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
 inline constexpr int kTurboClasses = 32;
@@ -67,44 +68,42 @@ inline constexpr int kTurboClasses = 32;
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
   Counters counters;
-  std::uint64_t runs;           ///< of the blocks, written or not
-  std::uint64_t large_entries;  ///< of the large Gaussians
-  std::uint64_t in_cells;       ///< Gaussians of all cells, written or not
-  std::uint32_t n_large;        ///< parts in TurboArrays::large, written or not
-  std::uint32_t placed;         ///< runs that have a place in their tile's list
-  std::uint32_t large_placed;   ///< entries of the large ones that have a place
-  std::uint32_t scratch;        ///< entries of the long lists
-  std::uint32_t ordered;        ///< tiles
-  std::uint32_t padding;
+  std::uint64_t runs;      ///< written or not
+  std::uint32_t n_large;   ///< the same of TurboArrays::large
+  std::uint32_t placed;    ///< runs that have a place in their tile's list
+  std::uint32_t scratch;   ///< entries of the long lists
+  std::uint32_t ordered;   ///< tiles
+  std::uint64_t in_cells;  ///< Gaussians of all cells, written or not
   std::uint32_t class_size[kTurboClasses];
 
-  /// With [tiles] block entries (the lower 32 bits of 64) and runs (the upper), then [tiles] entries of large Gaussians,
-  /// 32 bits, which become the place of the next one.
-  static std::uint64_t bytes(std::uint32_t n_tiles) { return sizeof(TurboState) + 12 * std::uint64_t{n_tiles}; }
+  /// With a TurboCount of each tile.
+  static std::uint64_t bytes(std::uint32_t n_tiles) { return sizeof(TurboState) + 8 * std::uint64_t{n_tiles}; }
 };
+/// Entries of a tile; its runs << 32.
+using TurboCount = std::uint64_t;
 static_assert(sizeof(TurboState) % 16 == 0);
 
 /// Where the front end leaves entries, and the lists made of them.
 struct TurboArrays {
   TurboState* state;
   std::uint32_t n_tiles;
-  TurboEntry* entries;     ///< [entry_capacity]
-  TurboTileRun* runs;      ///< [run_capacity] of the blocks
-  TurboRun* tile_runs;     ///< [run_capacity + n_tiles] the same by tile, and one of large Gaussians' entries a tile
-  TurboLarge* large;       ///< [large_capacity]
-  TurboEntry* scratch;     ///< [entry_capacity]
-  TurboList* lists;        ///< [n_tiles]
-  std::uint32_t* classes;  ///< [kTurboClasses, n_tiles] tiles of each class
-  TurboCell* cells;        ///< [n_tiles, kTurboCells] tiles in the order of their classes
+  TurboEntry* entries;            ///< [entry_capacity]
+  TurboTileRun* runs;             ///< [run_capacity]
+  TurboRun* tile_runs;            ///< [run_capacity] the same by tile
+  TurboLarge* large;              ///< [large_capacity]
+  TurboBox* large_boxes;          ///< [large_capacity]
+  TurboEntry* scratch;            ///< [entry_capacity]
+  TurboList* lists;               ///< [n_tiles]
+  std::uint32_t* classes;         ///< [kTurboClasses, n_tiles] tiles of each class
+  TurboCell* cells;               ///< [n_tiles, kTurboCells] tiles in the order of their classes
   std::uint32_t* cell_gaussians;  ///< [cell_capacity]
   std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
 };
 
-/// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs, and counts the entries of
-/// the large ones; adds to the state's counters.visible, .instances (without those of the large), .large_entries and
-/// .runs. Chunks of compact attributes outside the view are passed over before an attribute is read. What exceeds a
-/// capacity is counted, not written; large Gaussians that exceed theirs do not count as visible, nor do their entries.
-/// v.grid is that of 32x32 tiles. n < kMaxTurboGaussians. Errors: device_failed.
+/// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
+/// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
+/// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
+/// and have no entries. v.grid is that of 32x32 tiles. n < kMaxTurboGaussians. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -114,10 +113,13 @@ struct TurboEmitArguments {
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 
-/// Gives every tile its runs and its class, and writes the entries of large Gaussians. If a capacity was exceeded, all
-/// lists are empty. `seen` gets a copy of the state for the host to read, counters.instances with those of the large:
-/// page-locked memory that the device reaches; `counted` is recorded when it is there. Errors: device_failed.
-Status launch_turbo_lists(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, CUevent_st* counted, Stream stream);
+/// Writes the entries and runs of the large Gaussians, which launch_turbo_emit() has set aside, and calls this.
+Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream stream);
+
+/// Gives every tile its runs and its class. If a capacity was exceeded, all lists are empty. `seen` gets a copy of the
+/// state for the host to read: page-locked memory that the device reaches; `counted` is recorded when it is there.
+/// Errors: device_failed.
+Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, CUevent_st* counted, Stream stream);
 
 /// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. If it did not fit, all cells
 /// are empty. Errors: device_failed.
