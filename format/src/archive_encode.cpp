@@ -43,8 +43,8 @@ namespace {
 
 using namespace detail;
 
-constexpr float kClassOctaves = 2;  // finer classes cost more than their finer steps gain: docs/PROFILES.md
-constexpr float kLargestSh = 0x1p30f;
+constexpr float kClassOctaves = 2;     // finer classes cost more than their finer steps gain: docs/PROFILES.md
+constexpr float kLargestSh = 0x1p30f;  // one beyond would carry the centre of all away with it
 
 struct Frame {
   std::uint64_t first = 0, count = 0;
@@ -87,9 +87,17 @@ class Encoder {
   }
 
   Result<std::vector<std::byte>> run(std::span<const std::uint32_t> source_index) {
+    if (const auto huge = std::ranges::find_if(splats_.sh, [](float x) { return !(std::abs(x) <= kLargestSh); });
+        huge != splats_.sh.end()) {
+      const auto value = static_cast<std::size_t>(huge - splats_.sh.begin());
+      return too_large(source_index[value / (3 + tables_.n_sh)]);
+    }
     fit();
     if (Status s = each_frame([this](Frame& f) { return order_frame(f); }); !s) return tl::unexpected(s.error());
-    if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) return tl::unexpected(s.error());
+    if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
+      s.error().found = source_index[s.error().found];
+      return tl::unexpected(s.error());
+    }
     fit_tables();
     if (Status s = reconstruct(); !s) return tl::unexpected(s.error());
     std::vector<std::byte> file = assemble(source_index);
@@ -154,7 +162,13 @@ class Encoder {
 
   // ---- codes -------------------------------------------------------------------------------------------------------
 
-  // The nearest code, if there is one that fits; `kept_` frames say which Gaussian has none.
+  static tl::unexpected<Error> too_large(std::uint64_t index) {
+    return fail(Errc::bad_value, Error::kNone,
+                "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
+                Error::kNone, index);
+  }
+
+  // The nearest code, if there is one that fits.
   static bool code_of(double value, std::int16_t& code) {
     const double rounded = std::nearbyint(value);
     if (!(std::abs(rounded) <= 32767)) return false;
@@ -172,9 +186,7 @@ class Encoder {
       const std::size_t index = codes.classes[i] = classes_.of[source];
       const ArchiveClass& c = tables_.parameters.classes[index];
       if (!quantise_geometry(s, c, i, f) || !quantise_dc(s, c, i, dc_before, codes) || !quantise_sh(s, c, i, codes)) {
-        return fail(Errc::bad_value, Error::kNone,
-                    "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
-                    Error::kNone, source);
+        return too_large(source);
       }
     }
     return {};
@@ -210,7 +222,6 @@ class Encoder {
     for (std::size_t m = 0; m < 3; ++m) {
       double y = 0;
       for (std::size_t j = 0; j < 3; ++j) {
-        if (!(std::abs(s.sh[j]) <= kLargestSh)) return false;
         y += tables_.dc_matrix[3 * j + m] * static_cast<double>(s.sh[j] - tables_.dc_centre[j]);
       }
       const double level = std::nearbyint(y * (65536 >> kMatrixBits) / c.dc_step);
@@ -227,7 +238,6 @@ class Encoder {
     const std::size_t n = tables_.n_sh;
     float y[45] = {};
     for (std::size_t q = 0; q < n; ++q) {
-      if (!(std::abs(s.sh[3 + q]) <= kLargestSh)) return false;
       const float x = s.sh[3 + q] - tables_.sh_centre[q];
       const std::int16_t* row = &tables_.sh_matrix[q * n];
       for (std::size_t k = 0; k < n; ++k) y[k] += x * static_cast<float>(row[k]);
@@ -430,7 +440,7 @@ class Encoder {
 Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const SplatView& splats,
                                               std::span<const std::uint32_t> source_index) {
   assert(plan.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
-  assert(!plan.keep_permutation || source_index.size() == splats.n);
+  assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
   return Encoder(plan, splats).run(source_index);
 }
 

@@ -247,6 +247,7 @@ TEST_CASE("what an archive cannot hold is refused with the Gaussian's index") {
     const auto bytes = encode(cloud.view(), archive_options());
     REQUIRE_FALSE(bytes);
     CHECK(bytes.error().code == Errc::bad_value);
+    CHECK(bytes.error().found == 37);
   }
   // Whatever comes: a file that its encoder has verified, or that error.
   for (int turn = 0; turn < 40; ++turn) {
