@@ -444,8 +444,58 @@ TEST_CASE("the entropy coder gives back what it was given, and notices every oth
   std::vector<std::byte> longer = stream;
   longer.resize(longer.size() + 2);
   CHECK_FALSE(decode_stream(longer, out));
+  Planes beyond = planes;
+  beyond.levels[7] = 301;
+  walk(beyond, writer);
+  CHECK_FALSE(decode_stream(writer.finish(), out));  // a number above its limit
   frequencies[5] += 1;
   CHECK_FALSE(tables.assign(frequencies));
+}
+
+TEST_CASE("tables of an archive are refused for what is in them") {
+  using namespace rgs::detail;
+  ArchiveTables good;
+  good.n_sh = archive_sh_count(1);
+  good.parameters.classes.resize(3);
+  for (ArchiveClass& c : good.parameters.classes) c.rotation_step = c.sh_step = 1;
+  good.sh_centre.resize(good.n_sh);
+  good.sh_matrix.resize(good.n_sh * good.n_sh);
+  good.map.resize(good.contexts().count);
+  good.frequencies.assign(2 * kRansTokens, 0);
+  good.frequencies[3] = good.frequencies[kRansTokens] = kRansTotal;
+  const std::uint64_t frame = 1000 + 128 + 3 * 36;
+  const auto parse = [](const std::vector<std::byte>& bytes) { return parse_archive_tables(bytes, 1000, 1); };
+  const std::vector<std::byte> original = write_archive_tables(good);
+  REQUIRE(parse(original));
+  const auto refused = [&](const std::vector<std::byte>& bytes, Errc code, std::uint64_t offset) {
+    const auto result = parse(bytes);
+    REQUIRE_FALSE(result);
+    CHECK(result.error().code == code);
+    CHECK(result.error().offset == offset);
+  };
+  ArchiveTables bad = good;
+  bad.map[17] = 2;
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.frequencies[3] = kRansTotal - 1;
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.sh_centre[4] = std::nanf("");
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.dc_centre[0] = 0x1p41f;
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.map.push_back(0);
+  refused(write_archive_tables(bad), Errc::corrupt_data, frame);
+  for (std::size_t n = 0; n < original.size(); ++n) {
+    const std::vector<std::byte> prefix(original.begin(), original.begin() + static_cast<std::ptrdiff_t>(n));
+    refused(prefix, n < frame - 1000 ? Errc::size_mismatch : Errc::corrupt_data, n < frame - 1000 ? 1000 : frame);
+  }
+  std::vector<std::byte> twice = original;  // a second frame behind the first
+  twice.insert(twice.end(), original.begin() + static_cast<std::ptrdiff_t>(frame - 1000), original.end());
+  refused(twice, Errc::corrupt_data, frame);
+  CHECK_FALSE(parse_archive_tables(original, 1000, 2));  // of another degree
 }
 
 TEST_CASE("tokens cover every number once") {
