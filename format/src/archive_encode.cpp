@@ -12,6 +12,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <numbers>
 #include <numeric>
 
 #include "archive_codec.hpp"
@@ -315,7 +316,33 @@ class Encoder {
     }
     errors[0].state(tables_.parameters);
     counts_ = counts[0];
+    if (!steps_explain_bounds()) {
+      return fail(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
+    }
     return {};
+  }
+
+  // What is stated was measured: that it is no more than half steps can do is what keeps a mistake from being stated too.
+  bool steps_explain_bounds() const {
+    const ArchiveParameters& p = tables_.parameters;
+    float largest_sh = 1;
+    for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
+    const double rounding = static_cast<double>(largest_sh) * 0x1p-11;  // matrices have 14 bits
+    double off_centre = 0;                                              // FP32 rounding of means far from the origin
+    for (std::size_t k = 0; k < 3; ++k) off_centre = std::max(off_centre, std::abs(p.centre[k]) / p.half_width[k]);
+    bool explained = p.bound_mean <= std::ldexp(0.501, -static_cast<int>(p.mean_cells)) + (1 + off_centre) * 0x1p-23 &&
+                     p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
+    for (const ArchiveClass& c : p.classes) {
+      const double side = std::sqrt(0.75), reached = side * (1 + static_cast<double>(c.rotation_step));
+      // Smaller components of a unit quaternion have at most the length `side`, where its angle changes fastest.
+      const double turned = reached < 1 ? 2 * (std::asin(reached) - std::asin(side)) : std::numbers::pi;
+      explained =
+          explained && c.bound_rotation <= turned + 0x1p-8 &&
+          c.bound_scale <= c.scale_step / 65536.0 * std::numbers::ln2 / 2 + 0x1p-10 &&
+          c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
+          c.bound_sh <= static_cast<double>(c.sh_step) / 2 * std::sqrt(static_cast<double>(tables_.n_sh)) + rounding;
+    }
+    return explained;
   }
 
   Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, EncodeCounts& counts) {
