@@ -21,6 +21,8 @@ import zlib
 import numpy as np
 
 WRITTEN = [("rgs (packed)", "packed.rgs", []), ("rgs (direct)", "direct.rgs", ["--profile", "direct"]),
+           ("rgs (archive:high)", "high.rgs", ["--profile", "archive:high"]),
+           ("rgs (archive:small)", "small.rgs", ["--profile", "archive:small"]),
            ("compressed.ply", "compressed.ply", []), ("spz", "spz", []), ("splat", "splat", []), ("glb", "glb", [])]
 
 

@@ -350,7 +350,11 @@ Result<Finished> write_archive(const SplatSource& source, const EncodePlan& plan
     }
   });
   const auto bytes = encode_archive(plan, cloud.view(), indices);
-  if (!bytes) return tl::unexpected(bytes.error());
+  if (!bytes) {
+    Error error = bytes.error();
+    if (error.code == Errc::bad_value && error.found != Error::kNone) error.offset = source.row_offset(error.found);
+    return tl::unexpected(error);
+  }
   if (const Status s = file.write_at(0, *bytes); !s) return tl::unexpected(s.error());
   DecodeLimits limits;
   limits.max_expansion = std::uint64_t{1} << 32;  // as the encoder has opened it

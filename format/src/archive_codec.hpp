@@ -35,8 +35,7 @@ class CodeSizes {
   std::size_t operator[](std::size_t i) const { return sizes_[i]; }
 
  private:
-  std::vector<std::uint16_t> history_;
-  std::vector<std::uint8_t> sizes_;  // 0 to 7
+  std::vector<std::uint16_t> history_, sizes_;  // sizes: 0 to 7
 };
 
 constexpr std::size_t scale_bucket(std::int16_t code) {
@@ -58,14 +57,13 @@ void walk_geometry(FrameCodes& f, const ArchiveTables& t, Coder& coder) {
     coder.plane(n, &f.rotation[j * n], 0,
                 [&](std::size_t i) { return at.rotation + (j * n_classes + c[i]) * 4 + f.largest[i]; });
   }
-  const std::int16_t *s0 = &f.scale[0], *s1 = s0 + n, *s2 = s1 + n;
+  std::int16_t *s0 = f.scale.data(), *s1 = s0 + n, *s2 = s1 + n;
   const auto by_opacity = [&](std::size_t i) {
     return std::size_t{c[i]} * 8 + std::size_t{f.opacity[i]} * 8 / (levels + 1);
   };
-  coder.plane(n, const_cast<std::int16_t*>(s0), 0, [&](std::size_t i) { return at.scale0 + by_opacity(i); });
-  coder.plane(n, const_cast<std::int16_t*>(s1), 0,
-              [&](std::size_t i) { return at.scale1 + by_opacity(i) * 16 + scale_bucket(s0[i]); });
-  coder.plane(n, const_cast<std::int16_t*>(s2), 0, [&](std::size_t i) {
+  coder.plane(n, s0, 0, [&](std::size_t i) { return at.scale0 + by_opacity(i); });
+  coder.plane(n, s1, 0, [&](std::size_t i) { return at.scale1 + by_opacity(i) * 16 + scale_bucket(s0[i]); });
+  coder.plane(n, s2, 0, [&](std::size_t i) {
     return at.scale2 + (std::size_t{c[i]} * 16 + scale_bucket(s0[i])) * 16 + scale_bucket(s1[i]);
   });
 }

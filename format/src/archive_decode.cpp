@@ -40,15 +40,20 @@ void CodeSizes::reset(std::size_t n) {
   sizes_.assign(n, 0);
 }
 
+// In 16 bits, so that it becomes vectors: (13 h + 128 m) div 16 is h - (3 h + 15) div 16 + 8 m, and h at most 10880.
 void CodeSizes::note(const std::int16_t* codes) {
+  constexpr std::array<std::int16_t, 7> kLimits{3, 7, 12, 22, 37, 60, 98};
   std::uint16_t* history = history_.data();
-  std::uint8_t* sizes = sizes_.data();
+  std::uint16_t* sizes = sizes_.data();
   for (std::size_t i = 0; i < sizes_.size(); ++i) {
-    const int magnitude = std::min(codes[i] < 0 ? -codes[i] : codes[i], 255);
-    const int h = (13 * history[i] + 128 * magnitude) >> 4;  // at most 10880
+    const std::int16_t code = std::clamp<std::int16_t>(codes[i], -255, 255);
+    const auto magnitude = static_cast<std::uint16_t>(code < 0 ? -code : code);
+    const auto decay = static_cast<std::uint16_t>(static_cast<std::uint16_t>(3 * history[i] + 15) >> 4);
+    const auto h = static_cast<std::int16_t>(history[i] - decay + 8 * magnitude);
     history[i] = static_cast<std::uint16_t>(h);
-    sizes[i] =
-        static_cast<std::uint8_t>((h >= 3) + (h >= 7) + (h >= 12) + (h >= 22) + (h >= 37) + (h >= 60) + (h >= 98));
+    std::int16_t size = 0;
+    for (const std::int16_t limit : kLimits) size = static_cast<std::int16_t>(size + (h >= limit));
+    sizes[i] = static_cast<std::uint16_t>(size);
   }
 }
 

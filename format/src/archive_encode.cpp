@@ -12,6 +12,7 @@
 #include <cmath>
 #include <cstring>
 #include <limits>
+#include <numbers>
 #include <numeric>
 
 #include "archive_codec.hpp"
@@ -43,8 +44,8 @@ namespace {
 
 using namespace detail;
 
-constexpr float kClassOctaves = 2;  // finer classes cost more than their finer steps gain: docs/PROFILES.md
-constexpr float kLargestSh = 0x1p30f;
+constexpr float kClassOctaves = 2;     // finer classes cost more than their finer steps gain: docs/PROFILES.md
+constexpr float kLargestSh = 0x1p30f;  // one beyond would carry the centre of all away with it
 
 struct Frame {
   std::uint64_t first = 0, count = 0;
@@ -87,9 +88,17 @@ class Encoder {
   }
 
   Result<std::vector<std::byte>> run(std::span<const std::uint32_t> source_index) {
+    if (const auto huge = std::ranges::find_if(splats_.sh, [](float x) { return !(std::abs(x) <= kLargestSh); });
+        huge != splats_.sh.end()) {
+      const auto value = static_cast<std::size_t>(huge - splats_.sh.begin());
+      return too_large(source_index[value / (3 + tables_.n_sh)]);
+    }
     fit();
     if (Status s = each_frame([this](Frame& f) { return order_frame(f); }); !s) return tl::unexpected(s.error());
-    if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) return tl::unexpected(s.error());
+    if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
+      s.error().found = source_index[s.error().found];
+      return tl::unexpected(s.error());
+    }
     fit_tables();
     if (Status s = reconstruct(); !s) return tl::unexpected(s.error());
     std::vector<std::byte> file = assemble(source_index);
@@ -154,7 +163,13 @@ class Encoder {
 
   // ---- codes -------------------------------------------------------------------------------------------------------
 
-  // The nearest code, if there is one that fits; `kept_` frames say which Gaussian has none.
+  static tl::unexpected<Error> too_large(std::uint64_t index) {
+    return fail(Errc::bad_value, Error::kNone,
+                "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
+                Error::kNone, index);
+  }
+
+  // The nearest code, if there is one that fits.
   static bool code_of(double value, std::int16_t& code) {
     const double rounded = std::nearbyint(value);
     if (!(std::abs(rounded) <= 32767)) return false;
@@ -172,9 +187,7 @@ class Encoder {
       const std::size_t index = codes.classes[i] = classes_.of[source];
       const ArchiveClass& c = tables_.parameters.classes[index];
       if (!quantise_geometry(s, c, i, f) || !quantise_dc(s, c, i, dc_before, codes) || !quantise_sh(s, c, i, codes)) {
-        return fail(Errc::bad_value, Error::kNone,
-                    "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
-                    Error::kNone, source);
+        return too_large(source);
       }
     }
     return {};
@@ -210,7 +223,6 @@ class Encoder {
     for (std::size_t m = 0; m < 3; ++m) {
       double y = 0;
       for (std::size_t j = 0; j < 3; ++j) {
-        if (!(std::abs(s.sh[j]) <= kLargestSh)) return false;
         y += tables_.dc_matrix[3 * j + m] * static_cast<double>(s.sh[j] - tables_.dc_centre[j]);
       }
       const double level = std::nearbyint(y * (65536 >> kMatrixBits) / c.dc_step);
@@ -227,7 +239,6 @@ class Encoder {
     const std::size_t n = tables_.n_sh;
     float y[45] = {};
     for (std::size_t q = 0; q < n; ++q) {
-      if (!(std::abs(s.sh[3 + q]) <= kLargestSh)) return false;
       const float x = s.sh[3 + q] - tables_.sh_centre[q];
       const std::int16_t* row = &tables_.sh_matrix[q * n];
       for (std::size_t k = 0; k < n; ++k) y[k] += x * static_cast<float>(row[k]);
@@ -305,7 +316,33 @@ class Encoder {
     }
     errors[0].state(tables_.parameters);
     counts_ = counts[0];
+    if (!steps_explain_bounds()) {
+      return fail(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
+    }
     return {};
+  }
+
+  // What is stated was measured: that it is no more than half steps can do is what keeps a mistake from being stated too.
+  bool steps_explain_bounds() const {
+    const ArchiveParameters& p = tables_.parameters;
+    float largest_sh = 1;
+    for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
+    const double rounding = static_cast<double>(largest_sh) * 0x1p-11;  // matrices have 14 bits
+    double off_centre = 0;                                              // FP32 rounding of means far from the origin
+    for (std::size_t k = 0; k < 3; ++k) off_centre = std::max(off_centre, std::abs(p.centre[k]) / p.half_width[k]);
+    bool explained = p.bound_mean <= std::ldexp(0.501, -static_cast<int>(p.mean_cells)) + (1 + off_centre) * 0x1p-23 &&
+                     p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
+    for (const ArchiveClass& c : p.classes) {
+      const double side = std::sqrt(0.75), reached = side * (1 + static_cast<double>(c.rotation_step));
+      // Smaller components of a unit quaternion have at most the length `side`, where its angle changes fastest.
+      const double turned = reached < 1 ? 2 * (std::asin(reached) - std::asin(side)) : std::numbers::pi;
+      explained =
+          explained && c.bound_rotation <= turned + 0x1p-8 &&
+          c.bound_scale <= c.scale_step / 65536.0 * std::numbers::ln2 / 2 + 0x1p-10 &&
+          c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
+          c.bound_sh <= static_cast<double>(c.sh_step) / 2 * std::sqrt(static_cast<double>(tables_.n_sh)) + rounding;
+    }
+    return explained;
   }
 
   Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, EncodeCounts& counts) {
@@ -430,7 +467,7 @@ class Encoder {
 Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const SplatView& splats,
                                               std::span<const std::uint32_t> source_index) {
   assert(plan.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
-  assert(!plan.keep_permutation || source_index.size() == splats.n);
+  assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
   return Encoder(plan, splats).run(source_index);
 }
 

@@ -9,6 +9,7 @@
 #include <numbers>
 #include <numeric>
 
+#include "../../format/src/archive_codec.hpp"
 #include "../../format/src/archive_tables.hpp"
 #include "../../format/src/point_codec.hpp"
 #include "../../format/src/rans.hpp"
@@ -67,8 +68,8 @@ void check_stated(const ArchiveParameters& p) {
     const double worst = std::sqrt(3.0) / 2 + std::sqrt(3.0) / 2 * static_cast<double>(c.rotation_step);
     if (worst < 1) CHECK(c.bound_rotation <= 2 * (std::asin(worst) - std::numbers::pi / 3) + 0x1p-8);
     CHECK(c.bound_scale <= c.scale_step / 65536.0 * std::numbers::ln2 / 2 + 0x1p-10);
-    CHECK(c.bound_dc <= c.dc_step / 65536.0 * std::sqrt(3.0) / 2 + 0.01);
-    CHECK(c.bound_sh <= static_cast<double>(c.sh_step) * 0.6 * std::sqrt(45.0) + 0.001);
+    CHECK(c.bound_dc <= c.dc_step / 65536.0 * std::sqrt(3.0) / 2 + 0.03);
+    CHECK(c.bound_sh <= static_cast<double>(c.sh_step) / 2 * std::sqrt(45.0) + 0.001);
   }
 }
 
@@ -229,6 +230,7 @@ TEST_CASE("archives of extremes and of equals") {
     REQUIRE(view);
     CHECK(validate(*view));
     CHECK(verify_archive(bytes, cloud->view(), source_order(*view)));
+    check_stated(*view->archive());
   }
 }
 
@@ -247,6 +249,7 @@ TEST_CASE("what an archive cannot hold is refused with the Gaussian's index") {
     const auto bytes = encode(cloud.view(), archive_options());
     REQUIRE_FALSE(bytes);
     CHECK(bytes.error().code == Errc::bad_value);
+    CHECK(bytes.error().found == 37);
   }
   // Whatever comes: a file that its encoder has verified, or that error.
   for (int turn = 0; turn < 40; ++turn) {
@@ -443,8 +446,58 @@ TEST_CASE("the entropy coder gives back what it was given, and notices every oth
   std::vector<std::byte> longer = stream;
   longer.resize(longer.size() + 2);
   CHECK_FALSE(decode_stream(longer, out));
+  Planes beyond = planes;
+  beyond.levels[7] = 301;
+  walk(beyond, writer);
+  CHECK_FALSE(decode_stream(writer.finish(), out));  // a number above its limit
   frequencies[5] += 1;
   CHECK_FALSE(tables.assign(frequencies));
+}
+
+TEST_CASE("tables of an archive are refused for what is in them") {
+  using namespace rgs::detail;
+  ArchiveTables good;
+  good.n_sh = archive_sh_count(1);
+  good.parameters.classes.resize(3);
+  for (ArchiveClass& c : good.parameters.classes) c.rotation_step = c.sh_step = 1;
+  good.sh_centre.resize(good.n_sh);
+  good.sh_matrix.resize(good.n_sh * good.n_sh);
+  good.map.resize(good.contexts().count);
+  good.frequencies.assign(2 * kRansTokens, 0);
+  good.frequencies[3] = good.frequencies[kRansTokens] = kRansTotal;
+  const std::uint64_t frame = 1000 + 128 + 3 * 36;
+  const auto parse = [](const std::vector<std::byte>& bytes) { return parse_archive_tables(bytes, 1000, 1); };
+  const std::vector<std::byte> original = write_archive_tables(good);
+  REQUIRE(parse(original));
+  const auto refused = [&](const std::vector<std::byte>& bytes, Errc code, std::uint64_t offset) {
+    const auto result = parse(bytes);
+    REQUIRE_FALSE(result);
+    CHECK(result.error().code == code);
+    CHECK(result.error().offset == offset);
+  };
+  ArchiveTables bad = good;
+  bad.map[17] = 2;
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.frequencies[3] = kRansTotal - 1;
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.sh_centre[4] = std::nanf("");
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.dc_centre[0] = 0x1p41f;
+  refused(write_archive_tables(bad), Errc::bad_value, frame);
+  bad = good;
+  bad.map.push_back(0);
+  refused(write_archive_tables(bad), Errc::corrupt_data, frame);
+  for (std::size_t n = 0; n < original.size(); ++n) {
+    const std::vector<std::byte> prefix(original.begin(), original.begin() + static_cast<std::ptrdiff_t>(n));
+    refused(prefix, n < frame - 1000 ? Errc::size_mismatch : Errc::corrupt_data, n < frame - 1000 ? 1000 : frame);
+  }
+  std::vector<std::byte> twice = original;  // a second frame behind the first
+  twice.insert(twice.end(), original.begin() + static_cast<std::ptrdiff_t>(frame - 1000), original.end());
+  refused(twice, Errc::corrupt_data, frame);
+  CHECK_FALSE(parse_archive_tables(original, 1000, 2));  // of another degree
 }
 
 TEST_CASE("tokens cover every number once") {
@@ -459,6 +512,31 @@ TEST_CASE("tokens cover every number once") {
     REQUIRE(fold_code(unfold_code(z)) == z);
   }
   CHECK(before == kRansTokens - 1);
+}
+
+TEST_CASE("sizes of codes are those of the specification") {
+  using namespace rgs::detail;
+  SplitMix random{113};
+  constexpr std::size_t kN = 200;
+  CodeSizes sizes;
+  sizes.reset(kN);
+  std::array<int, kN> history{};
+  for (int plane = 0; plane < 60; ++plane) {
+    std::array<std::int16_t, kN> codes;
+    for (std::int16_t& code : codes) {
+      code = static_cast<std::int16_t>(random.below(std::uint64_t{2} << random.below(16)));
+      if (random.below(3) == 0) code = static_cast<std::int16_t>(-code);
+    }
+    codes[0] = -32768;
+    codes[1] = 255;
+    sizes.note(codes.data());
+    for (std::size_t i = 0; i < kN; ++i) {
+      history[i] = (13 * history[i] + 128 * std::min(std::abs(int{codes[i]}), 255)) / 16;
+      std::size_t size = 0;
+      for (const int limit : {3, 7, 12, 22, 37, 60, 98}) size += history[i] >= limit;
+      REQUIRE(sizes[i] == size);
+    }
+  }
 }
 
 TEST_CASE("Draco's streams are checked before Draco sees them") {

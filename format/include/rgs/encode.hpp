@@ -262,10 +262,10 @@ PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> c
 // ---- Profile::archive ----------------------------------------------------------------------------------------------
 
 /// The file of Profile::archive for the plan's Gaussians: `splats` are those that the policy let through, mended and in
-/// Morton order (frames are cut along it), `source_index` [n] their positions in the source, used if the plan keeps a
-/// permutation. Draco's order becomes the file's. Takes about 700 bytes a Gaussian beside them. What is written has been
+/// Morton order (frames are cut along it), `source_index` [n] their positions in the source, which a permutation and errors
+/// name. Draco's order becomes the file's. Takes about 700 bytes a Gaussian beside them. What is written has been
 /// decoded again and compared with `splats`: see verify_archive().
-/// Errors: bad_value (a value too large for the steps asked for; `found` is its position in `splats`), those of
+/// Errors: bad_value (a value too large for the steps asked for; `found` is the Gaussian's source_index), those of
 /// verify_archive().
 Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const SplatView& splats,
                                               std::span<const std::uint32_t> source_index);
