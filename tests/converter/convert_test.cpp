@@ -224,6 +224,24 @@ TEST_CASE("a kept permutation gives the original order back, without what was dr
   CHECK(read_ply(back).value().mean == expected);
 }
 
+TEST_CASE("an .rgs whose last values break a rule gives no PLY, whatever its profile and order") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), golden_cloud(20'000, 1, 8)),
+                    rgs = folder.file("scene.rgs"), back = folder.file("back.ply");
+  for (const char* options : {"--profile=direct", "--profile=packed", "--profile=archive:high", "--keep-permutation"}) {
+    CAPTURE(options);
+    REQUIRE(rgs_convert({"--overwrite", options, ply, rgs}).exit_code == 0);
+    Bytes bytes = read_bytes(rgs);
+    put(bytes, section_of(bytes, "DECL") + 144, std::uint64_t{20'001});  // opacities of 1: known after the last row
+    fix_hashes(bytes);
+    write_text(rgs, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    const ProgramResult run = rgs_convert({rgs, back});
+    CHECK(run.exit_code == 4);
+    CHECK(holds(run.err, "byte " + std::to_string(section_of(bytes, "DECL") + 144) + ":"));
+    CHECK_FALSE(std::filesystem::exists(back));
+  }
+}
+
 TEST_CASE("ASCII and big-endian PLY give the sections of the binary file") {
   const TemporaryFolder folder;
   for (int degree = 0; degree <= 3; ++degree) {

@@ -169,6 +169,31 @@ Result<DirectData> load_direct(const FileView& view, const LoadOptions& options 
 /// few frames of memory if sections are coded. Uses all threads.
 Status validate(const FileView& view);
 
+namespace detail {
+struct ValueTotals;
+}
+
+/// validate() in steps, for callers that use what it decodes: begin(), check() with every chunk of the file in order, a
+/// range at a time from read_chunks() without LoadOptions::validate, then finish(). Same checks, same errors, same order.
+/// Move-only; the view must outlive it.
+class Validation {
+ public:
+  static Result<Validation> begin(const FileView& view);
+  Status check(const DirectData& next);
+  Status finish() const;
+  /// Chunks to read at a time, so that what is coded is never in memory as a whole.
+  std::uint64_t chunks_at_a_time() const;
+
+  Validation(Validation&&) noexcept;
+  Validation& operator=(Validation&&) noexcept;
+  ~Validation();
+
+ private:
+  explicit Validation(const FileView& view);
+  const FileView* view_;
+  std::unique_ptr<detail::ValueTotals> totals_;
+};
+
 /// open(), validate() and all Gaussians in memory.
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
