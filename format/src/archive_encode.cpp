@@ -77,7 +77,7 @@ std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean)
 class Encoder {
  public:
   Encoder(const EncodePlan& plan, const SplatView& splats)
-      : plan_(plan), splats_(splats), degree_(plan.header.sh_degree), order_(splats.n) {
+      : plan_(plan), splats_(splats), degree_(plan.header.sh_degree), order_(splats.n), means_(3 * splats.n) {
     std::iota(order_.begin(), order_.end(), 0u);
     tables_.n_sh = archive_sh_count(degree_);
     for (std::uint64_t first = 0; first < splats.n; first += plan.frame_rows()) {
@@ -364,6 +364,7 @@ class Encoder {
       for (std::size_t i = 0; i < count; ++i) {
         for (std::size_t k = 0; k < 3; ++k) {
           stored[i].mean[k] = grid_mean(tables_.parameters, k, points[at + i][k]);
+          means_[3 * (f.first + at + i) + k] = stored[i].mean[k];
         }
         geometry_row(tables_.parameters, f.codes, at + i, plan_.header.scale_exponent, stored[i].geometry);
         errors.add(f.codes.classes[at + i], splat_errors(tables_.parameters, plan_.header.scale_exponent, degree_,
@@ -411,10 +412,13 @@ class Encoder {
         d.full.max[k] = std::max(d.full.max[k], chunk.means.max[k]);
       }
     }
-    for (std::size_t k = 0; k < 3; ++k) {
-      d.robust.min[k] = std::clamp(d.robust.min[k], d.full.min[k], d.full.max[k]);
-      d.robust.max[k] = std::clamp(d.robust.max[k], d.full.min[k], d.full.max[k]);
+    SceneScan scan(0, {});
+    for (std::uint64_t i = 0; i < splats_.n; ++i) {
+      Splat splat;
+      std::copy_n(&means_[3 * i], 3, splat.mean);
+      scan.add(splat);
     }
+    d.robust = scan.robust();
     ScaleSet largest;
     for (ScaleSet& set : scales_) {
       for (std::size_t degree = 0; degree < 4; ++degree) {
@@ -457,6 +461,7 @@ class Encoder {
   Classes classes_;
   std::vector<Frame> frames_;
   std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
+  std::vector<float> means_;          // [n, 3] decoded, in the order of the file
   std::vector<ChunkEntry> chunks_;
   std::vector<ScaleSet> scales_;  // of each chunk; until describe_scene() the largest magnitudes
   EncodeCounts counts_;
