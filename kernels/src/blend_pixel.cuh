@@ -4,6 +4,7 @@
 
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "rgs/cuda/blend.hpp"
 
 namespace rgs::cuda {
@@ -50,15 +51,15 @@ __device__ inline void count_pairs(Counters& counters, const std::uint32_t (&eva
   std::uint32_t e = 0, b = 0;
 #pragma unroll
   for (int k = 0; k < N; ++k) e += evaluated[k], b += blended[k];
-  unsigned long long sums[2] = {e, b};
+  std::uint64_t sums[2] = {e, b};
 #pragma unroll
   for (int step = 16; step > 0; step /= 2) {
     sums[0] += __shfl_xor_sync(0xFFFFFFFFu, sums[0], step);
     sums[1] += __shfl_xor_sync(0xFFFFFFFFu, sums[1], step);
   }
   if (threadIdx.x % 32 == 0) {
-    atomicAdd(reinterpret_cast<unsigned long long*>(&counters.evaluated), sums[0]);
-    atomicAdd(reinterpret_cast<unsigned long long*>(&counters.blended), sums[1]);
+    atomic_add(counters.evaluated, sums[0]);
+    atomic_add(counters.blended, sums[1]);
   }
 }
 
