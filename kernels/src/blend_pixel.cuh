@@ -1,4 +1,4 @@
-// blend_pixel.cuh - which pixels a thread has, and how they leave the kernel.
+// blend_pixel.cuh - which pixels of its tile a thread has, and the sum of what they counted.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -28,22 +28,6 @@ struct TilePixel {
     return static_cast<std::size_t>(image_y(k)) * static_cast<std::size_t>(width) + static_cast<std::size_t>(image_x());
   }
 };
-
-template <bool Details>
-__device__ inline void store_pixel(const BlendArguments& a, std::size_t i, const math::Pixel<float>& pixel,
-                                   std::uint32_t n_evaluated, std::uint32_t n_blended) {
-  const PixelArrays& t = a.target;
-  if (t.rgb != nullptr) {
-    const auto color = math::resolve(pixel, a.background);
-    t.rgb[3 * i] = color.x, t.rgb[3 * i + 1] = color.y, t.rgb[3 * i + 2] = color.z;
-  }
-  if (t.alpha != nullptr) t.alpha[i] = 1 - pixel.transmittance;
-  if constexpr (Details) {
-    if (t.depth != nullptr) t.depth[i] = math::expected_depth(pixel);
-    if (t.evaluated != nullptr) t.evaluated[i] = n_evaluated;
-    if (t.blended != nullptr) t.blended[i] = n_blended;
-  }
-}
 
 template <int N>
 __device__ inline void count_pairs(Counters& counters, const std::uint32_t (&evaluated)[N],

@@ -160,8 +160,7 @@ __global__ void __launch_bounds__(kThreads) fused_kernel(A attributes, std::uint
   __shared__ Shared<E> s;
   if (threadIdx.x == 0) {
     // Look-back waits for earlier blocks, so they must have started: numbers are drawn, not taken from the grid.
-    s.block =
-        out.block_state == nullptr ? blockIdx.x : static_cast<std::uint32_t>(atomic_add(*out.block_state, 1));
+    s.block = out.block_state == nullptr ? blockIdx.x : static_cast<std::uint32_t>(atomic_add(*out.block_state, 1));
   }
   s.listed[threadIdx.x] = 0;
   __syncthreads();

@@ -8,6 +8,7 @@
 #include "rgs/math/camera.hpp"
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/options.hpp"
+#include "rgs/math/pixel_format.hpp"
 
 struct CUstream_st;
 
@@ -59,6 +60,8 @@ struct PixelArrays {
   float* depth;
   std::uint32_t* evaluated;
   std::uint32_t* blended;
+  void* packed = nullptr;  ///< pixels of `format`, aligned to math::pixel_bytes() of it
+  math::PixelFormat format = math::PixelFormat::rgba8;
 };
 
 }  // namespace rgs::cuda
