@@ -5,27 +5,39 @@
 #include <cuda_runtime_api.h>
 
 #include <algorithm>
+#include <cstddef>
 #include <memory>
+#include <optional>
 
 namespace rgs::bench {
 namespace {
 
 struct FreeDevice {
-  void operator()(float* memory) const { cudaFree(memory); }
+  void operator()(std::byte* memory) const { cudaFree(memory); }
 };
-using DeviceFloats = std::unique_ptr<float, FreeDevice>;
+using DeviceMemory = std::unique_ptr<std::byte, FreeDevice>;
 
-Result<DeviceFloats> device_floats(std::size_t n) {
-  float* memory = nullptr;
-  if (cudaMalloc(reinterpret_cast<void**>(&memory), n * sizeof(float)) != cudaSuccess) {
-    return fail(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left",
-                n * sizeof(float));
+Result<DeviceMemory> device_memory(std::size_t bytes) {
+  std::byte* memory = nullptr;
+  if (cudaMalloc(reinterpret_cast<void**>(&memory), bytes) != cudaSuccess) {
+    return fail(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left", bytes);
   }
-  return DeviceFloats(memory);
+  return DeviceMemory(memory);
 }
 
-std::size_t floats_of(const Camera& camera) {
-  return 3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+std::size_t pixels_of(const Camera& camera) {
+  return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+}
+
+DeviceTarget target_of(const DeviceMemory& memory, const std::optional<math::PixelFormat>& packed) {
+  DeviceTarget target;
+  if (packed) {
+    target.packed = memory.get();
+    target.format = *packed;
+  } else {
+    target.rgb = reinterpret_cast<float*>(memory.get());
+  }
+  return target;
 }
 
 double median(std::vector<double>& values) {
@@ -73,19 +85,25 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
                        int frames) {
   auto renderer = CudaRenderer::create();
   if (!renderer) return tl::unexpected(renderer.error());
-  std::size_t floats = 0;
-  for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera));
-  const auto memory = device_floats(floats);
+  std::size_t pixels = 0;
+  for (const Camera& camera : cameras) pixels = std::max(pixels, pixels_of(camera));
+  const std::size_t target_bytes = pixels * pixel_bytes(c.packed);
+  const auto memory = device_memory(target_bytes);
   if (!memory) return tl::unexpected(memory.error());
-  DeviceTarget target;
-  target.rgb = memory->get();
+  const DeviceTarget target = target_of(*memory, c.packed);
 
   Timing timing;
   for (const Camera& camera : cameras) {
     RenderOptions options = c.options;
     options.cuda.timings = true;
+    options.cuda.graph = false;  // whose stages are not to be told apart
     auto stats = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
     if (!stats) return tl::unexpected(stats.error());
+    options.cuda.graph = c.options.cuda.graph;
+    options.cuda.stage_timings = false;  // frames of their own for the total: events between the stages take time
+    const auto whole = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
+    if (!whole) return tl::unexpected(whole.error());
+    stats->total_ms = whole->total_ms;
     options.cuda.count_pairs = true;  // in a frame of its own: counting takes time
     const auto counted = renderer->render(scenes.of(c), camera, target, options);
     if (!counted) return tl::unexpected(counted.error());
@@ -95,7 +113,7 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
     timing.slowest_ms = std::max(timing.slowest_ms, stats->total_ms);
   }
   divide(timing.mean, cameras.size());
-  timing.peak_bytes = scenes.of(c).bytes() + renderer->bytes() + floats * sizeof(float);
+  timing.peak_bytes = scenes.of(c).bytes() + renderer->bytes() + target_bytes;
   return timing;
 }
 
@@ -105,10 +123,9 @@ Result<std::vector<Image>> pictures(const Configuration& c, const DeviceScenes& 
   if (!renderer) return tl::unexpected(renderer.error());
   std::vector<Image> out;
   for (const Camera& camera : cameras) {
-    const auto memory = device_floats(floats_of(camera));
+    const auto memory = device_memory(pixels_of(camera) * pixel_bytes(std::nullopt));
     if (!memory) return tl::unexpected(memory.error());
-    DeviceTarget target;
-    target.rgb = memory->get();
+    const DeviceTarget target = target_of(*memory, std::nullopt);
     const auto stats = renderer->render(scenes.of(c), camera, target, c.options);
     if (!stats) return tl::unexpected(stats.error());
     Image image = Image::make(camera.width, camera.height, 3);
