@@ -440,12 +440,11 @@ Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
 }
 
 Status CudaRenderer::Impl::queue_turbo(const TurboFrame& f) {
+  const bool is_graph = f.options.cuda.graph;
   Status ok = begin(f.stream);
+  if (ok && is_graph) ok = graph.capture([&](CudaStream on) { return launch_turbo(f, on); });
   if (ok) ok = mark(kStart, f.options, f.stream);
-  if (ok) {
-    ok = f.options.cuda.graph ? graph.launch(f.stream, [&](CudaStream on) { return launch_turbo(f, on); })
-                              : launch_turbo(f, f.stream);
-  }
+  if (ok) ok = is_graph ? graph.launch(f.stream) : launch_turbo(f, f.stream);
   if (ok) ok = mark(kBlended, f.options, f.stream);
   const Status ended = end(f.stream);
   return ok ? ended : ok;

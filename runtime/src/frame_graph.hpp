@@ -9,7 +9,7 @@
 
 namespace rgs::detail {
 
-/// Captures what a frame launches and launches it at once. Every frame is captured anew, which takes the host some
+/// Captures what a frame launches, and launches it at once. Every frame is captured anew, which takes the host some
 /// microseconds and cannot miss a change of camera, size, scene or buffers; the graph that was instantiated before
 /// takes over the new arguments, unless other kernels follow each other than then.
 class FrameGraph {
@@ -23,10 +23,10 @@ class FrameGraph {
     if (capture_ != nullptr) cudaStreamDestroy(capture_);
   }
 
-  /// Enqueues on `stream` what record(s) enqueues on the stream s that it is given. record() returns a Status and does
-  /// not wait, allocate or free. Errors: those of record(), device_failed.
+  /// Takes what record(s) enqueues on the stream s that it is given. record() returns a Status and does not wait,
+  /// allocate or free. Errors: those of record(), device_failed.
   template <class Record>
-  Status launch(cudaStream_t stream, const Record& record) {
+  Status capture(const Record& record) {
     if (const auto ok = begin(); !ok) return ok;
     const Status recorded = record(capture_);
     cudaGraph_t graph = nullptr;
@@ -34,9 +34,14 @@ class FrameGraph {
     if (!recorded) ok = recorded;
     if (ok) ok = adopt(graph);
     if (graph != nullptr) cudaGraphDestroy(graph);
-    if (ok) ok = device_status(cudaGraphLaunch(graph_, stream), "a frame's graph could not be launched");
-    if (ok) ok = device_status(cudaEventRecord(launched_, stream), "an event could not be recorded");
     return ok;
+  }
+
+  /// Enqueues what was captured last, without an error, on `stream`. Errors: device_failed.
+  Status launch(cudaStream_t stream) {
+    const Status ok = device_status(cudaGraphLaunch(graph_, stream), "a frame's graph could not be launched");
+    if (!ok) return ok;
+    return device_status(cudaEventRecord(launched_, stream), "an event could not be recorded");
   }
 
  private:
