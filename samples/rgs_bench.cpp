@@ -32,12 +32,13 @@ using rgs::bench::Configuration;
 using rgs::bench::Report;
 
 struct Options {
-  std::string scene, source, cameras, quality_cameras, photos;
+  std::string scene, source, cameras, quality_cameras, photos, pixel_format = "rgb32f";
+  bool graph = false;
   std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper", "turbo"};
-  std::string exp, key, pixel_format = "rgb32f";
+  std::string exp, key;
   std::string json, csv, svg;
   int frames = 100;
-  bool ablate = false, graph = false, roofline = false, overwrite = false;
+  bool ablate = false, roofline = false, overwrite = false;
 };
 
 // An output is opened before anything is measured, so that a name that cannot be written costs no minutes.
@@ -276,14 +277,14 @@ int main(int argc, char** argv) {
         ->delimiter(',')
         ->check(CLI::IsMember(rgs::bench::mode_names()))
         ->capture_default_str();
-    app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
-    app.add_option("--frames", o.frames, "measured per camera")->check(CLI::Range(1, 100000))->capture_default_str();
-    app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
-    app.add_option("--key", o.key, "depth mapping of paper mode [the file's]")->check(CLI::IsMember({"linear", "log"}));
     app.add_option("--pixel-format", o.pixel_format, "of the frames that are timed: FP32 RGB or packed RGBA")
         ->check(CLI::IsMember({"rgb32f", "rgba16f", "rgba8"}))
         ->capture_default_str();
     app.add_flag("--graph", o.graph, "launch turbo's frames as CUDA graphs");
+    app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
+    app.add_option("--frames", o.frames, "measured per camera")->check(CLI::Range(1, 100000))->capture_default_str();
+    app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
+    app.add_option("--key", o.key, "depth mapping of paper mode [the file's]")->check(CLI::IsMember({"linear", "log"}));
     app.add_flag("--roofline", o.roofline, "measure the device's rates and compare each stage with its floor");
     app.add_option("--json", o.json, "write all of it as JSON (docs/BENCH_JSON.md); - is standard output");
     app.add_option("--csv", o.csv, "write a line for each size and mode");

@@ -5,7 +5,6 @@
 #include <cuda_runtime_api.h>
 
 #include <algorithm>
-#include <cstddef>
 #include <memory>
 #include <optional>
 
@@ -13,31 +12,37 @@ namespace rgs::bench {
 namespace {
 
 struct FreeDevice {
-  void operator()(std::byte* memory) const { cudaFree(memory); }
+  void operator()(float* memory) const { cudaFree(memory); }
 };
-using DeviceMemory = std::unique_ptr<std::byte, FreeDevice>;
+using DeviceFloats = std::unique_ptr<float, FreeDevice>;
 
-Result<DeviceMemory> device_memory(std::size_t bytes) {
-  std::byte* memory = nullptr;
-  if (cudaMalloc(reinterpret_cast<void**>(&memory), bytes) != cudaSuccess) {
-    return fail(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left", bytes);
+Result<DeviceFloats> device_floats(std::size_t n) {
+  float* memory = nullptr;
+  if (cudaMalloc(reinterpret_cast<void**>(&memory), n * sizeof(float)) != cudaSuccess) {
+    return fail(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left",
+                n * sizeof(float));
   }
-  return DeviceMemory(memory);
+  return DeviceFloats(memory);
 }
 
-std::size_t pixels_of(const Camera& camera) {
-  return static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+std::size_t floats_of(const Camera& camera) {
+  return 3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
 }
 
-DeviceTarget target_of(const DeviceMemory& memory, const std::optional<math::PixelFormat>& packed) {
+// In device memory of floats_a_pixel() floats a pixel.
+DeviceTarget target_of(const DeviceFloats& memory, const std::optional<math::PixelFormat>& packed) {
   DeviceTarget target;
-  if (packed) {
+  if (!packed) {
+    target.rgb = memory.get();
+  } else {
     target.packed = memory.get();
     target.format = *packed;
-  } else {
-    target.rgb = reinterpret_cast<float*>(memory.get());
   }
   return target;
+}
+// 3, or of a packed pixel's bytes 2 or 1.
+std::size_t floats_a_pixel(const std::optional<math::PixelFormat>& packed) {
+  return pixel_bytes(packed) / sizeof(float);
 }
 
 double median(std::vector<double>& values) {
@@ -85,10 +90,9 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
                        int frames) {
   auto renderer = CudaRenderer::create();
   if (!renderer) return tl::unexpected(renderer.error());
-  std::size_t pixels = 0;
-  for (const Camera& camera : cameras) pixels = std::max(pixels, pixels_of(camera));
-  const std::size_t target_bytes = pixels * pixel_bytes(c.packed);
-  const auto memory = device_memory(target_bytes);
+  std::size_t floats = 0;
+  for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera) / 3 * floats_a_pixel(c.packed));
+  const auto memory = device_floats(floats);
   if (!memory) return tl::unexpected(memory.error());
   const DeviceTarget target = target_of(*memory, c.packed);
 
@@ -113,7 +117,7 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
     timing.slowest_ms = std::max(timing.slowest_ms, stats->total_ms);
   }
   divide(timing.mean, cameras.size());
-  timing.peak_bytes = scenes.of(c).bytes() + renderer->bytes() + target_bytes;
+  timing.peak_bytes = scenes.of(c).bytes() + renderer->bytes() + floats * sizeof(float);
   return timing;
 }
 
@@ -123,9 +127,10 @@ Result<std::vector<Image>> pictures(const Configuration& c, const DeviceScenes& 
   if (!renderer) return tl::unexpected(renderer.error());
   std::vector<Image> out;
   for (const Camera& camera : cameras) {
-    const auto memory = device_memory(pixels_of(camera) * pixel_bytes(std::nullopt));
+    const auto memory = device_floats(floats_of(camera));
     if (!memory) return tl::unexpected(memory.error());
-    const DeviceTarget target = target_of(*memory, std::nullopt);
+    DeviceTarget target;
+    target.rgb = memory->get();
     const auto stats = renderer->render(scenes.of(c), camera, target, c.options);
     if (!stats) return tl::unexpected(stats.error());
     Image image = Image::make(camera.width, camera.height, 3);

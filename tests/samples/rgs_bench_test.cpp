@@ -44,10 +44,10 @@ struct Stage {
 TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   const Stage stage;
   CHECK(rgs::test::run_program({RGS_BENCH}).exit_code == 2);
+  CHECK(stage.run({"--pixel-format", "rgb8"}).exit_code == 2);
   CHECK(stage.run({"--mode", "fastest"}).exit_code == 2);
   CHECK(stage.run({"--frames", "0"}).exit_code == 2);
   CHECK(stage.run({"--size", "1920"}).exit_code == 2);
-  CHECK(stage.run({"--pixel-format", "rgb8"}).exit_code == 2);
   CHECK(stage.run({"--photos", "."}).exit_code == 2);  // of which cameras?
   CHECK(rgs::test::run_program({RGS_BENCH, "--help"}).exit_code == 0);
 }
