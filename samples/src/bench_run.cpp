@@ -29,6 +29,12 @@ std::size_t floats_of(const Camera& camera) {
   return 3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
 }
 
+double median(std::vector<double>& values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
 // In device memory of floats_a_pixel() floats a pixel.
 DeviceTarget target_of(const DeviceFloats& memory, const std::optional<math::PixelFormat>& packed) {
   DeviceTarget target;
@@ -43,12 +49,6 @@ DeviceTarget target_of(const DeviceFloats& memory, const std::optional<math::Pix
 // 3, or of a packed pixel's bytes 2 or 1.
 std::size_t floats_a_pixel(const std::optional<math::PixelFormat>& packed) {
   return pixel_bytes(packed) / sizeof(float);
-}
-
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // Medians of the times of frames of one camera; their counts are all the same.
