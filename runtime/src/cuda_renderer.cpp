@@ -95,7 +95,7 @@ struct CudaRenderer::Impl {
   }
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t needed, std::uint64_t generous, bool narrow);
-  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
@@ -130,6 +130,7 @@ struct CudaRenderer::Impl {
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
   DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
+  DeviceBuffer cells, cell_gaussians;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -176,7 +177,8 @@ std::uint64_t CudaRenderer::Impl::bytes() const {
   for (const DeviceBuffer* b :
        {&counters,      &splats,        &covers,     &tiles,           &sums,           &sum_temporary, &block_state,
         &keys,          &spare_keys,    &gaussians,  &spare_gaussians, &sort_temporary, &ranges,        &turbo_state,
-        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes}) {
+        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes,
+        &cells,         &cell_gaussians}) {
     sum += b->bytes();
   }
   return sum;
@@ -359,7 +361,8 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
 }
 
 // Room for so many entries, runs and large Gaussians, and for more of those that do not fit, if there is memory.
-Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large) {
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
+                                         std::uint64_t n_in_cells) {
   struct Need {
     DeviceBuffer& buffer;
     std::uint64_t n, size;
@@ -369,7 +372,8 @@ Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t 
   for (const Need& need :
        {Need{turbo_entries, n_entries, sizeof(cuda::TurboEntry)},
         Need{turbo_scratch, n_entries, sizeof(cuda::TurboEntry)}, Need{turbo_runs, n_runs, sizeof(cuda::TurboTileRun)},
-        Need{tile_runs, n_runs, sizeof(cuda::TurboRun)}, Need{turbo_large, n_large, sizeof(cuda::TurboLarge)}}) {
+        Need{tile_runs, n_runs, sizeof(cuda::TurboRun)}, Need{turbo_large, n_large, sizeof(cuda::TurboLarge)},
+        Need{cell_gaussians, n_in_cells, sizeof(std::uint32_t)}}) {
     if (need.n > need.held()) needs.push_back(need);
   }
   return detail::reserve_growing([&](bool is_generous) {
@@ -392,8 +396,11 @@ Status CudaRenderer::Impl::prepare_turbo(const TurboFrame& f) {
   if (ok) ok = turbo_state.reserve(cuda::TurboState::bytes(static_cast<std::uint32_t>(n_tiles)));
   if (ok) ok = lists.reserve(n_tiles * sizeof(cuda::TurboList));
   if (ok) ok = classes.reserve(n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  if (ok) ok = cells.reserve(n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
   const std::uint64_t first_entries = std::max(kFirstPairs, 2 * n);
-  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32);
+  if (ok && turbo_entries.bytes() == 0) {
+    ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32, 3 * first_entries);
+  }
   return ok;
 }
 
@@ -412,6 +419,9 @@ cuda::TurboArrays CudaRenderer::Impl::turbo_arrays(const TurboFrame& f) const {
   a.run_capacity =
       std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
   a.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
+  a.cells = cells.as<cuda::TurboCell>();
+  a.cell_gaussians = cell_gaussians.as<std::uint32_t>();
+  a.cell_capacity = cell_gaussians.bytes() / sizeof(std::uint32_t);
   return a;
 }
 
@@ -428,13 +438,16 @@ Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
   }
   if (ok) ok = mark_stage(kProjected);
   if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, on);
-  for (const Mark m : {kDuplicated, kSorted, kRanged}) {
+  if (ok) ok = mark_stage(kDuplicated);
+  if (ok) ok = cuda::launch_turbo_order(arrays, f.view.grid, &host->turbo, counted, on);
+  for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = mark_stage(m);
   }
   if (ok) {
-    ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height,
-                                   background_of(f.options), arrays_of(f.target), f.options.cuda.count_pairs},
-                                  on);
+    ok = cuda::launch_turbo_blend(
+        {arrays, splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height, background_of(f.options),
+         arrays_of(f.target), f.options.cuda.count_pairs, f.options.cuda.tensor_cores},
+        on);
   }
   return ok;
 }
@@ -462,9 +475,10 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(const TurboFrame& frame) {
     host->counters = seen.counters;
     const std::uint64_t n = seen.counters.instances;
     const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
-    if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
+    const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
+    if (n > kMaxPairs || (all_listed && seen.in_cells <= arrays.cell_capacity)) return n;
     // Counts without all large Gaussians are too low to be worth memory.
-    ok = all_large ? reserve_turbo(n, seen.runs, 0) : reserve_turbo(0, 0, seen.n_large);
+    ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large, 0);
     if (ok) ok = queue_turbo(frame);
     if (!ok) return tl::unexpected(ok.error());
   }
