@@ -13,9 +13,11 @@
 
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "launch.cuh"
 #include "rgs/quantize.hpp"
+#include "store_pixel.cuh"
 #include "turbo_cell.cuh"
 
 namespace rgs::cuda {
@@ -140,7 +142,6 @@ class Cell {
   }
 
   __device__ void store(const TurboBlendArguments& a) const {
-    const PixelArrays& t = a.target;
     const int x = static_cast<int>(corner_x_ + x_), y = static_cast<int>(corner_y_ + y_[0]);
     if (x >= a.width) return;
 #pragma unroll
@@ -149,15 +150,11 @@ class Cell {
       const Accumulated& p = pixel_[k];
       const math::Pixel<float> pixel{p.r, p.g, p.b, p.depth, p.t};
       const auto i = static_cast<std::size_t>(y + k) * static_cast<std::size_t>(a.width) + static_cast<std::size_t>(x);
-      store_color(t, i, pixel, a.background);
+      store_pixel<Details>(a.target, a.background, i, pixel, p.evaluated, p.blended);
       if constexpr (Details) {
-        if (t.depth != nullptr) t.depth[i] = math::expected_depth(pixel);
-        if (t.evaluated != nullptr) t.evaluated[i] = p.evaluated;
-        if (t.blended != nullptr) t.blended[i] = p.blended;
         if (a.count_pairs) {
-          Counters& counters = a.arrays.state->counters;
-          atomicAdd(reinterpret_cast<unsigned long long*>(&counters.evaluated), p.evaluated);
-          atomicAdd(reinterpret_cast<unsigned long long*>(&counters.blended), p.blended);
+          atomic_add(a.arrays.state->counters.evaluated, p.evaluated);
+          atomic_add(a.arrays.state->counters.blended, p.blended);
         }
       }
     }

@@ -16,13 +16,4 @@ __device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, floa
   return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
 }
 
-__device__ inline void store_color(const PixelArrays& t, std::size_t i, const math::Pixel<float>& pixel,
-                                   const math::Vec3<float>& background) {
-  if (t.rgb != nullptr) {
-    const auto color = math::resolve(pixel, background);
-    t.rgb[3 * i] = color.x, t.rgb[3 * i + 1] = color.y, t.rgb[3 * i + 2] = color.z;
-  }
-  if (t.alpha != nullptr) t.alpha[i] = 1 - pixel.transmittance;
-}
-
 }  // namespace rgs::cuda

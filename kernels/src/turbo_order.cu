@@ -12,6 +12,7 @@
 // opaque before the last. A bin that does not fit is cut in finer ones, and so on.
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "launch.cuh"
 #include "rgs/cuda/turbo.hpp"
@@ -435,7 +436,7 @@ __device__ inline void reserve_cells(S& s, const TurboArrays& a, math::TileGrid 
     }
     std::uint64_t base = 0;
     if (own == 0 && total > 0) {
-      base = atomicAdd(reinterpret_cast<unsigned long long*>(&a.state->in_cells), static_cast<unsigned long long>(total));
+      base = atomic_add(a.state->in_cells, total);
     }
     base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
     const bool fits = base + total <= a.cell_capacity;

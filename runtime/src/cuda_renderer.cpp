@@ -43,14 +43,13 @@ cuda::PixelArrays arrays_of(const DeviceTarget& target) {
   return {target.rgb, target.alpha, target.depth, target.evaluated, target.blended, target.packed, target.format};
 }
 
-Status check(const DeviceTarget& target, const RenderOptions& options) {
+Status check(const DeviceTarget& target) {
   const auto refuse = [](const char* what) { return fail(Errc::bad_argument, Error::kNone, what); };
   if (target.packed == nullptr) return {};
   if (target.format > math::PixelFormat::rgba16f) return refuse("a pixel format has no such value");
   if (reinterpret_cast<std::uintptr_t>(target.packed) % math::pixel_bytes(target.format) != 0) {
     return refuse("a packed target is not aligned to its pixels");
   }
-  if (options.cuda.turbo) return refuse("turbo writes no packed pixels");
   return {};
 }
 
@@ -540,7 +539,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
                                         const RenderOptions& options, CudaStream stream) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   if (const auto ok = detail::validate(options); !ok) return tl::unexpected(ok.error());
-  if (const auto ok = check(target, options); !ok) return tl::unexpected(ok.error());
+  if (const auto ok = check(target); !ok) return tl::unexpected(ok.error());
   Impl& w = *impl_;
   if (w.open) {
     const Impl::TurboFrame before = *std::exchange(w.open, std::nullopt);
