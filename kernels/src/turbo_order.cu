@@ -40,7 +40,8 @@ struct Shared {
   std::uint32_t n;                        // entries of the round
   std::uint32_t cell_n[kTurboCells];      // of the whole list
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
-  std::uint32_t chunks[kTurboCells][kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
+  std::uint32_t chunks[kTurboCells]
+                      [kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
   bool fits;
 };
 
@@ -97,7 +98,8 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
 // Merges neighbouring runs of `run` ordered keys, of `total` in all; a thread has kKeys places of the result and looks
 // for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
-__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run, std::uint32_t total) {
+__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run,
+                                  std::uint32_t total) {
   const std::uint32_t first = kKeys * threadIdx.x;
   if (first >= total) return;
   const std::uint32_t base = first & ~(2 * run - 1), place = first - base;
@@ -417,7 +419,8 @@ __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::Tile
     }
     std::uint64_t base = 0;
     if (threadIdx.x == 0 && total > 0) {
-      base = atomicAdd(reinterpret_cast<unsigned long long*>(&a.state->in_cells), static_cast<unsigned long long>(total));
+      base =
+          atomicAdd(reinterpret_cast<unsigned long long*>(&a.state->in_cells), static_cast<unsigned long long>(total));
     }
     base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
     const bool fits = base + total <= a.cell_capacity;
@@ -425,9 +428,9 @@ __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::Tile
     s.cell_begin[threadIdx.x] = begin;
     if (threadIdx.x == 0) s.fits = fits;
     const auto columns = static_cast<std::uint32_t>(grid.columns);
-    a.cells[kTurboCells * blockIdx.x + threadIdx.x] = {begin, fits ? s.cell_n[threadIdx.x] : 0,
-                                                       tile % columns * kTurboTile + math::kCellWidth * (threadIdx.x % 2),
-                                                       tile / columns * kTurboTile + math::kCellHeight * (threadIdx.x / 2)};
+    a.cells[kTurboCells * blockIdx.x + threadIdx.x] = {
+        begin, fits ? s.cell_n[threadIdx.x] : 0, tile % columns * kTurboTile + math::kCellWidth * (threadIdx.x % 2),
+        tile / columns * kTurboTile + math::kCellHeight * (threadIdx.x / 2)};
   }
   __syncthreads();
 }
@@ -442,14 +445,16 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
       const std::uint32_t lanes = __ballot_sync(kFullWarp, (cells >> c & 1) != 0);
-      const std::uint32_t at = s.cell_begin[c] + s.chunks[c][chunk] + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)));
+      const std::uint32_t at =
+          s.cell_begin[c] + s.chunks[c][chunk] + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)));
       if ((cells >> c & 1) != 0) a.cell_gaussians[at] = gaussian;
     }
   }
 }
 
 // Orders and deals out a list of more than kEntries, in rounds.
-__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const TurboEntry* sorted, std::uint32_t n_entries) {
+__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const TurboEntry* sorted,
+                                     std::uint32_t n_entries) {
   for (std::uint32_t begin = 0; begin < n_entries;) {
     const std::uint32_t end = group_end(s, begin);
     const TurboEntry* const group = sorted + begin;
@@ -480,7 +485,8 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const Turb
   }
 }
 
-__global__ void __launch_bounds__(kThreads, 5) turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+__global__ void __launch_bounds__(kThreads, 5)
+    turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared memory;
   Shared& s = memory;
   const std::uint32_t tile = tile_of_block(a);

@@ -53,7 +53,8 @@ __device__ inline void multiply_repeated(__half2 (&d)[2], const uint4& a, uint2 
 // D += A B, FP16 to FP32, [16, 16] x [16, 8].
 __device__ inline void multiply_add(float (&d)[4], const __half2 (&a)[4], std::uint32_t b0, std::uint32_t b1) {
   const auto bits = [](const __half2& h) { return reinterpret_cast<const std::uint32_t&>(h); };
-  asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, %3};"
+  asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, "
+      "%3};"
       : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
       : "r"(bits(a[0])), "r"(bits(a[1])), "r"(bits(a[2])), "r"(bits(a[3])), "r"(b0), "r"(b1));
 }
@@ -105,7 +106,8 @@ __device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gau
     f = math::fold(splat.conic, {splat.mean.u - corner_x - kCenterX, splat.mean.v - corner_y - kCenterY},
                    splat.log2_opacity + kExp2Bias);
     // Finite also where the colour is not: a weight of 0 then leaves a pixel as it is.
-    color = {math::min(splat.color.x, kHalfMax), math::min(splat.color.y, kHalfMax), math::min(splat.color.z, kHalfMax)};
+    color = {math::min(splat.color.x, kHalfMax), math::min(splat.color.y, kHalfMax),
+             math::min(splat.color.z, kHalfMax)};
     clamp = may_exceed(splat, corner_x, corner_y);
   }
   const uint2 pairs[3] = {split(f.one, f.x), split(f.y, f.xx), split(f.xy, f.yy)};
@@ -131,8 +133,9 @@ struct Row {
     const float center_y = static_cast<float>(row) - kCenterY;
     const float first = q == 0 ? 1 : 0, second = q == 1 ? 1 : 0, third = q == 2 ? 1 : 0;
     const auto values = [&](float center_x) {
-      const __half2 pair = __floats2half2_rn(fmaf(center_y, fmaf(third, center_x, second), first),
-                                             fmaf(center_x, fmaf(second, center_x, first), third * center_y * center_y));
+      const __half2 pair =
+          __floats2half2_rn(fmaf(center_y, fmaf(third, center_x, second), first),
+                            fmaf(center_x, fmaf(second, center_x, first), third * center_y * center_y));
       return reinterpret_cast<const std::uint32_t&>(pair);
     };
     basis.x = basis.z = values(static_cast<float>(g) - kCenterX);
