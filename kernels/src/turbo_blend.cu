@@ -168,7 +168,8 @@ class Cell {
   __device__ void blend_staged(const Staged* staged, int n, float z) {
 #pragma unroll 2
     for (int j = 0; j < n; ++j) {
-      blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_), Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
+      blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_),
+                            Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
     }
   }
 

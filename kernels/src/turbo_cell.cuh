@@ -11,8 +11,7 @@ namespace rgs::cuda {
 __device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, float corner_y) {
   constexpr float kLog2AlphaMax = -0.0144996F;
   constexpr float kRounding = 4 * math::kLog2E * 6e-8F;
-  const float dx = fabsf(splat.mean.u - corner_x) + math::kCellWidth,
-              dy = fabsf(splat.mean.v - corner_y) + math::kCellHeight;
+  const float dx = fabsf(splat.mean.u - corner_x) + math::kCellWidth, dy = fabsf(splat.mean.v - corner_y) + math::kCellHeight;
   const float terms = splat.conic.a * dx * dx + splat.conic.c * dy * dy;
   return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
 }

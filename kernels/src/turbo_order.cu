@@ -40,8 +40,9 @@ struct Shared {
   std::uint32_t n;                        // entries of the round
   std::uint32_t cell_n[kTurboCells];      // of the whole list
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
-  std::uint32_t chunks[kTurboCells]
-                      [kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
+  std::uint32_t chunks[kTurboCells][kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
+  TurboList head;
+  std::uint32_t tile;
   bool fits;
 };
 
@@ -98,8 +99,7 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
 // Merges neighbouring runs of `run` ordered keys, of `total` in all; a thread has kKeys places of the result and looks
 // for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
-__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run,
-                                  std::uint32_t total) {
+__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run, std::uint32_t total) {
   const std::uint32_t first = kKeys * threadIdx.x;
   if (first >= total) return;
   const std::uint32_t base = first & ~(2 * run - 1), place = first - base;
@@ -176,10 +176,9 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int
 // Position of each of the s.n entries in the order of the entries, into s.order. Keys of 32 bits are ordered first. Their
 // depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
 // by looking at the entries themselves.
-__device__ inline void sort_entries(Shared& s) {
+// `range` is that of the depths that the thread has seen.
+__device__ inline void sort_entries(Shared& s, DepthRange range) {
   constexpr std::uint32_t kPosition = kEntries - 1;
-  DepthRange range;
-  for (std::uint32_t k = threadIdx.x; k < s.n; k += kThreads) range.add(depth_of(s.entries[k]));
   range.share(s);
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - kPositionBits));
@@ -187,14 +186,20 @@ __device__ inline void sort_entries(Shared& s) {
   std::uint32_t* const order =
       s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift) : sort_keys<8>(s, range.low, shift);
   s.order = order;  // the same from all threads
+  const auto is_inverted = [&](std::uint32_t k) {
+    const std::uint32_t a = order[k], b = order[k + 1];
+    return ((a ^ b) & ~kPosition) == 0 && s.entries[a & kPosition] > s.entries[b & kPosition];
+  };
+  bool any = false;
+  for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
+  if (!__syncthreads_or(any)) return;
   for (std::uint32_t odd = 0, quiet = 0; quiet < 2; odd ^= 1) {
     bool swapped = false;
     for (std::uint32_t k = 2 * threadIdx.x + odd; k + 1 < s.n; k += 2 * kThreads) {
-      const std::uint32_t a = order[k], b = order[k + 1];
-      if (((a ^ b) & ~kPosition) == 0 && s.entries[a & kPosition] > s.entries[b & kPosition]) {
-        order[k] = b, order[k + 1] = a;
-        swapped = true;
-      }
+      if (!is_inverted(k)) continue;
+      const std::uint32_t a = order[k];
+      order[k] = order[k + 1], order[k + 1] = a;
+      swapped = true;
     }
     quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
   }
@@ -419,8 +424,7 @@ __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::Tile
     }
     std::uint64_t base = 0;
     if (threadIdx.x == 0 && total > 0) {
-      base =
-          atomicAdd(reinterpret_cast<unsigned long long*>(&a.state->in_cells), static_cast<unsigned long long>(total));
+      base = atomicAdd(reinterpret_cast<unsigned long long*>(&a.state->in_cells), static_cast<unsigned long long>(total));
     }
     base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
     const bool fits = base + total <= a.cell_capacity;
@@ -428,9 +432,9 @@ __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::Tile
     s.cell_begin[threadIdx.x] = begin;
     if (threadIdx.x == 0) s.fits = fits;
     const auto columns = static_cast<std::uint32_t>(grid.columns);
-    a.cells[kTurboCells * blockIdx.x + threadIdx.x] = {
-        begin, fits ? s.cell_n[threadIdx.x] : 0, tile % columns * kTurboTile + math::kCellWidth * (threadIdx.x % 2),
-        tile / columns * kTurboTile + math::kCellHeight * (threadIdx.x / 2)};
+    a.cells[kTurboCells * blockIdx.x + threadIdx.x] = {begin, fits ? s.cell_n[threadIdx.x] : 0,
+                                                       tile % columns * kTurboTile + math::kCellWidth * (threadIdx.x % 2),
+                                                       tile / columns * kTurboTile + math::kCellHeight * (threadIdx.x / 2)};
   }
   __syncthreads();
 }
@@ -445,16 +449,14 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
       const std::uint32_t lanes = __ballot_sync(kFullWarp, (cells >> c & 1) != 0);
-      const std::uint32_t at =
-          s.cell_begin[c] + s.chunks[c][chunk] + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)));
+      const std::uint32_t at = s.cell_begin[c] + s.chunks[c][chunk] + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)));
       if ((cells >> c & 1) != 0) a.cell_gaussians[at] = gaussian;
     }
   }
 }
 
 // Orders and deals out a list of more than kEntries, in rounds.
-__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const TurboEntry* sorted,
-                                     std::uint32_t n_entries) {
+__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const TurboEntry* sorted, std::uint32_t n_entries) {
   for (std::uint32_t begin = 0; begin < n_entries;) {
     const std::uint32_t end = group_end(s, begin);
     const TurboEntry* const group = sorted + begin;
@@ -462,20 +464,25 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const Turb
     TurboEntry from = 0;
     for (std::uint32_t left = n; left > 0;) {
       if (threadIdx.x == 0) s.n = n <= kEntries ? n : 0;
+      DepthRange range;
+      const auto take = [&](std::uint32_t k, TurboEntry entry) {
+        s.entries[k] = entry;
+        range.add(depth_of(entry));
+      };
       if (n <= kEntries) {
-        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) s.entries[k] = group[k];
+        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) take(k, group[k]);
       } else {
         const TurboEntry to = left <= kEntries ? ~TurboEntry{0} : round_end(s, group, n, from);
         __syncthreads();
         for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
           const TurboEntry entry = group[k];
-          if (entry >= from && entry < to) s.entries[atomicAdd(&s.n, 1u)] = entry;
+          if (entry >= from && entry < to) take(atomicAdd(&s.n, 1u), entry);
         }
         from = to;
       }
       __syncthreads();
       left -= s.n;
-      sort_entries(s);
+      sort_entries(s, range);
       count_chunks(s);
       deal_out(s, a);
       __syncthreads();
@@ -485,16 +492,22 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const Turb
   }
 }
 
-__global__ void __launch_bounds__(kThreads, 5)
-    turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+__global__ void __launch_bounds__(kThreads, 5) turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared memory;
   Shared& s = memory;
-  const std::uint32_t tile = tile_of_block(a);
-  const TurboList head = a.lists[tile];
-  const List list{a.tile_runs + head.begin, a.entries, head.n_runs};
-  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
-  if (threadIdx.x == 0) s.n = head.n_entries;
+  if (threadIdx.x < 32) {
+    const std::uint32_t tile = tile_of_block(a);
+    if (threadIdx.x == 0) {
+      s.tile = tile;
+      s.head = a.lists[tile];
+      s.n = s.head.n_entries;
+    }
+    if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
+  }
   __syncthreads();
+  const std::uint32_t tile = s.tile;
+  const TurboList head = s.head;
+  const List list{a.tile_runs + head.begin, a.entries, head.n_runs};
   if (head.n_entries > kEntries) {
     TurboEntry* const sorted = a.scratch + head.scratch;
     order_by_bins(s, list, sorted);
@@ -502,8 +515,12 @@ __global__ void __launch_bounds__(kThreads, 5)
     reserve_cells(s, a, grid, tile);
     if (s.fits) deal_out_long(s, a, sorted, head.n_entries);
   } else {
-    list.for_each(s, [&](TurboEntry entry, std::uint32_t k) { s.entries[k] = entry; });
-    if (s.n > 0) sort_entries(s);
+    DepthRange range;
+    list.for_each(s, [&](TurboEntry entry, std::uint32_t k) {
+      s.entries[k] = entry;
+      range.add(depth_of(entry));
+    });
+    if (s.n > 0) sort_entries(s, range);
     count_chunks(s);
     reserve_cells(s, a, grid, tile);
     if (s.fits) deal_out(s, a);
