@@ -60,10 +60,7 @@ struct CudaRenderer::Impl {
 
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t n, bool narrow);
-  struct TurboRoom {
-    std::uint64_t entries = 0, runs = 0, large = 0, in_cells = 0;
-  };
-  Status reserve_turbo(const TurboRoom& room);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
@@ -306,18 +303,19 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
 }
 
 // Room for so many entries, runs and large Gaussians; grows by half at least.
-Status CudaRenderer::Impl::reserve_turbo(const TurboRoom& room) {
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
+                                         std::uint64_t n_in_cells) {
   Status ok;
   const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
     const std::uint64_t held = buffer.bytes() / size;
     if (ok && wanted > held) ok = buffer.reserve(std::min(std::max(wanted, held + held / 2), kMaxPairs) * size);
   };
-  reserve(turbo_entries, room.entries, sizeof(cuda::TurboEntry));
-  reserve(turbo_scratch, room.entries, sizeof(cuda::TurboEntry));
-  reserve(turbo_runs, room.runs, sizeof(cuda::TurboTileRun));
-  reserve(tile_runs, room.runs, sizeof(cuda::TurboRun));
-  reserve(turbo_large, room.large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
-  reserve(cell_gaussians, room.in_cells, sizeof(std::uint32_t));
+  reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
+  reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
+  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
+  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
+  reserve(cell_gaussians, n_in_cells, sizeof(std::uint32_t));
   return ok;
 }
 
@@ -334,9 +332,8 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
   if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
   if (ok) ok = cells.reserve(arrays.n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
   const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
-  if (ok && turbo_entries.bytes() == 0) {
-    ok = reserve_turbo({first_entries, first_entries / 4, first_entries / 32, 3 * first_entries});
-  }
+  if (ok && turbo_entries.bytes() == 0)
+    ok = reserve_turbo(first_entries, first_entries / 4, first_entries / 32, 3 * first_entries);
   while (ok) {
     arrays.state = turbo_state.as<cuda::TurboState>();
     arrays.entries = turbo_entries.as<cuda::TurboEntry>();
@@ -388,7 +385,7 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
     // Counts without all large Gaussians are too low to be worth memory.
-    ok = reserve_turbo(all_large ? TurboRoom{n, seen.runs, 0, seen.in_cells} : TurboRoom{0, 0, seen.n_large, 0});
+    ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large, 0);
   }
   return tl::unexpected(ok.error());
 }
