@@ -69,7 +69,7 @@ __device__ void fill_words(Shared& s, std::uint32_t n_rows, const math::TileRect
     const Box box = s.box[owner];
     if (row >= box.rows) continue;
     const int y = box.y + static_cast<int>(row);
-    const auto cells = math::cell_rows(s.ellipse[owner], y, grid);
+    const auto cells = math::cell_rows(s.ellipse[owner], y);
     std::uint32_t* const words = s.words + box.first + row * box.columns;
     const auto first = static_cast<std::uint32_t>((y - block.y0) * (block.x1 - block.x0) + box.x - block.x0);
     for (std::uint32_t k = 0; k < box.columns; k += 4) {

@@ -90,7 +90,7 @@ __device__ std::uint32_t place(Shared<Words>& s, const TurboArrays& a, Region<Wo
     if (row == 0) s.entry[k] = make_entry(large.depth, large.index, 0);
     const int y = region.y + static_cast<int>(row);
     const bool inside = y >= box.y0 && y < box.y1;
-    const auto rows = math::cell_rows(large.ellipse, y, grid);
+    const auto rows = math::cell_rows(large.ellipse, y);
 #pragma unroll
     for (int w = 0; w < Words; ++w) {
       const int column = region.x + 4 * w;
