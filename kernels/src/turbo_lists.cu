@@ -25,14 +25,6 @@ __device__ bool turbo_fits(const TurboArrays& a) {
          state.n_large <= a.large_capacity;
 }
 
-// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
-__device__ int length_class(std::uint32_t length) {
-  if (length < 32) return kTurboClasses - 1;
-  const int log2 = 31 - __clz(static_cast<int>(length));
-  const int half = static_cast<int>(length >> (log2 - 1)) & 1;
-  return math::max(0, kTurboClasses - 2 - (2 * (log2 - 5) + half));
-}
-
 __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboState* seen) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
   __shared__ std::uint32_t base, class_size[kTurboClasses], class_base[kTurboClasses];
@@ -52,7 +44,7 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   const auto n = static_cast<std::uint32_t>(count), runs = static_cast<std::uint32_t>(count >> 32);
   const std::uint32_t end = inclusive_block_sum<kThreads>(runs, warp_sums);
   if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.placed, end);
-  const int length = length_class(n);
+  const int length = turbo_class(n);
   const std::uint32_t rank = tile < a.n_tiles ? atomicAdd(class_size + length, 1u) : 0;
   __syncthreads();
   if (threadIdx.x < kTurboClasses) {

@@ -52,9 +52,10 @@ struct CudaRenderer::Impl {
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
-    for (cudaEvent_t event : {counted, finished}) {
+    for (cudaEvent_t event : {counted, finished, side.fork, side.join}) {
       if (event != nullptr) cudaEventDestroy(event);
     }
+    if (side.stream != nullptr) cudaStreamDestroy(side.stream);
     cudaFreeHost(host);
   }
 
@@ -81,6 +82,7 @@ struct CudaRenderer::Impl {
   std::array<cudaEvent_t, kMarks> events{};
   cudaEvent_t counted = nullptr;   // the turbo pipeline has counted its pairs
   cudaEvent_t finished = nullptr;  // the last frame no longer uses the workspace
+  cuda::TurboSide side{};
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
@@ -112,7 +114,10 @@ Result<CudaRenderer> CudaRenderer::create() {
   for (cudaEvent_t& event : impl->events) {
     if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
   }
-  for (cudaEvent_t* event : {&impl->counted, &impl->finished}) {
+  if (ok) {
+    ok = device_status(cudaStreamCreateWithFlags(&impl->side.stream, cudaStreamNonBlocking), "a stream could not be made");
+  }
+  for (cudaEvent_t* event : {&impl->counted, &impl->finished, &impl->side.fork, &impl->side.join}) {
     if (ok) ok = device_status(cudaEventCreateWithFlags(event, cudaEventDisableTiming), "an event could not be made");
   }
   if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
@@ -364,7 +369,7 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     if (ok) ok = mark(kProjected, options, stream);
     if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
     if (ok) ok = mark(kDuplicated, options, stream);
-    if (ok) ok = cuda::launch_turbo_order(arrays, view.grid, &host->turbo, counted, stream);
+    if (ok) ok = cuda::launch_turbo_order(arrays, view.grid, &host->turbo, counted, side, stream);
     for (const Mark m : {kSorted, kRanged}) {
       if (ok) ok = mark(m, options, stream);
     }
