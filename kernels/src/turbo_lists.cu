@@ -3,7 +3,7 @@
 //
 // In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes
 // Cost    16 B read, 16 B gathered and 8 B written anywhere a run
-// Launch  plan: 256 threads, ceil(tiles / 256) blocks; place: as many blocks of 256 as keep the device busy, each
+// Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as keep the device busy, each
 //         taking runs in turn, because their number is known on the device alone
 // Order   of runs within a list, of lists and of tiles within a class: any
 #include <cstdint>
@@ -30,6 +30,13 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   __shared__ std::uint32_t base, class_size[kTurboClasses], class_base[kTurboClasses];
   if (threadIdx.x < kTurboClasses) class_size[threadIdx.x] = 0;
   TurboState& state = *a.state;
+  if (blockIdx.x == gridDim.x - 1) {  // a block of its own: what goes to the host takes longest
+    if (threadIdx.x == 0) {
+      *seen = state;
+      __threadfence_system();
+    }
+    return;
+  }
   const bool fits = turbo_fits(a);
   const auto* const counts = reinterpret_cast<const TurboCount*>(a.state + 1);
   const std::uint32_t tile = blockIdx.x * kThreads + threadIdx.x;
@@ -42,10 +49,6 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   __syncthreads();
   if (threadIdx.x < kTurboClasses) {
     class_base[threadIdx.x] = atomicAdd(state.class_size + threadIdx.x, class_size[threadIdx.x]);
-  }
-  if (blockIdx.x == 0 && threadIdx.x == kTurboClasses) {
-    *seen = state;
-    __threadfence_system();
   }
   __syncthreads();
   if (tile >= a.n_tiles) return;
@@ -66,7 +69,7 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
 }  // namespace
 
 Status launch_turbo_lists(const TurboArrays& a, TurboState* seen, CUevent_st* counted, Stream stream) {
-  plan_kernel<<<blocks_for(a.n_tiles, kThreads), kThreads, 0, stream>>>(a, seen);
+  plan_kernel<<<blocks_for(a.n_tiles, kThreads) + 1, kThreads, 0, stream>>>(a, seen);
   if (const auto ok = launched("the kernel that plans the lists could not be launched"); !ok) return ok;
   if (const auto ok = checked(cudaEventRecord(counted, stream), "an event could not be recorded"); !ok) return ok;
   place_kernel<<<kPlaceBlocks, kThreads, 0, stream>>>(a);

@@ -148,7 +148,7 @@ void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>&
   const auto rect = math::bounding_tiles<cuda::kTurboTile>(ellipse, grid);
   if (rect.empty()) return;
   for (int row = rect.y0; row < rect.y1; ++row) {
-    const auto cells = math::cell_rows(ellipse, row, grid);
+    const auto cells = math::cell_rows(ellipse, row);
     for (int column = rect.x0; column < rect.x1; ++column) {
       const std::uint32_t touched = math::cells_of(cells, column);
       if (touched == 0) continue;
