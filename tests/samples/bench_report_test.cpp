@@ -105,6 +105,32 @@ TEST_CASE("the JSON report says null for equal pictures and leaves out what was 
   CHECK_FALSE(json["sizes"][0]["results"][0]["stages"]["sort"].contains("floor_ms"));
 }
 
+TEST_CASE("the orbit is in the JSON report and in a table of its own") {
+  Report report = sample_report();
+  CHECK_FALSE(nlohmann::json::parse(report_json(report)).contains("orbit"));
+  const Change step{0.01, 0.25, 0.5, 0.75F}, second{0.005, 0.125, 0.25, 0.5F}, twice{0.01, 0.25, 0.5, 1};
+  report.orbit = OrbitReport{"a.jpg", 1920, 1080, 60, 0.25, 4.5, {}};
+  report.orbit->rows = {{"baseline", step, second, {}}, {"turbo", step, twice, second}};
+  const auto json = nlohmann::json::parse(report_json(report))["orbit"];
+  CHECK(json["frames"] == 60);
+  CHECK(json["distance"] == 4.5);
+  REQUIRE(json["results"].size() == 2);
+  CHECK(json["results"][0]["unsteadiness"] == 1.0);
+  CHECK(json["results"][1]["unsteadiness"] == 2.0);
+  CHECK(json["results"][1]["second"]["worst_p999"] == 0.5);
+  CHECK(json["results"][1]["added"]["p999"] == 0.125);
+  CHECK(json["results"][0]["step"]["largest"] == 0.75);
+  const auto lines = lines_of(orbit_text(*report.orbit));
+  REQUIRE(lines.size() == 6);
+  CHECK(lines[1].find("60 frames") == 0);
+  for (std::size_t i = 2; i < lines.size(); ++i) CHECK(lines[i].size() <= 160);
+  CHECK(lines[4].size() == lines[5].size());
+  CHECK(lines[5].find("2.000x") != std::string::npos);
+  // A baseline that stands still has no ratio.
+  report.orbit->rows.front() = {"baseline", {}, {}, {}};
+  CHECK(nlohmann::json::parse(report_json(report))["orbit"]["results"][1]["unsteadiness"].is_null());
+}
+
 TEST_CASE("every line of the CSV report has the fields that its first line names") {
   Report report = sample_report();
   report.modes[1].quality.reset();
