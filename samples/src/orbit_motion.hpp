@@ -73,8 +73,8 @@ struct OrbitRow {
 Result<std::vector<OrbitRow>> follow(std::span<const Camera> path, std::span<const std::string> modes,
                                      const std::function<Result<Image>(std::size_t, const Camera&)>& render);
 
-/// The largest of a row's means and worst percentiles of step and second difference, each over the reference's. 1: no
-/// more popping than there.
+/// The largest of a row's mean step, worst percentile of the steps, and worst percentile of the second differences, each over
+/// the reference's. 1: no more popping than there. Motion hides what is rare and small; `added` shows it.
 double unsteadiness(const OrbitRow& row, const OrbitRow& reference);
 
 }  // namespace rgs::bench

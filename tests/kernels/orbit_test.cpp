@@ -68,8 +68,8 @@ class OrbitStage {
 
 TEST_CASE("turbo pops no more than baseline on an orbit of 60 frames; a coarse depth key does") {
   if (!device_answers()) return;
-  OrbitStage stage = small_sizes() ? OrbitStage(2000, 160, 90) : OrbitStage(100000, 960, 540);
-  const auto rows = stage.follow(small_sizes() ? 12 : 60);
+  OrbitStage stage = small_sizes() ? OrbitStage(20000, 240, 135) : OrbitStage(100000, 960, 540);
+  const auto rows = stage.follow(small_sizes() ? 8 : 60);
   const bench::OrbitRow &baseline = rows[0], &turbo = rows[1], &coarse = rows[2];
   for (const bench::OrbitRow& row : rows) {
     MESSAGE(row.mode, ": step ", 255 * row.step.mean, ", ", 255 * row.step.worst_p999, ", second difference ",
@@ -78,10 +78,10 @@ TEST_CASE("turbo pops no more than baseline on an orbit of 60 frames; a coarse d
   }
   CHECK(baseline.step.p999 > 0.02);  // the camera does move
   // Turbo rounds colours to FP16 and goes on a little where baseline stops: noise of up to a part in 255, which adds less
-  // than a twentieth to differences of tens. A Gaussian out of order shows as tens.
-  CHECK(bench::unsteadiness(turbo, baseline) <= 1.05);
+  // than 3 % to differences of tens. A Gaussian out of order shows as tens.
+  CHECK(bench::unsteadiness(turbo, baseline) <= 1.03);
   CHECK(turbo.added.worst_p999 <= 4.0 / 255);
-  // The same measure does see popping.
-  CHECK(bench::unsteadiness(coarse, baseline) > 1.05);
+  // The same measures do see popping.
+  CHECK(bench::unsteadiness(coarse, baseline) > bench::unsteadiness(turbo, baseline));
   CHECK(coarse.added.worst_p999 > 4.0 / 255);
 }

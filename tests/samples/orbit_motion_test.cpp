@@ -168,9 +168,9 @@ TEST_CASE("turbo's definition is as steady as baseline's on an orbit; a coarse d
   coarse.depth_bits = 5;
   const auto rows = orbit_on_cpu({baseline_options(), turbo_options(), coarse}, 24);
   CHECK(rows[0].step.p999 > 0.02);  // the camera does move
-  CHECK(unsteadiness(rows[1], rows[0]) <= 1.05);
+  CHECK(unsteadiness(rows[1], rows[0]) <= 1.03);
   CHECK(rows[1].added.worst_p999 <= 4.0 / 255);
-  CHECK(unsteadiness(rows[2], rows[0]) > 1.05);
+  CHECK(unsteadiness(rows[2], rows[0]) > 1.5);
   CHECK(rows[2].added.worst_p999 > 4.0 / 255);
   MESSAGE("added by turbo ", 255 * rows[1].added.worst_p999, "/255, x", unsteadiness(rows[1], rows[0]),
           "; by a key of 5 bits ", 255 * rows[2].added.worst_p999, "/255, x", unsteadiness(rows[2], rows[0]));
