@@ -210,6 +210,39 @@ TEST_CASE("SVG text is escaped") {
   CHECK(parsed.out.find("text x & y \"z\" <w>") != std::string::npos);
 }
 
+TEST_CASE("the tables of the documents are made of JSON reports") {
+  const rgs::test::TemporaryFolder folder;
+  Report full = sample_report(), pruned = sample_report();
+  pruned.gaussians = 311525;
+  pruned.scene = "pruned.rgs";
+  for (std::size_t row = 0; row < 3; ++row) pruned.sizes[0].rows[row].timing.mean.total_ms /= 2;
+  pruned.sizes[0].rows[2].timing.mean.total_ms *= 1.25;  // pruning helps the fast mode less
+  std::ofstream(folder.file("full.json")) << report_json(full);
+  std::ofstream(folder.file("pruned.json")) << report_json(pruned);
+  std::ofstream(folder.file("audit.json")) << R"({"rendered":{"psnr":28.09,"worst_psnr":25.74,)"
+                                              R"("photos":{"asset_psnr":20.98,"loss":1.046}}})";
+  const auto tables = [&](const std::vector<std::string>& more) {
+    std::vector<std::string> arguments{RGS_PYTHON, RGS_SOURCE_DIR "/scripts/bench_tables.py", folder.file("full.json")};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    const auto result = rgs::test::run_program(arguments);
+    CHECK_MESSAGE(result.exit_code == 0, result.err);
+    return result.out;
+  };
+  CHECK(tables({}).find("| baseline | 0.087 | 1.026 |") != std::string::npos);
+  const std::string both =
+      tables({folder.file("pruned.json"), "--orthogonality", "--audit", folder.file("audit.json")});
+  CHECK(both.find("| baseline | 169 | 1.0x |  | 22.00 |") != std::string::npos);
+  CHECK(both.find("| + fast exp = paper | 1,152 | 6.8x | 51.10 | 22.00 |") != std::string::npos);
+  CHECK(both.find("| pruned baseline | 338 | 2.0x | 28.09 | 22.00 |") != std::string::npos);
+  CHECK(both.find("| pruned + fast exp = paper | 1,842 | 10.9x |") != std::string::npos);
+  CHECK(both.find("80 % at 1920x1080 of the product") != std::string::npos);
+  CHECK(both.find("28.09 dB, worst view 25.74, 1.05 dB lost") != std::string::npos);
+  const std::string growth = tables({folder.file("pruned.json"), "--scaling"});
+  const std::size_t small = growth.find("| 0.312 M | 1920x1080 | 2.957 |"), large = growth.find("| 0.779 M |");
+  CHECK(small < large);
+  CHECK(large != std::string::npos);
+}
+
 TEST_CASE("modes have the options that their names promise") {
   const ModeInput input{{}, rgs::math::Exp::zero_mean, rgs::DepthMapping::logarithmic};
   CHECK(mode_names().front() == "baseline");
