@@ -341,7 +341,7 @@ void add_contributions(const TileJob& job, std::span<Contribution> contributions
     const TileWeight& w = job.weights[k];
     if (w.largest <= 0) continue;
     Contribution& c = contributions[job.splats[job.list[k]].gaussian];
-    const auto units = static_cast<std::uint64_t>(static_cast<double>(w.sum) / Contribution::kUnit + 0.5);
+    const auto units = static_cast<std::uint64_t>(std::llround(static_cast<double>(w.sum) / Contribution::kUnit));
     std::atomic_ref(c.sum).fetch_add(units, std::memory_order_relaxed);
     const std::atomic_ref largest(c.largest);
     float seen = largest.load(std::memory_order_relaxed);
