@@ -60,7 +60,7 @@ struct CudaRenderer::Impl {
 
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
   Status reserve_pairs(std::uint64_t n, bool narrow);
-  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large);
+  Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
@@ -84,7 +84,7 @@ struct CudaRenderer::Impl {
   HostCounters* host = nullptr;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
-  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
+  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes, cells, cell_gaussians;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -131,7 +131,7 @@ std::uint64_t CudaRenderer::Impl::bytes() const {
   for (const DeviceBuffer* b :
        {&counters,      &splats,        &covers,     &tiles,           &sums,           &sum_temporary, &block_state,
         &keys,          &spare_keys,    &gaussians,  &spare_gaussians, &sort_temporary, &ranges,        &turbo_state,
-        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes}) {
+        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes, &cells, &cell_gaussians}) {
     sum += b->bytes();
   }
   return sum;
@@ -301,7 +301,8 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
 }
 
 // Room for so many entries, runs and large Gaussians; grows by half at least.
-Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large) {
+Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
+                                         std::uint64_t n_in_cells) {
   Status ok;
   const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
     const std::uint64_t held = buffer.bytes() / size;
@@ -312,6 +313,7 @@ Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t 
   reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
   reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
   reserve(turbo_large, n_large, sizeof(cuda::TurboLarge));
+  reserve(cell_gaussians, n_in_cells, sizeof(std::uint32_t));
   return ok;
 }
 
@@ -326,8 +328,9 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
   if (ok) ok = turbo_state.reserve(cuda::TurboState::bytes(arrays.n_tiles));
   if (ok) ok = lists.reserve(arrays.n_tiles * sizeof(cuda::TurboList));
   if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  if (ok) ok = cells.reserve(arrays.n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
   const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
-  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32);
+  if (ok && turbo_entries.bytes() == 0) ok = reserve_turbo(first_entries, first_entries / 2, first_entries / 32, 3 * first_entries);
   while (ok) {
     arrays.state = turbo_state.as<cuda::TurboState>();
     arrays.entries = turbo_entries.as<cuda::TurboEntry>();
@@ -341,6 +344,9 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     arrays.run_capacity =
         std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
     arrays.large_capacity = turbo_large.bytes() / sizeof(cuda::TurboLarge);
+    arrays.cells = cells.as<cuda::TurboCell>();
+    arrays.cell_gaussians = cell_gaussians.as<std::uint32_t>();
+    arrays.cell_capacity = cell_gaussians.bytes() / sizeof(std::uint32_t);
     ok = mark(kStart, options, stream);
     if (ok) {
       ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), stream),
@@ -353,12 +359,15 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     }
     if (ok) ok = mark(kProjected, options, stream);
     if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
-    for (const Mark m : {kDuplicated, kSorted, kRanged}) {
+    if (ok) ok = mark(kDuplicated, options, stream);
+    if (ok) ok = cuda::launch_turbo_order(arrays, view.grid, &host->turbo, counted, stream);
+    for (const Mark m : {kSorted, kRanged}) {
       if (ok) ok = mark(m, options, stream);
     }
     if (ok) {
       ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height,
-                                     background_of(options), arrays_of(target), options.cuda.count_pairs},
+                                     background_of(options), arrays_of(target), options.cuda.count_pairs,
+                                     options.cuda.tensor_cores},
                                     stream);
     }
     if (ok) ok = mark(kBlended, options, stream);
@@ -368,9 +377,10 @@ Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scen
     const std::uint64_t n = host->counters.instances;
     const cuda::TurboState& seen = host->turbo;
     const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
-    if (n > kMaxPairs || (all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity)) return n;
+    const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
+    if (n > kMaxPairs || (all_listed && seen.in_cells <= arrays.cell_capacity)) return n;
     // Counts without all large Gaussians are too low to be worth memory.
-    ok = all_large ? reserve_turbo(n, seen.runs, 0) : reserve_turbo(0, 0, seen.n_large);
+    ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large, 0);
   }
   return tl::unexpected(ok.error());
 }

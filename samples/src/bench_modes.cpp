@@ -20,6 +20,12 @@ RenderOptions paper_of(const ModeInput& input) {
   return chosen(paper_options(input.declared), input);
 }
 
+RenderOptions turbo_fp32(const ModeInput&) {
+  RenderOptions options = turbo_options();
+  options.cuda.tensor_cores = false;
+  return options;
+}
+
 struct Mode {
   const char* name;
   RenderOptions (*options)(const ModeInput&);
@@ -30,6 +36,7 @@ constexpr Mode kModes[] = {
     {"baseline", [](const ModeInput&) { return baseline_options(); }, false},
     {"paper", paper_of, true},
     {"turbo", [](const ModeInput&) { return turbo_options(); }, true},
+    {"turbo-fp32", turbo_fp32, true},
 };
 
 }  // namespace

@@ -35,6 +35,8 @@ struct CudaOptions {
   /// deterministic by itself. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
   /// 2^25 Gaussians and more are drawn by the other kernels. FrameStats: lists count as bin_ms, there is no sort, no key.
   bool turbo = false;
+  /// Of turbo: blends by matrix products in FP16 (sm_80 and newer, no depth or counts wanted) instead of in FP32.
+  bool tensor_cores = true;
   int pixels_per_thread = 2;  ///< 1 (the original) or 2 (the paper)
   /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
   /// end lists them in the order in which its blocks happen to run.

@@ -40,6 +40,14 @@ struct TurboList {
 };
 inline constexpr std::uint32_t kTurboEntries = 2048;  ///< ordered at a time; a power of two
 
+/// What a cell of 16x8 pixels shows: Gaussians begin .. begin + n - 1 of TurboArrays::cell_gaussians, in order.
+struct alignas(16) TurboCell {
+  std::uint32_t begin, n;
+  std::uint32_t x, y;  ///< its first pixel
+};
+static_assert(sizeof(TurboCell) == 16);
+inline constexpr int kTurboCells = 8;  ///< of a tile
+
 /// A Gaussian that touches many tiles: kept for a kernel that spreads it over a warp.
 struct alignas(16) TurboLarge {
   math::Ellipse<float> ellipse;
@@ -60,7 +68,8 @@ struct TurboState {
   std::uint32_t n_large;  ///< the same of TurboArrays::large
   std::uint32_t placed;   ///< runs that have a place in their tile's list
   std::uint32_t scratch;  ///< entries of the long lists
-  std::uint32_t padding[3];
+  std::uint32_t ordered;  ///< tiles
+  std::uint64_t in_cells; ///< Gaussians of all cells, written or not
   std::uint32_t class_size[kTurboClasses];
 
   /// With n_entries and n_runs of each tile.
@@ -79,7 +88,9 @@ struct TurboArrays {
   TurboEntry* scratch;     ///< [entry_capacity]
   TurboList* lists;        ///< [n_tiles]
   std::uint32_t* classes;  ///< [kTurboClasses, n_tiles] tiles of each class
-  std::uint64_t entry_capacity, run_capacity, large_capacity;
+  TurboCell* cells;        ///< [n_tiles, kTurboCells] tiles in the order of their classes
+  std::uint32_t* cell_gaussians;  ///< [cell_capacity]
+  std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
 };
 
 /// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
@@ -100,7 +111,12 @@ Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 /// Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, CUevent_st* counted, Stream stream);
 
-/// Orders each list and blends it. Errors: device_failed.
+/// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. If it did not fit, all cells
+/// are empty. Errors: device_failed.
+Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
+                          Stream stream);
+
+/// Blends each cell. Errors: device_failed.
 struct TurboBlendArguments {
   TurboArrays arrays;
   const ScreenSplat* splats;
@@ -109,7 +125,9 @@ struct TurboBlendArguments {
   math::Vec3<float> background;
   PixelArrays target;
   bool count_pairs;  ///< into the state's counters.evaluated and .blended
+  bool is_tensor;    ///< FP16 matrix products, where no details are wanted
 };
+Status launch_turbo_tensor(const TurboBlendArguments& arguments, Stream stream);
 Status launch_turbo_blend(const TurboBlendArguments& arguments, Stream stream);
 
 }  // namespace rgs::cuda
