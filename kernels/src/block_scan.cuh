@@ -18,7 +18,7 @@ __device__ inline std::uint32_t inclusive_warp_sum(std::uint32_t value) {
   return value;
 }
 
-/// Sum, smallest or largest over the warp, in every lane (the single instructions for it need sm_80).
+/// Sum, smallest or largest over the warp, in every lane.
 template <class T, class Combine>
 __device__ inline T reduce_warp(T value, const Combine& combine) {
 #pragma unroll
@@ -27,6 +27,15 @@ __device__ inline T reduce_warp(T value, const Combine& combine) {
 }
 __device__ inline std::uint32_t warp_sum(std::uint32_t value) {
   return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a + b; });
+}
+
+/// Largest over the warp.
+__device__ inline std::uint32_t warp_max(std::uint32_t value) {
+#if __CUDA_ARCH__ >= 800
+  return __reduce_max_sync(kFullWarp, value);
+#else
+  return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a > b ? a : b; });
+#endif
 }
 
 /// Inclusive sum over the block's threads; `warp_sums` holds one word a warp. The caller separates two calls that share
@@ -45,8 +54,8 @@ __device__ inline std::uint32_t inclusive_block_sum(std::uint32_t value, std::ui
 }
 
 /// First position whose inclusive sum exceeds `item`: the owner of item `item`. Size is a power of two.
-template <int Size>
-__device__ inline std::uint32_t owner_of(const std::uint32_t* inclusive_sums, std::uint32_t item) {
+template <int Size, class Sum>
+__device__ inline std::uint32_t owner_of(const Sum* inclusive_sums, std::uint32_t item) {
   std::uint32_t at = 0;
 #pragma unroll
   for (std::uint32_t step = Size / 2; step > 0; step /= 2) {

@@ -1,7 +1,7 @@
 // turbo_lists.cu - runs of entries to the tiles that they belong to: a thread a tile, then a thread a run.
 // SPDX-License-Identifier: Apache-2.0
 //
-// In/Out  n_entries, n_runs [tiles], runs -> lists [tiles], tile_runs, classes
+// In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes
 // Cost    16 B read, 16 B gathered and 8 B written anywhere a run
 // Launch  plan: 256 threads, ceil(tiles / 256) blocks; place: as many blocks of 256 as keep the device busy, each
 //         taking runs in turn, because their number is known on the device alone
@@ -25,27 +25,19 @@ __device__ bool turbo_fits(const TurboArrays& a) {
          state.n_large <= a.large_capacity;
 }
 
-// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
-__device__ int length_class(std::uint32_t length) {
-  if (length < 32) return kTurboClasses - 1;
-  const int log2 = 31 - __clz(static_cast<int>(length));
-  const int half = static_cast<int>(length >> (log2 - 1)) & 1;
-  return math::max(0, kTurboClasses - 2 - (2 * (log2 - 5) + half));
-}
-
 __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboState* seen) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
   __shared__ std::uint32_t base, class_size[kTurboClasses], class_base[kTurboClasses];
   if (threadIdx.x < kTurboClasses) class_size[threadIdx.x] = 0;
   TurboState& state = *a.state;
   const bool fits = turbo_fits(a);
-  const auto* const n_entries = reinterpret_cast<const std::uint32_t*>(a.state + 1);
+  const auto* const counts = reinterpret_cast<const TurboCount*>(a.state + 1);
   const std::uint32_t tile = blockIdx.x * kThreads + threadIdx.x;
-  const bool has_list = tile < a.n_tiles && fits;
-  const std::uint32_t n = has_list ? n_entries[tile] : 0, runs = has_list ? n_entries[a.n_tiles + tile] : 0;
+  const TurboCount count = tile < a.n_tiles && fits ? counts[tile] : 0;
+  const auto n = static_cast<std::uint32_t>(count), runs = static_cast<std::uint32_t>(count >> 32);
   const std::uint32_t end = inclusive_block_sum<kThreads>(runs, warp_sums);
   if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.placed, end);
-  const int length = length_class(n);
+  const int length = turbo_class(n);
   const std::uint32_t rank = tile < a.n_tiles ? atomicAdd(class_size + length, 1u) : 0;
   __syncthreads();
   if (threadIdx.x < kTurboClasses) {
@@ -64,7 +56,8 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
 __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
   const TurboState& state = *a.state;
   if (!turbo_fits(a)) return;
-  for (std::uint64_t k = blockIdx.x * kThreads + threadIdx.x; k < state.runs; k += gridDim.x * kThreads) {
+  const std::uint64_t n = state.runs;
+  for (std::uint64_t k = blockIdx.x * kThreads + threadIdx.x; k < n; k += gridDim.x * kThreads) {
     const TurboTileRun run = a.runs[k];
     a.tile_runs[a.lists[run.tile].begin + run.rank] = run.run;
   }

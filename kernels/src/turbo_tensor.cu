@@ -65,12 +65,16 @@ __device__ inline __half2 exp2_approximate(__half2 x) {
       : "r"(reinterpret_cast<const std::uint32_t&>(x)));
   return y;
 }
-// Its mean relative error over [-8, 0] is -2.9e-4 (measured on sm_90); this is added to exponents.
-inline constexpr float kExp2Bias = 4.2e-4F;
+// Opacities are kept over kAlphaMax, as it is in FP16: saturation at 1 then clamps them.
+inline constexpr float kAlphaScale = 0.990234375F;
+// The exponential's mean relative error over [-8, 0] is -2.9e-4 (measured on sm_90): 4.2e-4 of the exponent. The rest is
+// -log2(kAlphaScale).
+inline constexpr float kExponentBias = 4.2e-4F + 0.01415806F;
 
-// 1 where the exponent is at least kLog2AlphaMin = -7.9943, 0 elsewhere: FP16 has -7.9922 and -7.9961 there.
+// 1 where the exponent is at least kLog2AlphaMin + kExponentBias = -7.9798, 0 elsewhere: FP16 has -7.9766 and -7.9805
+// there.
 __device__ inline __half2 counts(__half2 exponent) {
-  return __hfma2_sat(exponent, __float2half2_rn(256.0F), __float2half2_rn(2047.0F));
+  return __hfma2_sat(exponent, __float2half2_rn(256.0F), __float2half2_rn(2043.0F));
 }
 
 // 32 Gaussians as right operands.
@@ -78,9 +82,8 @@ struct alignas(16) Staging {
   // Of the first product, Gaussian 4 c + j at 8 j + c: high and low halves of two coefficients for each q; those of q = 3
   // meet zeros.
   uint2 coefficients[32][4];
-  // Of the second. Of a channel, lane q's four registers lie together.
+  // Of the second, times kAlphaMax. Of a channel, lane q's four registers lie together.
   __half color[3][32];
-  std::uint32_t may_exceed;  // an opacity may exceed kAlphaMax
 };
 
 // Two coefficients as sums of two FP16 numbers each.
@@ -91,7 +94,7 @@ __device__ inline uint2 split(float a, float b) {
   return {reinterpret_cast<const std::uint32_t&>(high), reinterpret_cast<const std::uint32_t&>(low)};
 }
 
-// A warp stages gaussians[0 .. n - 1], n <= 32, a lane each.
+// A warp stages gaussians[0 .. n - 1], n <= 32, a lane each. Up to 16 take the first two products: Gaussian 2 c + j.
 __device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float corner_x,
                              float corner_y, Staging& staging) {
   const std::uint32_t slot = threadIdx.x % 32;
@@ -99,14 +102,14 @@ __device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gau
   const std::uint32_t place = 8 * (column / 2) + 2 * product + column % 2;
   math::Folded<float> f{0, 0, 0, 0, 0, -1000.0F};  // nothing
   math::Vec3<float> color{0, 0, 0};
-  bool clamp = false;
-  if (4 * column + product < n) {
-    const ScreenSplat splat = splats[gaussians[4 * column + product]];
+  const std::uint32_t own = n > 16 ? 4 * column + product : product < 2 ? 2 * column + product : 32;
+  if (own < n) {
+    const ScreenSplat splat = splats[gaussians[own]];
     f = math::fold(splat.conic, {splat.mean.u - corner_x - kCenterX, splat.mean.v - corner_y - kCenterY},
-                   splat.log2_opacity + kExp2Bias);
+                   splat.log2_opacity + kExponentBias);
     // Finite also where the colour is not: a weight of 0 then leaves a pixel as it is.
-    color = {math::min(splat.color.x, kHalfMax), math::min(splat.color.y, kHalfMax), math::min(splat.color.z, kHalfMax)};
-    clamp = may_exceed(splat, corner_x, corner_y);
+    const auto scaled = [](float c) { return kAlphaScale * math::min(c, kHalfMax); };
+    color = {scaled(splat.color.x), scaled(splat.color.y), scaled(splat.color.z)};
   }
   const uint2 pairs[3] = {split(f.one, f.x), split(f.y, f.xx), split(f.xy, f.yy)};
   auto* const to = reinterpret_cast<uint4*>(staging.coefficients[slot]);
@@ -115,8 +118,6 @@ __device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gau
   staging.color[0][place] = __float2half_rn(color.x);
   staging.color[1][place] = __float2half_rn(color.y);
   staging.color[2][place] = __float2half_rn(color.z);
-  clamp = __any_sync(kFullWarp, clamp) != 0;
-  if (slot == 0) staging.may_exceed = clamp ? 1 : 0;
 }
 
 // 16 pixels of a row, as lane (g, q) has them.
@@ -141,29 +142,33 @@ struct Row {
     t = __floats2half2_rn(y < height && x + g < width ? 1.0F : 0.0F, y < height && x + g + 8 < width ? 1.0F : 0.0F);
     for (float& sum : color) sum = 0;
   }
-  __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors, bool clamp);
-  __device__ void store(const TurboBlendArguments& a, int x, int y) const;
+  template <int Products>
+  __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors);
+  // The pixel that the lane stores: lanes q = 0 hold red and green, lanes q = 1 blue; the former get the pixels g, the
+  // latter the pixels g + 8.
+  __device__ math::Pixel<float> pixel(bool is_odd) const {
+    const float other = __shfl_xor_sync(kFullWarp, is_odd ? color[0] : color[2], 1);
+    const float green = __shfl_xor_sync(kFullWarp, color[3], 1);
+    return {is_odd ? other : color[0], is_odd ? green : color[1], is_odd ? color[2] : other, 0,
+            is_odd ? __high2float(t) : __low2float(t)};
+  }
 };
 
-__device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors, bool clamp) {
-  const __half2 one = __float2half2_rn(1.0F);
-  __half2 alpha[4][2];            // [place in the chain][pixel], two chains each
-  __half2 chain[2] = {one, one};  // product of 1 - alpha over each chain
+// Blends the Gaussians of the first Products products, 2 or 4.
+template <int Products>
+__device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& colors) {
+  const __half2 one = __float2half2_rn(1.0F), scale = __float2half2_rn(-kAlphaScale);
+  __half2 weight[Products][2];    // [place in the chain][pixel], two chains each; opacities at first
+  __half2 chain[2] = {one, one};  // what each chain lets through
 #pragma unroll
-  for (int j = 0; j < 4; ++j) {
-    multiply_repeated(alpha[j], basis, coefficients[j]);
+  for (int j = 0; j < Products; ++j) {
+    multiply_repeated(weight[j], basis, coefficients[j]);
 #pragma unroll
-    for (__half2& value : alpha[j]) value = __hmul2(exp2_approximate(value), counts(value));
-  }
-  if (clamp) {
-#pragma unroll
-    for (auto& pair : alpha) {
-      for (__half2& value : pair) value = __hmin2(value, __float2half2_rn(math::kAlphaMax));
+    for (int p = 0; p < 2; ++p) {
+      const __half2 opacity = __hmul2_sat(exp2_approximate(weight[j][p]), counts(weight[j][p]));
+      weight[j][p] = j == 0 ? opacity : __hmul2(opacity, chain[p]);
+      chain[p] = __hfma2(scale, weight[j][p], chain[p]);
     }
-  }
-#pragma unroll
-  for (const auto& pair : alpha) {
-    for (int p = 0; p < 2; ++p) chain[p] = __hfma2(__hneg2(pair[p]), chain[p], chain[p]);
   }
   // Over the chains, both pixels at a time: what the lanes before let through, and all of them.
   const __half2 first = __lows2half2(chain[0], chain[1]);
@@ -175,33 +180,18 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   const __half2 low = __hmul2(t, before);    // at the lane's first chain
   const __half2 high = __hmul2(low, first);  // at its second
   t = __hmul2(t, __hmul2(pair, others));
-  __half2 passed[2] = {__lows2half2(low, high), __highs2half2(low, high)};
+  const __half2 begin[2] = {__lows2half2(low, high), __highs2half2(low, high)};
 #pragma unroll
-  for (auto& values : alpha) {
-#pragma unroll
-    for (int p = 0; p < 2; ++p) {
-      values[p] = __hmul2(values[p], passed[p]);
-      passed[p] = __hsub2(passed[p], values[p]);
-    }
+  for (auto& values : weight) {
+    for (int p = 0; p < 2; ++p) values[p] = __hmul2(values[p], begin[p]);
   }
-  multiply_add(color, {alpha[0][0], alpha[0][1], alpha[1][0], alpha[1][1]}, colors.x, colors.y);
-  multiply_add(color, {alpha[2][0], alpha[2][1], alpha[3][0], alpha[3][1]}, colors.z, colors.w);
+  multiply_add(color, {weight[0][0], weight[0][1], weight[1][0], weight[1][1]}, colors.x, colors.y);
+  if constexpr (Products == 4) {
+    multiply_add(color, {weight[2][0], weight[2][1], weight[3][0], weight[3][1]}, colors.z, colors.w);
+  }
 }
 
-// Lanes q = 0 hold red and green, lanes q = 1 blue: the former store the pixels g, the latter the pixels g + 8.
-__device__ inline void Row::store(const TurboBlendArguments& a, int x, int y) const {
-  const int q = static_cast<int>(threadIdx.x % 4);
-  const float other = __shfl_xor_sync(kFullWarp, q == 0 ? color[2] : color[0], 1);
-  const float green = __shfl_xor_sync(kFullWarp, color[3], 1);
-  x += static_cast<int>(threadIdx.x % 32 / 4) + 8 * q;
-  if (q > 1 || x >= a.width || y >= a.height) return;
-  const math::Pixel<float> pixel = q == 0 ? math::Pixel<float>{color[0], color[1], other, 0, __low2float(t)}
-                                          : math::Pixel<float>{other, green, color[2], 0, __high2float(t)};
-  const auto i = static_cast<std::size_t>(y) * static_cast<std::size_t>(a.width) + static_cast<std::size_t>(x);
-  store_color(a.target, i, pixel, a.background);
-}
-
-__global__ void __launch_bounds__(kThreads, 8) turbo_tensor_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, 10) turbo_tensor_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
   const TurboCell head = a.arrays.cells[blockIdx.x];
@@ -225,19 +215,32 @@ __global__ void __launch_bounds__(kThreads, 8) turbo_tensor_kernel(TurboBlendArg
       for (int j = 0; j < 4; ++j) coefficients[j] = from.coefficients[8 * j + lane / 4][lane % 4];
       uint4 colors{0, 0, 0, 0};
       if (lane / 4 < 3) colors = *reinterpret_cast<const uint4*>(from.color[lane / 4] + 8 * (lane % 4));
-      const bool clamp = from.may_exceed != 0;
-      __half2 largest = __float2half2_rn(0.0F);
+      if (head.n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
 #pragma unroll
-      for (Row& row : rows) {
-        row.blend(coefficients, colors, clamp);
-        largest = __hmax2(largest, row.t);
+        for (Row& row : rows) row.blend<4>(coefficients, colors);
+      } else {
+#pragma unroll
+        for (Row& row : rows) row.blend<2>(coefficients, colors);
       }
+      __half2 largest = rows[0].t;
+#pragma unroll
+      for (const Row& row : rows) largest = __hmax2(largest, row.t);
       opaque = __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(math::kTransmittanceMin))) != 0;
     }
     if (__syncthreads_and(opaque)) break;
   }
+  const int q = lane % 4;
+  math::Pixel<float> pixels[kRows];
 #pragma unroll
-  for (int k = 0; k < kRows; ++k) rows[k].store(a, x, y + kRows * warp + k);
+  for (int k = 0; k < kRows; ++k) pixels[k] = rows[k].pixel(q % 2 != 0);
+  const int own_x = x + lane / 4 + 8 * q, own_y = y + kRows * warp;
+  if (q > 1 || own_x >= a.width) return;
+#pragma unroll
+  for (int k = 0; k < kRows; ++k) {
+    if (own_y + k >= a.height) return;
+    const auto i = static_cast<std::size_t>(own_y + k) * static_cast<std::size_t>(a.width);
+    store_color(a.target, i + static_cast<std::size_t>(own_x), pixels[k], a.background);
+  }
 }
 
 }  // namespace

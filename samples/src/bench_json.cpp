@@ -54,6 +54,8 @@ ordered_json options_json(const Configuration& c) {
   json["exponent"] = o.exponent == math::Exponent::direct ? "direct" : "folded";
   json["exp"] = name_of(o.exp);
   json["pixels_per_thread"] = o.cuda.pixels_per_thread;
+  json["pixel_format"] = pixel_format_name(c.packed);
+  json["graph"] = o.cuda.turbo && o.cuda.graph;
   return json;
 }
 

@@ -26,7 +26,8 @@ struct DeviceInfo {
 };
 
 /// Means over the cameras; times are medians over the frames of each camera, by events on the stream, from the first
-/// kernel to the last, the read-back of the pair count included.
+/// kernel to the last, the read-back of the pair count included. The total is that of frames without events between the
+/// stages, so that the stages' times may add up to a little more.
 struct Timing {
   FrameStats mean;
   double fastest_ms = 0, slowest_ms = 0;  ///< medians of the fastest and the slowest camera

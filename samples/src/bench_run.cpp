@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <optional>
 
 namespace rgs::bench {
 namespace {
@@ -40,6 +41,22 @@ double median(std::vector<double>& values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
+}
+
+// In device memory of floats_a_pixel() floats a pixel.
+DeviceTarget target_of(const DeviceFloats& memory, const std::optional<math::PixelFormat>& packed) {
+  DeviceTarget target;
+  if (!packed) {
+    target.rgb = memory.get();
+  } else {
+    target.packed = memory.get();
+    target.format = *packed;
+  }
+  return target;
+}
+// 3, or of a packed pixel's bytes 2 or 1.
+std::size_t floats_a_pixel(const std::optional<math::PixelFormat>& packed) {
+  return pixel_bytes(packed) / sizeof(float);
 }
 
 // Medians of the times of frames of one camera; their counts are all the same.
@@ -82,18 +99,23 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
   auto renderer = CudaRenderer::create();
   if (!renderer) return tl::unexpected(renderer.error());
   std::size_t floats = 0;
-  for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera));
+  for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera) / 3 * floats_a_pixel(c.packed));
   const auto memory = device_floats(floats);
   if (!memory) return tl::unexpected(memory.error());
-  DeviceTarget target;
-  target.rgb = memory->get();
+  const DeviceTarget target = target_of(*memory, c.packed);
 
   Timing timing;
   for (const Camera& camera : cameras) {
     RenderOptions options = c.options;
     options.cuda.timings = true;
+    options.cuda.graph = false;  // whose stages are not to be told apart
     auto stats = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
     if (!stats) return tl::unexpected(stats.error());
+    options.cuda.graph = c.options.cuda.graph;
+    options.cuda.stage_timings = false;  // frames of their own for the total: events between the stages take time
+    const auto whole = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
+    if (!whole) return tl::unexpected(whole.error());
+    stats->total_ms = whole->total_ms;
     options.cuda.count_pairs = true;  // in a frame of its own: counting takes time
     const auto counted = renderer->render(scenes.of(c), camera, target, options);
     if (!counted) return tl::unexpected(counted.error());

@@ -295,7 +295,9 @@ TEST_CASE("front ends agree with the host on 300,000 Gaussians of a scene") {
             with_key(0, Extent::ellipse));
 }
 
-TEST_CASE("colours agree to the bit in every degree and limit, FP32 and with steps per chunk and per file") {
+TEST_CASE(
+    "colours agree to the rounding of their sums in every degree and limit, FP32 and with steps per chunk and per "
+    "file") {
   if (!device_answers()) return;
   const int n = small_sizes() ? 300 : 5000;
   Random random(102);

@@ -6,6 +6,8 @@
 #include <hwy/targets.h>
 
 #include <algorithm>
+#include <filesystem>
+#include <fstream>
 #include <limits>
 #include <numeric>
 #include <thread>
@@ -13,6 +15,7 @@
 #include "random_cloud.hpp"
 #include "renderer_fixture.hpp"
 #include "rgs/encode.hpp"
+#include "temporary_folder.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -366,6 +369,31 @@ TEST_CASE("degenerate Gaussians draw something finite or nothing") {
       }
     }
   }
+}
+
+TEST_CASE("a scene keeps the file that it was loaded from, and its copies share it") {
+  const auto bytes = encode(cloud_of(random_splats(61, 100), 1).view());
+  REQUIRE(bytes);
+  const TemporaryFolder folder;
+  const std::string path = folder.file("scene.rgs");
+  std::ofstream(path, std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
+  Scene copy;
+  {
+    const auto scene = Scene::load(path);
+    REQUIRE(scene);
+    copy = *scene;
+  }
+  std::filesystem::remove(path);
+  const auto kept = copy.file_bytes();
+  CHECK(std::equal(kept.begin(), kept.end(), bytes->begin(), bytes->end()));
+  const auto borrowed = Scene::load(*bytes);  // the caller's memory may go
+  REQUIRE(borrowed);
+  CHECK(borrowed->file_bytes().empty());
+  CHECK(
+      std::equal(copy.view().sh.begin(), copy.view().sh.end(), borrowed->view().sh.begin(), borrowed->view().sh.end()));
+  CHECK(scene_of(cloud_of(random_splats(61, 100), 1)).file_bytes().empty());
+  CHECK(Scene().file_bytes().empty());
 }
 
 TEST_CASE("a packed file loads as the scene of the direct one") {

@@ -78,6 +78,8 @@ TEST_CASE("the JSON report holds every mode and size") {
   CHECK(json["modes"][0]["options"]["attributes"] == "fp32");
   CHECK(json["modes"][1]["step"] == true);
   CHECK(json["modes"][2]["options"]["exp"] == "paper");
+  CHECK(json["modes"][2]["options"]["pixel_format"] == "rgb32f");
+  CHECK(json["modes"][2]["options"]["graph"] == false);
   CHECK(json["modes"][2]["options"]["depth_order"] == "quantized");
   CHECK(json["modes"][2]["quality"]["photo_loss"] == doctest::Approx(0.014));
   REQUIRE(json["sizes"].size() == 1);

@@ -58,6 +58,11 @@ RGS_HD inline std::uint16_t half_from_float(float value) {
 
 /// Exact.
 RGS_HD inline float float_from_half(std::uint16_t half) {
+#if defined(__CUDA_ARCH__)
+  float value;
+  asm("cvt.f32.f16 %0, %1;" : "=f"(value) : "h"(half));
+  return value;
+#else
   const std::uint32_t sign = static_cast<std::uint32_t>(half & 0x8000u) << 16;
   const std::uint32_t magnitude = half & 0x7FFFu;
   if (magnitude >= 0x7C00u) {  // infinity; NaN becomes quiet, as conversion instructions make it
@@ -65,6 +70,7 @@ RGS_HD inline float float_from_half(std::uint16_t half) {
   }
   // The exponent is re-biased by a multiplication, which also normalises subnormals: 2^112 = 2^(127 - 15).
   return detail::float_of(sign | detail::bits_of(detail::float_of(magnitude << 13) * 0x1p112f));
+#endif
 }
 
 // ---- SH: symmetric INT8, one step per degree and channel (RoofGS paper, eq. "quant")

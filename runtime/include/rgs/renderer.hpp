@@ -41,8 +41,17 @@ struct CudaOptions {
   /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
   /// end lists them in the order in which its blocks happen to run.
   bool deterministic = false;
-  bool timings = false;      ///< wait for the frame and fill FrameStats' times
+  bool timings = false;  ///< wait for the frame and fill FrameStats' times
+  /// Of the timings: those of the stages too, by events between the kernels, which cost the frame some time themselves.
+  bool stage_timings = true;
   bool count_pairs = false;  ///< wait for the frame and count evaluated and blended pairs, at a cost in time
+  /// Turbo: the frame's kernels as one CUDA graph, which is captured anew for every frame. Same bytes. Its stages are not
+  /// timed, and the host, where it waits for the counts, waits for the end of the frame.
+  bool graph = false;
+  /// Turbo: CudaRenderer::render() waits for nothing and returns when the frame is queued; its counts are 0. A frame
+  /// that needs more workspace than there is shows the background alone until the renderer's next call makes it again:
+  /// see CudaRenderer::finish(). Renderer waits all the same.
+  bool asynchronous = false;
 };
 
 /// What a frame shows and by which arithmetic. The defaults are the original 3DGS rasteriser, only with the tighter

@@ -7,6 +7,7 @@
 
 #include "rgs/cuda/frame.hpp"
 #include "rgs/cuda/front_end.hpp"
+#include "rgs/hd.hpp"
 #include "rgs/result.hpp"
 
 struct CUevent_st;
@@ -48,55 +49,71 @@ struct alignas(16) TurboCell {
 static_assert(sizeof(TurboCell) == 16);
 inline constexpr int kTurboCells = 8;  ///< of a tile
 
-/// A Gaussian that touches many tiles: kept for a kernel that spreads it over a warp.
+/// A Gaussian that touches many tiles: kept for a kernel in which tiles look for theirs.
 struct alignas(16) TurboLarge {
   math::Ellipse<float> ellipse;
   std::uint32_t depth;  ///< bits
   std::uint32_t index;
-  std::uint16_t first_row, n_rows;  ///< of tiles
-  std::uint32_t unused;
+  std::uint32_t listed;  ///< 1 once it has an entry
+  std::uint32_t unused[4];
 };
 static_assert(sizeof(TurboLarge) == 64);
+/// Its bounding box: tiles x0 <= x < x1, y0 <= y < y1.
+struct alignas(8) TurboBox {
+  std::uint16_t x0, y0, x1, y1;
+};
 
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
 inline constexpr int kTurboClasses = 32;
+/// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
+RGS_HD constexpr int turbo_class(std::uint32_t length) {
+  if (length < 32) return kTurboClasses - 1;
+  int log2 = 5;
+  while (length >> (log2 + 1) != 0) ++log2;
+  const int half = static_cast<int>(length >> (log2 - 1)) & 1;
+  const int longer = 2 * (log2 - 5) + half;
+  return longer < kTurboClasses - 2 ? kTurboClasses - 2 - longer : 0;
+}
 
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
   Counters counters;
-  std::uint64_t runs;     ///< written or not
-  std::uint32_t n_large;  ///< the same of TurboArrays::large
-  std::uint32_t placed;   ///< runs that have a place in their tile's list
-  std::uint32_t scratch;  ///< entries of the long lists
-  std::uint32_t ordered;  ///< tiles
-  std::uint64_t in_cells; ///< Gaussians of all cells, written or not
+  std::uint64_t runs;      ///< written or not
+  std::uint32_t n_large;   ///< the same of TurboArrays::large
+  std::uint32_t placed;    ///< runs that have a place in their tile's list
+  std::uint32_t scratch;   ///< entries of the long lists
+  std::uint32_t ordered;   ///< tiles
+  std::uint64_t in_cells;  ///< Gaussians of all cells, written or not
   std::uint32_t class_size[kTurboClasses];
 
-  /// With n_entries and n_runs of each tile.
+  /// With a TurboCount of each tile.
   static std::uint64_t bytes(std::uint32_t n_tiles) { return sizeof(TurboState) + 8 * std::uint64_t{n_tiles}; }
 };
+/// Entries of a tile; its runs << 32.
+using TurboCount = std::uint64_t;
 static_assert(sizeof(TurboState) % 16 == 0);
 
 /// Where the front end leaves entries, and the lists made of them.
 struct TurboArrays {
   TurboState* state;
   std::uint32_t n_tiles;
-  TurboEntry* entries;     ///< [entry_capacity]
-  TurboTileRun* runs;      ///< [run_capacity]
-  TurboRun* tile_runs;     ///< [run_capacity] the same by tile
-  TurboLarge* large;       ///< [large_capacity]
-  TurboEntry* scratch;     ///< [entry_capacity]
-  TurboList* lists;        ///< [n_tiles]
-  std::uint32_t* classes;  ///< [kTurboClasses, n_tiles] tiles of each class
-  TurboCell* cells;        ///< [n_tiles, kTurboCells] tiles in the order of their classes
+  TurboEntry* entries;            ///< [entry_capacity]
+  TurboTileRun* runs;             ///< [run_capacity]
+  TurboRun* tile_runs;            ///< [run_capacity] the same by tile
+  TurboLarge* large;              ///< [large_capacity]
+  TurboBox* large_boxes;          ///< [large_capacity]
+  TurboEntry* scratch;            ///< [entry_capacity]
+  TurboList* lists;               ///< [n_tiles]
+  std::uint32_t* classes;         ///< [kTurboClasses, n_tiles] tiles of each class
+  TurboCell* cells;               ///< [n_tiles, kTurboCells] tiles in the order of their classes
   std::uint32_t* cell_gaussians;  ///< [cell_capacity]
   std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
 };
 
 /// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
 /// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
-/// attribute is read. What exceeds a capacity is counted, not written. v.grid is that of 32x32 tiles.
-/// n < kMaxTurboGaussians. Errors: device_failed.
+/// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
+/// and have no entries. v.grid is that of 32x32 tiles. n < kMaxTurboGaussians. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -106,15 +123,24 @@ struct TurboEmitArguments {
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 
+/// Writes the entries and runs of the large Gaussians, which launch_turbo_emit() has set aside, and calls this.
+Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream stream);
+
 /// Gives every tile its runs and its class. If a capacity was exceeded, all lists are empty. `seen` gets a copy of the
 /// state for the host to read: page-locked memory that the device reaches; `counted` is recorded when it is there.
 /// Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, CUevent_st* counted, Stream stream);
 
+/// A stream of the caller's beside the frame's, and two events: long lists are ordered there.
+struct TurboSide {
+  Stream stream;
+  CUevent_st *fork, *join;
+};
+
 /// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. If it did not fit, all cells
 /// are empty. Errors: device_failed.
 Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
-                          Stream stream);
+                          const TurboSide& side, Stream stream);
 
 /// Blends each cell. Errors: device_failed.
 struct TurboBlendArguments {

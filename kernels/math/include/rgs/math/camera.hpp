@@ -80,11 +80,15 @@ RGS_HD inline PixelPoint<T> to_pixel(const View<T>& view, const Vec3<T>& p) {
   return {view.fx * p.x / p.z + view.cx - T(0.5), view.fy * p.y / p.z + view.cy - T(0.5)};
 }
 
-/// Unit vector from the camera to a world point, the argument of the harmonics.
+/// Unit vector from the camera to a world point, the argument of the harmonics; the device's root may be 2 ulp off.
 template <class T>
 RGS_HD inline Vec3<T> view_direction(const View<T>& view, const Vec3<T>& p) {
   const Vec3<T> d{p.x - view.position.x, p.y - view.position.y, p.z - view.position.z};
+#if defined(__CUDA_ARCH__)
+  const T inverse_length = ::rsqrt(dot(d, d));
+#else
   const T inverse_length = T(1) / std::sqrt(dot(d, d));
+#endif
   return {d.x * inverse_length, d.y * inverse_length, d.z * inverse_length};
 }
 

@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <type_traits>
 
 #include "rgs/hd.hpp"
 #include "rgs/math/camera.hpp"
@@ -43,16 +44,48 @@ RGS_HD inline int tile_index(T t, int limit) {
   return static_cast<int>(clamp(t, T(0), static_cast<T>(limit)));
 }
 
+// Square root of a finite x >= 0; 0 below 2^-100. So limited, the device needs no branch for the rest of the numbers, and
+// the estimate with one step of Newton's method is rounded correctly: what the compiler makes of sqrt() within them.
+template <class T>
+RGS_HD inline T root(T x) {
+  constexpr T kLeast = T(0x1p-100);
+#if defined(__CUDA_ARCH__)
+  if constexpr (std::is_same_v<T, float>) {
+    float inverse;
+    asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(x));
+    const float estimate = __fmul_rn(x, inverse);
+    const float rounded = __fmaf_rn(__fmaf_rn(-estimate, estimate, x), __fmul_rn(0.5F, inverse), estimate);
+    return x >= kLeast ? rounded : 0.0F;
+  }
+#endif
+  return x >= kLeast ? std::sqrt(x) : T(0);
+}
+
+// Floor and ceiling of 0 <= x < 2^22. The sum's last bit is 1, and its rounding is chosen: on the device one addition in
+// place of a conversion, at a quarter of its rate, and corrections.
+template <class T>
+RGS_HD inline int floor_index(T x) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (std::is_same_v<T, float>) return __float_as_int(__fadd_rd(x, 8388608.0F)) - 0x4B000000;
+#endif
+  return static_cast<int>(x);
+}
+template <class T>
+RGS_HD inline int ceil_index(T x) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (std::is_same_v<T, float>) return __float_as_int(__fadd_ru(x, 8388608.0F)) - 0x4B000000;
+#endif
+  const int floor = static_cast<int>(x);
+  return floor + (x > static_cast<T>(floor) ? 1 : 0);
+}
+
 // Tiles with a pixel centre in [low, high] along one axis: tile t has the centres Size t .. Size t + Size - 1.
-// Truncation after the clamp at 0 is the floor, without a library call.
 template <int Size, class T>
 RGS_HD inline TileSpan tiles_between(T low, T high, int limit) {
-  const T inverse_tile = T(1) / T(Size);
-  const T first = clamp((low - T(Size - 1)) * inverse_tile, T(0), static_cast<T>(limit));
-  const int floor_first = static_cast<int>(first);
-  const int ceil_first = floor_first + (first > static_cast<T>(floor_first) ? 1 : 0);
+  const T inverse_tile = T(1) / T(Size), end = static_cast<T>(limit);
   const T last = high * inverse_tile;
-  return {ceil_first, last < T(0) ? 0 : tile_index(last + T(1), limit)};
+  return {ceil_index(clamp((low - T(Size - 1)) * inverse_tile, T(0), end)),
+          last < T(0) ? 0 : floor_index(clamp(last + T(1), T(0), end))};
 }
 
 }  // namespace detail
@@ -81,7 +114,6 @@ RGS_HD inline T power_cutoff(T opacity) {
 template <class T>
 struct Ellipse {
   PixelPoint<T> mean;
-  Cov2<T> cov;
   T level;         ///< the ellipse is d^T cov^-1 d <= level; negative: no pixel reaches 1/255
   T half_width;    ///< sqrt(level cov.xx), px
   T half_height;   ///< sqrt(level cov.yy), px
@@ -97,17 +129,16 @@ struct Ellipse {
 /// at the price of rare superfluous ones.
 template <class T>
 RGS_HD inline Ellipse<T> ellipse(const PixelPoint<T>& mean, const Footprint<T>& f, T cutoff) {
-  Ellipse<T> e{mean, f.cov, T(-1), 0, 0, 0, 0, 0, 0};
+  Ellipse<T> e{mean, T(-1), 0, 0, 0, 0, 0, 0};
   if (!(cutoff <= T(0))) return e;
-  const T det = determinant(f.cov);
-  const T rounding = T(8) * T(6e-8) * (f.cov.xx * f.cov.yy / det);
+  const T rounding = T(8) * T(6e-8) * (f.cov.xx * f.conic.a);
   e.level = T(-2) * cutoff * (T(1) + rounding) + T(1e-4);
   e.half_width = std::sqrt(e.level * f.cov.xx);
   e.half_height = std::sqrt(e.level * f.cov.yy);
-  e.slope = f.cov.xy / f.cov.yy;
-  e.shear = f.cov.xy * std::sqrt(e.level / f.cov.xx);
-  e.variance_x_y = det / f.cov.yy;
   e.inverse_yy = T(1) / f.cov.yy;
+  e.slope = f.cov.xy * e.inverse_yy;
+  e.shear = f.cov.xy * e.half_width / f.cov.xx;
+  e.variance_x_y = determinant(f.cov) * e.inverse_yy;
   return e;
 }
 
@@ -133,7 +164,8 @@ RGS_HD inline Chord<T> chord(const Ellipse<T>& e, T y_low, T y_high) {
   const T y_right = clamp(e.shear, y_low, y_high), y_left = clamp(-e.shear, y_low, y_high);
   const T right = max(T(0), e.level - y_right * y_right * e.inverse_yy);
   const T left = max(T(0), e.level - y_left * y_left * e.inverse_yy);
-  return {e.slope * y_left - std::sqrt(left * e.variance_x_y), e.slope * y_right + std::sqrt(right * e.variance_x_y)};
+  return {e.slope * y_left - detail::root(left * e.variance_x_y),
+          e.slope * y_right + detail::root(right * e.variance_x_y)};
 }
 
 /// Tiles of row `row` (one of bounding_tiles()) with a point of the ellipse between their outermost pixel centres.
@@ -148,54 +180,57 @@ RGS_HD inline TileSpan tiles_in_row(const Ellipse<T>& e, int row, TileGrid grid)
   return detail::tiles_between<Size>(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
 }
 
-/// A row of tiles of 32x32 pixels, cut into four rows of cells of 16x8 pixels: the pixels from `low` to `high` that the
-/// ellipse covers between the first and last pixel centres of each row of cells; low > high where there is none.
-template <class T>
+/// A row of tiles of 32x32 pixels, cut into four rows of cells of 16x8 pixels: the cells first <= c < last of each, from
+/// the image's left edge, in which the ellipse has a point between their outermost pixel centres; first >= last where
+/// there is none.
 struct CellRows {
-  T low[4], high[4];
+  int first[4], last[4];
 };
 inline constexpr int kCellTile = 32, kCellWidth = 16, kCellHeight = 8;
 
-/// Row `row` of tiles. As exact as tiles_in_row().
+/// Row `row` of tiles. As exact as tiles_in_row(). Without branches: of 32 neighbouring Gaussians one always touches a row.
 template <class T>
-RGS_HD inline CellRows<T> cell_rows(const Ellipse<T>& e, int row) {
+RGS_HD inline CellRows cell_rows(const Ellipse<T>& e, int row, TileGrid grid) {
   const T slack = T(1e-3) + T(1e-6) * e.half_width;  // as in tiles_in_row()
-  CellRows<T> rows;
+  // For cells first <= c < last: where 16 c + 15 reaches the left end, and 16 (c + 1) is beyond the right one.
+  const T left = e.mean.u - slack - T(kCellWidth - 1), right = e.mean.u + slack + T(kCellWidth);
+  const T top = static_cast<T>(row * kCellTile) - e.mean.v;
+  const T limit = static_cast<T>(grid.columns * (kCellTile / kCellWidth));
+  CellRows rows;
   for (int r = 0; r < 4; ++r) {
-    const T y = static_cast<T>(row * kCellTile + kCellHeight * r) - e.mean.v;
-    const T y_low = max(y, -e.half_height), y_high = min(y + T(kCellHeight - 1), e.half_height);
-    rows.low[r] = T(1), rows.high[r] = T(0);
-    if (y_low > y_high) continue;
+    const T y_low = max(top + T(kCellHeight * r), -e.half_height);
+    const T y_high = min(top + T(kCellHeight * r + kCellHeight - 1), e.half_height);
     const Chord<T> c = chord(e, y_low, y_high);
-    rows.low[r] = e.mean.u + c.low - slack;
-    rows.high[r] = e.mean.u + c.high + slack;
+    const int first = detail::ceil_index(clamp((left + c.low) * (T(1) / T(kCellWidth)), T(0), limit));
+    const int last = detail::floor_index(clamp((right + c.high) * (T(1) / T(kCellWidth)), T(0), limit));
+    const bool some = y_low <= y_high;
+    rows.first[r] = some ? first : 0, rows.last[r] = some ? last : 0;
   }
   return rows;
 }
 
-/// Tiles of the row that may have a cell that is touched.
-template <class T>
-RGS_HD inline TileSpan tiles_of(const CellRows<T>& rows, TileGrid grid) {
-  T low = static_cast<T>(grid.columns * kCellTile), high = T(-1);
-  for (int r = 0; r < 4; ++r) {
-    if (rows.low[r] > rows.high[r]) continue;
-    low = min(low, rows.low[r]);
-    high = max(high, rows.high[r]);
-  }
-  return detail::tiles_between<kCellTile>(low, high, grid.columns);
-}
-
-/// Cells of the tile in column `column` that are touched: bit c + 2 r for the cell in column c of row r.
-template <class T>
-RGS_HD inline std::uint32_t cells_of(const CellRows<T>& rows, int column) {
-  const T x = static_cast<T>(column * kCellTile);
+/// Cells of four neighbouring tiles that are touched, from the tile in column `column` on: bit c of byte r for the c-th
+/// cell of row r.
+RGS_HD inline std::uint32_t cells_of_four(const CellRows& rows, int column) {
   std::uint32_t cells = 0;
   for (int r = 0; r < 4; ++r) {
-    if (rows.low[r] > rows.high[r]) continue;
-    if (rows.low[r] <= x + T(kCellWidth - 1) && rows.high[r] >= x) cells |= 1u << (2 * r);
-    if (rows.low[r] <= x + T(2 * kCellWidth - 1) && rows.high[r] >= x + T(kCellWidth)) cells |= 2u << (2 * r);
+    const int first = clamp(rows.first[r] - 2 * column, 0, 8), last = clamp(rows.last[r] - 2 * column, first, 8);
+    cells |= ((1u << last) - (1u << first)) << (8 * r);
   }
   return cells;
+}
+
+/// Of these, the cells of the first tile: bit c + 2 r for the cell in column c of row r. Those of the k-th are the first
+/// of cells >> 2 k.
+RGS_HD inline std::uint32_t cells_of_first(std::uint32_t cells) {
+  // Four pairs of bits, 8 apart, side by side in the product's last byte: its other terms meet neither them nor
+  // each other.
+  return (cells & 0x03030303u) * 0x01041040u >> 24;
+}
+
+/// Cells of the tile in column `column` that are touched.
+RGS_HD inline std::uint32_t cells_of(const CellRows& rows, int column) {
+  return cells_of_first(cells_of_four(rows, column));
 }
 
 }  // namespace rgs::math

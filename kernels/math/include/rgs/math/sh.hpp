@@ -46,19 +46,44 @@ RGS_HD inline ShBasis<T> sh_basis(int degree, const Vec3<T>& d) {
   return b;
 }
 
+namespace detail {
+
+// c + sum_m y_k sh(k) over the coefficients of degree l.
+template <class T, class Coefficients>
+RGS_HD inline Vec3<T> add_band(int l, const ShBasis<T>& basis, const Coefficients& sh, Vec3<T> c) {
+  for (int k = l * l; k < (l + 1) * (l + 1); ++k) {
+    const Vec3<T> s = sh(k);
+    c = {multiply_add(basis.y[k], s.x, c.x), multiply_add(basis.y[k], s.y, c.y), multiply_add(basis.y[k], s.z, c.z)};
+  }
+  return c;
+}
+
+template <class T>
+RGS_HD inline Vec3<T> displayed(const Vec3<T>& c) {
+  return {max(c.x + T(0.5), T(0)), max(c.y + T(0.5), T(0)), max(c.z + T(0.5), T(0))};
+}
+
+}  // namespace detail
+
 /// Colour of a Gaussian: max(0, 1/2 + sum_k y_k sh(k)). `sh(k)` returns coefficient k as Vec3 R G B, so that callers
 /// decode where they store; it is called for k < (degree + 1)^2.
 template <class T, class Coefficients>
 RGS_HD inline Vec3<T> sh_color(int degree, const ShBasis<T>& basis, const Coefficients& sh) {
   Vec3<T> c{0, 0, 0};
-  const int n = (degree + 1) * (degree + 1);
-  for (int k = 0; k < n; ++k) {
-    const Vec3<T> s = sh(k);
-    c.x += basis.y[k] * s.x;
-    c.y += basis.y[k] * s.y;
-    c.z += basis.y[k] * s.z;
+  for (int l = 0; l <= degree; ++l) c = detail::add_band(l, basis, sh, c);
+  return detail::displayed(c);
+}
+
+/// The same of coefficients that are codes(k) times the step of their degree l, steps(l), channel by channel: the codes
+/// of a degree are summed before they are scaled.
+template <class T, class Codes, class Steps>
+RGS_HD inline Vec3<T> sh_color(int degree, const ShBasis<T>& basis, const Codes& codes, const Steps& steps) {
+  Vec3<T> c{0, 0, 0};
+  for (int l = 0; l <= degree; ++l) {
+    const Vec3<T> band = detail::add_band(l, basis, codes, Vec3<T>{0, 0, 0}), step = steps(l);
+    c = {multiply_add(step.x, band.x, c.x), multiply_add(step.y, band.y, c.y), multiply_add(step.z, band.z, c.z)};
   }
-  return {max(c.x + T(0.5), T(0)), max(c.y + T(0.5), T(0)), max(c.z + T(0.5), T(0))};
+  return detail::displayed(c);
 }
 
 }  // namespace rgs::math

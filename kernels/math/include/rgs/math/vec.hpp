@@ -2,6 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cmath>
+#include <type_traits>
+
 #include "rgs/hd.hpp"
 
 namespace rgs::math {
@@ -22,19 +25,37 @@ RGS_HD constexpr T dot(const Vec3<T>& a, const Vec3<T>& b) {
   return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
-// std::min and std::max are host-only for nvcc without a flag; these return b where a is NaN.
+// std::min and std::max are host-only for nvcc without a flag; these return b where a is NaN, and b must not be. As
+// comparison and choice they would be two instructions of the device, which has one for numbers.
 template <class T>
 RGS_HD constexpr T min(T a, T b) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (std::is_same_v<T, float>) return ::fminf(a, b);
+#endif
   return a < b ? a : b;
 }
 template <class T>
 RGS_HD constexpr T max(T a, T b) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (std::is_same_v<T, float>) return ::fmaxf(a, b);
+#endif
   return a > b ? a : b;
 }
 /// x in [low, high]; low where x is NaN.
 template <class T>
 RGS_HD constexpr T clamp(T x, T low, T high) {
   return min(max(x, low), high);
+}
+
+/// a b + c: on the device in one instruction and rounded once, on the host as it is written. For sums whose last bits do
+/// not matter.
+template <class T>
+RGS_HD inline T multiply_add(T a, T b, T c) {
+#if defined(__CUDA_ARCH__)
+  return std::fma(a, b, c);
+#else
+  return a * b + c;
+#endif
 }
 
 }  // namespace rgs::math
