@@ -37,7 +37,8 @@ struct Options {
   std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper", "turbo"};
   std::string exp, key;
   std::string json, csv, svg;
-  int frames = 100;
+  int frames = 100, orbit = 0;
+  double orbit_step = 0.25;
   bool ablate = false, roofline = false, overwrite = false;
 };
 
@@ -181,6 +182,18 @@ Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::C
   return {};
 }
 
+// The first camera at the first size.
+Step measure_orbit(const Options& o, const rgs::bench::DeviceScenes& scenes, const rgs::Camera& camera,
+                   tool::ImageSize size, std::FILE* text, Report& report) {
+  std::vector<Configuration> modes;
+  for (const rgs::bench::ModeReport& mode : report.modes) modes.push_back(mode.configuration);
+  auto orbit = rgs::bench::orbit(modes, scenes, rgs::resized(camera, size.width, size.height), o.orbit_step, o.orbit);
+  if (!orbit) return failed("", orbit.error());
+  fmt::print(text, "{}", rgs::bench::orbit_text(*orbit));
+  report.orbit = *std::move(orbit);
+  return {};
+}
+
 tl::expected<std::vector<Output>, int> open_outputs(const Options& o) {
   const std::pair<const std::string&, std::string (*)(const Report&)> wanted[] = {
       {o.json, rgs::bench::report_json}, {o.csv, rgs::bench::report_csv}, {o.svg, rgs::bench::roofline_svg}};
@@ -255,6 +268,10 @@ int bench(const Options& o) {
   for (const rgs::bench::SizeReport& size : report.sizes) {
     if (floors) fmt::print(text, "{}", rgs::bench::roofline_text(size, report));
   }
+  if (o.orbit > 0) {
+    if (const auto ok = measure_orbit(o, *scenes, cameras->front(), sizes->front(), text, report); !ok)
+      return ok.error();
+  }
   if (const auto ok = write(*outputs, report); !ok) return ok.error();
   return tool::kSuccess;
 }
@@ -285,6 +302,11 @@ int main(int argc, char** argv) {
     app.add_option("--frames", o.frames, "measured per camera")->check(CLI::Range(1, 100000))->capture_default_str();
     app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
     app.add_option("--key", o.key, "depth mapping of paper mode [the file's]")->check(CLI::IsMember({"linear", "log"}));
+    app.add_option("--orbit", o.orbit, "also that many frames around what the first camera sees: is any mode popping?")
+        ->check(CLI::Range(3, 100000));
+    app.add_option("--orbit-step", o.orbit_step, "degrees from frame to frame")
+        ->check(CLI::Range(-90.0, 90.0))
+        ->capture_default_str();
     app.add_flag("--roofline", o.roofline, "measure the device's rates and compare each stage with its floor");
     app.add_option("--json", o.json, "write all of it as JSON (docs/BENCH_JSON.md); - is standard output");
     app.add_option("--csv", o.csv, "write a line for each size and mode");

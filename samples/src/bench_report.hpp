@@ -10,6 +10,7 @@
 #include "bench_cost.hpp"
 #include "bench_modes.hpp"
 #include "bench_quality.hpp"
+#include "orbit_motion.hpp"
 #include "rgs/cuda/probe.hpp"
 #include "rgs/renderer.hpp"
 
@@ -49,6 +50,15 @@ struct ModeReport {
   std::optional<Quality> quality;
 };
 
+/// Modes on an arc around what a camera looks at; steps between modes are left out.
+struct OrbitReport {
+  std::string camera;
+  int width = 0, height = 0, frames = 0;
+  double degrees = 0;          ///< from frame to frame
+  double distance = 0;         ///< to the point that the arc goes around
+  std::vector<OrbitRow> rows;  ///< the first is the baseline
+};
+
 struct Report {
   std::string version, date;  ///< of the program; UTC, ISO 8601
   std::string scene, source;  ///< file names
@@ -60,6 +70,7 @@ struct Report {
   std::optional<cuda::DeviceRates> rates;  ///< with --roofline
   std::vector<ModeReport> modes;
   std::vector<SizeReport> sizes;
+  std::optional<OrbitReport> orbit;  ///< with --orbit
 };
 
 double speedup(const SizeReport& size, std::size_t row);  ///< over the baseline; 0 where nothing was timed
@@ -75,5 +86,7 @@ std::string size_text(const SizeReport& size, const Report& report);
 std::string row_text(const SizeReport& size, std::size_t row, const Report& report);
 /// Time, throughput, floor and time / floor of each stage; report.rates is there.
 std::string roofline_text(const SizeReport& size, const Report& report);
+/// What changes from frame to frame on the arc.
+std::string orbit_text(const OrbitReport& orbit);
 
 }  // namespace rgs::bench

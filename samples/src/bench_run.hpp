@@ -27,6 +27,11 @@ Result<Timing> measure(const Configuration& configuration, const DeviceScenes& s
 Result<std::vector<Image>> pictures(const Configuration& configuration, const DeviceScenes& scenes,
                                     std::span<const Camera> cameras);
 
+/// `frames` frames of every mode, steps between modes left out, on an arc around what `camera` looks at in the first one;
+/// `degrees` from one to the next. Errors: those of CudaRenderer::render().
+Result<OrbitReport> orbit(std::span<const Configuration> modes, const DeviceScenes& scenes, const Camera& camera,
+                          double degrees, int frames);
+
 /// The current device. Errors: unavailable.
 Result<DeviceInfo> device_info();
 

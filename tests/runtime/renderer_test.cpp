@@ -28,6 +28,16 @@ namespace {
 constexpr RendererOptions kScalar{.backend = Backend::cpu, .threads = 1, .simd = false};
 constexpr RendererOptions kVector{.backend = Backend::cpu, .threads = 1, .simd = true};
 
+/// What every Gaussian gave to one picture, or to several.
+std::vector<Contribution> contributions_of(const Scene& scene, const std::vector<Camera>& cameras,
+                                           const RendererOptions& how, const RenderOptions& options = {}) {
+  auto renderer = Renderer::create(how);
+  REQUIRE(renderer);
+  std::vector<Contribution> out(scene.size());
+  for (const Camera& camera : cameras) REQUIRE(renderer->render(scene, camera, {.contributions = out}, options));
+  return out;
+}
+
 }  // namespace
 
 TEST_CASE("one Gaussian on the axis has the closed form's pixels") {
@@ -151,6 +161,89 @@ TEST_CASE("the number of threads changes nothing, and a renderer can be used aga
     Frame small = Frame::of(other);
     REQUIRE(many->render(Scene(), other, small.target()));
     CHECK(small.alpha == std::vector<float>(small.alpha.size(), 0.0F));
+  }
+}
+
+TEST_CASE("contributions are the weights of the definition, and add up to what pixels no longer transmit") {
+  const Scene scene = scene_of(cloud_of(random_splats(31, 3000), 0));
+  const Camera camera = front_camera(203, 117);  // tiles over the edge
+  for (const RendererOptions& how : {kScalar, kVector}) {
+    const auto all = contributions_of(scene, {camera}, how);
+    double sum = 0, opaque = 0;
+    for (const Contribution& c : all) sum += c.weight();
+    for (const float alpha : render(scene, camera, {}, how).alpha) opaque += alpha;
+    CHECK(sum == doctest::Approx(opaque).epsilon(1e-5));
+    // Taking a Gaussian's colour away takes its weight, times that colour, out of the picture.
+    const auto most = std::ranges::max_element(all, {}, &Contribution::sum) - all.begin();
+    auto splats = random_splats(31, 3000);
+    for (Splat& s : splats) std::fill(s.sh, s.sh + 48, -0.5F / 0.28209479F);
+    splats[static_cast<std::size_t>(most)].sh[0] = 0.5F / 0.28209479F;  // red 1, all others black
+    const Frame alone = render(scene_of(cloud_of(splats, 0)), camera, {}, how);
+    double red = 0;
+    float brightest = 0;
+    for (std::size_t i = 0; i < alone.rgb.size(); i += 3) {
+      red += alone.rgb[i];
+      brightest = std::max(brightest, alone.rgb[i]);
+    }
+    const Contribution& c = all[static_cast<std::size_t>(most)];
+    CHECK(c.weight() == doctest::Approx(red).epsilon(1e-4));
+    CHECK(c.largest == doctest::Approx(brightest).epsilon(1e-5));
+  }
+}
+
+TEST_CASE("contributions: equal bits for any number of threads, sums over frames, nothing for what is not seen") {
+  auto splats = random_splats(32, 3000);
+  splats[7].mean[2] = -5;  // behind every camera
+  const Scene scene = scene_of(cloud_of(splats, 1));
+  const std::vector<Camera> views{front_camera(160, 120), front_camera(97, 64)};
+  const auto bits = [](const std::vector<Contribution>& all) {
+    std::vector<std::pair<std::uint64_t, float>> out;
+    for (const Contribution& c : all) out.emplace_back(c.sum, c.largest);
+    return out;
+  };
+  const auto one = contributions_of(scene, views, {.backend = Backend::cpu, .threads = 1});
+  for (const int threads : {2, 4}) {
+    CHECK(bits(contributions_of(scene, views, {.backend = Backend::cpu, .threads = threads})) == bits(one));
+  }
+  CHECK(one[7].sum == 0);
+  CHECK(one[7].largest == 0);
+  const auto first = contributions_of(scene, {views[0]}, kVector),
+             second = contributions_of(scene, {views[1]}, kVector);
+  std::size_t n_in_both = 0;
+  for (std::size_t i = 0; i < one.size(); ++i) {
+    CHECK(one[i].sum == first[i].sum + second[i].sum);
+    CHECK(one[i].largest == std::max(first[i].largest, second[i].largest));
+    if (first[i].sum > 0 && second[i].sum > 0) ++n_in_both;
+  }
+  CHECK(n_in_both > 100);
+  // What is counted beside the picture does not change it.
+  Frame frame = Frame::of(views[0]);
+  auto renderer = Renderer::create(kVector);
+  REQUIRE(renderer);
+  std::vector<Contribution> counted(scene.size());
+  RenderTarget target = frame.target();
+  target.contributions = counted;
+  REQUIRE(renderer->render(scene, views[0], target));
+  CHECK(frame.rgb == render(scene, views[0], {}, kVector).rgb);
+  CHECK(bits(counted) == bits(first));
+}
+
+TEST_CASE("contributions: vectors follow the definition in every arithmetic") {
+  const Scene scene = scene_of(cloud_of(random_splats(33, 1500), 0));
+  const Camera camera = front_camera(203, 117);
+  for (const auto exponent : {Exponent::direct, Exponent::folded}) {
+    for (const auto exp : {Exp::exact, Exp::paper, Exp::zero_mean}) {
+      const RenderOptions options{.exponent = exponent, .exp = exp};
+      const auto a = contributions_of(scene, {camera}, kScalar, options),
+                 b = contributions_of(scene, {camera}, kVector, options);
+      double worst = 0;
+      for (std::size_t i = 0; i < a.size(); ++i) {
+        // A pair on the threshold of 1/255, or beyond a pixel that stopped one earlier, counts here and not there.
+        const double difference = std::abs(a[i].weight() - b[i].weight());
+        worst = std::max(worst, difference / (a[i].weight() + 10));
+      }
+      CHECK(worst <= 1e-3);
+    }
   }
 }
 
@@ -355,6 +448,8 @@ TEST_CASE("refusals: cameras, options, targets, scenes, backends") {
   CHECK(code(good, {.background = {NAN, 0, 0}}) == Errc::bad_argument);
   alpha.resize(63);
   CHECK(code(good) == Errc::bad_argument);
+  std::vector<Contribution> two(2);  // of a scene of one
+  CHECK(renderer->render(scene, good, {.contributions = two}).error().code == Errc::bad_argument);
 
   auto cloud = cloud_of(std::vector(5, splat_at(0, 0, 4, 1, 0.5)));
   cloud.mean[3 * 3 + 1] = NAN;

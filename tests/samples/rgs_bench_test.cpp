@@ -48,6 +48,7 @@ TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   CHECK(stage.run({"--mode", "fastest"}).exit_code == 2);
   CHECK(stage.run({"--frames", "0"}).exit_code == 2);
   CHECK(stage.run({"--size", "1920"}).exit_code == 2);
+  CHECK(stage.run({"--orbit", "2"}).exit_code == 2);   // no second difference
   CHECK(stage.run({"--photos", "."}).exit_code == 2);  // of which cameras?
   CHECK(rgs::test::run_program({RGS_BENCH, "--help"}).exit_code == 0);
 }
@@ -69,7 +70,7 @@ TEST_CASE("rgs-bench measures every mode, or says that no device answers") {
   const std::string json = stage.folder.file("b.json"), csv = stage.folder.file("b.csv"),
                     svg = stage.folder.file("b.svg");
   const ProgramResult result = stage.run({"--quality-cameras", stage.cameras, "--size", "64x48,33x17", "--frames", "2",
-                                          "--roofline", "--json", json, "--csv", csv, "--svg", svg});
+                                          "--roofline", "--orbit", "5", "--json", json, "--csv", csv, "--svg", svg});
   if (result.exit_code == 2) {
     CHECK(result.err.find("no CUDA device answers") != std::string::npos);
     CHECK_FALSE(std::filesystem::exists(json));
@@ -84,6 +85,9 @@ TEST_CASE("rgs-bench measures every mode, or says that no device answers") {
   for (const auto& row : report["sizes"][0]["results"]) CHECK(row["total_ms"].get<double>() > 0);
   CHECK(report["modes"][0]["quality"]["largest_difference"] == 0);
   CHECK(report["rates"]["copy_bytes"].get<double>() > 0);
+  CHECK(report["orbit"]["width"] == 64);
+  CHECK(report["orbit"]["results"].size() == 3);
+  CHECK(report["orbit"]["results"][0]["unsteadiness"] == 1.0);
   CHECK(read_text(csv).find("\"turbo\"") != std::string::npos);
   CHECK(read_text(svg).find("</svg>") != std::string::npos);
   const std::string packed = stage.folder.file("packed.json");

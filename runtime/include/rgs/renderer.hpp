@@ -112,8 +112,8 @@ class Renderer {
   Renderer& operator=(Renderer&&) noexcept;
   ~Renderer();
 
-  /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option or the size
-  /// of a target span), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
+  /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option, the size
+  /// of a target span, or contributions asked of CUDA), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
   /// device_failed.
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
