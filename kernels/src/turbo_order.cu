@@ -22,40 +22,28 @@ namespace {
 
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
 constexpr int kDepthBins = 1024;  // of the histogram that cuts a long list, by depth
-constexpr std::uint32_t kShortList = 1024;
-constexpr int kLongBlocks = 132 * 5;
+constexpr int kThreads = 256;
+constexpr int kWarps = kThreads / 32;
+constexpr std::uint32_t kEntries = kTurboEntries;
+static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kWarps == kTurboCells);
+constexpr int kBinsPerThread = kDepthBins / kThreads;
 
-// A block that orders up to eight entries a thread.
-template <int Threads>
-struct Round {
-  static constexpr int kThreads = Threads;
-  static constexpr int kWarps = Threads / 32;
-  static constexpr std::uint32_t kEntries = 8 * Threads;
-
+struct Shared {
   TurboEntry entries[kEntries];
   alignas(16) std::uint32_t exchange[2][kEntries];  // keys: depth above, position among the entries below
   std::uint32_t* order;                             // the one of the two that is in order
   std::uint32_t positions;                          // mask of a key's position
-  std::uint32_t run_begin[kThreads], run_end[kThreads];  // of runs: first entry, inclusive sums of their sizes
+  std::uint32_t bins[kDepthBins];
+  std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
   std::uint32_t warp_sums[kWarps];
-  std::uint32_t n;                        // entries of the round
-  std::uint32_t cell_n[kTurboCells];      // of the whole list
-  std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
+  std::uint32_t n;                                   // entries of the round
+  std::uint32_t cell_n[kTurboCells];                 // of the whole list
+  std::uint32_t cell_begin[kTurboCells];             // in cell_gaussians
   std::uint32_t chunks[kTurboCells][kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
   TurboList head;
   std::uint32_t tile;
   bool fits;
 };
-
-using ShortRound = Round<128>;
-static_assert(ShortRound::kEntries == kShortList);
-
-// A list of any length, in rounds.
-struct LongRound : Round<256> {
-  static constexpr int kBinsPerThread = kDepthBins / kThreads;
-  std::uint32_t bins[kDepthBins];
-};
-static_assert(LongRound::kEntries == kTurboEntries && LongRound::kThreads == 1 << kBinBits);
 
 __device__ inline std::uint32_t depth_of(TurboEntry entry) {
   return static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
@@ -148,21 +136,20 @@ struct DepthRange {
   std::uint32_t low = ~0u, high = 0;
 
   __device__ void add(std::uint32_t depth) { low = math::min(low, depth), high = math::max(high, depth); }
-  template <class S>
-  __device__ void share(S& s) {
+  __device__ void share(Shared& s) {
     low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
     high = reduce_warp(high, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
     if (threadIdx.x % 32 == 0) s.run_begin[threadIdx.x / 32] = low, s.run_end[threadIdx.x / 32] = high;
     __syncthreads();
 #pragma unroll
-    for (int w = 0; w < S::kWarps; ++w) low = math::min(low, s.run_begin[w]), high = math::max(high, s.run_end[w]);
+    for (int w = 0; w < kWarps; ++w) low = math::min(low, s.run_begin[w]), high = math::max(high, s.run_end[w]);
   }
 };
 
 // Orders the keys of the round's entries, depth above and position below: kKeys a lane by warps, then merged. Where they
 // are then.
-template <std::uint32_t kKeys, class S>
-__device__ inline std::uint32_t* sort_keys(S& s, std::uint32_t nearest, int shift, int position_bits) {
+template <std::uint32_t kKeys>
+__device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int shift, int position_bits) {
   constexpr std::uint32_t kRun = 32 * kKeys;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   const std::uint32_t total = s.n <= kRun ? kRun : kRun << (32 - __clz(static_cast<int>((s.n - 1) / kRun)));
@@ -189,8 +176,7 @@ __device__ inline std::uint32_t* sort_keys(S& s, std::uint32_t nearest, int shif
 // depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
 // by looking at the entries themselves.
 // `range` is that of the depths that the thread has seen.
-template <class S>
-__device__ inline void sort_entries(S& s, DepthRange range) {
+__device__ inline void sort_entries(Shared& s, DepthRange range) {
   range.share(s);
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
@@ -199,7 +185,7 @@ __device__ inline void sort_entries(S& s, DepthRange range) {
   const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - position_bits));
   // Short lists are spread over more warps: all wait for the last.
   std::uint32_t* const order =
-      s.n <= 4 * S::kThreads ? sort_keys<4>(s, range.low, shift, position_bits)
+      s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift, position_bits)
                               : sort_keys<8>(s, range.low, shift, position_bits);
   s.order = order;
   const auto is_inverted = [&](std::uint32_t k) {
@@ -207,11 +193,11 @@ __device__ inline void sort_entries(S& s, DepthRange range) {
     return ((a ^ b) & ~positions) == 0 && s.entries[a & positions] > s.entries[b & positions];
   };
   bool any = false;
-  for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += S::kThreads) any = any || is_inverted(k);
+  for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
   if (!__syncthreads_or(any)) return;
   for (std::uint32_t odd = 0, quiet = 0; quiet < 2; odd ^= 1) {
     bool swapped = false;
-    for (std::uint32_t k = 2 * threadIdx.x + odd; k + 1 < s.n; k += 2 * S::kThreads) {
+    for (std::uint32_t k = 2 * threadIdx.x + odd; k + 1 < s.n; k += 2 * kThreads) {
       if (!is_inverted(k)) continue;
       const std::uint32_t a = order[k];
       order[k] = order[k + 1], order[k + 1] = a;
@@ -229,9 +215,9 @@ struct List {
 
   // Calls f(entry, position in the list) for every entry. All threads of the block call it. Four loads of a thread are
   // on their way at a time.
-  template <class S, class F>
-  __device__ void for_each(S& s, const F& f) const {
-    constexpr int kAhead = 4, kThreads = S::kThreads;
+  template <class F>
+  __device__ void for_each(Shared& s, const F& f) const {
+    constexpr int kAhead = 4;
     std::uint32_t done = 0;
     for (std::uint32_t begin = 0; begin < n_runs; begin += kThreads) {
       const TurboRun run = begin + threadIdx.x < n_runs ? runs[begin + threadIdx.x] : TurboRun{0, 0};
@@ -268,7 +254,7 @@ struct DepthBins {
   __device__ std::uint32_t of(TurboEntry entry) const { return (depth_of(entry) - nearest) >> shift; }
 };
 
-__device__ inline DepthBins depth_bins(LongRound& s, const List& list) {
+__device__ inline DepthBins depth_bins(Shared& s, const List& list) {
   DepthRange range;
   list.for_each(s, [&](TurboEntry entry, std::uint32_t) { range.add(depth_of(entry)); });
   range.share(s);
@@ -282,7 +268,7 @@ __device__ inline DepthBins depth_bins(LongRound& s, const List& list) {
 // bits in two words, which are passed on before one can overflow.
 class CellCounter {
  public:
-  __device__ void add(LongRound& s, TurboEntry entry) {
+  __device__ void add(Shared& s, TurboEntry entry) {
     constexpr std::uint64_t kSpread = 1 | 1u << 15 | 1u << 30 | std::uint64_t{1} << 45;
     constexpr std::uint64_t kLowest = 0x0001000100010001;
     low_ += (entry & 0xF) * kSpread & kLowest;
@@ -292,7 +278,7 @@ class CellCounter {
     low_ = high_ = 0, n_ = 0;
   }
   // All lanes of a warp call it, in the end.
-  __device__ void flush(LongRound& s) const {
+  __device__ void flush(Shared& s) const {
     for (int c = 0; c < kTurboCells; ++c) {
       const std::uint32_t sum = warp_sum(of(c));
       if (threadIdx.x % 32 == 0) atomicAdd(s.cell_n + c, sum);
@@ -310,9 +296,9 @@ class CellCounter {
 
 // Moves a list to `sorted` in the order of its bins; s.bins then holds the end of each, s.cell_n how many entries touch
 // each cell.
-__device__ inline void order_by_bins(LongRound& s, const List& list, TurboEntry* sorted) {
+__device__ inline void order_by_bins(Shared& s, const List& list, TurboEntry* sorted) {
   const DepthBins bins = depth_bins(s, list);
-  for (int k = 0; k < LongRound::kBinsPerThread; ++k) s.bins[LongRound::kThreads * k + threadIdx.x] = 0;
+  for (int k = 0; k < kBinsPerThread; ++k) s.bins[kThreads * k + threadIdx.x] = 0;
   __syncthreads();
   CellCounter counter;
   list.for_each(s, [&](TurboEntry entry, std::uint32_t) {
@@ -321,10 +307,10 @@ __device__ inline void order_by_bins(LongRound& s, const List& list, TurboEntry*
   });
   counter.flush(s);
   std::uint32_t sum = 0;
-  for (int k = 0; k < LongRound::kBinsPerThread; ++k) sum += s.bins[LongRound::kBinsPerThread * threadIdx.x + k];
-  std::uint32_t at = inclusive_block_sum<LongRound::kThreads>(sum, s.warp_sums) - sum;
-  for (int k = 0; k < LongRound::kBinsPerThread; ++k) {
-    std::uint32_t& bin = s.bins[LongRound::kBinsPerThread * threadIdx.x + k];
+  for (int k = 0; k < kBinsPerThread; ++k) sum += s.bins[kBinsPerThread * threadIdx.x + k];
+  std::uint32_t at = inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
+  for (int k = 0; k < kBinsPerThread; ++k) {
+    std::uint32_t& bin = s.bins[kBinsPerThread * threadIdx.x + k];
     const std::uint32_t n = bin;
     bin = at;
     at += n;
@@ -333,14 +319,14 @@ __device__ inline void order_by_bins(LongRound& s, const List& list, TurboEntry*
   list.for_each(s, [&](TurboEntry entry, std::uint32_t) { sorted[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
 }
 
-// End of the largest number of whole bins from position `begin` on that hold at most kTurboEntries entries, and at least
+// End of the largest number of whole bins from position `begin` on that hold at most kEntries entries, and at least
 // one; or, if the next bin holds more, its end, to be cut further.
-__device__ inline std::uint32_t group_end(const LongRound& s, std::uint32_t begin) {
+__device__ inline std::uint32_t group_end(const Shared& s, std::uint32_t begin) {
   std::uint32_t fitting = begin, next = ~0u;  // ends of bins: the last that fits, the first that does not
-  for (int k = 0; k < LongRound::kBinsPerThread; ++k) {
-    const std::uint32_t end = s.bins[LongRound::kBinsPerThread * threadIdx.x + k];
+  for (int k = 0; k < kBinsPerThread; ++k) {
+    const std::uint32_t end = s.bins[kBinsPerThread * threadIdx.x + k];
     if (end <= begin) continue;
-    if (end - begin <= kTurboEntries) {
+    if (end - begin <= kEntries) {
       fitting = math::max(fitting, end);
     } else {
       next = math::min(next, end);
@@ -361,25 +347,25 @@ __device__ inline std::uint32_t group_end(const LongRound& s, std::uint32_t begi
   return end;
 }
 
-// End of the round that begins at `begin`, from where more than kTurboEntries of the n entries are left: at most kTurboEntries of
+// End of the round that begins at `begin`, from where more than kEntries of the n entries are left: at most kEntries of
 // them, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the one
 // that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
-__device__ inline TurboEntry round_end(LongRound& s, const TurboEntry* entries, std::uint32_t n, TurboEntry begin) {
+__device__ inline TurboEntry round_end(Shared& s, const TurboEntry* entries, std::uint32_t n, TurboEntry begin) {
   constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
   __shared__ std::uint32_t bins[kBins];
   int shift = 64 - kBinBits;
   for (;;) {
     bins[threadIdx.x] = 0;
     __syncthreads();
-    for (std::uint32_t k = threadIdx.x; k < n; k += LongRound::kThreads) {
+    for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
       const TurboEntry entry = entries[k];
       const TurboEntry bin = (entry - begin) >> shift;
       if (entry >= begin && bin < kBins) atomicAdd(bins + bin, 1u);
     }
     __syncthreads();
-    const std::uint32_t end = inclusive_block_sum<LongRound::kThreads>(bins[threadIdx.x], s.warp_sums);
-    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kTurboEntries));
-    const bool any = __syncthreads_or(end > 0 && end <= kTurboEntries) != 0;
+    const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
+    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
+    const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
     begin += fitting << shift;
     if (any) return begin;
     shift = shift > kBinBits ? shift - kBinBits : 0;
@@ -388,18 +374,16 @@ __device__ inline TurboEntry round_end(LongRound& s, const TurboEntry* entries, 
 
 
 // The cells of 32 entries in order, from position `begin` on; 0 past the last.
-template <class S>
-__device__ inline TurboEntry ordered_entry(const S& s, std::uint32_t begin) {
+__device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
   return k < s.n ? s.entries[s.order[k] & s.positions] : 0;
 }
 
 // How many of each 32 ordered entries touch each cell: a warp counts 32 of them, then sums up a cell. s.cell_n becomes the
 // sums over the round.
-template <class S>
-__device__ inline void count_chunks(S& s) {
+__device__ inline void count_chunks(Shared& s) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  for (std::uint32_t chunk = warp; 32 * chunk < s.n; chunk += S::kWarps) {
+  for (std::uint32_t chunk = warp; 32 * chunk < s.n; chunk += kWarps) {
     const auto cells = static_cast<std::uint32_t>(ordered_entry(s, 32 * chunk));
     std::uint32_t own = 0;
 #pragma unroll
@@ -411,7 +395,7 @@ __device__ inline void count_chunks(S& s) {
   }
   __syncthreads();
   const std::uint32_t n_chunks = (s.n + 31) / 32;
-  for (std::uint32_t c = warp; c < kTurboCells; c += S::kWarps) {
+  for (std::uint32_t c = warp; c < kTurboCells; c += kWarps) {
     std::uint32_t sum = 0;
     for (std::uint32_t begin = 0; begin < n_chunks; begin += 32) {
       const std::uint32_t n = begin + lane < n_chunks ? s.chunks[c][begin + lane] : 0;
@@ -425,8 +409,7 @@ __device__ inline void count_chunks(S& s) {
 }
 
 // Places for the cells' Gaussians, and their heads; the cells of a tile lie at its rank.
-template <class S>
-__device__ inline void reserve_cells(S& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
+__device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
   const std::uint32_t own = threadIdx.x;
   if (own < kTurboCells) {
     std::uint32_t before = 0, total = 0;
@@ -452,10 +435,9 @@ __device__ inline void reserve_cells(S& s, const TurboArrays& a, math::TileGrid 
 }
 
 // Writes the round's ordered entries to the cells from s.cell_begin on.
-template <class S>
-__device__ inline void deal_out(const S& s, const TurboArrays& a) {
+__device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
-  for (std::uint32_t chunk = threadIdx.x / 32; 32 * chunk < s.n; chunk += S::kWarps) {
+  for (std::uint32_t chunk = threadIdx.x / 32; 32 * chunk < s.n; chunk += kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * chunk);
     const auto cells = static_cast<std::uint32_t>(entry);
     const auto gaussian = static_cast<std::uint32_t>(entry >> 8) & static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
@@ -483,9 +465,7 @@ __device__ std::uint32_t tile_of_rank(const TurboArrays& a, std::uint32_t rank) 
 static_assert(kTurboClasses == 32, "a lane a class");
 
 // All threads call it.
-template <class S>
-__device__ inline void begin_tile(S& s, const TurboArrays& a, std::uint32_t rank) {
-  __syncthreads();  // the last tile's memory
+__device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t rank) {
   if (threadIdx.x < 32) {
     const std::uint32_t tile = tile_of_rank(a, rank);
     if (threadIdx.x == 0) {
@@ -508,9 +488,8 @@ __device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
   }
 }
 
-// A list that fits the block's memory.
-template <class S>
-__device__ inline void deal_out_short(S& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
+// A list that fits shared memory.
+__device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
   const List list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
   DepthRange range;
   list.for_each(s, [&](TurboEntry entry, std::uint32_t k) {
@@ -524,7 +503,7 @@ __device__ inline void deal_out_short(S& s, const TurboArrays& a, math::TileGrid
 }
 
 // A list of any length, in rounds.
-__device__ inline void deal_out_long(LongRound& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
+__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
   const List list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
   const std::uint32_t n_entries = s.head.n_entries;
   TurboEntry* const sorted = a.scratch + s.head.scratch;
@@ -538,18 +517,18 @@ __device__ inline void deal_out_long(LongRound& s, const TurboArrays& a, math::T
     const std::uint32_t n = end - begin;
     TurboEntry from = 0;
     for (std::uint32_t left = n; left > 0;) {
-      if (threadIdx.x == 0) s.n = n <= kTurboEntries ? n : 0;
+      if (threadIdx.x == 0) s.n = n <= kEntries ? n : 0;
       DepthRange range;
       const auto take = [&](std::uint32_t k, TurboEntry entry) {
         s.entries[k] = entry;
         range.add(depth_of(entry));
       };
-      if (n <= kTurboEntries) {
-        for (std::uint32_t k = threadIdx.x; k < n; k += LongRound::kThreads) take(k, group[k]);
+      if (n <= kEntries) {
+        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) take(k, group[k]);
       } else {
-        const TurboEntry to = left <= kTurboEntries ? ~TurboEntry{0} : round_end(s, group, n, from);
+        const TurboEntry to = left <= kEntries ? ~TurboEntry{0} : round_end(s, group, n, from);
         __syncthreads();
-        for (std::uint32_t k = threadIdx.x; k < n; k += LongRound::kThreads) {
+        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
           const TurboEntry entry = group[k];
           if (entry >= from && entry < to) take(atomicAdd(&s.n, 1u), entry);
         }
@@ -567,53 +546,25 @@ __device__ inline void deal_out_long(LongRound& s, const TurboArrays& a, math::T
   }
 }
 
-// Lists of kShortList entries and more are the first in rank.
-constexpr int kLastLongClass = turbo_class(kShortList);
-static_assert(turbo_class(kShortList - 1) == kLastLongClass + 1);
-__device__ inline std::uint32_t n_long_lists(const TurboArrays& a) {
-  const std::uint32_t lane = threadIdx.x % 32;
-  return warp_sum(lane <= kLastLongClass ? a.state->class_size[lane] : 0);
-}
-
-__global__ void __launch_bounds__(LongRound::kThreads, 5)
-    turbo_order_long_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
-  __shared__ LongRound s;
-  const std::uint32_t n = n_long_lists(a);
-  for (std::uint32_t rank = blockIdx.x; rank < n; rank += gridDim.x) {
-    begin_tile(s, a, rank);
-    if (s.head.n_entries > kTurboEntries) {
-      deal_out_long(s, a, grid, rank);
-    } else {
-      deal_out_short(s, a, grid, rank);
-    }
-    end_tile(a, seen);
-  }
-}
-
-__global__ void __launch_bounds__(ShortRound::kThreads, 10)
-    turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
-  __shared__ ShortRound s;
-  const std::uint32_t rank = n_long_lists(a) + blockIdx.x;
-  if (rank >= a.n_tiles) return;
+__global__ void __launch_bounds__(kThreads, 5) turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+  __shared__ Shared s;
+  const std::uint32_t rank = blockIdx.x;
   begin_tile(s, a, rank);
-  deal_out_short(s, a, grid, rank);
+  if (s.head.n_entries > kEntries) {
+    deal_out_long(s, a, grid, rank);
+  } else {
+    deal_out_short(s, a, grid, rank);
+  }
   end_tile(a, seen);
 }
 
 }  // namespace
 
 Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
-                          const TurboSide& side, Stream stream) {
-  Status ok = checked(cudaEventRecord(side.fork, stream), "an event could not be recorded");
-  if (ok) ok = checked(cudaStreamWaitEvent(side.stream, side.fork), "a stream cannot wait");
-  if (!ok) return ok;
-  turbo_order_long_kernel<<<kLongBlocks, LongRound::kThreads, 0, side.stream>>>(a, grid, seen);
-  turbo_order_kernel<<<a.n_tiles, ShortRound::kThreads, 0, stream>>>(a, grid, seen);
-  ok = launched("the kernels that order the lists could not be launched");
-  if (ok) ok = checked(cudaEventRecord(side.join, side.stream), "an event could not be recorded");
-  if (ok) ok = checked(cudaStreamWaitEvent(stream, side.join), "a stream cannot wait");
-  if (ok) ok = checked(cudaEventRecord(counted, stream), "an event could not be recorded");
-  return ok;
+                          Stream stream) {
+  turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
+  if (const auto ok = launched("the kernel that orders the lists could not be launched"); !ok) return ok;
+  return checked(cudaEventRecord(counted, stream), "an event could not be recorded");
 }
 
 }  // namespace rgs::cuda

@@ -72,10 +72,9 @@ struct CudaRenderer::Impl {
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
-    for (cudaEvent_t event : {counted, finished, side.fork, side.join}) {
+    for (cudaEvent_t event : {counted, finished}) {
       if (event != nullptr) cudaEventDestroy(event);
     }
-    if (side.stream != nullptr) cudaStreamDestroy(side.stream);
     cudaFreeHost(host);
   }
 
@@ -123,7 +122,6 @@ struct CudaRenderer::Impl {
   std::array<cudaEvent_t, kMarks> events{};
   cudaEvent_t counted = nullptr;   // the turbo pipeline has counted its pairs
   cudaEvent_t finished = nullptr;  // the last frame no longer uses the workspace
-  cuda::TurboSide side{};
   HostCounters* host = nullptr;
   std::optional<TurboFrame> open;  // queued; whether it fitted has not been looked at
   FrameStats last;                 // of the last frame that was looked at
@@ -158,10 +156,7 @@ Result<CudaRenderer> CudaRenderer::create() {
   for (cudaEvent_t& event : impl->events) {
     if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
   }
-  if (ok) {
-    ok = device_status(cudaStreamCreateWithFlags(&impl->side.stream, cudaStreamNonBlocking), "a stream could not be made");
-  }
-  for (cudaEvent_t* event : {&impl->counted, &impl->finished, &impl->side.fork, &impl->side.join}) {
+  for (cudaEvent_t* event : {&impl->counted, &impl->finished}) {
     if (ok) ok = device_status(cudaEventCreateWithFlags(event, cudaEventDisableTiming), "an event could not be made");
   }
   if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
@@ -444,7 +439,7 @@ Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
   if (ok) ok = mark_stage(kProjected);
   if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, on);
   if (ok) ok = mark_stage(kDuplicated);
-  if (ok) ok = cuda::launch_turbo_order(arrays, f.view.grid, &host->turbo, counted, side, on);
+  if (ok) ok = cuda::launch_turbo_order(arrays, f.view.grid, &host->turbo, counted, on);
   for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = mark_stage(m);
   }

@@ -131,16 +131,10 @@ Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream
 /// Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, CUevent_st* counted, Stream stream);
 
-/// A stream of the caller's beside the frame's, and two events: long lists are ordered there.
-struct TurboSide {
-  Stream stream;
-  CUevent_st *fork, *join;
-};
-
 /// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. If it did not fit, all cells
 /// are empty. Errors: device_failed.
 Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
-                          const TurboSide& side, Stream stream);
+                          Stream stream);
 
 /// Blends each cell. Errors: device_failed.
 struct TurboBlendArguments {
