@@ -16,9 +16,9 @@
 #include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "launch.cuh"
+#include "rgs/cuda/turbo.hpp"
 #include "rgs/quantize.hpp"
 #include "store_pixel.cuh"
-#include "turbo_cell.cuh"
 
 namespace rgs::cuda {
 namespace {
@@ -48,6 +48,16 @@ struct Accumulated {
   float t = 1;
   std::uint32_t evaluated = 0, blended = 0;
 };
+
+// Whether an opacity may exceed kAlphaMax in the cell, also by what rounding can add to the exponent: terms as large as
+// these cancel in it, and they are large for needles.
+__device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, float corner_y) {
+  constexpr float kLog2AlphaMax = -0.0144996F;
+  constexpr float kRounding = 4 * math::kLog2E * 6e-8F;
+  const float dx = fabsf(splat.mean.u - corner_x) + kCellWidth, dy = fabsf(splat.mean.v - corner_y) + kCellHeight;
+  const float terms = splat.conic.a * dx * dx + splat.conic.c * dy * dy;
+  return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
+}
 
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
   const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
@@ -165,8 +175,7 @@ class Cell {
   __device__ void blend_staged(const Staged* staged, int n, float z) {
 #pragma unroll 2
     for (int j = 0; j < n; ++j) {
-      blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_),
-                            Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
+      blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_), Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
     }
   }
 

@@ -3,13 +3,14 @@
 //
 // In/Out  lists, entries -> cells [tiles, 8], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a tile, longest lists first; then a warp deals out the entries of one cell
-// Shared  Shared: entries, their order, histograms; 36 KiB
+// Launch  256 threads a tile, longest lists first. A warp orders 128 or 256 entries in registers, the block merges them;
+//         then a warp deals out 32 at a time
+// Shared  Shared: entries, their keys twice, histograms; 41 KiB
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Lists are as long as the scene makes them, shared memory is not: a list longer than kTurboEntries is first moved to
-// scratch memory in the order of 1,024 bins of depth, and then taken in rounds of as many bins as fit. Most pixels are
-// opaque before the last. A bin that does not fit is cut in finer ones, and so on.
+// scratch memory in the order of 1,024 bins of depth, and then taken in rounds of as many bins as fit. A bin that does not
+// fit is cut in finer ones, and so on.
 #include <cstdint>
 
 #include "atomic_add.cuh"
@@ -20,11 +21,11 @@
 namespace rgs::cuda {
 namespace {
 
-constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
-constexpr int kDepthBins = 1024;  // of the histogram that cuts a long list, by depth
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr std::uint32_t kEntries = kTurboEntries;
+constexpr int kBinBits = 8;       // of the histogram that cuts a range, a bin a thread
+constexpr int kDepthBins = 1024;  // of the histogram that cuts a long list, by depth
 static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kWarps == kTurboCells);
 constexpr int kBinsPerThread = kDepthBins / kThreads;
 
@@ -36,10 +37,11 @@ struct Shared {
   std::uint32_t bins[kDepthBins];
   std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
   std::uint32_t warp_sums[kWarps];
-  std::uint32_t n;                                   // entries of the round
-  std::uint32_t cell_n[kTurboCells];                 // of the whole list
-  std::uint32_t cell_begin[kTurboCells];             // in cell_gaussians
-  std::uint32_t chunks[kTurboCells][kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
+  std::uint32_t n;                        // entries of the round
+  std::uint32_t cell_n[kTurboCells];      // of the whole list
+  std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
+  std::uint32_t chunks[kTurboCells]
+                      [kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
   TurboList head;
   std::uint32_t tile;
   bool fits;
@@ -98,7 +100,8 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
 // Merges neighbouring runs of `run` ordered keys, of `total` in all; a thread has kKeys places of the result and looks
 // for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
-__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run, std::uint32_t total) {
+__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run,
+                                  std::uint32_t total) {
   const std::uint32_t first = kKeys * threadIdx.x;
   if (first >= total) return;
   const std::uint32_t base = first & ~(2 * run - 1), place = first - base;
@@ -174,8 +177,7 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int
 
 // Position of each of the s.n entries in the order of the entries, into s.order. Keys of 32 bits are ordered first. Their
 // depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
-// by looking at the entries themselves.
-// `range` is that of the depths that the thread has seen.
+// by looking at the entries themselves. `range` is that of the depths that the thread has seen.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
   range.share(s);
   // Padding, all ones, comes last: it shares its depth with no position as high.
@@ -184,9 +186,8 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
   s.positions = positions;  // the same from all threads
   const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - position_bits));
   // Short lists are spread over more warps: all wait for the last.
-  std::uint32_t* const order =
-      s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift, position_bits)
-                              : sort_keys<8>(s, range.low, shift, position_bits);
+  std::uint32_t* const order = s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift, position_bits)
+                                                   : sort_keys<8>(s, range.low, shift, position_bits);
   s.order = order;
   const auto is_inverted = [&](std::uint32_t k) {
     const std::uint32_t a = order[k], b = order[k + 1];
@@ -372,7 +373,6 @@ __device__ inline TurboEntry round_end(Shared& s, const TurboEntry* entries, std
   }
 }
 
-
 // The cells of 32 entries in order, from position `begin` on; 0 past the last.
 __device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
@@ -418,9 +418,7 @@ __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::Tile
       total += s.cell_n[c];
     }
     std::uint64_t base = 0;
-    if (own == 0 && total > 0) {
-      base = atomic_add(a.state->in_cells, total);
-    }
+    if (own == 0 && total > 0) base = atomic_add(a.state->in_cells, total);
     base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
     const bool fits = base + total <= a.cell_capacity;
     const auto begin = static_cast<std::uint32_t>(base) + before;
@@ -448,7 +446,8 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
       const bool touches = (cells >> c & 1) != 0;
       const std::uint32_t lanes = __ballot_sync(kFullWarp, touches);
       const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
-      if (touches) a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = gaussian;
+      if (touches)
+        a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = gaussian;
     }
   }
 }
@@ -546,7 +545,8 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, math::Tile
   }
 }
 
-__global__ void __launch_bounds__(kThreads, 5) turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+__global__ void __launch_bounds__(kThreads, 5)
+    turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
   const std::uint32_t rank = blockIdx.x;
   begin_tile(s, a, rank);

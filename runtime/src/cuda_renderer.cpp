@@ -53,6 +53,9 @@ Status check(const DeviceTarget& target) {
   return {};
 }
 
+// Where Gaussians may be narrower, coefficients of their exponents may leave the range of FP16.
+constexpr float kTensorLowPass = 0.1F;
+
 bool draws_turbo(const RenderOptions& options, std::uint64_t n_gaussians) {
   return options.cuda.turbo && n_gaussians < cuda::kMaxTurboGaussians;
 }
@@ -371,7 +374,8 @@ Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t 
   for (const Need& need :
        {Need{turbo_entries, n_entries, sizeof(cuda::TurboEntry)},
         Need{turbo_scratch, n_entries, sizeof(cuda::TurboEntry)}, Need{turbo_runs, n_runs, sizeof(cuda::TurboTileRun)},
-        Need{tile_runs, n_runs, sizeof(cuda::TurboRun)}, Need{turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox)},
+        Need{tile_runs, n_runs, sizeof(cuda::TurboRun)},
+        Need{turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox)},
         Need{cell_gaussians, n_in_cells, sizeof(std::uint32_t)}}) {
     if (need.n > need.held()) needs.push_back(need);
   }
@@ -444,10 +448,10 @@ Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
     if (ok) ok = mark_stage(m);
   }
   if (ok) {
-    ok = cuda::launch_turbo_blend(
-        {arrays, splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height, background_of(f.options),
-         arrays_of(f.target), f.options.cuda.count_pairs, f.options.cuda.tensor_cores},
-        on);
+    ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height,
+                                   background_of(f.options), arrays_of(f.target), f.options.cuda.count_pairs,
+                                   f.options.cuda.tensor_cores && f.options.low_pass >= kTensorLowPass},
+                                  on);
   }
   return ok;
 }

@@ -35,7 +35,8 @@ struct CudaOptions {
   /// deterministic by itself. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
   /// 2^25 Gaussians and more are drawn by the other kernels. FrameStats: lists count as bin_ms, there is no sort, no key.
   bool turbo = false;
-  /// Of turbo: blends by matrix products in FP16 (sm_80 and newer, no depth or counts wanted) instead of in FP32.
+  /// Of turbo: blends by matrix products in FP16, and in FP32 where depth or counts are wanted or low_pass < 0.1. Stops
+  /// a pixel at a transmittance of 2^-11 in place of 1e-4. docs/KERNELS.md has what this changes.
   bool tensor_cores = true;
   int pixels_per_thread = 2;  ///< 1 (the original) or 2 (the paper)
   /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
