@@ -4,7 +4,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -17,6 +16,7 @@
 #include <string>
 #include <vector>
 
+#include "camera_choice.hpp"
 #include "console.hpp"
 #include "image_file.hpp"
 #include "rgs/camera_file.hpp"
@@ -37,6 +37,7 @@ struct Options {
   std::vector<float> depth_range;
   std::optional<rgs::math::AntiAliasing> anti_aliasing;
   std::string key = "exact", mode;
+  bool has_arithmetic = false;  // an option that excludes --mode is there
   rgs::RendererOptions renderer;
   rgs::RenderOptions render;
 };
@@ -57,44 +58,8 @@ double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-// File name of a camera's picture without extension: the last part of its name, harmless characters only.
-std::string stem_of(const rgs::Camera& camera, std::size_t index) {
-  const fs::path name(camera.name);
-  // "frame.0001" is a name and no extension; ".jpg" is one.
-  std::string stem = rgs::image_format(camera.name) ? name.stem().string() : name.filename().string();
-  for (char& c : stem) {
-    const bool plain = (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
-    if (!plain && c != '-' && c != '.' && static_cast<unsigned char>(c) < 0x80) c = '_';
-  }
-  if (stem.empty() || stem.front() == '.') stem = fmt::format("view_{:04}", index) + stem;
-  return stem;
-}
-
 bool names_picture(const std::string& path) {
   return rgs::image_format(path).has_value();
-}
-
-// Cameras chosen by --view and --split. A usage error is printed and gives an empty list.
-std::vector<rgs::Camera> choose(const rgs::CameraSet& set, const Options& options) {
-  const auto usage = [](const std::string& message) {
-    tool::report_usage(message);
-    return std::vector<rgs::Camera>();
-  };
-  std::vector<rgs::Camera> chosen;
-  for (std::size_t i = 0; i < set.cameras.size(); ++i) {
-    const bool test = set.split[i] == rgs::Split::test;
-    if (options.split.empty() || test == (options.split == "test")) chosen.push_back(set.cameras[i]);
-  }
-  if (chosen.empty()) return usage("no camera belongs to the split '" + options.split + "'");
-  const std::string view = !options.view.empty() ? options.view : names_picture(options.out) ? "0" : "all";
-  if (view == "all") return chosen;
-  for (const rgs::Camera& camera : chosen)
-    if (camera.name == view || stem_of(camera, 0) == view) return {camera};
-  std::size_t index = 0;
-  const auto [end, error] = std::from_chars(view.data(), view.data() + view.size(), index);
-  if (error == std::errc() && end == view.data() + view.size() && index < chosen.size()) return {chosen[index]};
-  return usage(
-      fmt::format("--view takes a camera's name, an index from 0 to {}, or all, not '{}'", chosen.size() - 1, view));
 }
 
 // Gives every shot its files, in folders or as the single file that was named. Returns an exit code.
@@ -120,7 +85,7 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
                                       rgs::Error::kNone, rgs::Error::kNone, failed.value()});
       std::set<std::string> used;
       for (std::size_t i = 0; i < shots.size(); ++i) {
-        std::string stem = stem_of(shots[i].camera, i);
+        std::string stem = rgs::picture_stem(shots[i].camera, i);
         if (!used.insert(stem).second) used.insert(stem += fmt::format("_{:04}", i));
         const std::string name = depth ? stem + "_depth.exr" : stem + "." + options.format;
         shots[i].*field = (fs::path(*target) / name).string();
@@ -160,8 +125,10 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
       if (options.orbit > 0) {
         up = rgs::mean_up(set->cameras);
       } else {
-        cameras = choose(*set, options);
-        if (cameras.empty()) return tool::kUsage;
+        const std::string view = !options.view.empty() ? options.view : names_picture(options.out) ? "0" : "all";
+        auto chosen = rgs::choose_cameras(*set, options.split, view);
+        if (!chosen) return tool::report_usage(chosen.error());
+        cameras = *std::move(chosen);
       }
     }
     if (options.orbit > 0) {
@@ -190,13 +157,14 @@ rgs::RenderOptions with_anti_aliasing(rgs::RenderOptions render, const Options& 
   return render;
 }
 
-rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene) {
+rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene, const rgs::Renderer& renderer) {
   rgs::RenderOptions render = options.render;
   const auto& stated = scene.scene.declarations();
-  if (!options.mode.empty()) {
+  if (!options.mode.empty() || !options.has_arithmetic) {
     const rgs::RenderOptions preset = options.mode == "baseline" ? rgs::baseline_options()
                                       : options.mode == "paper"  ? rgs::paper_options(stated)
-                                                                 : rgs::turbo_options();
+                                      : options.mode == "turbo"  ? rgs::turbo_options()
+                                                                 : renderer.default_options();
     render.extent = preset.extent;
     render.depth_order = preset.depth_order;
     render.depth_mapping = preset.depth_mapping;
@@ -324,7 +292,7 @@ int render(const Options& options) {
 
   std::vector<Shot> shots;
   if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;
-  const rgs::RenderOptions render_how = render_options(options, *scene);
+  const rgs::RenderOptions render_how = render_options(options, *scene, *renderer);
 
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
@@ -419,9 +387,10 @@ void add_options(CLI::App& app, Options& o) {
       ->group(image);
 
   const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
-  auto* const mode = app.add_option("--mode", o.mode, "all of these at once: baseline (3DGS), paper, turbo")
-                         ->check(CLI::IsMember({"baseline", "paper", "turbo"}))
-                         ->group(arithmetic);
+  auto* const mode =
+      app.add_option("--mode", o.mode, "all of these at once: baseline (3DGS), paper, turbo [turbo on CUDA]")
+          ->check(CLI::IsMember({"baseline", "paper", "turbo"}))
+          ->group(arithmetic);
   app.add_option("--extent", o.render.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
       ->transform(names<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))
       ->excludes(mode)
@@ -497,6 +466,7 @@ int main(int argc, char** argv) {
       return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
     }
     options.renderer.simd = !options.scalar;
+    for (const auto* option : app.get_option("--mode")->get_excludes()) options.has_arithmetic |= option->count() > 0;
     if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);
     return render(options);
   });
