@@ -22,7 +22,7 @@
 #include "rgs/camera_file.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/file.hpp"
-#include "scene_file.hpp"
+#include "rgs/ply.hpp"
 
 namespace {
 
@@ -32,11 +32,13 @@ using rgs::bench::Configuration;
 using rgs::bench::Report;
 
 struct Options {
-  std::string scene, source, cameras, quality_cameras, photos;
+  std::string scene, source, cameras, quality_cameras, photos, pixel_format = "rgb32f";
+  bool graph = false;
   std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper", "turbo"};
   std::string exp, key;
   std::string json, csv, svg;
-  int frames = 100;
+  int frames = 100, orbit = 0;
+  double orbit_step = 0.25;
   bool ablate = false, roofline = false, overwrite = false;
 };
 
@@ -53,6 +55,21 @@ tl::unexpected<int> failed(const std::string& file, const rgs::Error& error) {
   return tl::unexpected<int>(tool::report(file, error));
 }
 
+// An .rgs file or a PLY, by its content: the readers of other formats would bring libraries to machines with a GPU.
+Result<rgs::Scene> load_source(const std::string& path) {
+  auto scene = rgs::Scene::load(path);
+  if (scene || scene.error().code != rgs::Errc::bad_magic) return scene;
+  auto cloud = rgs::read_ply(path);
+  if (!cloud) return tl::unexpected(cloud.error());
+  scene = rgs::Scene::load(*std::move(cloud));
+  if (!scene && scene.error().code == rgs::Errc::bad_value) {
+    rgs::Error error = scene.error();
+    std::swap(error.found, error.offset);  // an index, not a byte of the file
+    return tl::unexpected(error);
+  }
+  return scene;
+}
+
 // Both forms of the scene on the device, and what the report says about them.
 tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report& report) {
   rgs::bench::DeviceScenes scenes;
@@ -64,9 +81,9 @@ tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report
   if (!compact) return failed(o.scene, compact.error());
   scenes.compact = *compact;
   const std::string source = o.source.empty() ? o.scene : o.source;
-  const auto loaded = rgs::load_scene_file(source);
+  const auto loaded = load_source(source);
   if (!loaded) return failed(source, loaded.error());
-  auto fp32 = rgs::DeviceScene::upload(loaded->scene.view());
+  auto fp32 = rgs::DeviceScene::upload(loaded->view());
   if (!fp32) return failed(source, fp32.error());
   scenes.fp32 = *fp32;
   report.scene = std::filesystem::path(o.scene).filename().string();
@@ -121,6 +138,12 @@ std::vector<Configuration> configurations(const Options& o, const std::optional<
     // The ablation ends with the paper's mode, under a name of its own.
     if (mode != "baseline" && !(o.ablate && mode == "paper")) rows.push_back(rgs::bench::make_mode(mode, input));
   }
+  for (Configuration& row : rows) {
+    if (o.pixel_format != "rgb32f") {
+      row.packed = o.pixel_format == "rgba8" ? rgs::math::PixelFormat::rgba8 : rgs::math::PixelFormat::rgba16f;
+    }
+    row.options.cuda.graph = o.graph && row.options.cuda.turbo;
+  }
   return rows;
 }
 
@@ -150,11 +173,24 @@ Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::C
     const Configuration& c = report.modes[row].configuration;
     const auto timing = rgs::bench::measure(c, scenes, sized, report.frames);
     if (!timing) return failed("", timing.error());
-    rows.rows.push_back({*timing, rgs::bench::stage_costs({timing->mean, c.options, size.width, size.height, c.compact,
-                                                           scenes.of(c).sh_degree()})});
+    rows.rows.push_back(
+        {*timing, rgs::bench::stage_costs({timing->mean, c.options, size.width, size.height, c.compact,
+                                           scenes.of(c).sh_degree(), rgs::bench::pixel_bytes(c.packed)})});
     fmt::print(text, "{}", rgs::bench::row_text(rows, row, report));
     std::fflush(text);
   }
+  return {};
+}
+
+// The first camera at the first size.
+Step measure_orbit(const Options& o, const rgs::bench::DeviceScenes& scenes, const rgs::Camera& camera,
+                   tool::ImageSize size, std::FILE* text, Report& report) {
+  std::vector<Configuration> modes;
+  for (const rgs::bench::ModeReport& mode : report.modes) modes.push_back(mode.configuration);
+  auto orbit = rgs::bench::orbit(modes, scenes, rgs::resized(camera, size.width, size.height), o.orbit_step, o.orbit);
+  if (!orbit) return failed("", orbit.error());
+  fmt::print(text, "{}", rgs::bench::orbit_text(*orbit));
+  report.orbit = *std::move(orbit);
   return {};
 }
 
@@ -232,6 +268,10 @@ int bench(const Options& o) {
   for (const rgs::bench::SizeReport& size : report.sizes) {
     if (floors) fmt::print(text, "{}", rgs::bench::roofline_text(size, report));
   }
+  if (o.orbit > 0) {
+    if (const auto ok = measure_orbit(o, *scenes, cameras->front(), sizes->front(), text, report); !ok)
+      return ok.error();
+  }
   if (const auto ok = write(*outputs, report); !ok) return ok.error();
   return tool::kSuccess;
 }
@@ -245,7 +285,7 @@ int main(int argc, char** argv) {
     CLI::App app{"Measures the CUDA renderer: time, work and quality of each step of the method.", "rgs-bench"};
     app.set_version_flag("--version", "rgs-bench " RGS_VERSION);
     app.add_option("SCENE", o.scene, ".rgs file")->required();
-    app.add_option("--source", o.source, "PLY that the file was made of, for the baseline [the file itself]");
+    app.add_option("--source", o.source, "3DGS PLY that the file was made of, for the baseline [the file itself]");
     app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md)")->required();
     app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");
     app.add_option("--photos", o.photos, "folder of photographs NAME.ppm of these cameras, binary PPM of their size");
@@ -254,10 +294,19 @@ int main(int argc, char** argv) {
         ->delimiter(',')
         ->check(CLI::IsMember(rgs::bench::mode_names()))
         ->capture_default_str();
+    app.add_option("--pixel-format", o.pixel_format, "of the frames that are timed: FP32 RGB or packed RGBA")
+        ->check(CLI::IsMember({"rgb32f", "rgba16f", "rgba8"}))
+        ->capture_default_str();
+    app.add_flag("--graph", o.graph, "launch turbo's frames as CUDA graphs");
     app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
     app.add_option("--frames", o.frames, "measured per camera")->check(CLI::Range(1, 100000))->capture_default_str();
     app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
     app.add_option("--key", o.key, "depth mapping of paper mode [the file's]")->check(CLI::IsMember({"linear", "log"}));
+    app.add_option("--orbit", o.orbit, "also that many frames around what the first camera sees: is any mode popping?")
+        ->check(CLI::Range(3, 100000));
+    app.add_option("--orbit-step", o.orbit_step, "degrees from frame to frame")
+        ->check(CLI::Range(-90.0, 90.0))
+        ->capture_default_str();
     app.add_flag("--roofline", o.roofline, "measure the device's rates and compare each stage with its floor");
     app.add_option("--json", o.json, "write all of it as JSON (docs/BENCH_JSON.md); - is standard output");
     app.add_option("--csv", o.csv, "write a line for each size and mode");

@@ -4,7 +4,6 @@
 
 #include <CLI/CLI.hpp>
 #include <algorithm>
-#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
@@ -17,6 +16,7 @@
 #include <string>
 #include <vector>
 
+#include "camera_choice.hpp"
 #include "console.hpp"
 #include "image_file.hpp"
 #include "rgs/camera_file.hpp"
@@ -57,44 +57,8 @@ double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-// File name of a camera's picture without extension: the last part of its name, harmless characters only.
-std::string stem_of(const rgs::Camera& camera, std::size_t index) {
-  const fs::path name(camera.name);
-  // "frame.0001" is a name and no extension; ".jpg" is one.
-  std::string stem = rgs::image_format(camera.name) ? name.stem().string() : name.filename().string();
-  for (char& c : stem) {
-    const bool plain = (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
-    if (!plain && c != '-' && c != '.' && static_cast<unsigned char>(c) < 0x80) c = '_';
-  }
-  if (stem.empty() || stem.front() == '.') stem = fmt::format("view_{:04}", index) + stem;
-  return stem;
-}
-
 bool names_picture(const std::string& path) {
   return rgs::image_format(path).has_value();
-}
-
-// Cameras chosen by --view and --split. A usage error is printed and gives an empty list.
-std::vector<rgs::Camera> choose(const rgs::CameraSet& set, const Options& options) {
-  const auto usage = [](const std::string& message) {
-    tool::report_usage(message);
-    return std::vector<rgs::Camera>();
-  };
-  std::vector<rgs::Camera> chosen;
-  for (std::size_t i = 0; i < set.cameras.size(); ++i) {
-    const bool test = set.split[i] == rgs::Split::test;
-    if (options.split.empty() || test == (options.split == "test")) chosen.push_back(set.cameras[i]);
-  }
-  if (chosen.empty()) return usage("no camera belongs to the split '" + options.split + "'");
-  const std::string view = !options.view.empty() ? options.view : names_picture(options.out) ? "0" : "all";
-  if (view == "all") return chosen;
-  for (const rgs::Camera& camera : chosen)
-    if (camera.name == view || stem_of(camera, 0) == view) return {camera};
-  std::size_t index = 0;
-  const auto [end, error] = std::from_chars(view.data(), view.data() + view.size(), index);
-  if (error == std::errc() && end == view.data() + view.size() && index < chosen.size()) return {chosen[index]};
-  return usage(
-      fmt::format("--view takes a camera's name, an index from 0 to {}, or all, not '{}'", chosen.size() - 1, view));
 }
 
 // Gives every shot its files, in folders or as the single file that was named. Returns an exit code.
@@ -120,7 +84,7 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
                                       rgs::Error::kNone, rgs::Error::kNone, failed.value()});
       std::set<std::string> used;
       for (std::size_t i = 0; i < shots.size(); ++i) {
-        std::string stem = stem_of(shots[i].camera, i);
+        std::string stem = rgs::picture_stem(shots[i].camera, i);
         if (!used.insert(stem).second) used.insert(stem += fmt::format("_{:04}", i));
         const std::string name = depth ? stem + "_depth.exr" : stem + "." + options.format;
         shots[i].*field = (fs::path(*target) / name).string();
@@ -160,8 +124,10 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
       if (options.orbit > 0) {
         up = rgs::mean_up(set->cameras);
       } else {
-        cameras = choose(*set, options);
-        if (cameras.empty()) return tool::kUsage;
+        const std::string view = !options.view.empty() ? options.view : names_picture(options.out) ? "0" : "all";
+        auto chosen = rgs::choose_cameras(*set, options.split, view);
+        if (!chosen) return tool::report_usage(chosen.error());
+        cameras = *std::move(chosen);
       }
     }
     if (options.orbit > 0) {

@@ -1,8 +1,18 @@
 #!/usr/bin/env python3
-# bench_tables.py - Markdown tables of docs/KERNELS.md from what rgs-bench --json wrote: bench_tables.py FILE.json...
+# bench_tables.py - Markdown tables of the documents from what rgs-bench --json wrote.
 # SPDX-License-Identifier: Apache-2.0
+"""bench_tables.py BENCH.json...                                           ablation, quality and floors
+bench_tables.py --orthogonality FULL.json PRUNED.json [--audit AUDIT.json] pruning and turbo, alone and together
+bench_tables.py --scaling BENCH.json...                                    scenes of several sizes
+"""
+import argparse
 import json
 import sys
+
+
+def load(path):
+    with open(path, encoding="utf-8") as file:
+        return json.load(file)
 
 
 def row(cells):
@@ -59,10 +69,84 @@ def floors(size, modes):
     return table(head, rows)
 
 
-def main():
-    for path in sys.argv[1:]:
-        with open(path, encoding="utf-8") as file:
-            bench = json.load(file)
+def rates(size):
+    """Milliseconds by mode, steps between modes included."""
+    return {r["mode"]: r["total_ms"] for r in size["results"]}
+
+
+def orthogonality(full, pruned, audit=None):
+    """Pruning and the last mode, alone and together: the layout of the RoofGS paper's table with PUP 3D-GS."""
+    scenes = {"": full, "pruned ": pruned}
+    fast = full["modes"][-1]["name"]
+    head, rows = [""], []
+    for size in full["sizes"]:
+        head += [f"{size['width']}x{size['height']}, FPS", "speed-up"]
+    head += ["PSNR against the unpruned baseline, dB", "PSNR against photographs, dB"]
+    for prefix, bench in scenes.items():
+        for mode in ("baseline", fast):
+            cells = [prefix + mode]
+            for size, reference in zip(bench["sizes"], full["sizes"], strict=True):
+                if (size["width"], size["height"]) != (reference["width"], reference["height"]):
+                    sys.exit("the two files measure different sizes")
+                ms, first = rates(size)[mode], rates(reference)["baseline"]
+                cells += [f"{1e3 / ms:,.0f}", f"{first / ms:.1f}x"]
+            quality = next(m for m in bench["modes"] if m["name"] == mode).get("quality") or {}
+            to_baseline = quality.get("psnr") if bench is full and mode != "baseline" else None
+            to_photos = quality.get("photo_psnr")
+            if audit and bench is pruned and mode == "baseline":
+                to_baseline = audit["rendered"]["psnr"]
+                to_photos = to_photos or (audit["rendered"]["photos"] or {}).get("asset_psnr")
+            cells += ["" if v is None else f"{v:.2f}" for v in (to_baseline, to_photos)]
+            rows.append(cells)
+    kept = pruned["scene"]["gaussians"] / full["scene"]["gaussians"]
+    lines = [f"{full['scene']['name']}: {full['scene']['gaussians']:,} Gaussians, pruned to "
+             f"{pruned['scene']['gaussians']:,} ({100 * kept:.0f} %); {full['device']['name']}, {full['date']}.\n",
+             table(head, rows)]
+    together = []
+    for size, small in zip(full["sizes"], pruned["sizes"], strict=True):
+        a, b = rates(size), rates(small)
+        product = (a["baseline"] / a[fast]) * (a["baseline"] / b["baseline"])
+        together.append(f"{100 * a['baseline'] / b[fast] / product:.0f} % at {size['width']}x{size['height']}")
+    lines.append(f"\nBoth together reach {', '.join(together)} of the product of their speed-ups.")
+    if audit:
+        photos = audit["rendered"]["photos"]
+        lost = f", {photos['loss']:.2f} dB lost against photographs" if photos else ""
+        lines.append(f"Pruning alone: {audit['rendered']['psnr']:.2f} dB, worst view {audit['rendered']['worst_psnr']:.2f}"
+                     f"{lost}.")
+    return "\n".join(lines)
+
+
+def scaling(benches):
+    """How times grow with Gaussians and pixels: one line a scene and size, scenes by size."""
+    benches = sorted(benches, key=lambda bench: bench["scene"]["gaussians"])
+    modes = [m["name"] for m in benches[0]["modes"]]
+    fast = modes[-1]
+    head = ["Gaussians", "image", *(f"{m}, ms" if m == modes[0] else f"{m}, ms (ratio)" for m in modes),
+            f"visible, {fast}", f"ns a Gaussian, {fast}", f"ns a pixel, {fast}", f"peak memory, {fast}"]
+    rows = []
+    for bench in benches:
+        n = bench["scene"]["gaussians"]
+        for size in bench["sizes"]:
+            results = {r["mode"]: r for r in size["results"]}
+            last, pixels = results[fast], size["width"] * size["height"]
+            rows.append([f"{n / 1e6:.3g} M" if size is bench["sizes"][0] else "", f"{size['width']}x{size['height']}",
+                         f"{results[modes[0]]['total_ms']:.3f}",
+                         *(f"{results[m]['total_ms']:.3f} ({results[m]['speedup']:.1f}x)" for m in modes[1:]),
+                         count(last["visible"]), f"{1e6 * last['total_ms'] / n:.3f}",
+                         f"{1e6 * last['total_ms'] / pixels:.3f}", f"{last['peak_bytes'] / 1e6:,.0f} MB"])
+    lines = [f"{benches[0]['device']['name']}, {benches[0]['date']}; {benches[0]['frames']} frames a camera, "
+             f"{benches[0]['cameras']} cameras.\n", table(head, rows)]
+    for bench in benches:
+        n = bench["scene"]["gaussians"]
+        slower = [f"{n / 1e6:.3g} M at {s['width']}x{s['height']}" for s in bench["sizes"]
+                  if "paper" in rates(s) and rates(s)[fast] > rates(s)["paper"]]
+        if slower and fast != "paper":
+            lines.append(f"\n{fast} is slower than paper: {', '.join(slower)}.")
+    return "\n".join(lines)
+
+
+def ablations(paths, benches):
+    for path, bench in zip(paths, benches, strict=True):
         print(f"<!-- {path}: {bench['device']['name']}, {bench['date']} -->\n")
         for size in bench["sizes"]:
             print(times(bench, size) + "\n")
@@ -70,6 +154,25 @@ def main():
         if "rates" in bench:
             for size in bench["sizes"]:
                 print(floors(size, {"baseline", "+ fast exp = paper", "paper", "turbo"}) + "\n")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="+", metavar="BENCH.json")
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--orthogonality", action="store_true", help="two files: the whole scene, then the pruned one")
+    kind.add_argument("--scaling", action="store_true", help="scenes of several sizes")
+    parser.add_argument("--audit", help="rgs-audit SCENE PRUNED --json, for --orthogonality")
+    options = parser.parse_args()
+    benches = [load(path) for path in options.files]
+    if options.orthogonality:
+        if len(benches) != 2:
+            parser.error("--orthogonality takes two files")
+        print(orthogonality(*benches, load(options.audit) if options.audit else None))
+    elif options.scaling:
+        print(scaling(benches))
+    else:
+        ablations(options.files, benches)
 
 
 if __name__ == "__main__":

@@ -104,23 +104,6 @@ bool is_declared(const Axes& axes) {
   return std::ranges::find(axes, Axis::undeclared) == axes.end();
 }
 
-// Keeps the Gaussians whose index is listed, ascending.
-void keep(SplatCloud& cloud, const std::vector<std::uint64_t>& indices) {
-  const auto pack = [&indices](std::vector<float>& values, std::uint64_t each) {
-    for (std::uint64_t k = 0; k < indices.size(); ++k) {
-      // k <= indices[k]: never over what is to come.
-      if (indices[k] != k) std::copy_n(&values[each * indices[k]], each, &values[each * k]);
-    }
-    values.resize(each * indices.size());
-  };
-  if (indices.size() == cloud.size()) return;
-  pack(cloud.mean, 3);
-  pack(cloud.log_scale, 3);
-  pack(cloud.rotation, 4);
-  pack(cloud.opacity_logit, 1);
-  pack(cloud.sh, static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree)));
-}
-
 bool inside(const Box& box, const float* mean) {
   for (std::size_t k = 0; k < 3; ++k) {
     if (!(mean[k] >= box.min[k] && mean[k] <= box.max[k])) return false;
@@ -245,6 +228,22 @@ void append(SplatCloud& cloud, const SplatCloud& other) {
   add(cloud.log_scale, other.log_scale);
   add(cloud.rotation, other.rotation);
   add(cloud.opacity_logit, other.opacity_logit);
+}
+
+void keep(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
+  const auto pack = [&indices](std::vector<float>& values, std::uint64_t each) {
+    for (std::uint64_t k = 0; k < indices.size(); ++k) {
+      // k <= indices[k]: never over what is to come.
+      if (indices[k] != k) std::copy_n(&values[each * indices[k]], each, &values[each * k]);
+    }
+    values.resize(each * indices.size());
+  };
+  if (indices.size() == cloud.size()) return;
+  pack(cloud.mean, 3);
+  pack(cloud.log_scale, 3);
+  pack(cloud.rotation, 4);
+  pack(cloud.opacity_logit, 1);
+  pack(cloud.sh, static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree)));
 }
 
 void filter(SplatCloud& cloud, const SplatFilter& filter) {

@@ -19,12 +19,12 @@ Vec3 declared_up(const Declarations& declarations) {
   return kWorldUp;
 }
 
-Result<SceneFile> load_rgs(std::span<const std::byte> bytes) {
-  auto scene = Scene::load(bytes);
-  if (!scene) return tl::unexpected(scene.error());
+Result<SceneFile> load_rgs(MappedFile file) {
   SceneFile out;
   out.format = SplatFormat::rgs;
-  out.file_bytes = bytes.size();
+  out.file_bytes = file.bytes().size();
+  auto scene = Scene::load(std::move(file));
+  if (!scene) return tl::unexpected(scene.error());
   const Declarations& declarations = *scene->declarations();
   out.up = declared_up(declarations);
   for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -55,11 +55,10 @@ Result<SceneFile> load_other(const std::string& path) {
 }  // namespace
 
 Result<SceneFile> load_scene_file(const std::string& path) {
-  const auto file = MappedFile::open(path);
+  auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  const auto bytes = file->bytes();
-  if (detect_format(bytes) != SplatFormat::rgs) return load_other(path);
-  return load_rgs(bytes);
+  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path);
+  return load_rgs(*std::move(file));
 }
 
 }  // namespace rgs

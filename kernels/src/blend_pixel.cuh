@@ -1,9 +1,10 @@
-// blend_pixel.cuh - which pixels a thread has, and how they leave the kernel.
+// blend_pixel.cuh - which pixels of its tile a thread has, and the sum of what they counted.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "rgs/cuda/blend.hpp"
 
 namespace rgs::cuda {
@@ -28,37 +29,21 @@ struct TilePixel {
   }
 };
 
-template <bool Details>
-__device__ inline void store_pixel(const BlendArguments& a, std::size_t i, const math::Pixel<float>& pixel,
-                                   std::uint32_t n_evaluated, std::uint32_t n_blended) {
-  const PixelArrays& t = a.target;
-  if (t.rgb != nullptr) {
-    const auto color = math::resolve(pixel, a.background);
-    t.rgb[3 * i] = color.x, t.rgb[3 * i + 1] = color.y, t.rgb[3 * i + 2] = color.z;
-  }
-  if (t.alpha != nullptr) t.alpha[i] = 1 - pixel.transmittance;
-  if constexpr (Details) {
-    if (t.depth != nullptr) t.depth[i] = math::expected_depth(pixel);
-    if (t.evaluated != nullptr) t.evaluated[i] = n_evaluated;
-    if (t.blended != nullptr) t.blended[i] = n_blended;
-  }
-}
-
 template <int N>
 __device__ inline void count_pairs(Counters& counters, const std::uint32_t (&evaluated)[N],
                                    const std::uint32_t (&blended)[N]) {
   std::uint32_t e = 0, b = 0;
 #pragma unroll
   for (int k = 0; k < N; ++k) e += evaluated[k], b += blended[k];
-  unsigned long long sums[2] = {e, b};
+  std::uint64_t sums[2] = {e, b};
 #pragma unroll
   for (int step = 16; step > 0; step /= 2) {
     sums[0] += __shfl_xor_sync(0xFFFFFFFFu, sums[0], step);
     sums[1] += __shfl_xor_sync(0xFFFFFFFFu, sums[1], step);
   }
   if (threadIdx.x % 32 == 0) {
-    atomicAdd(reinterpret_cast<unsigned long long*>(&counters.evaluated), sums[0]);
-    atomicAdd(reinterpret_cast<unsigned long long*>(&counters.blended), sums[1]);
+    atomic_add(counters.evaluated, sums[0]);
+    atomic_add(counters.blended, sums[1]);
   }
 }
 

@@ -17,6 +17,7 @@
 // and once to emit, which is cheaper than keeping them.
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "cover.cuh"
 #include "launch.cuh"
@@ -114,15 +115,14 @@ struct Output {
 
 template <math::Extent E>
 __device__ void allocate(Shared<E>& s, std::uint64_t total, const Output& out) {
-  auto* const instances = reinterpret_cast<unsigned long long*>(&out.counters->instances);
   if (out.block_state == nullptr) {
-    if (threadIdx.x == 0) s.base = atomicAdd(instances, static_cast<unsigned long long>(total));
+    if (threadIdx.x == 0) s.base = atomic_add(out.counters->instances, total);
   } else if (threadIdx.x < 32) {
     total = __shfl_sync(kFullWarp, total, 0);
     const std::uint64_t base = chained_base(out.block_state + 1, s.block, total);
     if (threadIdx.x == 0) {
       s.base = base;
-      atomicAdd(instances, static_cast<unsigned long long>(total));
+      atomic_add(out.counters->instances, total);
     }
   }
 }
@@ -160,9 +160,7 @@ __global__ void __launch_bounds__(kThreads) fused_kernel(A attributes, std::uint
   __shared__ Shared<E> s;
   if (threadIdx.x == 0) {
     // Look-back waits for earlier blocks, so they must have started: numbers are drawn, not taken from the grid.
-    s.block = out.block_state == nullptr
-                  ? blockIdx.x
-                  : static_cast<std::uint32_t>(atomicAdd(reinterpret_cast<unsigned long long*>(out.block_state), 1ull));
+    s.block = out.block_state == nullptr ? blockIdx.x : static_cast<std::uint32_t>(atomic_add(*out.block_state, 1));
   }
   s.listed[threadIdx.x] = 0;
   __syncthreads();
@@ -200,7 +198,7 @@ __global__ void __launch_bounds__(kThreads) fused_kernel(A attributes, std::uint
   if (listed) out.splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
   const int visible = __syncthreads_count(listed);
   if (threadIdx.x == 0 && visible > 0) {
-    atomicAdd(reinterpret_cast<unsigned long long*>(&out.counters->visible), static_cast<unsigned long long>(visible));
+    atomic_add(out.counters->visible, static_cast<std::uint64_t>(visible));
   }
   emit<E, Key>(s, n_rows, first, v, out.pairs);
 }

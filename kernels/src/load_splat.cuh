@@ -104,6 +104,13 @@ __device__ inline math::Vec3<float> load_color(const CompactAttributes& a, std::
       });
 }
 
+/// Asks for what color_of() will read.
+__device__ inline void prefetch_color(const Fp32Attributes&, std::uint32_t) {}
+__device__ inline void prefetch_color(const CompactAttributes& a, std::uint32_t i) {
+  const std::uint32_t words = (3u * static_cast<std::uint32_t>((a.sh_degree + 1) * (a.sh_degree + 1)) + 3) / 4;
+  asm volatile("prefetch.global.L2 [%0];" : : "l"(a.sh + static_cast<std::uint64_t>(i) * words));
+}
+
 /// Colour of Gaussian i seen from the view's position. Coefficients above the evaluated degree meet a basis of 0.
 template <class Attributes>
 __device__ inline math::Vec3<float> color_of(const Attributes& a, std::uint32_t i, const math::View<float>& view,

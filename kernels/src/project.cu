@@ -10,6 +10,7 @@
 //         positions, covers and depths are those of the CPU to the bit.
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "cover.cuh"
 #include "launch.cuh"
 #include "load_splat.cuh"
@@ -46,7 +47,7 @@ __global__ void __launch_bounds__(kThreads)
   }
   const int visible = __syncthreads_count(n_tiles > 0);
   if (threadIdx.x == 0 && visible > 0) {
-    atomicAdd(reinterpret_cast<unsigned long long*>(&counters->visible), static_cast<unsigned long long>(visible));
+    atomic_add(counters->visible, static_cast<std::uint64_t>(visible));
   }
 }
 

@@ -13,10 +13,12 @@
 
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "launch.cuh"
+#include "rgs/cuda/turbo.hpp"
 #include "rgs/quantize.hpp"
-#include "turbo_cell.cuh"
+#include "store_pixel.cuh"
 
 namespace rgs::cuda {
 namespace {
@@ -46,6 +48,16 @@ struct Accumulated {
   float t = 1;
   std::uint32_t evaluated = 0, blended = 0;
 };
+
+// Whether an opacity may exceed kAlphaMax in the cell, also by what rounding can add to the exponent: terms as large as
+// these cancel in it, and they are large for needles.
+__device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, float corner_y) {
+  constexpr float kLog2AlphaMax = -0.0144996F;
+  constexpr float kRounding = 4 * math::kLog2E * 6e-8F;
+  const float dx = fabsf(splat.mean.u - corner_x) + kCellWidth, dy = fabsf(splat.mean.v - corner_y) + kCellHeight;
+  const float terms = splat.conic.a * dx * dx + splat.conic.c * dy * dy;
+  return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
+}
 
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
   const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
@@ -140,7 +152,6 @@ class Cell {
   }
 
   __device__ void store(const TurboBlendArguments& a) const {
-    const PixelArrays& t = a.target;
     const int x = static_cast<int>(corner_x_ + x_), y = static_cast<int>(corner_y_ + y_[0]);
     if (x >= a.width) return;
 #pragma unroll
@@ -149,15 +160,11 @@ class Cell {
       const Accumulated& p = pixel_[k];
       const math::Pixel<float> pixel{p.r, p.g, p.b, p.depth, p.t};
       const auto i = static_cast<std::size_t>(y + k) * static_cast<std::size_t>(a.width) + static_cast<std::size_t>(x);
-      store_color(t, i, pixel, a.background);
+      store_pixel<Details>(a.target, a.background, i, pixel, p.evaluated, p.blended);
       if constexpr (Details) {
-        if (t.depth != nullptr) t.depth[i] = math::expected_depth(pixel);
-        if (t.evaluated != nullptr) t.evaluated[i] = p.evaluated;
-        if (t.blended != nullptr) t.blended[i] = p.blended;
         if (a.count_pairs) {
-          Counters& counters = a.arrays.state->counters;
-          atomicAdd(reinterpret_cast<unsigned long long*>(&counters.evaluated), p.evaluated);
-          atomicAdd(reinterpret_cast<unsigned long long*>(&counters.blended), p.blended);
+          atomic_add(a.arrays.state->counters.evaluated, p.evaluated);
+          atomic_add(a.arrays.state->counters.blended, p.blended);
         }
       }
     }
@@ -168,8 +175,7 @@ class Cell {
   __device__ void blend_staged(const Staged* staged, int n, float z) {
 #pragma unroll 2
     for (int j = 0; j < n; ++j) {
-      blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_),
-                            Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
+      blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_), Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
     }
   }
 

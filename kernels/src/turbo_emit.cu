@@ -69,16 +69,18 @@ __device__ void fill_words(Shared& s, std::uint32_t n_rows, const math::TileRect
     const Box box = s.box[owner];
     if (row >= box.rows) continue;
     const int y = box.y + static_cast<int>(row);
-    const auto cells = math::cell_rows(s.ellipse[owner], y, grid);
+    const auto cells = math::cell_rows(s.ellipse[owner], y);
     std::uint32_t* const words = s.words + box.first + row * box.columns;
     const auto first = static_cast<std::uint32_t>((y - block.y0) * (block.x1 - block.x0) + box.x - block.x0);
-    std::uint32_t four = 0;
-#pragma unroll 1
-    for (std::uint32_t k = 0; k < box.columns; ++k, four >>= 2) {
-      if (k % 4 == 0) four = math::cells_of_four(cells, box.x + static_cast<int>(k));
-      const std::uint32_t touched = math::cells_of_first(four);
-      words[k] = (first + k) << 16 | owner << 8 | touched;
-      if (touched != 0) f(first + k);
+    for (std::uint32_t k = 0; k < box.columns; k += 4) {
+      const std::uint32_t four = math::cells_of_four(cells, box.x + static_cast<int>(k));
+#pragma unroll
+      for (std::uint32_t j = 0; j < 4; ++j) {
+        if (k + j >= box.columns) break;
+        const std::uint32_t touched = math::cells_of_first(four >> (2 * j)), tile = first + k + j;
+        words[k + j] = tile << 16 | owner << 8 | touched;
+        if (touched != 0) f(tile);
+      }
     }
   }
 }
@@ -132,7 +134,10 @@ __global__ void __launch_bounds__(kThreads)
   std::uint32_t n_columns = 0, n_rows = 0;
   if (i - i % 32 < a.n && chunk_in_view(attributes, math::min(i, a.n - 1), planes) && i < a.n) {
     const math::Vec3<float> mean = load_mean(attributes.mean, i);
-    const auto p = project_splat(attributes, i, v, mean);
+    // Geometry is not left until the depth is known: few of a chunk in view are out of range, and the loads overlap.
+    const Geometry g = load_geometry(attributes, i);
+    prefetch_color(attributes, i);
+    const auto p = math::project(v.view, mean, g.rotation, g.scale, g.opacity, v.low_pass, v.anti_aliasing);
     if (p.footprint.valid) {
       const float cutoff = math::power_cutoff(p.footprint.opacity);
       const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);

@@ -1,10 +1,11 @@
-// turbo_large.cu - tiles look for the Gaussians that touch many of them, a block a region of tiles.
+// turbo_large.cu - tiles look for the Gaussians that touch many of them, four blocks a region of tiles.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/coverage.hpp
 // In/Out  large, large_boxes -> entries, runs
 // Cost    8 B read, from L2, a Gaussian and region; 64 B gathered and 8 B an entry written where they meet
-// Launch  256 threads a region of 4x2, 8x4 or 16x8 tiles: about two blocks a multiprocessor at 1080p, 4K and 8K
+// Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles: about eight blocks a multiprocessor at 1080p, 4K
+//         and 8K
 // Shared  Shared: the Gaussians found, the cells that they touch, a counter a tile; 14 to 24 KiB
 // Order   of entries and runs: any. Compiled without contraction to FMA, see project.cu.
 //
@@ -20,6 +21,7 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
+constexpr std::uint32_t kShares = 4;        // blocks that share a region's Gaussians
 constexpr std::uint32_t kAhead = 4;         // boxes that a thread reads at a time
 constexpr std::uint32_t kBatchRows = 1024;  // rows of Gaussians that are placed together
 constexpr std::uint32_t kMaxBatch = 512;    // Gaussians
@@ -48,19 +50,20 @@ struct Shared {
   RunPlaces<kThreads> places;
 };
 
-// Appends what meets the region of the kAhead * kThreads Gaussians from `first` on.
+// Appends what meets the region of the kAhead * kThreads Gaussians from `first` on that are the block's: kThreads of every
+// kShares * kThreads.
 template <int Words>
 __device__ void find(Shared<Words>& s, const TurboArrays& a, Region<Words> region, std::uint32_t first,
                      std::uint32_t n) {
   TurboBox box[kAhead];
 #pragma unroll
   for (std::uint32_t j = 0; j < kAhead; ++j) {
-    const std::uint32_t k = first + j * kThreads + threadIdx.x;
+    const std::uint32_t k = first + j * kShares * kThreads;
     box[j] = k < n ? a.large_boxes[k] : TurboBox{0, 0, 0, 0};
   }
 #pragma unroll
   for (std::uint32_t j = 0; j < kAhead; ++j) {
-    if (region.meets(box[j])) s.found[atomicAdd(&s.n_found, 1u)] = first + j * kThreads + threadIdx.x;
+    if (region.meets(box[j])) s.found[atomicAdd(&s.n_found, 1u)] = first + j * kShares * kThreads;
   }
 }
 
@@ -87,7 +90,7 @@ __device__ std::uint32_t place(Shared<Words>& s, const TurboArrays& a, Region<Wo
     if (row == 0) s.entry[k] = make_entry(large.depth, large.index, 0);
     const int y = region.y + static_cast<int>(row);
     const bool inside = y >= box.y0 && y < box.y1;
-    const auto rows = math::cell_rows(large.ellipse, y, grid);
+    const auto rows = math::cell_rows(large.ellipse, y);
 #pragma unroll
     for (int w = 0; w < Words; ++w) {
       const int column = region.x + 4 * w;
@@ -142,10 +145,11 @@ __global__ void __launch_bounds__(kThreads) turbo_large_kernel(TurboArrays a, ma
   std::uint32_t visible = 0;
   if (threadIdx.x == 0) s.n_found = 0;
   __syncthreads();
-  for (std::uint32_t first = 0; first < n; first += kAhead * kThreads) {
-    find(s, a, region, first, n);
+  constexpr std::uint32_t kStep = kAhead * kShares * kThreads;
+  for (std::uint32_t first = blockIdx.z * kThreads; first < n; first += kStep) {
+    find(s, a, region, first + threadIdx.x, n);
     __syncthreads();
-    const bool last = first + kAhead * kThreads >= n;
+    const bool last = first + kStep >= n;
     std::uint32_t n_found = s.n_found;
     while (n_found >= R::kBatch || (last && n_found > 0)) {
       const std::uint32_t batch = math::min(n_found, R::kBatch);
@@ -164,7 +168,7 @@ template <int Words>
 void launch(const TurboArrays& a, math::TileGrid grid, Stream stream) {
   using R = Region<Words>;
   const auto tiles = [](int n, int of_region) { return static_cast<unsigned>((n + of_region - 1) / of_region); };
-  const dim3 blocks{tiles(grid.columns, R::kColumns), tiles(grid.rows, R::kRows)};
+  const dim3 blocks{tiles(grid.columns, R::kColumns), tiles(grid.rows, R::kRows), kShares};
   turbo_large_kernel<Words><<<blocks, kThreads, 0, stream>>>(a, grid);
 }
 

@@ -3,7 +3,7 @@
 //
 // In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes
 // Cost    16 B read, 16 B gathered and 8 B written anywhere a run
-// Launch  plan: 256 threads, ceil(tiles / 256) blocks; place: as many blocks of 256 as keep the device busy, each
+// Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as keep the device busy, each
 //         taking runs in turn, because their number is known on the device alone
 // Order   of runs within a list, of lists and of tiles within a class: any
 #include <cstdint>
@@ -25,19 +25,18 @@ __device__ bool turbo_fits(const TurboArrays& a) {
          state.n_large <= a.large_capacity;
 }
 
-// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
-__device__ int length_class(std::uint32_t length) {
-  if (length < 32) return kTurboClasses - 1;
-  const int log2 = 31 - __clz(static_cast<int>(length));
-  const int half = static_cast<int>(length >> (log2 - 1)) & 1;
-  return math::max(0, kTurboClasses - 2 - (2 * (log2 - 5) + half));
-}
-
 __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboState* seen) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
   __shared__ std::uint32_t base, class_size[kTurboClasses], class_base[kTurboClasses];
   if (threadIdx.x < kTurboClasses) class_size[threadIdx.x] = 0;
   TurboState& state = *a.state;
+  if (blockIdx.x == gridDim.x - 1) {  // a block of its own: what goes to the host takes longest
+    if (threadIdx.x == 0) {
+      *seen = state;
+      __threadfence_system();
+    }
+    return;
+  }
   const bool fits = turbo_fits(a);
   const auto* const counts = reinterpret_cast<const TurboCount*>(a.state + 1);
   const std::uint32_t tile = blockIdx.x * kThreads + threadIdx.x;
@@ -45,15 +44,11 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   const auto n = static_cast<std::uint32_t>(count), runs = static_cast<std::uint32_t>(count >> 32);
   const std::uint32_t end = inclusive_block_sum<kThreads>(runs, warp_sums);
   if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.placed, end);
-  const int length = length_class(n);
+  const int length = turbo_class(n);
   const std::uint32_t rank = tile < a.n_tiles ? atomicAdd(class_size + length, 1u) : 0;
   __syncthreads();
   if (threadIdx.x < kTurboClasses) {
     class_base[threadIdx.x] = atomicAdd(state.class_size + threadIdx.x, class_size[threadIdx.x]);
-  }
-  if (blockIdx.x == 0 && threadIdx.x == kTurboClasses) {
-    *seen = state;
-    __threadfence_system();
   }
   __syncthreads();
   if (tile >= a.n_tiles) return;
@@ -74,7 +69,7 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
 }  // namespace
 
 Status launch_turbo_lists(const TurboArrays& a, TurboState* seen, CUevent_st* counted, Stream stream) {
-  plan_kernel<<<blocks_for(a.n_tiles, kThreads), kThreads, 0, stream>>>(a, seen);
+  plan_kernel<<<blocks_for(a.n_tiles, kThreads) + 1, kThreads, 0, stream>>>(a, seen);
   if (const auto ok = launched("the kernel that plans the lists could not be launched"); !ok) return ok;
   if (const auto ok = checked(cudaEventRecord(counted, stream), "an event could not be recorded"); !ok) return ok;
   place_kernel<<<kPlaceBlocks, kThreads, 0, stream>>>(a);

@@ -3,15 +3,17 @@
 //
 // In/Out  lists, entries -> cells [tiles, 8], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a tile, longest lists first; then a warp deals out the entries of one cell
-// Shared  Shared: entries, their order, histograms; 36 KiB
+// Launch  256 threads a tile, longest lists first. A warp orders 128 or 256 entries in registers, the block merges them;
+//         then a warp deals out 32 at a time
+// Shared  Shared: entries, their keys twice, histograms; 41 KiB
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Lists are as long as the scene makes them, shared memory is not: a list longer than kTurboEntries is first moved to
-// scratch memory in the order of 1,024 bins of depth, and then taken in rounds of as many bins as fit. Most pixels are
-// opaque before the last. A bin that does not fit is cut in finer ones, and so on.
+// scratch memory in the order of 1,024 bins of depth, and then taken in rounds of as many bins as fit. A bin that does not
+// fit is cut in finer ones, and so on.
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "launch.cuh"
 #include "rgs/cuda/turbo.hpp"
@@ -22,25 +24,24 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr std::uint32_t kEntries = kTurboEntries;
-constexpr int kPositionBits = 11;
-static_assert(kEntries == 1u << kPositionBits && kEntries == 8 * kThreads);
-constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
-constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
-static_assert(kBins == kThreads);
+constexpr int kBinBits = 8;       // of the histogram that cuts a range, a bin a thread
 constexpr int kDepthBins = 1024;  // of the histogram that cuts a long list, by depth
+static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kWarps == kTurboCells);
 constexpr int kBinsPerThread = kDepthBins / kThreads;
 
 struct Shared {
   TurboEntry entries[kEntries];
-  alignas(16) std::uint32_t exchange[2][kEntries];  // keys: depth << 11 | position among the entries
+  alignas(16) std::uint32_t exchange[2][kEntries];  // keys: depth above, position among the entries below
   std::uint32_t* order;                             // the one of the two that is in order
+  std::uint32_t positions;                          // mask of a key's position
   std::uint32_t bins[kDepthBins];
   std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
   std::uint32_t warp_sums[kWarps];
   std::uint32_t n;                        // entries of the round
   std::uint32_t cell_n[kTurboCells];      // of the whole list
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
-  std::uint32_t chunks[kTurboCells][kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
+  std::uint32_t chunks[kTurboCells]
+                      [kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
   TurboList head;
   std::uint32_t tile;
   bool fits;
@@ -99,7 +100,8 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
 // Merges neighbouring runs of `run` ordered keys, of `total` in all; a thread has kKeys places of the result and looks
 // for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
-__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run, std::uint32_t total) {
+__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run,
+                                  std::uint32_t total) {
   const std::uint32_t first = kKeys * threadIdx.x;
   if (first >= total) return;
   const std::uint32_t base = first & ~(2 * run - 1), place = first - base;
@@ -150,7 +152,7 @@ struct DepthRange {
 // Orders the keys of the round's entries, depth above and position below: kKeys a lane by warps, then merged. Where they
 // are then.
 template <std::uint32_t kKeys>
-__device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int shift) {
+__device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int shift, int position_bits) {
   constexpr std::uint32_t kRun = 32 * kKeys;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   const std::uint32_t total = s.n <= kRun ? kRun : kRun << (32 - __clz(static_cast<int>((s.n - 1) / kRun)));
@@ -159,7 +161,7 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int
 #pragma unroll
     for (std::uint32_t k = 0; k < kKeys; ++k) {
       const std::uint32_t position = kRun * warp + 32 * k + lane;
-      key[k] = position < s.n ? (depth_of(s.entries[position]) - nearest) >> shift << kPositionBits | position : ~0u;
+      key[k] = position < s.n ? (depth_of(s.entries[position]) - nearest) >> shift << position_bits | position : ~0u;
     }
     if (kRun * warp < s.n) sort_warp(key);
     store_keys(key, s.exchange[0] + kRun * warp + kKeys * lane);
@@ -175,20 +177,21 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int
 
 // Position of each of the s.n entries in the order of the entries, into s.order. Keys of 32 bits are ordered first. Their
 // depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
-// by looking at the entries themselves.
-// `range` is that of the depths that the thread has seen.
+// by looking at the entries themselves. `range` is that of the depths that the thread has seen.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
-  constexpr std::uint32_t kPosition = kEntries - 1;
   range.share(s);
   // Padding, all ones, comes last: it shares its depth with no position as high.
-  const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - kPositionBits));
+  const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
+  const std::uint32_t positions = (1u << position_bits) - 1;
+  s.positions = positions;  // the same from all threads
+  const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - position_bits));
   // Short lists are spread over more warps: all wait for the last.
-  std::uint32_t* const order =
-      s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift) : sort_keys<8>(s, range.low, shift);
-  s.order = order;  // the same from all threads
+  std::uint32_t* const order = s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift, position_bits)
+                                                   : sort_keys<8>(s, range.low, shift, position_bits);
+  s.order = order;
   const auto is_inverted = [&](std::uint32_t k) {
     const std::uint32_t a = order[k], b = order[k + 1];
-    return ((a ^ b) & ~kPosition) == 0 && s.entries[a & kPosition] > s.entries[b & kPosition];
+    return ((a ^ b) & ~positions) == 0 && s.entries[a & positions] > s.entries[b & positions];
   };
   bool any = false;
   for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
@@ -349,6 +352,7 @@ __device__ inline std::uint32_t group_end(const Shared& s, std::uint32_t begin) 
 // them, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the one
 // that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
 __device__ inline TurboEntry round_end(Shared& s, const TurboEntry* entries, std::uint32_t n, TurboEntry begin) {
+  constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
   __shared__ std::uint32_t bins[kBins];
   int shift = 64 - kBinBits;
   for (;;) {
@@ -369,25 +373,14 @@ __device__ inline TurboEntry round_end(Shared& s, const TurboEntry* entries, std
   }
 }
 
-// The block's tile: the longest lists come first.
-__device__ std::uint32_t tile_of_block(const TurboArrays& a) {
-  const std::uint32_t lane = threadIdx.x % 32;
-  const std::uint32_t size = a.state->class_size[lane];
-  const std::uint32_t end = inclusive_warp_sum(size);
-  const int length = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > blockIdx.x))) - 1;
-  const std::uint32_t begin = __shfl_sync(kFullWarp, end - size, length);
-  return a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + blockIdx.x - begin];
-}
-static_assert(kTurboClasses == 32, "a lane a class");
-
 // The cells of 32 entries in order, from position `begin` on; 0 past the last.
 __device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
-  return k < s.n ? s.entries[s.order[k] & (kEntries - 1)] : 0;
+  return k < s.n ? s.entries[s.order[k] & s.positions] : 0;
 }
 
-// How many of each 32 ordered entries touch each cell: a warp counts 32 of them, then sums up one cell. s.cell_n becomes
-// the sums over the round.
+// How many of each 32 ordered entries touch each cell: a warp counts 32 of them, then sums up a cell. s.cell_n becomes the
+// sums over the round.
 __device__ inline void count_chunks(Shared& s) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   for (std::uint32_t chunk = warp; 32 * chunk < s.n; chunk += kWarps) {
@@ -402,61 +395,121 @@ __device__ inline void count_chunks(Shared& s) {
   }
   __syncthreads();
   const std::uint32_t n_chunks = (s.n + 31) / 32;
-  std::uint32_t sum = 0;
-  for (std::uint32_t begin = 0; begin < n_chunks; begin += 32) {
-    const std::uint32_t n = begin + lane < n_chunks ? s.chunks[warp][begin + lane] : 0;
-    const std::uint32_t end = inclusive_warp_sum(n);
-    s.chunks[warp][begin + lane] = sum + end - n;
-    sum += __shfl_sync(kFullWarp, end, 31);
+  for (std::uint32_t c = warp; c < kTurboCells; c += kWarps) {
+    std::uint32_t sum = 0;
+    for (std::uint32_t begin = 0; begin < n_chunks; begin += 32) {
+      const std::uint32_t n = begin + lane < n_chunks ? s.chunks[c][begin + lane] : 0;
+      const std::uint32_t end = inclusive_warp_sum(n);
+      s.chunks[c][begin + lane] = sum + end - n;
+      sum += __shfl_sync(kFullWarp, end, 31);
+    }
+    if (lane == 0) s.cell_n[c] = sum;
   }
-  if (lane == 0) s.cell_n[warp] = sum;
   __syncthreads();
 }
-static_assert(kWarps == kTurboCells);
 
-// Places for the cells' Gaussians, and their heads.
-__device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t tile) {
-  if (threadIdx.x < kTurboCells) {
+// Places for the cells' Gaussians, and their heads; the cells of a tile lie at its rank.
+__device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
+  const std::uint32_t own = threadIdx.x;
+  if (own < kTurboCells) {
     std::uint32_t before = 0, total = 0;
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      if (c < threadIdx.x) before += s.cell_n[c];
+      if (c < own) before += s.cell_n[c];
       total += s.cell_n[c];
     }
     std::uint64_t base = 0;
-    if (threadIdx.x == 0 && total > 0) {
-      base = atomicAdd(reinterpret_cast<unsigned long long*>(&a.state->in_cells), static_cast<unsigned long long>(total));
-    }
+    if (own == 0 && total > 0) base = atomic_add(a.state->in_cells, total);
     base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
     const bool fits = base + total <= a.cell_capacity;
     const auto begin = static_cast<std::uint32_t>(base) + before;
-    s.cell_begin[threadIdx.x] = begin;
-    if (threadIdx.x == 0) s.fits = fits;
+    s.cell_begin[own] = begin;
+    if (own == 0) s.fits = fits;
     const auto columns = static_cast<std::uint32_t>(grid.columns);
-    a.cells[kTurboCells * blockIdx.x + threadIdx.x] = {begin, fits ? s.cell_n[threadIdx.x] : 0,
-                                                       tile % columns * kTurboTile + math::kCellWidth * (threadIdx.x % 2),
-                                                       tile / columns * kTurboTile + math::kCellHeight * (threadIdx.x / 2)};
+    a.cells[kTurboCells * rank + own] = {begin, fits ? s.cell_n[own] : 0,
+                                         s.tile % columns * kTurboTile + math::kCellWidth * (own % 2),
+                                         s.tile / columns * kTurboTile + math::kCellHeight * (own / 2)};
   }
   __syncthreads();
 }
 
 // Writes the round's ordered entries to the cells from s.cell_begin on.
 __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
-  const std::uint32_t below = (1u << (threadIdx.x % 32)) - 1;
+  const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
   for (std::uint32_t chunk = threadIdx.x / 32; 32 * chunk < s.n; chunk += kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * chunk);
     const auto cells = static_cast<std::uint32_t>(entry);
     const auto gaussian = static_cast<std::uint32_t>(entry >> 8) & static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
+    const std::uint32_t own = lane % kTurboCells;
+    const std::uint32_t begin = s.cell_begin[own] + s.chunks[own][chunk];  // of cell `own`
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, (cells >> c & 1) != 0);
-      const std::uint32_t at = s.cell_begin[c] + s.chunks[c][chunk] + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)));
-      if ((cells >> c & 1) != 0) a.cell_gaussians[at] = gaussian;
+      const bool touches = (cells >> c & 1) != 0;
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, touches);
+      const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
+      if (touches)
+        a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = gaussian;
     }
   }
 }
 
-// Orders and deals out a list of more than kEntries, in rounds.
-__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const TurboEntry* sorted, std::uint32_t n_entries) {
+// The tile of a rank: the longest lists come first. A warp calls it.
+__device__ std::uint32_t tile_of_rank(const TurboArrays& a, std::uint32_t rank) {
+  const std::uint32_t lane = threadIdx.x % 32;
+  const std::uint32_t size = a.state->class_size[lane];
+  const std::uint32_t end = inclusive_warp_sum(size);
+  const int length = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > rank))) - 1;
+  const std::uint32_t begin = __shfl_sync(kFullWarp, end - size, length);
+  return a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + rank - begin];
+}
+static_assert(kTurboClasses == 32, "a lane a class");
+
+// All threads call it.
+__device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t rank) {
+  if (threadIdx.x < 32) {
+    const std::uint32_t tile = tile_of_rank(a, rank);
+    if (threadIdx.x == 0) {
+      s.tile = tile;
+      s.head = a.lists[tile];
+      s.n = s.head.n_entries;
+    }
+  }
+  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
+  __syncthreads();
+}
+
+// The last tile tells the host.
+__device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
+  if (threadIdx.x != 0) return;
+  __threadfence();
+  if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
+    seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
+    __threadfence_system();
+  }
+}
+
+// A list that fits shared memory.
+__device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
+  const List list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
+  DepthRange range;
+  list.for_each(s, [&](TurboEntry entry, std::uint32_t k) {
+    s.entries[k] = entry;
+    range.add(depth_of(entry));
+  });
+  if (s.n > 0) sort_entries(s, range);
+  count_chunks(s);
+  reserve_cells(s, a, grid, rank);
+  if (s.fits) deal_out(s, a);
+}
+
+// A list of any length, in rounds.
+__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
+  const List list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
+  const std::uint32_t n_entries = s.head.n_entries;
+  TurboEntry* const sorted = a.scratch + s.head.scratch;
+  order_by_bins(s, list, sorted);
+  __syncthreads();
+  reserve_cells(s, a, grid, rank);
+  if (!s.fits) return;
   for (std::uint32_t begin = 0; begin < n_entries;) {
     const std::uint32_t end = group_end(s, begin);
     const TurboEntry* const group = sorted + begin;
@@ -492,47 +545,17 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, const Turb
   }
 }
 
-__global__ void __launch_bounds__(kThreads, 5) turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
-  __shared__ Shared memory;
-  Shared& s = memory;
-  if (threadIdx.x < 32) {
-    const std::uint32_t tile = tile_of_block(a);
-    if (threadIdx.x == 0) {
-      s.tile = tile;
-      s.head = a.lists[tile];
-      s.n = s.head.n_entries;
-    }
-    if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
-  }
-  __syncthreads();
-  const std::uint32_t tile = s.tile;
-  const TurboList head = s.head;
-  const List list{a.tile_runs + head.begin, a.entries, head.n_runs};
-  if (head.n_entries > kEntries) {
-    TurboEntry* const sorted = a.scratch + head.scratch;
-    order_by_bins(s, list, sorted);
-    __syncthreads();
-    reserve_cells(s, a, grid, tile);
-    if (s.fits) deal_out_long(s, a, sorted, head.n_entries);
+__global__ void __launch_bounds__(kThreads, 5)
+    turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+  __shared__ Shared s;
+  const std::uint32_t rank = blockIdx.x;
+  begin_tile(s, a, rank);
+  if (s.head.n_entries > kEntries) {
+    deal_out_long(s, a, grid, rank);
   } else {
-    DepthRange range;
-    list.for_each(s, [&](TurboEntry entry, std::uint32_t k) {
-      s.entries[k] = entry;
-      range.add(depth_of(entry));
-    });
-    if (s.n > 0) sort_entries(s, range);
-    count_chunks(s);
-    reserve_cells(s, a, grid, tile);
-    if (s.fits) deal_out(s, a);
+    deal_out_short(s, a, grid, rank);
   }
-  // The last block tells the host.
-  if (threadIdx.x == 0) {
-    __threadfence();
-    if (atomicAdd(&a.state->ordered, 1u) == gridDim.x - 1) {
-      seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
-      __threadfence_system();
-    }
-  }
+  end_tile(a, seen);
 }
 
 }  // namespace

@@ -1,12 +1,12 @@
-// turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell of 16x8 pixels; sm_80 and newer.
+// turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell of 16x8 pixels.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/blend.hpp: fold(); docs/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
-// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane; a (pixel, Gaussian) pair: two matrix products of 32 and
-//         16 multiply-adds, one exponential, 2.5 instructions on two FP16 numbers at a time
+// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane; a (pixel, Gaussian) pair: 19 multiply-adds of matrix
+//         products, one exponential, and about three instructions, each on two FP16 numbers
 // Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell
-// Shared  Staging: 128 Gaussians; 5 KiB. Without bank conflicts but for colours as they are written
+// Shared  Staging: 128 Gaussians; 5 KiB
 // Order   that of the cells' lists: deterministic
 //
 // Blending 32 Gaussians into 16 pixels is two matrix products with something in between, as attention is (the register
@@ -17,7 +17,7 @@
 //   colours   [16 px, 3]  +=  weights  x  colours [32, 3]
 //
 // The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, which take the 16
-// columns of mma.m16n8k16 together: 22 bits. Exponents, opacities and weights are FP16, colours gather in FP32.
+// columns of a product together: 22 bits. Exponents, opacities and weights are FP16, colours gather in FP32.
 //
 // mma leaves two columns of 8 and two rows to a lane: pixels g and g + 8, g = lane / 4, Gaussians in the columns 2q and
 // 2q + 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j: so each half of a lane's registers
@@ -30,8 +30,9 @@
 
 #include "block_scan.cuh"
 #include "launch.cuh"
+#include "rgs/cuda/turbo.hpp"
 #include "rgs/quantize.hpp"
-#include "turbo_cell.cuh"
+#include "store_pixel.cuh"
 
 namespace rgs::cuda {
 namespace {
@@ -39,23 +40,50 @@ namespace {
 constexpr int kRows = 2;  // of a warp
 constexpr int kWarps = math::kCellHeight / kRows;
 constexpr int kThreads = 32 * kWarps;
+// Transmittance below which a warp's pixels are finished: what comes after adds less to one than half of what FP16 tells
+// apart at 1, an eighth of a step of 8 bits.
+constexpr float kOpaque = 1.0F / 2048;
 constexpr float kCenterX = 7.5F, kCenterY = 3.5F;
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+constexpr int kBlocks = 8;  // at once on a multiprocessor: sm_75 has 1,024 threads
+#else
+constexpr int kBlocks = 10;
+#endif
 
 // D = A B, FP16, [16, 16] x [16, 8]; the rows of A repeat in k: columns 8 .. 15 are columns 0 .. 7.
 __device__ inline void multiply_repeated(__half2 (&d)[2], const uint4& a, uint2 b) {
   std::uint32_t low, high;
+#if __CUDA_ARCH__ >= 800
   asm("mma.sync.aligned.m16n8k16.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3, %4, %5}, {%6, %7}, {%8, %8};"
       : "=r"(low), "=r"(high)
       : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b.x), "r"(b.y), "r"(0u));
+#else  // sm_75 has products of half that depth
+  asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%5, %5};"
+      : "=r"(low), "=r"(high)
+      : "r"(a.x), "r"(a.y), "r"(b.x), "r"(0u));
+  asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%0, %1};"
+      : "+r"(low), "+r"(high)
+      : "r"(a.z), "r"(a.w), "r"(b.y));
+#endif
   d[0] = reinterpret_cast<const __half2&>(low), d[1] = reinterpret_cast<const __half2&>(high);
 }
 
 // D += A B, FP16 to FP32, [16, 16] x [16, 8].
 __device__ inline void multiply_add(float (&d)[4], const __half2 (&a)[4], std::uint32_t b0, std::uint32_t b1) {
   const auto bits = [](const __half2& h) { return reinterpret_cast<const std::uint32_t&>(h); };
-  asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, %3};"
+#if __CUDA_ARCH__ >= 800
+  asm("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5, %6, %7}, {%8, %9}, {%0, %1, %2, "
+      "%3};"
       : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
       : "r"(bits(a[0])), "r"(bits(a[1])), "r"(bits(a[2])), "r"(bits(a[3])), "r"(b0), "r"(b1));
+#else
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
+      : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
+      : "r"(bits(a[0])), "r"(bits(a[1])), "r"(b0));
+  asm("mma.sync.aligned.m16n8k8.row.col.f32.f16.f16.f32 {%0, %1, %2, %3}, {%4, %5}, {%6}, {%0, %1, %2, %3};"
+      : "+f"(d[0]), "+f"(d[1]), "+f"(d[2]), "+f"(d[3])
+      : "r"(bits(a[2])), "r"(bits(a[3])), "r"(b1));
+#endif
 }
 
 __device__ inline __half2 exp2_approximate(__half2 x) {
@@ -132,8 +160,9 @@ struct Row {
     const float center_y = static_cast<float>(row) - kCenterY;
     const float first = q == 0 ? 1 : 0, second = q == 1 ? 1 : 0, third = q == 2 ? 1 : 0;
     const auto values = [&](float center_x) {
-      const __half2 pair = __floats2half2_rn(fmaf(center_y, fmaf(third, center_x, second), first),
-                                             fmaf(center_x, fmaf(second, center_x, first), third * center_y * center_y));
+      const __half2 pair =
+          __floats2half2_rn(fmaf(center_y, fmaf(third, center_x, second), first),
+                            fmaf(center_x, fmaf(second, center_x, first), third * center_y * center_y));
       return reinterpret_cast<const std::uint32_t&>(pair);
     };
     basis.x = basis.z = values(static_cast<float>(g) - kCenterX);
@@ -191,7 +220,7 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   }
 }
 
-__global__ void __launch_bounds__(kThreads, 10) turbo_tensor_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, kBlocks) turbo_tensor_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
   const TurboCell head = a.arrays.cells[blockIdx.x];
@@ -225,7 +254,7 @@ __global__ void __launch_bounds__(kThreads, 10) turbo_tensor_kernel(TurboBlendAr
       __half2 largest = rows[0].t;
 #pragma unroll
       for (const Row& row : rows) largest = __hmax2(largest, row.t);
-      opaque = __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(math::kTransmittanceMin))) != 0;
+      opaque = __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(kOpaque))) != 0;
     }
     if (__syncthreads_and(opaque)) break;
   }
@@ -239,7 +268,7 @@ __global__ void __launch_bounds__(kThreads, 10) turbo_tensor_kernel(TurboBlendAr
   for (int k = 0; k < kRows; ++k) {
     if (own_y + k >= a.height) return;
     const auto i = static_cast<std::size_t>(own_y + k) * static_cast<std::size_t>(a.width);
-    store_color(a.target, i + static_cast<std::size_t>(own_x), pixels[k], a.background);
+    store_pixel<false>(a.target, a.background, i + static_cast<std::size_t>(own_x), pixels[k], 0, 0);
   }
 }
 

@@ -6,15 +6,20 @@
 #include <array>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "device_buffer.hpp"
 #include "device_scene.hpp"
+#include "frame_graph.hpp"
 #include "render_options.hpp"
 #include "rgs/cuda/blend.hpp"
 #include "rgs/cuda/front_end.hpp"
 #include "rgs/cuda/sort.hpp"
 #include "rgs/cuda/turbo.hpp"
+#include "workspace_growth.hpp"
 
 namespace rgs {
 namespace {
@@ -35,7 +40,24 @@ math::Vec3<float> background_of(const RenderOptions& options) {
 }
 
 cuda::PixelArrays arrays_of(const DeviceTarget& target) {
-  return {target.rgb, target.alpha, target.depth, target.evaluated, target.blended};
+  return {target.rgb, target.alpha, target.depth, target.evaluated, target.blended, target.packed, target.format};
+}
+
+Status check(const DeviceTarget& target) {
+  const auto refuse = [](const char* what) { return fail(Errc::bad_argument, Error::kNone, what); };
+  if (target.packed == nullptr) return {};
+  if (target.format > math::PixelFormat::rgba16f) return refuse("a pixel format has no such value");
+  if (reinterpret_cast<std::uintptr_t>(target.packed) % math::pixel_bytes(target.format) != 0) {
+    return refuse("a packed target is not aligned to its pixels");
+  }
+  return {};
+}
+
+// Where Gaussians may be narrower, coefficients of their exponents may leave the range of FP16.
+constexpr float kTensorLowPass = 0.1F;
+
+bool draws_turbo(const RenderOptions& options, std::uint64_t n_gaussians) {
+  return options.cuda.turbo && n_gaussians < cuda::kMaxTurboGaussians;
 }
 
 // Numbers that the host waits for, in memory that the device can write asynchronously.
@@ -49,6 +71,7 @@ struct HostCounters {
 
 struct CudaRenderer::Impl {
   ~Impl() {
+    if (finished != nullptr) cudaEventSynchronize(finished);  // the device writes to `host` until then
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
@@ -58,8 +81,22 @@ struct CudaRenderer::Impl {
     cudaFreeHost(host);
   }
 
+  // A frame of the turbo pipeline, and all that it takes to make it again.
+  struct TurboFrame {
+    DeviceScene scene;
+    int width, height;  // px
+    DeviceTarget target;
+    cuda::ViewParameters view;
+    RenderOptions options;
+    CudaStream stream;
+  };
+
+  static const DeviceScene::Storage& stored(const DeviceScene& scene) {
+    static const DeviceScene::Storage kEmpty;
+    return scene.storage_ ? *scene.storage_ : kEmpty;
+  }
   Status reserve_scene(std::uint64_t n, bool separate, bool deterministic);
-  Status reserve_pairs(std::uint64_t n, bool narrow);
+  Status reserve_pairs(std::uint64_t needed, std::uint64_t generous, bool narrow);
   Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells);
   cuda::PairArrays pair_arrays(bool narrow) const;
   Status mark(Mark m, const RenderOptions& options, CudaStream stream);
@@ -67,14 +104,21 @@ struct CudaRenderer::Impl {
                               const RenderOptions& options, bool narrow, CudaStream stream);
   Result<std::uint64_t> separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
                                  const RenderOptions& options, bool narrow, CudaStream stream);
-  Result<std::uint64_t> turbo(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
-                              const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
+  Status prepare_turbo(const TurboFrame& frame);
+  cuda::TurboArrays turbo_arrays(const TurboFrame& frame) const;
+  Status launch_turbo(const TurboFrame& frame, CudaStream on);
+  Status queue_turbo(const TurboFrame& frame);
+  Result<std::uint64_t> settle(const TurboFrame& frame);
   Result<std::uint64_t> sorted(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
                                const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
   Status order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow, const RenderOptions& options,
                CudaStream stream, cuda::SortBuffers& sorted);
   Status fetch(void* to, const void* from, std::uint64_t bytes, CudaStream stream) const;
   Status wait(CudaStream stream) const;
+  Status begin(CudaStream stream) const;
+  Status end(CudaStream stream) const;
+  Result<FrameStats> outcome(std::uint64_t n_gaussians, std::uint64_t pairs, const cuda::ViewParameters& view,
+                             const RenderOptions& options, CudaStream stream);
   std::uint64_t bytes() const;
 
   std::string name;
@@ -82,10 +126,13 @@ struct CudaRenderer::Impl {
   cudaEvent_t counted = nullptr;   // the turbo pipeline has counted its pairs
   cudaEvent_t finished = nullptr;  // the last frame no longer uses the workspace
   HostCounters* host = nullptr;
+  std::optional<TurboFrame> open;  // queued; whether it fitted has not been looked at
+  FrameStats last;                 // of the last frame that was looked at
+  detail::FrameGraph graph;
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
-  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes, cells,
-      cell_gaussians;
+  DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
+  DeviceBuffer cells, cell_gaussians;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -154,28 +201,27 @@ Status CudaRenderer::Impl::reserve_scene(std::uint64_t n, bool separate, bool de
   return ok;
 }
 
-// Room for n pairs and the sort of them. Grows by half at least, so that a camera that approaches a scene does not
-// allocate frame after frame.
-Status CudaRenderer::Impl::reserve_pairs(std::uint64_t n, bool narrow) {
+// Room for `generous` pairs and the sort of them, or for `needed` ones if that is too much.
+Status CudaRenderer::Impl::reserve_pairs(std::uint64_t needed, std::uint64_t generous, bool narrow) {
   const std::uint64_t key_bytes = narrow ? 4 : 8;
-  const std::uint64_t held = std::min(gaussians.bytes() / 4, keys.bytes() / key_bytes);
-  if (n <= held) return {};
-  const std::uint64_t wanted = std::min(std::max(n, held + held / 2), kMaxPairs);
-  // For keys of either width: those of the next frame may be the other.
-  const auto temporary = cuda::sort_bytes(wanted, narrow), other = cuda::sort_bytes(wanted, !narrow);
-  if (!temporary) return tl::unexpected(temporary.error());
-  if (!other) return tl::unexpected(other.error());
-  Status ok = sort_temporary.reserve(std::max(*temporary, *other));
-  for (DeviceBuffer* b : {&keys, &spare_keys}) {
-    if (ok) ok = b->reserve(wanted * key_bytes);
-  }
-  for (DeviceBuffer* b : {&gaussians, &spare_gaussians}) {
-    if (ok) ok = b->reserve(wanted * sizeof(std::uint32_t));
-  }
-  if (ok) return {};
-  // All or nothing: of the arrays that have grown and those that have not, the next frame would see the latter alone.
-  for (DeviceBuffer* b : {&keys, &spare_keys, &gaussians, &spare_gaussians, &sort_temporary}) *b = {};
-  return ok;
+  return detail::reserve_growing([&](bool is_generous) -> Status {
+    const std::uint64_t wanted = is_generous ? generous : needed;
+    // For keys of either width: those of the next frame may be the other.
+    const auto temporary = cuda::sort_bytes(wanted, narrow), other = cuda::sort_bytes(wanted, !narrow);
+    if (!temporary) return tl::unexpected(temporary.error());
+    if (!other) return tl::unexpected(other.error());
+    Status ok = sort_temporary.reserve(std::max(*temporary, *other));
+    for (DeviceBuffer* b : {&keys, &spare_keys}) {
+      if (ok) ok = b->reserve(wanted * key_bytes);
+    }
+    for (DeviceBuffer* b : {&gaussians, &spare_gaussians}) {
+      if (ok) ok = b->reserve(wanted * sizeof(std::uint32_t));
+    }
+    if (ok) return {};
+    // All or nothing: of the arrays that have grown and those that have not, the next frame would see the latter alone.
+    for (DeviceBuffer* b : {&keys, &spare_keys, &gaussians, &spare_gaussians, &sort_temporary}) *b = {};
+    return ok;
+  });
 }
 
 cuda::PairArrays CudaRenderer::Impl::pair_arrays(bool narrow) const {
@@ -184,7 +230,8 @@ cuda::PairArrays CudaRenderer::Impl::pair_arrays(bool narrow) const {
 }
 
 Status CudaRenderer::Impl::mark(Mark m, const RenderOptions& options, CudaStream stream) {
-  if (!options.cuda.timings) return {};
+  const bool is_stage = m != kStart && m != kBlended;
+  if (!options.cuda.timings || (is_stage && !options.cuda.stage_timings)) return {};
   return device_status(cudaEventRecord(events[m], stream), "an event could not be recorded");
 }
 
@@ -194,6 +241,14 @@ Status CudaRenderer::Impl::fetch(void* to, const void* from, std::uint64_t size,
 }
 Status CudaRenderer::Impl::wait(CudaStream stream) const {
   return device_status(cudaStreamSynchronize(stream), "a kernel failed");
+}
+
+// The last frame may be on another stream, and still at work.
+Status CudaRenderer::Impl::begin(CudaStream stream) const {
+  return device_status(cudaStreamWaitEvent(stream, finished), "the last frame cannot be waited for");
+}
+Status CudaRenderer::Impl::end(CudaStream stream) const {
+  return device_status(cudaEventRecord(finished, stream), "an event could not be recorded");
 }
 
 // Pairs of the frame. They are all in the arrays on return; if they did not fit, the kernel has run a second time.
@@ -219,7 +274,9 @@ Result<std::uint64_t> CudaRenderer::Impl::fused(const DeviceScene::Storage& scen
     if (!ok) return tl::unexpected(ok.error());
     const std::uint64_t n = host->counters.instances;
     if (n > kMaxPairs || n <= pairs.capacity) return n;
-    if (ok = reserve_pairs(n, narrow); !ok) return tl::unexpected(ok.error());
+    if (ok = reserve_pairs(n, detail::with_room_to_grow(n, pairs.capacity, kMaxPairs), narrow); !ok) {
+      return tl::unexpected(ok.error());
+    }
   }
 }
 
@@ -244,7 +301,8 @@ Result<std::uint64_t> CudaRenderer::Impl::separate(const DeviceScene::Storage& s
   if (!ok) return tl::unexpected(ok.error());
   const std::uint64_t pairs = n == 0 ? 0 : host->pairs;
   if (pairs > kMaxPairs) return pairs;
-  ok = reserve_pairs(pairs, narrow);
+  const std::uint64_t capacity = pair_arrays(narrow).capacity;
+  if (pairs > capacity) ok = reserve_pairs(pairs, detail::with_room_to_grow(pairs, capacity, kMaxPairs), narrow);
   if (ok) {
     ok = cuda::launch_duplicate({n, view, options.extent, splats.as<cuda::ScreenSplat>(), covers.as<void>(),
                                  sums.as<std::uint64_t>(), pair_arrays(narrow)},
@@ -280,7 +338,9 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
   const bool is_separate = options.cuda.front_end == CudaOptions::FrontEnd::separate;
   const auto n_tiles = static_cast<std::uint64_t>(view.grid.columns) * static_cast<std::uint64_t>(view.grid.rows);
   Status ok = reserve_scene(scene.n, is_separate, options.cuda.deterministic);
-  if (ok) ok = reserve_pairs(std::max(kFirstPairs, 4 * scene.n), narrow);
+  if (ok && pair_arrays(narrow).capacity == 0) {
+    ok = reserve_pairs(kFirstPairs, std::clamp(4 * scene.n, kFirstPairs, kMaxPairs), narrow);
+  }
   if (ok) ok = ranges.reserve(n_tiles * sizeof(cuda::TileRange));
   if (ok) ok = mark(kStart, options, stream);
   if (!ok) return tl::unexpected(ok.error());
@@ -302,101 +362,190 @@ Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& sce
   return pairs;
 }
 
-// Room for so many entries, runs and large Gaussians; grows by half at least.
+// Room for so many entries, runs and large Gaussians, and for more of those that do not fit, if there is memory.
 Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
                                          std::uint64_t n_in_cells) {
-  Status ok;
-  const auto reserve = [&ok](DeviceBuffer& buffer, std::uint64_t wanted, std::uint64_t size) {
-    const std::uint64_t held = buffer.bytes() / size;
-    if (ok && wanted > held) ok = buffer.reserve(std::min(std::max(wanted, held + held / 2), kMaxPairs) * size);
+  struct Need {
+    DeviceBuffer& buffer;
+    std::uint64_t n, size;
+    std::uint64_t held() const { return buffer.bytes() / size; }
   };
-  reserve(turbo_entries, n_entries, sizeof(cuda::TurboEntry));
-  reserve(turbo_scratch, n_entries, sizeof(cuda::TurboEntry));
-  reserve(turbo_runs, n_runs, sizeof(cuda::TurboTileRun));
-  reserve(tile_runs, n_runs, sizeof(cuda::TurboRun));
-  reserve(turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
-  reserve(cell_gaussians, n_in_cells, sizeof(std::uint32_t));
+  std::vector<Need> needs;
+  for (const Need& need :
+       {Need{turbo_entries, n_entries, sizeof(cuda::TurboEntry)},
+        Need{turbo_scratch, n_entries, sizeof(cuda::TurboEntry)}, Need{turbo_runs, n_runs, sizeof(cuda::TurboTileRun)},
+        Need{tile_runs, n_runs, sizeof(cuda::TurboRun)},
+        Need{turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox)},
+        Need{cell_gaussians, n_in_cells, sizeof(std::uint32_t)}}) {
+    if (need.n > need.held()) needs.push_back(need);
+  }
+  return detail::reserve_growing([&](bool is_generous) {
+    Status ok;
+    for (const Need& need : needs) {
+      const std::uint64_t n = is_generous ? detail::with_room_to_grow(need.n, need.held(), kMaxPairs) : need.n;
+      if (ok) ok = need.buffer.reserve(n * need.size);
+    }
+    for (const Need& need : needs) {
+      if (!ok) need.buffer = {};  // what has grown would keep the memory that the others need
+    }
+    return ok;
+  });
+}
+
+// Room for what is known before the frame, and a guess at the rest for the first.
+Status CudaRenderer::Impl::prepare_turbo(const TurboFrame& f) {
+  const std::uint64_t n = f.scene.size(), n_tiles = turbo_arrays(f).n_tiles;
+  Status ok = splats.reserve(n * sizeof(cuda::ScreenSplat));
+  if (ok) ok = turbo_state.reserve(cuda::TurboState::bytes(static_cast<std::uint32_t>(n_tiles)));
+  if (ok) ok = lists.reserve(n_tiles * sizeof(cuda::TurboList));
+  if (ok) ok = classes.reserve(n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  if (ok) ok = cells.reserve(n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
+  const std::uint64_t first_entries = std::max(kFirstPairs, 2 * n);
+  if (ok && turbo_entries.bytes() == 0) {
+    ok = reserve_turbo(first_entries, first_entries / 4, first_entries / 32, 3 * first_entries);
+  }
   return ok;
 }
 
-// Everything is queued before the number of entries is known. If they did not fit, which the host learns while the
-// frame is still being made, the lists were left empty and the frame is made again.
-Result<std::uint64_t> CudaRenderer::Impl::turbo(const DeviceScene::Storage& scene, const Camera& camera,
-                                                const DeviceTarget& target, const cuda::ViewParameters& view,
-                                                const RenderOptions& options, CudaStream stream) {
-  cuda::TurboArrays arrays{};
-  arrays.n_tiles = static_cast<std::uint32_t>(view.grid.columns * view.grid.rows);
-  Status ok = splats.reserve(scene.n * sizeof(cuda::ScreenSplat));
-  if (ok) ok = turbo_state.reserve(cuda::TurboState::bytes(arrays.n_tiles));
-  if (ok) ok = lists.reserve(arrays.n_tiles * sizeof(cuda::TurboList));
-  if (ok) ok = classes.reserve(arrays.n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
-  if (ok) ok = cells.reserve(arrays.n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
-  const std::uint64_t first_entries = std::max(kFirstPairs, 2 * scene.n);
-  if (ok && turbo_entries.bytes() == 0)
-    ok = reserve_turbo(first_entries, first_entries / 4, first_entries / 32, 3 * first_entries);
-  while (ok) {
-    arrays.state = turbo_state.as<cuda::TurboState>();
-    arrays.entries = turbo_entries.as<cuda::TurboEntry>();
-    arrays.runs = turbo_runs.as<cuda::TurboTileRun>();
-    arrays.tile_runs = tile_runs.as<cuda::TurboRun>();
-    arrays.lists = lists.as<cuda::TurboList>();
-    arrays.classes = classes.as<std::uint32_t>();
-    arrays.scratch = turbo_scratch.as<cuda::TurboEntry>();
-    arrays.large = turbo_large.as<cuda::TurboLarge>();
-    arrays.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
-    arrays.run_capacity =
-        std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
-    arrays.large_capacity = turbo_large.bytes() / (sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
-    arrays.large_boxes = reinterpret_cast<cuda::TurboBox*>(arrays.large + arrays.large_capacity);
-    arrays.cells = cells.as<cuda::TurboCell>();
-    arrays.cell_gaussians = cell_gaussians.as<std::uint32_t>();
-    arrays.cell_capacity = cell_gaussians.bytes() / sizeof(std::uint32_t);
-    ok = mark(kStart, options, stream);
-    if (ok) {
-      ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), stream),
-                         "the frame's state could not be cleared");
-    }
-    if (ok) {
-      ok = cuda::launch_turbo_emit(
-          {scene.attributes, static_cast<std::uint32_t>(scene.n), view, splats.as<cuda::ScreenSplat>(), arrays},
-          stream);
-    }
-    if (ok) ok = mark(kProjected, options, stream);
-    if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, stream);
-    if (ok) ok = mark(kDuplicated, options, stream);
-    if (ok) ok = cuda::launch_turbo_order(arrays, view.grid, &host->turbo, counted, stream);
-    for (const Mark m : {kSorted, kRanged}) {
-      if (ok) ok = mark(m, options, stream);
-    }
-    if (ok) {
-      ok = cuda::launch_turbo_blend(
-          {arrays, splats.as<cuda::ScreenSplat>(), view.grid, camera.width, camera.height, background_of(options),
-           arrays_of(target), options.cuda.count_pairs, options.cuda.tensor_cores},
-          stream);
-    }
-    if (ok) ok = mark(kBlended, options, stream);
-    if (ok) ok = device_status(cudaEventSynchronize(counted), "a kernel failed");
-    if (!ok) break;
-    host->counters = host->turbo.counters;
-    const std::uint64_t n = host->counters.instances;
+cuda::TurboArrays CudaRenderer::Impl::turbo_arrays(const TurboFrame& f) const {
+  cuda::TurboArrays a{};
+  a.n_tiles = static_cast<std::uint32_t>(f.view.grid.columns * f.view.grid.rows);
+  a.state = turbo_state.as<cuda::TurboState>();
+  a.entries = turbo_entries.as<cuda::TurboEntry>();
+  a.runs = turbo_runs.as<cuda::TurboTileRun>();
+  a.tile_runs = tile_runs.as<cuda::TurboRun>();
+  a.lists = lists.as<cuda::TurboList>();
+  a.classes = classes.as<std::uint32_t>();
+  a.scratch = turbo_scratch.as<cuda::TurboEntry>();
+  a.large = turbo_large.as<cuda::TurboLarge>();
+  a.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
+  a.run_capacity =
+      std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+  a.large_capacity = turbo_large.bytes() / (sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
+  a.large_boxes = reinterpret_cast<cuda::TurboBox*>(a.large + a.large_capacity);
+  a.cells = cells.as<cuda::TurboCell>();
+  a.cell_gaussians = cell_gaussians.as<std::uint32_t>();
+  a.cell_capacity = cell_gaussians.bytes() / sizeof(std::uint32_t);
+  return a;
+}
+
+// The frame's kernels, on its stream or on one that captures them. Nothing is waited for.
+Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
+  const cuda::TurboArrays arrays = turbo_arrays(f);
+  const auto mark_stage = [&](Mark m) { return f.options.cuda.graph ? Status() : mark(m, f.options, on); };
+  Status ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
+                            "the frame's state could not be cleared");
+  if (ok) {
+    const DeviceScene::Storage& scene = stored(f.scene);
+    ok = cuda::launch_turbo_emit(
+        {scene.attributes, static_cast<std::uint32_t>(scene.n), f.view, splats.as<cuda::ScreenSplat>(), arrays}, on);
+  }
+  if (ok) ok = mark_stage(kProjected);
+  if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, on);
+  if (ok) ok = mark_stage(kDuplicated);
+  if (ok) ok = cuda::launch_turbo_order(arrays, f.view.grid, &host->turbo, counted, on);
+  for (const Mark m : {kSorted, kRanged}) {
+    if (ok) ok = mark_stage(m);
+  }
+  if (ok) {
+    ok = cuda::launch_turbo_blend({arrays, splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height,
+                                   background_of(f.options), arrays_of(f.target), f.options.cuda.count_pairs,
+                                   f.options.cuda.tensor_cores && f.options.low_pass >= kTensorLowPass},
+                                  on);
+  }
+  return ok;
+}
+
+Status CudaRenderer::Impl::queue_turbo(const TurboFrame& f) {
+  const bool is_graph = f.options.cuda.graph;
+  Status ok = begin(f.stream);
+  if (ok && is_graph) ok = graph.capture([&](CudaStream on) { return launch_turbo(f, on); });
+  if (ok) ok = mark(kStart, f.options, f.stream);
+  if (ok) ok = is_graph ? graph.launch(f.stream) : launch_turbo(f, f.stream);
+  if (ok) ok = mark(kBlended, f.options, f.stream);
+  const Status ended = end(f.stream);
+  return ok ? ended : ok;
+}
+
+// Entries of a queued frame. It was queued before their number was known; if they did not fit, which the host learns
+// while the frame is still being made, the lists were left empty and it is made again.
+Result<std::uint64_t> CudaRenderer::Impl::settle(const TurboFrame& frame) {
+  for (;;) {
+    // Events within a graph are not there to be waited for.
+    Status ok = device_status(cudaEventSynchronize(frame.options.cuda.graph ? finished : counted), "a kernel failed");
+    if (!ok) return tl::unexpected(ok.error());
     const cuda::TurboState& seen = host->turbo;
+    const cuda::TurboArrays arrays = turbo_arrays(frame);
+    host->counters = seen.counters;
+    const std::uint64_t n = seen.counters.instances;
     const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
     const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
     // Counts without all large Gaussians are too low to be worth memory.
     ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large, 0);
+    if (ok) ok = queue_turbo(frame);
+    if (!ok) return tl::unexpected(ok.error());
   }
-  return tl::unexpected(ok.error());
+}
+
+// What a frame has cost, once all that options ask for is known.
+Result<FrameStats> CudaRenderer::Impl::outcome(std::uint64_t n_gaussians, std::uint64_t pairs,
+                                               const cuda::ViewParameters& view, const RenderOptions& options,
+                                               CudaStream stream) {
+  if (pairs > kMaxPairs) {
+    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, pairs);
+  }
+  const bool is_turbo = draws_turbo(options, n_gaussians);
+  FrameStats stats;
+  stats.gaussians = n_gaussians;
+  stats.visible = host->counters.visible;
+  stats.instances = pairs;
+  stats.depth_bits = view.key.quantized ? view.key.depth_bits : 0;
+  stats.key_bits = view.key.bits();
+  stats.bytes = bytes();
+  Status ok;
+  if (options.cuda.count_pairs) {
+    const void* const from = is_turbo ? &turbo_state.as<cuda::TurboState>()->counters : counters.as<void>();
+    ok = fetch(&host->counters, from, sizeof(cuda::Counters), stream);
+  }
+  if (ok && (options.cuda.timings || options.cuda.count_pairs)) ok = wait(stream);
+  if (!ok) return tl::unexpected(ok.error());
+  if (options.cuda.count_pairs) {
+    stats.evaluated = host->counters.evaluated;
+    stats.blended = host->counters.blended;
+  }
+  if (options.cuda.timings) {
+    const auto between = [&](Mark from, Mark to) {
+      float ms = 0;
+      if (ok) ok = device_status(cudaEventElapsedTime(&ms, events[from], events[to]), "a stage has no time");
+      return static_cast<double>(ms);
+    };
+    if (options.cuda.stage_timings && !(is_turbo && options.cuda.graph)) {
+      stats.project_ms = between(kStart, kProjected);
+      stats.sort_ms = between(kDuplicated, kSorted);
+      stats.bin_ms = between(kProjected, kDuplicated) + between(kSorted, kRanged);
+      stats.blend_ms = between(kRanged, kBlended);
+    }
+    stats.total_ms = between(kStart, kBlended);
+    if (!ok) return tl::unexpected(ok.error());
+  }
+  last = stats;
+  return stats;
 }
 
 Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                                         const RenderOptions& options, CudaStream stream) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   if (const auto ok = detail::validate(options); !ok) return tl::unexpected(ok.error());
+  if (const auto ok = check(target); !ok) return tl::unexpected(ok.error());
   Impl& w = *impl_;
-  static const DeviceScene::Storage kEmpty;
-  const DeviceScene::Storage& storage = scene.storage_ ? *scene.storage_ : kEmpty;
+  if (w.open) {
+    const Impl::TurboFrame before = *std::exchange(w.open, std::nullopt);
+    const auto settled = w.settle(before);
+    if (!settled) return tl::unexpected(settled.error());
+  }
+  const DeviceScene::Storage& storage = Impl::stored(scene);
 
   cuda::ViewParameters view{};
   view.view = detail::make_view(camera, options);
@@ -404,7 +553,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   view.low_pass = options.low_pass;
   view.anti_aliasing = options.anti_aliasing;
   view.sh_degree = std::min(storage.sh_degree, options.sh_degree_limit);
-  const bool is_turbo = options.cuda.turbo && storage.n < cuda::kMaxTurboGaussians;
+  const bool is_turbo = draws_turbo(options, storage.n);
   if (is_turbo) {
     view.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
   } else {
@@ -416,50 +565,47 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
                                                 options.depth_range[1]);
   }
 
-  // The last frame may be on another stream, and still at work.
-  const auto begun = device_status(cudaStreamWaitEvent(stream, w.finished), "the last frame cannot be waited for");
-  if (!begun) return tl::unexpected(begun.error());
-  const auto pairs = is_turbo ? w.turbo(storage, camera, target, view, options, stream)
-                              : w.sorted(storage, camera, target, view, options, stream);
-  const auto ended = device_status(cudaEventRecord(w.finished, stream), "an event could not be recorded");
-  if (!pairs) return tl::unexpected(pairs.error());
-  if (!ended) return tl::unexpected(ended.error());
-  if (*pairs > kMaxPairs) {
-    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, *pairs);
-  }
-
-  FrameStats stats;
-  stats.gaussians = storage.n;
-  stats.visible = w.host->counters.visible;
-  stats.instances = *pairs;
-  stats.depth_bits = view.key.quantized ? view.key.depth_bits : 0;
-  stats.key_bits = view.key.bits();
-  stats.bytes = w.bytes();
-  Status ok;
-  if (options.cuda.count_pairs) {
-    const void* const counters = is_turbo ? &w.turbo_state.as<cuda::TurboState>()->counters : w.counters.as<void>();
-    ok = w.fetch(&w.host->counters, counters, sizeof(cuda::Counters), stream);
-  }
-  if (ok && (options.cuda.timings || options.cuda.count_pairs)) ok = w.wait(stream);
-  if (!ok) return tl::unexpected(ok.error());
-  if (options.cuda.count_pairs) {
-    stats.evaluated = w.host->counters.evaluated;
-    stats.blended = w.host->counters.blended;
-  }
-  if (options.cuda.timings) {
-    const auto between = [&](Mark from, Mark to) {
-      float ms = 0;
-      if (ok) ok = device_status(cudaEventElapsedTime(&ms, w.events[from], w.events[to]), "a stage has no time");
-      return static_cast<double>(ms);
-    };
-    stats.project_ms = between(kStart, kProjected);
-    stats.sort_ms = between(kDuplicated, kSorted);
-    stats.bin_ms = between(kProjected, kDuplicated) + between(kSorted, kRanged);
-    stats.blend_ms = between(kRanged, kBlended);
-    stats.total_ms = between(kStart, kBlended);
+  w.last = {};
+  std::uint64_t n_pairs = 0;
+  if (is_turbo) {
+    const Impl::TurboFrame frame{scene, camera.width, camera.height, target, view, options, stream};
+    Status ok = w.prepare_turbo(frame);
+    if (ok) ok = w.queue_turbo(frame);
     if (!ok) return tl::unexpected(ok.error());
+    if (options.cuda.asynchronous) {
+      w.open = frame;
+      FrameStats queued;
+      queued.gaussians = storage.n;
+      queued.bytes = w.bytes();
+      return queued;
+    }
+    const auto pairs = w.settle(frame);
+    if (!pairs) return tl::unexpected(pairs.error());
+    n_pairs = *pairs;
+  } else {
+    if (const auto ok = w.begin(stream); !ok) return tl::unexpected(ok.error());
+    const auto pairs = w.sorted(storage, camera, target, view, options, stream);
+    const Status ended = w.end(stream);
+    if (!pairs) return tl::unexpected(pairs.error());
+    if (!ended) return tl::unexpected(ended.error());
+    n_pairs = *pairs;
   }
-  return stats;
+  return w.outcome(storage.n, n_pairs, view, options, stream);
+}
+
+Result<FrameStats> CudaRenderer::finish() {
+  Impl& w = *impl_;
+  if (w.open) {
+    const Impl::TurboFrame frame = *std::exchange(w.open, std::nullopt);
+    const auto pairs = w.settle(frame);
+    if (!pairs) return tl::unexpected(pairs.error());
+    const auto stats = w.outcome(frame.scene.size(), *pairs, frame.view, frame.options, frame.stream);
+    if (!stats) return stats;
+  }
+  if (const auto ok = device_status(cudaEventSynchronize(w.finished), "a kernel failed"); !ok) {
+    return tl::unexpected(ok.error());
+  }
+  return w.last;
 }
 
 }  // namespace rgs

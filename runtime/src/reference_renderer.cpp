@@ -208,6 +208,7 @@ void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::V
       out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
       out->z = p.z;
       out->color = color_of(scene, i, view, mean, degree);
+      out->gaussian = static_cast<std::uint32_t>(i);
       ++out;
       ++block.n;
     }
@@ -333,6 +334,22 @@ void store_tile(const TileJob& job, const TilePixels& pixels, int width, const m
   }
 }
 
+// Adds what a tile's list gave. Each weight is rounded to a multiple of the unit once, and integers add up to the same in any
+// order, as maxima do: threads may come in as they like.
+void add_contributions(const TileJob& job, std::span<Contribution> contributions) {
+  for (std::size_t k = 0; k < job.list.size(); ++k) {
+    const TileWeight& w = job.weights[k];
+    if (w.largest <= 0) continue;
+    Contribution& c = contributions[job.splats[job.list[k]].gaussian];
+    const auto units = static_cast<std::uint64_t>(std::llround(static_cast<double>(w.sum) / Contribution::kUnit));
+    std::atomic_ref(c.sum).fetch_add(units, std::memory_order_relaxed);
+    const std::atomic_ref largest(c.largest);
+    float seen = largest.load(std::memory_order_relaxed);
+    while (seen < w.largest && !largest.compare_exchange_weak(seen, w.largest, std::memory_order_relaxed)) {
+    }
+  }
+}
+
 }  // namespace
 
 template <class BlendTile>
@@ -350,9 +367,12 @@ void ReferenceRenderer::Workspace::blend(const math::View<float>& view, const Re
     job.height = std::min(math::kTileSize, view.height - job.y);
     job.exponent = options.exponent;
     job.exp = options.exp;
-    job.details = !target.depth.empty() || !target.blended.empty();
+    job.details = !target.depth.empty() || !target.blended.empty() || !target.contributions.empty();
+    std::vector<TileWeight> weights(target.contributions.empty() ? 0 : job.list.size());
+    job.weights = weights.empty() ? nullptr : weights.data();
     TilePixels pixels;
     const std::uint64_t tile_blended = blend_tile(job, pixels);
+    if (job.weights != nullptr) add_contributions(job, target.contributions);
     store_tile(job, pixels, view.width, background, target);
     std::uint64_t tile_evaluated = 0;
     for (int y = 0; y < job.height; ++y) {

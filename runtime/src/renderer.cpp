@@ -45,6 +45,13 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   if (const auto ok = detail::validate(options); !ok) return tl::unexpected(ok.error());
   if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
+  if (!target.contributions.empty()) {
+    if (impl_->cuda)
+      return fail(Errc::bad_argument, Error::kNone, "contributions are counted by the CPU renderer only");
+    if (target.contributions.size() != scene.size())
+      return fail(Errc::bad_argument, Error::kNone, "the contributions' size is not that of the scene", scene.size(),
+                  target.contributions.size());
+  }
   if (impl_->cuda) return impl_->cuda->render(scene, camera, target, options);
   return impl_->reference->render(scene.view(), camera, target, options);
 }

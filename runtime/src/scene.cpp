@@ -146,9 +146,19 @@ Result<Scene> Scene::load(std::span<const std::byte> bytes) {
 }
 
 Result<Scene> Scene::load(const std::string& path) {
-  const auto file = MappedFile::open(path);
+  auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  return load(file->bytes());
+  return load(*std::move(file));
+}
+
+Result<Scene> Scene::load(MappedFile&& file) {
+  auto scene = load(file.bytes());
+  if (scene) scene->file_ = std::make_shared<const MappedFile>(std::move(file));
+  return scene;
+}
+
+std::span<const std::byte> Scene::file_bytes() const {
+  return file_ ? file_->bytes() : std::span<const std::byte>();
 }
 
 std::uint64_t Scene::bytes() const {

@@ -23,8 +23,14 @@ struct alignas(64) ScreenSplat {
   math::Vec3<float> color;
   std::uint32_t spans;  // first of n_rows tile spans, in its block's list
   std::uint16_t first_row, n_rows;
+  std::uint32_t gaussian;  // index in the scene
 };
 static_assert(sizeof(ScreenSplat) == 64);
+
+/// What a Gaussian gave to a tile's pixels: alpha T, the weight of its colour.
+struct TileWeight {
+  float sum = 0, largest = 0;
+};
 
 /// One tile's work: `list` holds indices into `splats`, front to back.
 struct TileJob {
@@ -34,7 +40,8 @@ struct TileJob {
   int width, height;  // pixels inside the image, 1..16 each
   math::Exponent exponent;
   math::Exp exp;
-  bool details;  // depth and blended are wanted; otherwise they may stay unset
+  bool details;         // depth, blended or weights are wanted; otherwise the pixels' may stay unset
+  TileWeight* weights;  // [list.size()], zero at first, or null: not wanted
 };
 
 /// Pixels of a tile, row by row, 16 apart; those outside the image are unspecified.

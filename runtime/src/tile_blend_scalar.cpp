@@ -1,5 +1,6 @@
 // tile_blend_scalar.cpp - the definition of a pixel, executed literally: each pixel walks its tile's list.
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <vector>
 
 #include "tile_blend.hpp"
@@ -44,8 +45,13 @@ std::uint64_t blend_tile(const TileJob& job, TilePixels& out) {
           alpha = math::alpha_folded<E>(math::folded_exponent(folded[k], static_cast<float>(x), static_cast<float>(y)));
         }
         if (alpha == 0) continue;
+        const float weight = alpha * pixel.transmittance;
         if (!math::blend(pixel, alpha, s.color, s.z)) break;
         ++n_blended;
+        if (job.weights != nullptr) {
+          job.weights[k].sum += weight;
+          job.weights[k].largest = std::max(job.weights[k].largest, weight);
+        }
       }
       const int i = y * math::kTileSize + x;
       out.r[i] = pixel.r, out.g[i] = pixel.g, out.b[i] = pixel.b;

@@ -154,6 +154,7 @@ HWY_NOINLINE std::uint64_t blend_tile(const TileJob& job, TilePixels& out) {
     const V xx = hn::Set(d, q.xx), cutoff = hn::Set(d, q.cutoff), limit = hn::Set(d, q.limit);
     const V gain = hn::Set(d, q.gain), z = hn::Set(d, s.z);
     const V red = hn::Set(d, s.color.x), green = hn::Set(d, s.color.y), blue = hn::Set(d, s.color.z);
+    V weight_sum = zero, weight_largest = zero;
     do {
       const int y = static_cast<int>(hwy::Num0BitsBelowLS1Bit_Nonzero32(rows));
       rows &= rows - 1;
@@ -192,10 +193,17 @@ HWY_NOINLINE std::uint64_t blend_tile(const TileJob& job, TilePixels& out) {
           // A true lane is all ones, so subtracting the mask counts.
           const auto ones = hn::VecFromMask(du, hn::RebindMask(du, blends));
           hn::Store(hn::Sub(hn::Load(du, out.blended + i), ones), du, out.blended + i);
+          weight_sum = hn::Add(weight_sum, weight);
+          weight_largest = hn::Max(weight_largest, weight);
         }
         if (HWY_UNLIKELY(any_stops) && !row_is_live(y)) live_rows &= ~(1U << y);
       }
     } while (rows != 0);
+    if constexpr (kDetails) {
+      if (job.weights != nullptr) {
+        job.weights[k] = {hn::GetLane(hn::SumOfLanes(d, weight_sum)), hn::GetLane(hn::MaxOfLanes(d, weight_largest))};
+      }
+    }
   }
   for (std::size_t i = 0; i < kTilePixels; i += lanes) {
     const V t = hn::Load(d, working + i);

@@ -124,7 +124,7 @@ void add(Cost& cost, const Ops& ops, double times) {
 
 // The counts as floating point, and what a pair takes.
 struct Counts {
-  double gaussians, visible, pairs, evaluated, blended, tiles, pixels, key_bytes;
+  double gaussians, visible, pairs, evaluated, blended, tiles, pixels, pixel_bytes, key_bytes;
   explicit Counts(const FrameWork& w)
       : gaussians(static_cast<double>(w.stats.gaussians)),
         visible(static_cast<double>(w.stats.visible)),
@@ -134,6 +134,7 @@ struct Counts {
         tiles(static_cast<double>(math::tile_grid(w.width, w.height).columns) *
               static_cast<double>(math::tile_grid(w.width, w.height).rows)),
         pixels(static_cast<double>(w.width) * static_cast<double>(w.height)),
+        pixel_bytes(static_cast<double>(w.pixel_bytes)),
         key_bytes(w.stats.key_bits <= 32 ? 4 : 8) {}
   double pair_bytes() const { return key_bytes + kWord; }
 };
@@ -186,7 +187,7 @@ Cost turbo_blend_cost(const Counts& n) {
   Cost c;
   const double staged = n.evaluated / kTurboCellPixels;
   const double entries = n.evaluated / (cuda::kTurboTile * cuda::kTurboTile);
-  c.bytes = std::min(n.visible, staged) * kSplatBytes + entries * sizeof(cuda::TurboEntry) + n.pixels * 3 * kWord;
+  c.bytes = std::min(n.visible, staged) * kSplatBytes + entries * sizeof(cuda::TurboEntry) + n.pixels * n.pixel_bytes;
   c.l2_bytes = staged * kSplatBytes;
   c.shared_loads = staged * (kTurboCellPixels / kTurboColumn / kWarp) * kTurboSharedBytes / 16;
   add(c, kTurboOps.evaluated, n.evaluated);
@@ -218,7 +219,8 @@ Cost sort_cost(const FrameWork& w, const Counts& n) {
 Cost blend_cost(const FrameWork& w, const Counts& n) {
   Cost c;
   const double staged = n.evaluated / kTilePixels;
-  c.bytes = std::min(n.visible, staged) * kSplatBytes + staged * kWord + n.tiles * kRangeBytes + n.pixels * 3 * kWord;
+  c.bytes =
+      std::min(n.visible, staged) * kSplatBytes + staged * kWord + n.tiles * kRangeBytes + n.pixels * n.pixel_bytes;
   c.l2_bytes = staged * (kSplatBytes + kWord);
   const int pixels = w.options.cuda.pixels_per_thread;
   const PairOps ops =

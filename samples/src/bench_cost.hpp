@@ -7,6 +7,7 @@
 #pragma once
 
 #include <array>
+#include <cstdint>
 
 #include "rgs/cuda/probe.hpp"
 #include "rgs/renderer.hpp"
@@ -38,8 +39,9 @@ struct FrameWork {
   FrameStats stats;       ///< counts with evaluated and blended; key_bits
   RenderOptions options;  ///< that the frame was made with
   int width = 0, height = 0;
-  bool compact = true;  ///< the attributes of an .rgs file, or FP32
-  int sh_degree = 0;    ///< stored
+  bool compact = true;             ///< the attributes of an .rgs file, or FP32
+  int sh_degree = 0;               ///< stored
+  std::uint64_t pixel_bytes = 12;  ///< written a pixel
 };
 StageCosts stage_costs(const FrameWork& work);
 Cost sum(const StageCosts& costs);

@@ -1,5 +1,6 @@
 // bench_json.cpp - a report as JSON.
 // SPDX-License-Identifier: Apache-2.0
+#include <cmath>
 #include <nlohmann/json.hpp>
 
 #include "bench_report.hpp"
@@ -53,6 +54,8 @@ ordered_json options_json(const Configuration& c) {
   json["exponent"] = o.exponent == math::Exponent::direct ? "direct" : "folded";
   json["exp"] = name_of(o.exp);
   json["pixels_per_thread"] = o.cuda.pixels_per_thread;
+  json["pixel_format"] = pixel_format_name(c.packed);
+  json["graph"] = o.cuda.turbo && o.cuda.graph;
   return json;
 }
 
@@ -110,6 +113,25 @@ ordered_json row_json(const Report& report, const SizeReport& size, std::size_t 
   return json;
 }
 
+ordered_json change_json(const Change& c) {
+  return {{"mean", c.mean}, {"p999", c.p999}, {"worst_p999", c.worst_p999}, {"largest", c.largest}};
+}
+
+ordered_json orbit_json(const OrbitReport& o) {
+  ordered_json rows = ordered_json::array();
+  for (const OrbitRow& row : o.rows) {
+    ordered_json entry = {{"mode", row.mode},
+                          {"step", change_json(row.step)},
+                          {"second", change_json(row.second)},
+                          {"added", change_json(row.added)}};
+    const double ratio = unsteadiness(row, o.rows.front());
+    entry["unsteadiness"] = std::isfinite(ratio) ? ordered_json(ratio) : ordered_json();
+    rows.push_back(std::move(entry));
+  }
+  return {{"camera", o.camera},   {"width", o.width},       {"height", o.height},        {"frames", o.frames},
+          {"degrees", o.degrees}, {"distance", o.distance}, {"results", std::move(rows)}};
+}
+
 }  // namespace
 
 std::string report_json(const Report& report) {
@@ -140,6 +162,7 @@ std::string report_json(const Report& report) {
     for (std::size_t row = 0; row < size.rows.size(); ++row) rows.push_back(row_json(report, size, row));
     json["sizes"].push_back({{"width", size.width}, {"height", size.height}, {"results", std::move(rows)}});
   }
+  if (report.orbit) json["orbit"] = orbit_json(*report.orbit);
   // File names need not be UTF-8; JSON must be.
   return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
 }

@@ -53,6 +53,13 @@ Configuration make_mode(std::string_view name, const ModeInput& input) {
   return {mode->name, mode->options(input), mode->compact};
 }
 
+const char* pixel_format_name(const std::optional<math::PixelFormat>& packed) {
+  return !packed ? "rgb32f" : *packed == math::PixelFormat::rgba16f ? "rgba16f" : "rgba8";
+}
+std::uint64_t pixel_bytes(const std::optional<math::PixelFormat>& packed) {
+  return packed ? math::pixel_bytes(*packed) : 3 * sizeof(float);
+}
+
 std::vector<Configuration> ablation(const ModeInput& input) {
   const RenderOptions paper = paper_of(input);
   std::vector<Configuration> rows{make_mode("baseline", input)};

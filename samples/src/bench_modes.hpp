@@ -2,11 +2,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstdint>
 #include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
 
+#include "rgs/math/pixel_format.hpp"
 #include "rgs/renderer.hpp"
 
 namespace rgs::bench {
@@ -17,7 +19,13 @@ struct Configuration {
   RenderOptions options;
   bool compact = true;  ///< the file's attributes; false: FP32
   bool step = false;    ///< on the way between two modes
+  /// What frames that are timed write: packed pixels, or FP32 RGB.
+  std::optional<math::PixelFormat> packed = std::nullopt;
 };
+/// "rgb32f", "rgba16f", "rgba8".
+const char* pixel_format_name(const std::optional<math::PixelFormat>& packed);
+/// Of one pixel.
+std::uint64_t pixel_bytes(const std::optional<math::PixelFormat>& packed);
 
 /// What modes are made from: the file's declarations, and choices that replace parts of the paper's.
 struct ModeInput {

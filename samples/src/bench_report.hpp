@@ -10,6 +10,7 @@
 #include "bench_cost.hpp"
 #include "bench_modes.hpp"
 #include "bench_quality.hpp"
+#include "orbit_motion.hpp"
 #include "rgs/cuda/probe.hpp"
 #include "rgs/renderer.hpp"
 
@@ -25,7 +26,8 @@ struct DeviceInfo {
 };
 
 /// Means over the cameras; times are medians over the frames of each camera, by events on the stream, from the first
-/// kernel to the last, the read-back of the pair count included.
+/// kernel to the last, the read-back of the pair count included. The total is that of frames without events between the
+/// stages, so that the stages' times may add up to a little more.
 struct Timing {
   FrameStats mean;
   double fastest_ms = 0, slowest_ms = 0;  ///< medians of the fastest and the slowest camera
@@ -48,6 +50,15 @@ struct ModeReport {
   std::optional<Quality> quality;
 };
 
+/// Modes on an arc around what a camera looks at; steps between modes are left out.
+struct OrbitReport {
+  std::string camera;
+  int width = 0, height = 0, frames = 0;
+  double degrees = 0;          ///< from frame to frame
+  double distance = 0;         ///< to the point that the arc goes around
+  std::vector<OrbitRow> rows;  ///< the first is the baseline
+};
+
 struct Report {
   std::string version, date;  ///< of the program; UTC, ISO 8601
   std::string scene, source;  ///< file names
@@ -59,6 +70,7 @@ struct Report {
   std::optional<cuda::DeviceRates> rates;  ///< with --roofline
   std::vector<ModeReport> modes;
   std::vector<SizeReport> sizes;
+  std::optional<OrbitReport> orbit;  ///< with --orbit
 };
 
 double speedup(const SizeReport& size, std::size_t row);  ///< over the baseline; 0 where nothing was timed
@@ -74,5 +86,7 @@ std::string size_text(const SizeReport& size, const Report& report);
 std::string row_text(const SizeReport& size, std::size_t row, const Report& report);
 /// Time, throughput, floor and time / floor of each stage; report.rates is there.
 std::string roofline_text(const SizeReport& size, const Report& report);
+/// What changes from frame to frame on the arc.
+std::string orbit_text(const OrbitReport& orbit);
 
 }  // namespace rgs::bench

@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <memory>
+#include <optional>
 
 namespace rgs::bench {
 namespace {
@@ -28,10 +29,34 @@ std::size_t floats_of(const Camera& camera) {
   return 3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
 }
 
+Result<std::vector<float>> downloaded(const DeviceFloats& memory, std::size_t n) {
+  std::vector<float> values(n);
+  if (cudaMemcpy(values.data(), memory.get(), n * sizeof(float), cudaMemcpyDeviceToHost) != cudaSuccess) {
+    return fail(Errc::device_failed, Error::kNone, "a frame could not be copied from the device");
+  }
+  return values;
+}
+
 double median(std::vector<double>& values) {
   const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
   std::nth_element(values.begin(), middle, values.end());
   return *middle;
+}
+
+// In device memory of floats_a_pixel() floats a pixel.
+DeviceTarget target_of(const DeviceFloats& memory, const std::optional<math::PixelFormat>& packed) {
+  DeviceTarget target;
+  if (!packed) {
+    target.rgb = memory.get();
+  } else {
+    target.packed = memory.get();
+    target.format = *packed;
+  }
+  return target;
+}
+// 3, or of a packed pixel's bytes 2 or 1.
+std::size_t floats_a_pixel(const std::optional<math::PixelFormat>& packed) {
+  return pixel_bytes(packed) / sizeof(float);
 }
 
 // Medians of the times of frames of one camera; their counts are all the same.
@@ -74,18 +99,23 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
   auto renderer = CudaRenderer::create();
   if (!renderer) return tl::unexpected(renderer.error());
   std::size_t floats = 0;
-  for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera));
+  for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera) / 3 * floats_a_pixel(c.packed));
   const auto memory = device_floats(floats);
   if (!memory) return tl::unexpected(memory.error());
-  DeviceTarget target;
-  target.rgb = memory->get();
+  const DeviceTarget target = target_of(*memory, c.packed);
 
   Timing timing;
   for (const Camera& camera : cameras) {
     RenderOptions options = c.options;
     options.cuda.timings = true;
+    options.cuda.graph = false;  // whose stages are not to be told apart
     auto stats = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
     if (!stats) return tl::unexpected(stats.error());
+    options.cuda.graph = c.options.cuda.graph;
+    options.cuda.stage_timings = false;  // frames of their own for the total: events between the stages take time
+    const auto whole = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
+    if (!whole) return tl::unexpected(whole.error());
+    stats->total_ms = whole->total_ms;
     options.cuda.count_pairs = true;  // in a frame of its own: counting takes time
     const auto counted = renderer->render(scenes.of(c), camera, target, options);
     if (!counted) return tl::unexpected(counted.error());
@@ -99,6 +129,35 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
   return timing;
 }
 
+namespace {
+
+Result<Image> picture(CudaRenderer& renderer, const Configuration& c, const DeviceScenes& scenes, const Camera& camera,
+                      const DeviceFloats& memory) {
+  DeviceTarget target;
+  target.rgb = memory.get();
+  const auto stats = renderer.render(scenes.of(c), camera, target, c.options);
+  if (!stats) return tl::unexpected(stats.error());
+  auto pixels = downloaded(memory, floats_of(camera));
+  if (!pixels) return tl::unexpected(pixels.error());
+  return Image{camera.width, camera.height, 3, *std::move(pixels)};
+}
+
+Result<double> distance_ahead(CudaRenderer& renderer, const Configuration& c, const DeviceScenes& scenes,
+                              const Camera& camera) {
+  const std::size_t n = floats_of(camera) / 3;
+  const auto memory = device_floats(n);
+  if (!memory) return tl::unexpected(memory.error());
+  DeviceTarget target;
+  target.depth = memory->get();
+  const auto stats = renderer.render(scenes.of(c), camera, target, c.options);
+  if (!stats) return tl::unexpected(stats.error());
+  const auto depth = downloaded(*memory, n);
+  if (!depth) return tl::unexpected(depth.error());
+  return look_at_distance(*depth);
+}
+
+}  // namespace
+
 Result<std::vector<Image>> pictures(const Configuration& c, const DeviceScenes& scenes,
                                     std::span<const Camera> cameras) {
   auto renderer = CudaRenderer::create();
@@ -107,18 +166,34 @@ Result<std::vector<Image>> pictures(const Configuration& c, const DeviceScenes& 
   for (const Camera& camera : cameras) {
     const auto memory = device_floats(floats_of(camera));
     if (!memory) return tl::unexpected(memory.error());
-    DeviceTarget target;
-    target.rgb = memory->get();
-    const auto stats = renderer->render(scenes.of(c), camera, target, c.options);
-    if (!stats) return tl::unexpected(stats.error());
-    Image image = Image::make(camera.width, camera.height, 3);
-    if (cudaMemcpy(image.pixels.data(), memory->get(), image.pixels.size() * sizeof(float), cudaMemcpyDeviceToHost) !=
-        cudaSuccess) {
-      return fail(Errc::device_failed, Error::kNone, "a frame could not be copied from the device");
-    }
-    out.push_back(std::move(image));
+    auto image = picture(*renderer, c, scenes, camera, *memory);
+    if (!image) return tl::unexpected(image.error());
+    out.push_back(*std::move(image));
   }
   return out;
+}
+
+Result<OrbitReport> orbit(std::span<const Configuration> modes, const DeviceScenes& scenes, const Camera& camera,
+                          double degrees, int frames) {
+  // One renderer for all modes: none leaves anything in it that the next one would see.
+  auto renderer = CudaRenderer::create();
+  if (!renderer) return tl::unexpected(renderer.error());
+  const auto memory = device_floats(floats_of(camera));
+  if (!memory) return tl::unexpected(memory.error());
+  std::vector<Configuration> shown;
+  std::vector<std::string> names;
+  for (const Configuration& c : modes) {
+    if (c.step) continue;
+    shown.push_back(c);
+    names.push_back(c.name);
+  }
+  const auto distance = distance_ahead(*renderer, shown.front(), scenes, camera);
+  if (!distance) return tl::unexpected(distance.error());
+  auto rows = follow(turntable(camera, *distance, degrees, frames), names, [&](std::size_t mode, const Camera& view) {
+    return picture(*renderer, shown[mode], scenes, view, *memory);
+  });
+  if (!rows) return tl::unexpected(rows.error());
+  return OrbitReport{camera.name, camera.width, camera.height, frames, degrees, *distance, *std::move(rows)};
 }
 
 Result<DeviceInfo> device_info() {

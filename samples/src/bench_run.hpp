@@ -18,13 +18,19 @@ struct DeviceScenes {
   const DeviceScene& of(const Configuration& c) const { return c.compact ? compact : fp32; }
 };
 
-/// Renders `frames` frames per camera after ten unmeasured ones. Errors: those of CudaRenderer::render().
+/// Renders `frames` frames per camera after ten unmeasured ones for the times of the stages, and as many for the total.
+/// Errors: those of CudaRenderer::render().
 Result<Timing> measure(const Configuration& configuration, const DeviceScenes& scenes, std::span<const Camera> cameras,
                        int frames);
 
-/// Pictures of a configuration, [height, width, 3].
+/// Pictures of a configuration, FP32 [height, width, 3].
 Result<std::vector<Image>> pictures(const Configuration& configuration, const DeviceScenes& scenes,
                                     std::span<const Camera> cameras);
+
+/// `frames` frames of every mode, steps between modes left out, on an arc around what `camera` looks at in the first one;
+/// `degrees` from one to the next. Errors: those of CudaRenderer::render().
+Result<OrbitReport> orbit(std::span<const Configuration> modes, const DeviceScenes& scenes, const Camera& camera,
+                          double degrees, int frames);
 
 /// The current device. Errors: unavailable.
 Result<DeviceInfo> device_info();

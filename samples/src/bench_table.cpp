@@ -103,4 +103,22 @@ std::string roofline_text(const SizeReport& size, const Report& report) {
   return text;
 }
 
+std::string orbit_text(const OrbitReport& o) {
+  std::string text = fmt::format("\n{} frames on an arc, {} degrees each, around the point {:.4g} ahead of {}, {}x{}\n",
+                                 o.frames, o.degrees, o.distance, o.camera, o.width, o.height);
+  text += fmt::format("{:<22}{:>27}{:>27}{:>27}{:>11}\n", "1/255", "step from frame to frame", "second difference",
+                      "step added to the first", "unsteady");
+  text += fmt::format("{:<22}", "");
+  for (int column = 0; column < 3; ++column) text += fmt::format("{:>9}{:>9}{:>9}", "mean", "99.9 %", "worst");
+  text += "\n";
+  for (const OrbitRow& row : o.rows) {
+    text += fmt::format("{:<22}", row.mode);
+    for (const Change& c : {row.step, row.second, row.added}) {
+      text += fmt::format("{:9.3f}{:9.2f}{:9.2f}", 255 * c.mean, 255 * c.p999, 255 * c.worst_p999);
+    }
+    text += fmt::format("{:10.3f}x\n", unsteadiness(row, o.rows.front()));
+  }
+  return text;
+}
+
 }  // namespace rgs::bench

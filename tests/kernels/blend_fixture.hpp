@@ -85,9 +85,9 @@ class HandMade {
     gaussians_ = DeviceArray<std::uint32_t>(std::span<const std::uint32_t>(gaussians));
   }
   DeviceFrame blend(math::Exponent exponent, math::Exp exp, int pixels_per_thread, bool details) const {
-    return blend_on_device({ranges_.data(), gaussians_.data(), splats_.data(), width_, height_, {0, 0, 0}}, exponent,
-                           exp, pixels_per_thread, details);
+    return blend_on_device(input(), exponent, exp, pixels_per_thread, details);
   }
+  BlendInput input() const { return {ranges_.data(), gaussians_.data(), splats_.data(), width_, height_, {0, 0, 0}}; }
 
  private:
   DeviceArray<cuda::ScreenSplat> splats_;

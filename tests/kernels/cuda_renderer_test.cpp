@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <cstring>
+#include <fstream>
 #include <memory>
 #include <thread>
 
@@ -14,6 +15,7 @@
 #include "golden_scenes.hpp"
 #include "rgs/camera_file.hpp"
 #include "scene_generator.hpp"
+#include "temporary_folder.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -90,14 +92,21 @@ std::vector<RenderOptions> modes() {
   RenderOptions zero_mean = paper_options();
   zero_mean.exp = math::Exp::zero_mean;
   zero_mean.depth_mapping = DepthMapping::logarithmic;
-  return {deterministic(baseline_options()), deterministic(paper_options()), deterministic(zero_mean),
-          deterministic(RenderOptions()), turbo_options()};
+  RenderOptions turbo_fp32 = turbo_options();
+  turbo_fp32.cuda.tensor_cores = false;
+  return {deterministic(baseline_options()),
+          deterministic(paper_options()),
+          deterministic(zero_mean),
+          deterministic(RenderOptions()),
+          turbo_options(),
+          turbo_fp32};
 }
-const std::string kModes[] = {"baseline", "paper", "zero-mean logarithmic", "exact, fused", "turbo"};
-constexpr std::size_t kTurbo = 4, kModeCount = 5;
+const std::string kModes[] = {"baseline", "paper", "zero-mean logarithmic", "exact, fused", "turbo", "turbo in FP32"};
+constexpr std::size_t kTurbo = 4, kTurboFp32 = 5, kModeCount = 6;
 
 /// Lowest PSNR against the CPU in the same arithmetic, and largest difference. Turbo goes on a little where the
-/// definition stops a pixel, at the Gaussian that would take its transmittance below 1e-4, and has colours in FP16.
+/// definition stops a pixel, at the Gaussian that would take its transmittance below 1e-4, or stops at 2^-11, and has
+/// colours, mostly opacities as well, in FP16.
 double lowest_psnr(const RenderOptions& o) {
   return o.cuda.turbo ? 60 : o.exp == math::Exp::exact ? 70 : 65;
 }
@@ -206,7 +215,7 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
       const auto close = [](std::uint64_t a, std::uint64_t b, double part) {
         return std::abs(static_cast<double>(a) - static_cast<double>(b)) <= part * static_cast<double>(b);
       };
-      if (m == kTurbo) {  // lists other tiles, and passes over parts of them
+      if (options.cuda.turbo) {  // lists other tiles, and passes over parts of them
         CHECK_MESSAGE(close(stats->visible, host.stats.visible, 0.02), stats->visible, " and ", host.stats.visible);
         CHECK(stats->instances < host.stats.instances);
         CHECK((!is_compact || (stats->evaluated > 0 && stats->evaluated < host.stats.evaluated)));
@@ -351,7 +360,8 @@ TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after
   auto renderer = Renderer::create({.backend = Backend::cuda});
   require_ok(renderer);
   for (const Scene& scene : scenes) {
-    for (const std::size_t m : {std::size_t{0}, kTurbo}) {
+    // Depth and counts, which the frame has and the device's target has not, are blended in FP32.
+    for (const std::size_t m : {std::size_t{0}, kTurboFp32}) {
       const Camera camera = front_camera(m == 0 ? 120 : 31, 47);
       Frame frame = Frame::of(camera);
       const auto stats = renderer->render(scene, camera, frame.target(), modes()[m]);
@@ -367,6 +377,200 @@ TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after
       CHECK(std::none_of(frame.blended.begin(), frame.blended.end(), [](auto n) { return n == 0xDEADBEEF; }));
     }
   }
+}
+
+TEST_CASE("packed targets hold what the float targets hold, converted; misaligned ones are refused") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(75, 33);
+  const DeviceScene scene = upload(scene_of(cloud_of(random_splats(611, 2000), 2)));
+  Device device(camera);
+  for (std::size_t m = 0; m < kModeCount; ++m) {
+    CAPTURE(kModes[m]);
+    const DeviceArray<float> rgb(3 * 75 * 33), alpha(75 * 33);
+    const DeviceArray<std::uint32_t> words(75 * 33);
+    DeviceTarget target{.rgb = rgb.data(), .alpha = alpha.data(), .packed = words.data()};
+    const auto stats = device.renderer().render(scene, camera, target, modes()[m]);
+    require_ok(stats);
+    const auto colors = rgb.download(), alphas = alpha.download();
+    const auto packed = words.download();
+    std::uint64_t n_wrong = 0;
+    for (std::size_t i = 0; i < packed.size(); ++i) {
+      n_wrong += packed[i] != math::pack_rgba8({colors[3 * i], colors[3 * i + 1], colors[3 * i + 2]}, alphas[i]);
+    }
+    CHECK(n_wrong == 0);
+    target.packed = reinterpret_cast<std::byte*>(words.data()) + 2;
+    check_error(device.renderer().render(scene, camera, target, modes()[m]), Errc::bad_argument);
+    target.packed = words.data() + 1, target.format = math::PixelFormat::rgba16f;
+    check_error(device.renderer().render(scene, camera, target, modes()[m]), Errc::bad_argument);
+  }
+}
+
+namespace {
+
+RenderOptions turbo_graph() {
+  RenderOptions options = turbo_options();
+  options.cuda.graph = true;
+  return options;
+}
+
+void check_same_counts(const FrameStats& a, const FrameStats& b) {
+  CHECK(a.gaussians == b.gaussians);
+  CHECK(a.visible == b.visible);
+  CHECK(a.instances == b.instances);
+  CHECK(a.evaluated == b.evaluated);
+  CHECK(a.blended == b.blended);
+}
+
+}  // namespace
+
+TEST_CASE("turbo as a graph gives turbo's bytes: other cameras, sizes, scenes, outputs, options and streams") {
+  if (!device_answers()) return;
+  const auto compact = CompactScene::of(cloud_of(random_splats(612, small_sizes() ? 400 : 30000), 3));
+  const DeviceScene scenes[] = {upload(compact.file), upload(scene_of(cloud_of(random_splats(613, 300), 1))),
+                                DeviceScene(), upload(walls(small_sizes() ? 200 : 6000))};  // more than 2^20 entries
+  cudaStream_t stream = nullptr;
+  require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+  Random random(614);
+  Device plain(front_camera(8, 8)), graph(front_camera(8, 8));
+  const std::pair<int, int> sizes[] = {{640, 360}, {33, 70}, {1920, 1080}, {640, 360}, {1, 1}};
+  for (int turn = 0; turn < 40; ++turn) {
+    CAPTURE(turn);
+    auto [width, height] = sizes[turn / 3 % 5];
+    if (small_sizes()) width = std::min(width, 70), height = std::min(height, 70);
+    const Camera camera = random_camera(random, width, height);
+    const DeviceScene& scene = scenes[turn % 7 == 6 ? 3 : turn / 2 % 3];
+    RenderOptions options = turn % 8 == 7 ? turbo_options() : turbo_graph();  // from one to the other and back
+    options.background = {0.3F, 0.2F, 0.1F};
+    options.cuda.count_pairs = turn % 5 == 4;  // kernels of another kind
+    options.cuda.timings = turn % 4 == 3;
+    plain.resize(camera), graph.resize(camera);
+    const auto b = graph.render(scene, options, turn % 2 == 0 ? stream : nullptr);
+    require_ok(b);
+    options.cuda.graph = false;
+    const auto a = plain.render(scene, options);
+    require_ok(a);
+    check_same(graph.rgb(), plain.rgb());
+    check_same(graph.alpha(), plain.alpha());
+    check_same_counts(*b, *a);
+    CHECK((b->total_ms > 0) == options.cuda.timings);
+  }
+  require_cuda(cudaStreamDestroy(stream));
+}
+
+TEST_CASE("an asynchronous frame is the frame once it is finished, also one that has outgrown the workspace") {
+  if (!device_answers()) return;
+  const Camera camera = small_sizes() ? front_camera(64, 64) : front_camera(640, 360);
+  const DeviceScene small = upload(scene_of(cloud_of(random_splats(615, 3000), 2)));
+  const DeviceScene large = upload(walls(small_sizes() ? 300 : 6000));  // 1.4 million entries, of which 2^20 fit
+  Device reference(camera);
+  require_ok(reference.render(small, turbo_options()));
+  const auto small_rgb = reference.rgb();
+  const auto large_stats = reference.render(large, turbo_options());
+  require_ok(large_stats);
+  const auto large_rgb = reference.rgb();
+  for (const bool graph : {false, true}) {
+    CAPTURE(graph);
+    RenderOptions options = graph ? turbo_graph() : turbo_options();
+    options.cuda.asynchronous = true;
+    options.cuda.timings = true;
+
+    Device device(camera);
+    const auto nothing = device.renderer().finish();
+    require_ok(nothing);
+    CHECK(nothing->gaussians == 0);
+    const auto queued = device.render(large, options);
+    require_ok(queued);
+    CHECK(queued->gaussians == large.size());
+    CHECK(queued->instances == 0);  // nobody has looked
+    const auto finished = device.renderer().finish();
+    require_ok(finished);
+    check_same_counts(*finished, *large_stats);
+    CHECK(finished->total_ms > 0);
+    check_same(device.rgb(), large_rgb);
+    const auto again = device.renderer().finish();
+    require_ok(again);
+    CHECK(again->instances == finished->instances);
+
+    // Not finished, but followed: by a frame into another target, on another stream.
+    Device other(camera);
+    cudaStream_t stream = nullptr;
+    require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+    const DeviceArray<float> first(large_rgb.size()), second(small_rgb.size());
+    require_ok(other.renderer().render(large, camera, {.rgb = first.data()}, options, stream));
+    require_ok(other.renderer().render(small, camera, {.rgb = second.data()}, options));
+    require_ok(other.renderer().finish());
+    check_same(first.download(), large_rgb);
+    check_same(second.download(), small_rgb);
+    // And frame after frame, the target of each its own.
+    std::vector<DeviceArray<float>> targets;
+    for (int k = 0; k < 20; ++k) {
+      targets.emplace_back(small_rgb.size());
+      require_ok(other.renderer().render(k % 2 == 0 ? small : large, camera, {.rgb = targets.back().data()}, options,
+                                         k % 3 == 0 ? stream : nullptr));
+    }
+    require_ok(other.renderer().finish());
+    for (std::size_t k = 0; k < targets.size(); ++k)
+      check_same(targets[k].download(), k % 2 == 0 ? small_rgb : large_rgb);
+    require_cuda(cudaStreamDestroy(stream));
+
+    Device abandoned(camera);  // destroyed while its frame is made
+    require_ok(abandoned.render(large, options));
+  }
+}
+
+TEST_CASE("stage times on request: the frame's own time does without them") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(160, 90);
+  const DeviceScene scene = upload(scene_of(cloud_of(random_splats(616, 3000), 1)));
+  Device device(camera);
+  for (RenderOptions options : modes()) {
+    options.cuda.timings = true;
+    const auto staged = device.render(scene, options);
+    require_ok(staged);
+    CHECK(staged->project_ms > 0);
+    CHECK(staged->blend_ms > 0);
+    CHECK(staged->project_ms + staged->bin_ms + staged->sort_ms + staged->blend_ms ==
+          doctest::Approx(staged->total_ms).epsilon(0.05));
+    options.cuda.stage_timings = false;
+    const auto whole = device.render(scene, options);
+    require_ok(whole);
+    CHECK(whole->total_ms > 0);
+    CHECK(whole->project_ms == 0);
+    CHECK(whole->blend_ms == 0);
+  }
+}
+
+TEST_CASE("Renderer puts an .rgs file on the device as it lies on disk, a third of the FP32 attributes") {
+  if (!device_answers()) return;
+  const int n = small_sizes() ? 500 : 200000;
+  const auto compact = CompactScene::of(cloud_of(random_splats(617, n), 3));
+  const TemporaryFolder folder;
+  const std::string path = folder.file("scene.rgs");
+  std::ofstream(path, std::ios::binary)
+      .write(reinterpret_cast<const char*>(compact.bytes.data()), static_cast<std::streamsize>(compact.bytes.size()));
+  const auto scene = Scene::load(path);
+  require_ok(scene);
+  const Camera camera = front_camera(90, 60);
+  auto renderer = Renderer::create({.backend = Backend::cuda});
+  require_ok(renderer);
+  Frame frame = Frame::of(camera);
+  const auto empty = renderer->render(Scene(), camera, frame.target(), turbo_options());
+  require_ok(empty);
+  const auto free_bytes = [] {
+    std::size_t free = 0, total = 0;
+    require_cuda(cudaMemGetInfo(&free, &total));
+    return static_cast<double>(free);
+  };
+  const double before = free_bytes();
+  const RenderOptions turbo_fp32 = modes()[kTurboFp32];  // the frame has depth, which is blended in FP32
+  const auto stats = renderer->render(*scene, camera, frame.target(), turbo_fp32);
+  require_ok(stats);
+  const double attributes = before - free_bytes() - static_cast<double>(stats->bytes - empty->bytes);
+  MESSAGE("attributes of ", n, " Gaussians: ", attributes, " bytes");
+  CHECK((small_sizes() || attributes < 0.5 * 236 * n));  // 76 n, in pages of 2 MiB
+  Device device(camera);
+  require_ok(device.render(upload(compact.file), turbo_fp32));
+  check_same(frame.rgb, device.rgb());
 }
 
 TEST_CASE("nothing to see: no Gaussians, all behind the camera, all beside it") {
@@ -580,6 +784,33 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
   const auto refused = DeviceScene::upload(scene_of(cloud_of(random_splats(608, 200000), 3)).view());
   REQUIRE_FALSE(refused);
   CHECK(refused.error().code == Errc::device_out_of_memory);
+}
+
+TEST_CASE("where half as much again is not to be had, the workspace grows by what the frame needs") {
+  if (!device_answers()) return;
+  if (small_sizes()) return;
+  const Camera camera = front_camera(640, 360);
+  for (const std::size_t m : {std::size_t{0}, std::size_t{1}, kTurbo}) {
+    CAPTURE(kModes[m]);
+    const int n = m == kTurbo ? 20000 : 6000;  // about 5 million pairs
+    const Scene first = walls(n), more = walls(n + n / 10);
+    const DeviceScene fits = upload(first), outgrows = upload(more);
+    Device fresh(camera);
+    require_ok(fresh.render(outgrows, modes()[m]));
+    const auto expected = fresh.rgb();
+    Device device(camera);
+    require_ok(device.render(fits, modes()[m]));
+    const std::uint64_t before = device.renderer().bytes();
+    {
+      const Hog hog(before / 4);
+      require_ok(device.render(outgrows, modes()[m]));
+      check_same(device.rgb(), expected);
+      CHECK(device.renderer().bytes() > before);
+      CHECK(device.renderer().bytes() < before + before / 4);
+    }
+    require_ok(device.render(outgrows, modes()[m]));
+    check_same(device.rgb(), expected);
+  }
 }
 
 TEST_CASE("device memory is back at its start once everything is destroyed") {

@@ -195,6 +195,73 @@ TEST_CASE("every arithmetic, thread layout and set of outputs gives the scalar r
   }
 }
 
+TEST_CASE("packed pixels are the float ones, converted as on the host, beside them and alone") {
+  if (!device_answers()) return;
+  const int width = 83, height = 41;
+  const auto n = static_cast<std::size_t>(width * height);
+  Random random(403);
+  std::vector<cuda::ScreenSplat> splats;
+  for (int i = 0; i < 300; ++i) {  // colours from 0 to beyond what FP16 holds
+    const auto conic = conic_of(random.log_uniform(0.7, 40), random.log_uniform(0.7, 40), random.uniform(0, 3));
+    splats.push_back(
+        screen_splat({static_cast<float>(random.uniform(0, width)), static_cast<float>(random.uniform(0, height))},
+                     conic, static_cast<float>(random.uniform(0.01, 1)),
+                     {static_cast<float>(random.uniform(0, 1.2)), static_cast<float>(random.log_uniform(1e-9, 1)),
+                      static_cast<float>(random.log_uniform(1e-3, i % 10 == 0 ? 1e6 : 1.5))}));
+  }
+  const HandMade lists(splats, width, height);
+  std::uint64_t n_variants = 0;
+  for (const auto exponent : {Exponent::direct, Exponent::folded}) {
+    for (const auto exp : {Exp::exact, Exp::paper, Exp::zero_mean}) {
+      for (const int pixels : {1, 2}) {
+        for (const bool details : {false, true}) {
+          for (const auto format : {math::PixelFormat::rgba8, math::PixelFormat::rgba16f}) {
+            const DeviceArray<float> rgb(3 * n), alpha(n), depth(n);
+            const DeviceArray<std::byte> beside(n * math::pixel_bytes(format)), alone(n * math::pixel_bytes(format));
+            const auto blend = [&](cuda::PixelArrays target) {
+              target.depth = details ? depth.data() : nullptr;
+              target.format = format;
+              require_ok(cuda::launch_blend({lists.input().ranges,
+                                             lists.input().gaussians,
+                                             lists.input().splats,
+                                             math::tile_grid(width, height),
+                                             width,
+                                             height,
+                                             {0.1F, -0.2F, 0.7F},
+                                             target,
+                                             nullptr,
+                                             exponent,
+                                             exp,
+                                             pixels},
+                                            nullptr));
+            };
+            blend({.rgb = rgb.data(), .alpha = alpha.data(), .packed = beside.data()});
+            blend({.packed = alone.data()});
+            const auto colors = rgb.download(), alphas = alpha.download();
+            const auto packed = beside.download();
+            CHECK(alone.download() == packed);
+            std::uint64_t n_wrong = 0;
+            for (std::size_t i = 0; i < n; ++i) {
+              const math::Vec3<float> color{colors[3 * i], colors[3 * i + 1], colors[3 * i + 2]};
+              if (format == math::PixelFormat::rgba8) {
+                const std::uint32_t expected = math::pack_rgba8(color, alphas[i]);
+                n_wrong += std::memcmp(&expected, packed.data() + 4 * i, 4) != 0;
+              } else {
+                const std::uint64_t expected = math::pack_rgba16f(color, alphas[i]);
+                n_wrong += std::memcmp(&expected, packed.data() + 8 * i, 8) != 0;
+              }
+            }
+            CHECK_MESSAGE(n_wrong == 0, n_wrong, " of ", n, " packed pixels are not the float ones, exponent ",
+                          static_cast<int>(exponent), ", exp ", static_cast<int>(exp), ", ", pixels, " a thread");
+            ++n_variants;
+          }
+        }
+      }
+    }
+  }
+  CHECK(n_variants == 48);
+}
+
 TEST_CASE("outputs that are not wanted are not written, and empty tiles show the background") {
   if (!device_answers()) return;
   const DeviceArray<cuda::TileRange> ranges(6);

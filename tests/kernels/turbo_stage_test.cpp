@@ -148,7 +148,7 @@ void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>&
   const auto rect = math::bounding_tiles<cuda::kTurboTile>(ellipse, grid);
   if (rect.empty()) return;
   for (int row = rect.y0; row < rect.y1; ++row) {
-    const auto cells = math::cell_rows(ellipse, row, grid);
+    const auto cells = math::cell_rows(ellipse, row);
     for (int column = rect.x0; column < rect.x1; ++column) {
       const std::uint32_t touched = math::cells_of(cells, column);
       if (touched == 0) continue;
@@ -295,6 +295,24 @@ TEST_CASE("Gaussians of many tiles are listed part by part, up to all tiles at 4
     check(DeviceAttributes(scene.view()).get(), scene.view(), camera);
     check(DeviceAttributes(compact.file).get(), compact.scene.view(), camera);
   }
+}
+
+TEST_CASE("blocks leave to the tiles what they have no room for, or what lies too far apart") {
+  if (!device_answers()) return;
+  Random random(808);
+  std::vector<Splat> splats;
+  for (int i = 0; i < 700; ++i) {  // about 30 tiles each at 1080p, which a block has not in words
+    const double z = random.uniform(2, 9);
+    splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
+  }
+  const Scene wide = scene_of(cloud_of(splats));
+  check(DeviceAttributes(wide.view()).get(), wide.view(), front_camera(1920, 1080));
+  if (small_sizes()) return;
+  for (Splat& s : splats) {
+    for (float& log_scale : s.log_scale) log_scale -= 5;
+  }
+  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's words tell apart
+  check(DeviceAttributes(sparse.view()).get(), sparse.view(), front_camera(9000, 9000));
 }
 
 TEST_CASE("a frame of more entries than there is room for is made again, with room for large Gaussians' entries") {

@@ -3,6 +3,7 @@
 #include "rgs/math/blend.hpp"
 #include "rgs/math/camera.hpp"
 #include "rgs/math/coverage.hpp"
+#include "rgs/math/pixel_format.hpp"
 #include "rgs/math/projection.hpp"
 #include "rgs/math/sh.hpp"
 #include "rgs/quantize.hpp"
@@ -33,7 +34,8 @@ __global__ void draw_pixel(View<float> view, Codes codes, TileGrid grid, Pixel<f
   const auto e = ellipse(splat.mean, splat.footprint, power_cutoff(opacity));
   const TileSpan span = tiles_in_row(e, bounding_tiles(e, grid).y0, grid);
   const auto quantizer = make_depth_quantizer(DepthMapping::linear, 32 - tile_bits(1024), 0.2F, 100.F);
-  *key = quantize_depth(quantizer, splat.z) + static_cast<std::uint32_t>(span.last - span.first);
+  *key = quantize_depth(quantizer, splat.z) + static_cast<std::uint32_t>(span.last - span.first) +
+         pack_rgba8(color, 1.F) + static_cast<std::uint32_t>(pack_rgba16f(color, 1.F));
   const float exact = alpha_direct<Exp::exact>(power(splat.footprint.conic, 1.F, 2.F), opacity, power_cutoff(opacity));
   const float fast =
       alpha_folded<Exp::paper>(folded_exponent(fold(splat.footprint.conic, splat.mean, std::log2(opacity)), 1.F, 2.F));

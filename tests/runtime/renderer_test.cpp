@@ -6,6 +6,8 @@
 #include <hwy/targets.h>
 
 #include <algorithm>
+#include <filesystem>
+#include <fstream>
 #include <limits>
 #include <numeric>
 #include <thread>
@@ -13,6 +15,7 @@
 #include "random_cloud.hpp"
 #include "renderer_fixture.hpp"
 #include "rgs/encode.hpp"
+#include "temporary_folder.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -24,6 +27,16 @@ namespace {
 
 constexpr RendererOptions kScalar{.backend = Backend::cpu, .threads = 1, .simd = false};
 constexpr RendererOptions kVector{.backend = Backend::cpu, .threads = 1, .simd = true};
+
+/// What every Gaussian gave to one picture, or to several.
+std::vector<Contribution> contributions_of(const Scene& scene, const std::vector<Camera>& cameras,
+                                           const RendererOptions& how, const RenderOptions& options = {}) {
+  auto renderer = Renderer::create(how);
+  REQUIRE(renderer);
+  std::vector<Contribution> out(scene.size());
+  for (const Camera& camera : cameras) REQUIRE(renderer->render(scene, camera, {.contributions = out}, options));
+  return out;
+}
 
 }  // namespace
 
@@ -151,6 +164,89 @@ TEST_CASE("the number of threads changes nothing, and a renderer can be used aga
   }
 }
 
+TEST_CASE("contributions are the weights of the definition, and add up to what pixels no longer transmit") {
+  const Scene scene = scene_of(cloud_of(random_splats(31, 3000), 0));
+  const Camera camera = front_camera(203, 117);  // tiles over the edge
+  for (const RendererOptions& how : {kScalar, kVector}) {
+    const auto all = contributions_of(scene, {camera}, how);
+    double sum = 0, opaque = 0;
+    for (const Contribution& c : all) sum += c.weight();
+    for (const float alpha : render(scene, camera, {}, how).alpha) opaque += alpha;
+    CHECK(sum == doctest::Approx(opaque).epsilon(1e-5));
+    // Taking a Gaussian's colour away takes its weight, times that colour, out of the picture.
+    const auto most = std::ranges::max_element(all, {}, &Contribution::sum) - all.begin();
+    auto splats = random_splats(31, 3000);
+    for (Splat& s : splats) std::fill(s.sh, s.sh + 48, -0.5F / 0.28209479F);
+    splats[static_cast<std::size_t>(most)].sh[0] = 0.5F / 0.28209479F;  // red 1, all others black
+    const Frame alone = render(scene_of(cloud_of(splats, 0)), camera, {}, how);
+    double red = 0;
+    float brightest = 0;
+    for (std::size_t i = 0; i < alone.rgb.size(); i += 3) {
+      red += alone.rgb[i];
+      brightest = std::max(brightest, alone.rgb[i]);
+    }
+    const Contribution& c = all[static_cast<std::size_t>(most)];
+    CHECK(c.weight() == doctest::Approx(red).epsilon(1e-4));
+    CHECK(c.largest == doctest::Approx(brightest).epsilon(1e-5));
+  }
+}
+
+TEST_CASE("contributions: equal bits for any number of threads, sums over frames, nothing for what is not seen") {
+  auto splats = random_splats(32, 3000);
+  splats[7].mean[2] = -5;  // behind every camera
+  const Scene scene = scene_of(cloud_of(splats, 1));
+  const std::vector<Camera> views{front_camera(160, 120), front_camera(97, 64)};
+  const auto bits = [](const std::vector<Contribution>& all) {
+    std::vector<std::pair<std::uint64_t, float>> out;
+    for (const Contribution& c : all) out.emplace_back(c.sum, c.largest);
+    return out;
+  };
+  const auto one = contributions_of(scene, views, {.backend = Backend::cpu, .threads = 1});
+  for (const int threads : {2, 4}) {
+    CHECK(bits(contributions_of(scene, views, {.backend = Backend::cpu, .threads = threads})) == bits(one));
+  }
+  CHECK(one[7].sum == 0);
+  CHECK(one[7].largest == 0);
+  const auto first = contributions_of(scene, {views[0]}, kVector),
+             second = contributions_of(scene, {views[1]}, kVector);
+  std::size_t n_in_both = 0;
+  for (std::size_t i = 0; i < one.size(); ++i) {
+    CHECK(one[i].sum == first[i].sum + second[i].sum);
+    CHECK(one[i].largest == std::max(first[i].largest, second[i].largest));
+    if (first[i].sum > 0 && second[i].sum > 0) ++n_in_both;
+  }
+  CHECK(n_in_both > 100);
+  // What is counted beside the picture does not change it.
+  Frame frame = Frame::of(views[0]);
+  auto renderer = Renderer::create(kVector);
+  REQUIRE(renderer);
+  std::vector<Contribution> counted(scene.size());
+  RenderTarget target = frame.target();
+  target.contributions = counted;
+  REQUIRE(renderer->render(scene, views[0], target));
+  CHECK(frame.rgb == render(scene, views[0], {}, kVector).rgb);
+  CHECK(bits(counted) == bits(first));
+}
+
+TEST_CASE("contributions: vectors follow the definition in every arithmetic") {
+  const Scene scene = scene_of(cloud_of(random_splats(33, 1500), 0));
+  const Camera camera = front_camera(203, 117);
+  for (const auto exponent : {Exponent::direct, Exponent::folded}) {
+    for (const auto exp : {Exp::exact, Exp::paper, Exp::zero_mean}) {
+      const RenderOptions options{.exponent = exponent, .exp = exp};
+      const auto a = contributions_of(scene, {camera}, kScalar, options),
+                 b = contributions_of(scene, {camera}, kVector, options);
+      double worst = 0;
+      for (std::size_t i = 0; i < a.size(); ++i) {
+        // A pair on the threshold of 1/255, or beyond a pixel that stopped one earlier, counts here and not there.
+        const double difference = std::abs(a[i].weight() - b[i].weight());
+        worst = std::max(worst, difference / (a[i].weight() + 10));
+      }
+      CHECK(worst <= 1e-3);
+    }
+  }
+}
+
 TEST_CASE("several renderers share a scene") {
   const Scene scene = scene_of(cloud_of(random_splats(25, 5000), 2));
   const Camera camera = front_camera(96, 96);
@@ -275,6 +371,31 @@ TEST_CASE("degenerate Gaussians draw something finite or nothing") {
   }
 }
 
+TEST_CASE("a scene keeps the file that it was loaded from, and its copies share it") {
+  const auto bytes = encode(cloud_of(random_splats(61, 100), 1).view());
+  REQUIRE(bytes);
+  const TemporaryFolder folder;
+  const std::string path = folder.file("scene.rgs");
+  std::ofstream(path, std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
+  Scene copy;
+  {
+    const auto scene = Scene::load(path);
+    REQUIRE(scene);
+    copy = *scene;
+  }
+  std::filesystem::remove(path);
+  const auto kept = copy.file_bytes();
+  CHECK(std::equal(kept.begin(), kept.end(), bytes->begin(), bytes->end()));
+  const auto borrowed = Scene::load(*bytes);  // the caller's memory may go
+  REQUIRE(borrowed);
+  CHECK(borrowed->file_bytes().empty());
+  CHECK(
+      std::equal(copy.view().sh.begin(), copy.view().sh.end(), borrowed->view().sh.begin(), borrowed->view().sh.end()));
+  CHECK(scene_of(cloud_of(random_splats(61, 100), 1)).file_bytes().empty());
+  CHECK(Scene().file_bytes().empty());
+}
+
 TEST_CASE("a packed file loads as the scene of the direct one") {
   SplitMix random{21};
   const SplatCloud cloud = random_cloud(20000, 3, random);
@@ -327,6 +448,8 @@ TEST_CASE("refusals: cameras, options, targets, scenes, backends") {
   CHECK(code(good, {.background = {NAN, 0, 0}}) == Errc::bad_argument);
   alpha.resize(63);
   CHECK(code(good) == Errc::bad_argument);
+  std::vector<Contribution> two(2);  // of a scene of one
+  CHECK(renderer->render(scene, good, {.contributions = two}).error().code == Errc::bad_argument);
 
   auto cloud = cloud_of(std::vector(5, splat_at(0, 0, 4, 1, 0.5)));
   cloud.mean[3 * 3 + 1] = NAN;

@@ -78,6 +78,8 @@ TEST_CASE("the JSON report holds every mode and size") {
   CHECK(json["modes"][0]["options"]["attributes"] == "fp32");
   CHECK(json["modes"][1]["step"] == true);
   CHECK(json["modes"][2]["options"]["exp"] == "paper");
+  CHECK(json["modes"][2]["options"]["pixel_format"] == "rgb32f");
+  CHECK(json["modes"][2]["options"]["graph"] == false);
   CHECK(json["modes"][2]["options"]["depth_order"] == "quantized");
   CHECK(json["modes"][2]["quality"]["photo_loss"] == doctest::Approx(0.014));
   REQUIRE(json["sizes"].size() == 1);
@@ -103,6 +105,32 @@ TEST_CASE("the JSON report says null for equal pictures and leaves out what was 
   CHECK_FALSE(json["modes"][1].contains("quality"));
   CHECK_FALSE(json.contains("rates"));
   CHECK_FALSE(json["sizes"][0]["results"][0]["stages"]["sort"].contains("floor_ms"));
+}
+
+TEST_CASE("the orbit is in the JSON report and in a table of its own") {
+  Report report = sample_report();
+  CHECK_FALSE(nlohmann::json::parse(report_json(report)).contains("orbit"));
+  const Change step{0.01, 0.25, 0.5, 0.75F}, second{0.005, 0.125, 0.25, 0.5F}, twice{0.01, 0.25, 0.5, 1};
+  report.orbit = OrbitReport{"a.jpg", 1920, 1080, 60, 0.25, 4.5, {}};
+  report.orbit->rows = {{"baseline", step, second, {}}, {"turbo", step, twice, second}};
+  const auto json = nlohmann::json::parse(report_json(report))["orbit"];
+  CHECK(json["frames"] == 60);
+  CHECK(json["distance"] == 4.5);
+  REQUIRE(json["results"].size() == 2);
+  CHECK(json["results"][0]["unsteadiness"] == 1.0);
+  CHECK(json["results"][1]["unsteadiness"] == 2.0);
+  CHECK(json["results"][1]["second"]["worst_p999"] == 0.5);
+  CHECK(json["results"][1]["added"]["p999"] == 0.125);
+  CHECK(json["results"][0]["step"]["largest"] == 0.75);
+  const auto lines = lines_of(orbit_text(*report.orbit));
+  REQUIRE(lines.size() == 6);
+  CHECK(lines[1].find("60 frames") == 0);
+  for (std::size_t i = 2; i < lines.size(); ++i) CHECK(lines[i].size() <= 160);
+  CHECK(lines[4].size() == lines[5].size());
+  CHECK(lines[5].find("2.000x") != std::string::npos);
+  // A baseline that stands still has no ratio.
+  report.orbit->rows.front() = {"baseline", {}, {}, {}};
+  CHECK(nlohmann::json::parse(report_json(report))["orbit"]["results"][1]["unsteadiness"].is_null());
 }
 
 TEST_CASE("every line of the CSV report has the fields that its first line names") {
@@ -182,6 +210,39 @@ TEST_CASE("SVG text is escaped") {
   CHECK_MESSAGE(parsed.exit_code == 0, parsed.err);
   CHECK(parsed.out.find("title a<b") != std::string::npos);
   CHECK(parsed.out.find("text x & y \"z\" <w>") != std::string::npos);
+}
+
+TEST_CASE("the tables of the documents are made of JSON reports") {
+  const rgs::test::TemporaryFolder folder;
+  Report full = sample_report(), pruned = sample_report();
+  pruned.gaussians = 311525;
+  pruned.scene = "pruned.rgs";
+  for (std::size_t row = 0; row < 3; ++row) pruned.sizes[0].rows[row].timing.mean.total_ms /= 2;
+  pruned.sizes[0].rows[2].timing.mean.total_ms *= 1.25;  // pruning helps the fast mode less
+  std::ofstream(folder.file("full.json")) << report_json(full);
+  std::ofstream(folder.file("pruned.json")) << report_json(pruned);
+  std::ofstream(folder.file("audit.json")) << R"({"rendered":{"psnr":28.09,"worst_psnr":25.74,)"
+                                              R"("photos":{"asset_psnr":20.98,"loss":1.046}}})";
+  const auto tables = [&](const std::vector<std::string>& more) {
+    std::vector<std::string> arguments{RGS_PYTHON, RGS_SOURCE_DIR "/scripts/bench_tables.py", folder.file("full.json")};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    const auto result = rgs::test::run_program(arguments);
+    CHECK_MESSAGE(result.exit_code == 0, result.err);
+    return result.out;
+  };
+  CHECK(tables({}).find("| baseline | 0.087 | 1.026 |") != std::string::npos);
+  const std::string both =
+      tables({folder.file("pruned.json"), "--orthogonality", "--audit", folder.file("audit.json")});
+  CHECK(both.find("| baseline | 169 | 1.0x |  | 22.00 |") != std::string::npos);
+  CHECK(both.find("| + fast exp = paper | 1,152 | 6.8x | 51.10 | 22.00 |") != std::string::npos);
+  CHECK(both.find("| pruned baseline | 338 | 2.0x | 28.09 | 22.00 |") != std::string::npos);
+  CHECK(both.find("| pruned + fast exp = paper | 1,842 | 10.9x |") != std::string::npos);
+  CHECK(both.find("80 % at 1920x1080 of the product") != std::string::npos);
+  CHECK(both.find("28.09 dB, worst view 25.74, 1.05 dB lost") != std::string::npos);
+  const std::string growth = tables({folder.file("pruned.json"), "--scaling"});
+  const std::size_t small = growth.find("| 0.312 M | 1920x1080 | 2.957 |"), large = growth.find("| 0.779 M |");
+  CHECK(small < large);
+  CHECK(large != std::string::npos);
 }
 
 TEST_CASE("modes have the options that their names promise") {

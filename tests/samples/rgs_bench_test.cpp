@@ -44,9 +44,11 @@ struct Stage {
 TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   const Stage stage;
   CHECK(rgs::test::run_program({RGS_BENCH}).exit_code == 2);
+  CHECK(stage.run({"--pixel-format", "rgb8"}).exit_code == 2);
   CHECK(stage.run({"--mode", "fastest"}).exit_code == 2);
   CHECK(stage.run({"--frames", "0"}).exit_code == 2);
   CHECK(stage.run({"--size", "1920"}).exit_code == 2);
+  CHECK(stage.run({"--orbit", "2"}).exit_code == 2);   // no second difference
   CHECK(stage.run({"--photos", "."}).exit_code == 2);  // of which cameras?
   CHECK(rgs::test::run_program({RGS_BENCH, "--help"}).exit_code == 0);
 }
@@ -68,7 +70,7 @@ TEST_CASE("rgs-bench measures every mode, or says that no device answers") {
   const std::string json = stage.folder.file("b.json"), csv = stage.folder.file("b.csv"),
                     svg = stage.folder.file("b.svg");
   const ProgramResult result = stage.run({"--quality-cameras", stage.cameras, "--size", "64x48,33x17", "--frames", "2",
-                                          "--roofline", "--json", json, "--csv", csv, "--svg", svg});
+                                          "--roofline", "--orbit", "5", "--json", json, "--csv", csv, "--svg", svg});
   if (result.exit_code == 2) {
     CHECK(result.err.find("no CUDA device answers") != std::string::npos);
     CHECK_FALSE(std::filesystem::exists(json));
@@ -83,7 +85,25 @@ TEST_CASE("rgs-bench measures every mode, or says that no device answers") {
   for (const auto& row : report["sizes"][0]["results"]) CHECK(row["total_ms"].get<double>() > 0);
   CHECK(report["modes"][0]["quality"]["largest_difference"] == 0);
   CHECK(report["rates"]["copy_bytes"].get<double>() > 0);
+  CHECK(report["orbit"]["width"] == 64);
+  CHECK(report["orbit"]["results"].size() == 3);
+  CHECK(report["orbit"]["results"][0]["unsteadiness"] == 1.0);
   CHECK(read_text(csv).find("\"turbo\"") != std::string::npos);
   CHECK(read_text(svg).find("</svg>") != std::string::npos);
+  const std::string packed = stage.folder.file("packed.json");
+  const ProgramResult other =
+      stage.run({"--mode", "paper", "--size", "64x48", "--frames", "2", "--pixel-format", "rgba8", "--json", packed});
+  REQUIRE_MESSAGE(other.exit_code == 0, other.err);
+  const auto packed_report = nlohmann::json::parse(read_text(packed));
+  CHECK(packed_report["modes"][1]["options"]["pixel_format"] == "rgba8");
+  CHECK(packed_report["sizes"][0]["results"][1]["total_ms"].get<double>() > 0);
+  const std::string graph = stage.folder.file("graph.json");
+  const ProgramResult as_graph =
+      stage.run({"--mode", "turbo", "--size", "64x48", "--frames", "2", "--graph", "--json", graph});
+  REQUIRE_MESSAGE(as_graph.exit_code == 0, as_graph.err);
+  const auto graph_report = nlohmann::json::parse(read_text(graph));
+  CHECK(graph_report["modes"][1]["options"]["graph"] == true);
+  CHECK(graph_report["modes"][0]["options"]["graph"] == false);
+  CHECK(graph_report["sizes"][0]["results"][1]["total_ms"].get<double>() > 0);
   CHECK(stage.run({}, stage.cameras).exit_code == 4);  // no scene
 }

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstdint>
 #include <optional>
+#include <span>
 
 #include "rgs/encode.hpp"
 #include "rgs/interchange.hpp"
@@ -39,6 +40,9 @@ void strip_sh(SplatCloud& cloud, int degree);
 
 /// Appends `other`; the degree becomes the larger of both, missing harmonics are 0.
 void append(SplatCloud& cloud, const SplatCloud& other);
+
+/// Keeps the Gaussians `indices`, which ascend, and drops all others.
+void keep(SplatCloud& cloud, std::span<const std::uint64_t> indices);
 
 struct SplatFilter {
   std::optional<Box> crop;                  ///< keeps means inside, borders included

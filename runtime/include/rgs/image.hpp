@@ -32,6 +32,16 @@ struct Image {
   }
 };
 
+/// What one Gaussian gave to pixels: alpha T, the weight with which its colour was blended into each of them.
+struct Contribution {
+  /// Value of 1 in `sum`: a weight that counts is never below 1e-4 / 255, a hundred of them.
+  static constexpr double kUnit = 1.0 / (1 << 28);
+  std::uint64_t sum = 0;  ///< over pixels, in kUnit; holds 6.8e10 pixels at weight 1
+  float largest = 0;      ///< of any pixel
+
+  double weight() const { return static_cast<double>(sum) * kUnit; }
+};
+
 /// Where a frame goes: caller-owned arrays of camera.width * camera.height pixels, rows from top to bottom.
 /// An empty span means that this output is not wanted; every pixel of the others is written.
 struct RenderTarget {
@@ -40,6 +50,9 @@ struct RenderTarget {
   std::span<float> depth = {};  ///< [height, width] expected camera-space z, world units; 0 where alpha is 0
   std::span<std::uint32_t> evaluated = {};  ///< [height, width] Gaussians that the pixel went through before it stopped
   std::span<std::uint32_t> blended = {};    ///< [height, width] Gaussians that contributed
+  /// [Gaussians of the scene], CPU only. A frame adds to what is there: zero it before the first. The same bits for any
+  /// number of threads.
+  std::span<Contribution> contributions = {};
 };
 
 }  // namespace rgs

@@ -35,14 +35,24 @@ struct CudaOptions {
   /// deterministic by itself. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
   /// 2^25 Gaussians and more are drawn by the other kernels. FrameStats: lists count as bin_ms, there is no sort, no key.
   bool turbo = false;
-  /// Of turbo: blends by matrix products in FP16 (sm_80 and newer, no depth or counts wanted) instead of in FP32.
+  /// Of turbo: blends by matrix products in FP16, and in FP32 where depth or counts are wanted or low_pass < 0.1. Stops
+  /// a pixel at a transmittance of 2^-11 in place of 1e-4. docs/KERNELS.md has what this changes.
   bool tensor_cores = true;
   int pixels_per_thread = 2;  ///< 1 (the original) or 2 (the paper)
   /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
   /// end lists them in the order in which its blocks happen to run.
   bool deterministic = false;
-  bool timings = false;      ///< wait for the frame and fill FrameStats' times
+  bool timings = false;  ///< wait for the frame and fill FrameStats' times
+  /// Of the timings: those of the stages too, by events between the kernels, which cost the frame some time themselves.
+  bool stage_timings = true;
   bool count_pairs = false;  ///< wait for the frame and count evaluated and blended pairs, at a cost in time
+  /// Turbo: the frame's kernels as one CUDA graph, which is captured anew for every frame. Same bytes. Its stages are not
+  /// timed, and the host, where it waits for the counts, waits for the end of the frame.
+  bool graph = false;
+  /// Turbo: CudaRenderer::render() waits for nothing and returns when the frame is queued; its counts are 0. A frame
+  /// that needs more workspace than there is shows the background alone until the renderer's next call makes it again:
+  /// see CudaRenderer::finish(). Renderer waits all the same.
+  bool asynchronous = false;
 };
 
 /// What a frame shows and by which arithmetic. The defaults are the original 3DGS rasteriser, only with the tighter
@@ -103,8 +113,8 @@ class Renderer {
   Renderer& operator=(Renderer&&) noexcept;
   ~Renderer();
 
-  /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option or the size
-  /// of a target span), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
+  /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option, the size
+  /// of a target span, or contributions asked of CUDA), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
   /// device_failed.
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});

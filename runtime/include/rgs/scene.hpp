@@ -4,6 +4,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <span>
 #include <string>
@@ -14,6 +15,8 @@
 #include "rgs/splat_cloud.hpp"
 
 namespace rgs {
+
+class MappedFile;
 
 /// Read-only view of N activated Gaussians, structure of arrays, in the scene's world frame.
 struct SceneView {
@@ -43,13 +46,17 @@ class Scene {
   /// and MappedFile::open(), limit_exceeded.
   static Result<Scene> load(const FileView& file);
   static Result<Scene> load(std::span<const std::byte> bytes);
+  /// These keep the file mapped for as long as the scene lives, so that a GPU gets its attributes as they lie in it: 76
+  /// bytes a Gaussian at SH degree 3 in place of 236. It must not be changed in place; replacing it does no harm.
   static Result<Scene> load(const std::string& path);
+  static Result<Scene> load(MappedFile&& file);
 
   std::uint64_t size() const { return opacity_.size(); }
   int sh_degree() const { return sh_degree_; }
   /// What the .rgs file declares (depth range, anti-aliasing, ...); absent for scenes from training parameters.
   const std::optional<Declarations>& declarations() const { return declarations_; }
-  std::uint64_t bytes() const;  ///< memory held by the attributes
+  std::uint64_t bytes() const;                    ///< memory held by the attributes
+  std::span<const std::byte> file_bytes() const;  ///< of the .rgs file that the scene keeps; empty if it keeps none
   /// Equal for copies of one load, different for every load: lets a renderer keep what it made of a scene.
   std::uint64_t identity() const { return identity_; }
   SceneView view() const { return {size(), sh_degree_, mean_, rotation_, scale_, opacity_, sh_}; }
@@ -61,6 +68,7 @@ class Scene {
   int sh_degree_ = 0;
   std::optional<Declarations> declarations_;
   std::vector<float> mean_, rotation_, scale_, opacity_, sh_;
+  std::shared_ptr<const MappedFile> file_;
 };
 
 }  // namespace rgs

@@ -8,6 +8,7 @@
 #include "rgs/math/camera.hpp"
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/options.hpp"
+#include "rgs/math/pixel_format.hpp"
 
 struct CUstream_st;
 
@@ -54,11 +55,13 @@ struct TileRange {
 
 /// Outputs [height, width(, 3)], rows from top to bottom; null where not wanted.
 struct PixelArrays {
-  float* rgb;
-  float* alpha;
-  float* depth;
-  std::uint32_t* evaluated;
-  std::uint32_t* blended;
+  float* rgb = nullptr;
+  float* alpha = nullptr;
+  float* depth = nullptr;
+  std::uint32_t* evaluated = nullptr;
+  std::uint32_t* blended = nullptr;
+  void* packed = nullptr;  ///< pixels of `format`, aligned to math::pixel_bytes() of it
+  math::PixelFormat format = math::PixelFormat::rgba8;
 };
 
 }  // namespace rgs::cuda

@@ -7,6 +7,7 @@
 
 #include "rgs/cuda/frame.hpp"
 #include "rgs/cuda/front_end.hpp"
+#include "rgs/hd.hpp"
 #include "rgs/result.hpp"
 
 struct CUevent_st;
@@ -64,6 +65,15 @@ struct alignas(8) TurboBox {
 
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
 inline constexpr int kTurboClasses = 32;
+/// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
+RGS_HD constexpr int turbo_class(std::uint32_t length) {
+  if (length < 32) return kTurboClasses - 1;
+  int log2 = 5;
+  while (length >> (log2 + 1) != 0) ++log2;
+  const int half = static_cast<int>(length >> (log2 - 1)) & 1;
+  const int longer = 2 * (log2 - 5) + half;
+  return longer < kTurboClasses - 2 ? kTurboClasses - 2 - longer : 0;
+}
 
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {

@@ -44,21 +44,21 @@ RGS_HD inline int tile_index(T t, int limit) {
   return static_cast<int>(clamp(t, T(0), static_cast<T>(limit)));
 }
 
-// Square root of a finite x >= 0; 0 below 2^-100. So limited, the device needs no branch for the rest of the numbers, and
-// the estimate with one step of Newton's method is rounded correctly: what the compiler makes of sqrt() within them.
+// Square root of a finite x, which is taken to be 2^-100 at least. So limited, the device needs no branch for the rest of
+// the numbers, and the estimate with one step of Newton's method is rounded correctly: what the compiler makes of sqrt()
+// within them.
 template <class T>
 RGS_HD inline T root(T x) {
-  constexpr T kLeast = T(0x1p-100);
+  x = max(x, T(0x1p-100));
 #if defined(__CUDA_ARCH__)
   if constexpr (std::is_same_v<T, float>) {
     float inverse;
     asm("rsqrt.approx.ftz.f32 %0, %1;" : "=f"(inverse) : "f"(x));
     const float estimate = __fmul_rn(x, inverse);
-    const float rounded = __fmaf_rn(__fmaf_rn(-estimate, estimate, x), __fmul_rn(0.5F, inverse), estimate);
-    return x >= kLeast ? rounded : 0.0F;
+    return __fmaf_rn(__fmaf_rn(-estimate, estimate, x), __fmul_rn(0.5F, inverse), estimate);
   }
 #endif
-  return x >= kLeast ? std::sqrt(x) : T(0);
+  return std::sqrt(x);
 }
 
 // Floor and ceiling of 0 <= x < 2^22. The sum's last bit is 1, and its rounding is chosen: on the device one addition in
@@ -77,6 +77,20 @@ RGS_HD inline int ceil_index(T x) {
 #endif
   const int floor = static_cast<int>(x);
   return floor + (x > static_cast<T>(floor) ? 1 : 0);
+}
+
+// 1 << n, where n is 8 x clamped to 0..8 and rounded up or down; 1 for NaN. The device rounds by adding 2^20, whose last
+// bit is 1/8, and shifts by the sum's last bits: all but the shift is arithmetic of the pipe that has room.
+template <bool Up, class T>
+RGS_HD inline std::uint32_t bit_of_eighth(T x) {
+#if defined(__CUDA_ARCH__)
+  if constexpr (std::is_same_v<T, float>) {
+    const float unit = __saturatef(x), sum = Up ? __fadd_ru(unit, 1048576.0F) : __fadd_rd(unit, 1048576.0F);
+    return __funnelshift_l(0u, 1u, __float_as_uint(sum));
+  }
+#endif
+  const T eighths = T(8) * clamp(x, T(0), T(1));
+  return 1u << (Up ? ceil_index(eighths) : floor_index(eighths));
 }
 
 // Tiles with a pixel centre in [low, high] along one axis: tile t has the centres Size t .. Size t + Size - 1.
@@ -162,8 +176,7 @@ RGS_HD inline Chord<T> chord(const Ellipse<T>& e, T y_low, T y_high) {
   // The right boundary x(y) = slope y + sqrt((level - y^2 / cov.yy) variance_x_y) is concave with its top at `shear`,
   // so its maximum over a range is at the clamped top; the left boundary is its point reflection.
   const T y_right = clamp(e.shear, y_low, y_high), y_left = clamp(-e.shear, y_low, y_high);
-  const T right = max(T(0), e.level - y_right * y_right * e.inverse_yy);
-  const T left = max(T(0), e.level - y_left * y_left * e.inverse_yy);
+  const T right = e.level - y_right * y_right * e.inverse_yy, left = e.level - y_left * y_left * e.inverse_yy;
   return {e.slope * y_left - detail::root(left * e.variance_x_y),
           e.slope * y_right + detail::root(right * e.variance_x_y)};
 }
@@ -180,42 +193,45 @@ RGS_HD inline TileSpan tiles_in_row(const Ellipse<T>& e, int row, TileGrid grid)
   return detail::tiles_between<Size>(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
 }
 
-/// A row of tiles of 32x32 pixels, cut into four rows of cells of 16x8 pixels: the cells first <= c < last of each, from
-/// the image's left edge, in which the ellipse has a point between their outermost pixel centres; first >= last where
-/// there is none.
+/// A row of tiles of 32x32 pixels, cut into four rows of cells of 16x8 pixels: where, from the image's left edge and in
+/// units of eight cells, the ellipse's first and last cells of each row lie. With c = 8 x, these are the cells
+/// ceil(c_first) <= c < floor(c_last); both are 0 where there is none.
+template <class T>
 struct CellRows {
-  int first[4], last[4];
+  T first[4], last[4];
 };
 inline constexpr int kCellTile = 32, kCellWidth = 16, kCellHeight = 8;
 
-/// Row `row` of tiles. As exact as tiles_in_row(). Without branches: of 32 neighbouring Gaussians one always touches a row.
+/// Row `row` of tiles: the cells in which the ellipse has a point between their outermost pixel centres. As exact as
+/// tiles_in_row(). Without branches: of 32 neighbouring Gaussians one always touches a row.
 template <class T>
-RGS_HD inline CellRows cell_rows(const Ellipse<T>& e, int row, TileGrid grid) {
+RGS_HD inline CellRows<T> cell_rows(const Ellipse<T>& e, int row) {
+  constexpr T kUnit = T(1) / T(8 * kCellWidth);
   const T slack = T(1e-3) + T(1e-6) * e.half_width;  // as in tiles_in_row()
-  // For cells first <= c < last: where 16 c + 15 reaches the left end, and 16 (c + 1) is beyond the right one.
+  // Of cells first <= c < last: where 16 c + 15 reaches the left end, and 16 (c + 1) is beyond the right one.
   const T left = e.mean.u - slack - T(kCellWidth - 1), right = e.mean.u + slack + T(kCellWidth);
   const T top = static_cast<T>(row * kCellTile) - e.mean.v;
-  const T limit = static_cast<T>(grid.columns * (kCellTile / kCellWidth));
-  CellRows rows;
+  CellRows<T> rows;
   for (int r = 0; r < 4; ++r) {
     const T y_low = max(top + T(kCellHeight * r), -e.half_height);
     const T y_high = min(top + T(kCellHeight * r + kCellHeight - 1), e.half_height);
     const Chord<T> c = chord(e, y_low, y_high);
-    const int first = detail::ceil_index(clamp((left + c.low) * (T(1) / T(kCellWidth)), T(0), limit));
-    const int last = detail::floor_index(clamp((right + c.high) * (T(1) / T(kCellWidth)), T(0), limit));
     const bool some = y_low <= y_high;
-    rows.first[r] = some ? first : 0, rows.last[r] = some ? last : 0;
+    rows.first[r] = some ? (left + c.low) * kUnit : T(0);
+    rows.last[r] = some ? (right + c.high) * kUnit : T(0);
   }
   return rows;
 }
 
 /// Cells of four neighbouring tiles that are touched, from the tile in column `column` on: bit c of byte r for the c-th
 /// cell of row r.
-RGS_HD inline std::uint32_t cells_of_four(const CellRows& rows, int column) {
+template <class T>
+RGS_HD inline std::uint32_t cells_of_four(const CellRows<T>& rows, int column) {
+  const T origin = T(0.25) * static_cast<T>(column);
   std::uint32_t cells = 0;
   for (int r = 0; r < 4; ++r) {
-    const int first = clamp(rows.first[r] - 2 * column, 0, 8), last = clamp(rows.last[r] - 2 * column, first, 8);
-    cells |= ((1u << last) - (1u << first)) << (8 * r);
+    const std::uint32_t below_last = detail::bit_of_eighth<false>(rows.last[r] - origin);
+    cells |= (below_last - detail::bit_of_eighth<true>(rows.first[r] - origin)) << (8 * r);
   }
   return cells;
 }
@@ -229,7 +245,8 @@ RGS_HD inline std::uint32_t cells_of_first(std::uint32_t cells) {
 }
 
 /// Cells of the tile in column `column` that are touched.
-RGS_HD inline std::uint32_t cells_of(const CellRows& rows, int column) {
+template <class T>
+RGS_HD inline std::uint32_t cells_of(const CellRows<T>& rows, int column) {
   return cells_of_first(cells_of_four(rows, column));
 }
 

@@ -1,0 +1,315 @@
+// rgs_prune.cpp - rgs-prune: keeps the Gaussians of a scene that give most to its pictures.
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+#include <tbb/global_control.h>
+
+#include <CLI/CLI.hpp>
+#include <cerrno>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "camera_choice.hpp"
+#include "console.hpp"
+#include "convert.hpp"
+#include "prune.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/renderer.hpp"
+#include "rgs/splat_edit.hpp"
+
+namespace {
+
+namespace fs = std::filesystem;
+namespace tool = rgs::tool;
+using Clock = std::chrono::steady_clock;
+using rgs::Contribution;
+using rgs::SplatFormat;
+
+struct Options {
+  std::string input, output, cameras, split, view = "all", size, keep_text, scores;
+  rgs::prune::Score score = rgs::prune::Score::sum;
+  rgs::prune::Keep keep;
+  std::optional<double> min_contribution;
+  std::optional<rgs::math::AntiAliasing> anti_aliasing;
+  rgs::RenderOptions render;
+  int threads = 0;
+  bool overwrite = false, no_sync = false, json = false, quiet = false;
+
+  rgs::AtomicFile::Options file() const { return {.overwrite = overwrite, .sync = !no_sync}; }
+};
+
+// A failure that has been reported already: the exit code.
+template <class T>
+using Step = tl::expected<T, int>;
+tl::unexpected<int> failed(const std::string& file, const rgs::Error& error) {
+  return tl::unexpected<int>(tool::report(file, error));
+}
+
+struct Summary {
+  std::string format;
+  std::uint64_t source_bytes = 0, n_source = 0, output_bytes = 0, pixels = 0;
+  std::size_t n_cameras = 0;
+  rgs::prune::Outcome outcome;
+  double read_seconds = 0, render_seconds = 0, write_seconds = 0;
+};
+
+double lap(Clock::time_point& start) {
+  const auto now = Clock::now();
+  return std::chrono::duration<double>(now - std::exchange(start, now)).count();
+}
+
+// What can be told before a minute of work rather than after it. Returns an exit code.
+int check_outputs(const Options& o, SplatFormat to) {
+  if (to != SplatFormat::ply && to != SplatFormat::rgs)
+    return tool::report_usage("the output is a .ply or an .rgs file; rgs-convert makes other formats of it");
+  for (const std::string* output : {&o.output, &o.scores}) {
+    if (output->empty()) continue;
+    if (rgs::same_file(o.input, *output))
+      return tool::report(*output,
+                          {rgs::Errc::output_unusable, rgs::Error::kNone, "input and output are the same file"});
+    std::error_code ignored;
+    if (!o.overwrite && fs::exists(*output, ignored))
+      return tool::report(*output, {rgs::Errc::output_exists, rgs::Error::kNone,
+                                    "the output exists already; pass --overwrite to replace it"});
+  }
+  return tool::kSuccess;
+}
+
+// The scene in the frame in which rgs-render sees it: an .rgs in its own, all others in that of 3DGS.
+Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
+  const auto bytes = rgs::MappedFile::open(o.input);
+  if (!bytes) return failed(o.input, bytes.error());
+  hash = rgs::xxh3(bytes->bytes());
+  rgs::ReadOptions as_stored;
+  as_stored.keep_axes = true;
+  auto file = rgs::read_splats(o.input, as_stored);
+  if (!file) return failed(o.input, file.error());
+  if (file->format != SplatFormat::rgs) {
+    rgs::convert_axes(file->cloud, file->axes, rgs::kAxes3dgs);
+    file->axes = rgs::kAxes3dgs;
+  }
+  return *std::move(file);
+}
+
+rgs::RenderOptions render_options(const Options& o, rgs::AaMode stated) {
+  rgs::RenderOptions render = o.render;
+  render.anti_aliasing = o.anti_aliasing.value_or(
+      stated == rgs::AaMode::mip_splatting ? rgs::math::AntiAliasing::mip_splatting : rgs::math::AntiAliasing::classic);
+  return render;
+}
+
+// What each Gaussian gives to the pictures of all cameras.
+Step<std::vector<Contribution>> contributions_of(const Options& o, const rgs::SplatFile& file,
+                                                 const std::vector<rgs::Camera>& cameras, tool::Progress& progress) {
+  const auto scene = rgs::Scene::load(file.cloud);
+  if (!scene) {
+    rgs::Error error = scene.error();
+    if (error.code == rgs::Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
+    return failed(o.input, error);
+  }
+  auto renderer = rgs::Renderer::create({.backend = rgs::Backend::cpu, .threads = o.threads});
+  if (!renderer) return failed("", renderer.error());
+  const rgs::RenderOptions options = render_options(o, file.aa_mode);
+  std::vector<Contribution> contributions(scene->size());
+  progress.begin("rendering", cameras.size(), "frames");
+  for (const rgs::Camera& camera : cameras) {
+    const auto rendered = renderer->render(*scene, camera, {.contributions = contributions}, options);
+    if (!rendered) return failed(camera.name, rendered.error());
+    progress.advance(1);
+  }
+  progress.finish();
+  return contributions;
+}
+
+Step<void> write_scores(const Options& o, const std::vector<Contribution>& contributions) {
+  auto file = rgs::AtomicFile::create(o.scores, o.file());
+  if (!file) return failed(o.scores, file.error());
+  if (const auto written = file->write_at(0, rgs::prune::scores_npy(contributions)); !written)
+    return failed(o.scores, written.error());
+  if (const auto done = file->commit(); !done) return failed(o.scores, done.error());
+  return {};
+}
+
+Step<std::uint64_t> write_scene(const Options& o, SplatFormat to, rgs::SplatFile&& file, std::uint64_t n_source,
+                                std::uint64_t hash, std::vector<rgs::Camera> cameras) {
+  // PLY has the axes of 3DGS by habit; an .rgs declares those it came in.
+  if (to == SplatFormat::ply) rgs::convert_axes(file.cloud, file.axes, rgs::kAxes3dgs);
+  rgs::ConvertOptions options;
+  options.encode.profile = rgs::Profile::packed;
+  options.encode.axes = file.axes;
+  options.encode.aa_mode = file.aa_mode;
+  options.encode.colour_space = file.colour_space;
+  std::string name = fs::path(o.input).filename().string();
+  name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
+  options.encode.provenance = rgs::Provenance{file.bytes, hash, name, "rgs-prune " RGS_VERSION};
+  options.cameras = std::move(cameras);
+  options.output = o.file();
+  const int degree = file.cloud.sh_degree;
+  const auto written =
+      rgs::convert_scene({std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree}, to,
+                         o.output, options);
+  if (!written) return failed(o.output, written.error());
+  return written->output_bytes;
+}
+
+const char* score_name(rgs::prune::Score score) {
+  return score == rgs::prune::Score::sum ? "sum" : "max";
+}
+
+std::string summary_json(const Options& o, const Summary& s) {
+  const nlohmann::ordered_json json{
+      {"program", "rgs-prune"},
+      {"version", RGS_VERSION},
+      {"source", {{"file", o.input}, {"format", s.format}, {"bytes", s.source_bytes}, {"gaussians", s.n_source}}},
+      {"output", {{"file", o.output}, {"bytes", s.output_bytes}, {"gaussians", s.outcome.n_kept}}},
+      {"score", score_name(o.score)},
+      {"cameras", s.n_cameras},
+      {"pixels", s.pixels},
+      {"unseen", s.outcome.n_unseen},
+      {"weight_share", s.outcome.weight_share},
+      {"lowest_score", s.outcome.lowest_score},
+      {"seconds", {{"read", s.read_seconds}, {"render", s.render_seconds}, {"write", s.write_seconds}}}};
+  return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
+}
+
+std::string summary_text(const Options& o, const Summary& s) {
+  const double share = s.n_source > 0 ? static_cast<double>(s.outcome.n_kept) / static_cast<double>(s.n_source) : 1;
+  return fmt::format(
+      "{} -> {}: {} of {} Gaussians ({:.1f} %), {:.3f} % of the weight blended into {} pictures of {} pixels\n"
+      "  not seen  {} Gaussians; lowest {} kept {:.4g}\n"
+      "  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
+      o.input, o.output, tool::format_count(s.outcome.n_kept), tool::format_count(s.n_source), 100 * share,
+      100 * s.outcome.weight_share, s.n_cameras, tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen),
+      score_name(o.score), s.outcome.lowest_score, s.read_seconds, s.render_seconds, s.write_seconds);
+}
+
+int prune(const Options& o) {
+  rgs::remove_temporaries_on_signal();
+  const unsigned threads =
+      o.threads > 0 ? static_cast<unsigned>(o.threads) : std::max(1U, std::thread::hardware_concurrency());
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+  const SplatFormat to = rgs::format_of_name(o.output);
+  if (const int code = check_outputs(o, to); code != tool::kSuccess) return code;
+
+  const auto set = rgs::read_camera_set(o.cameras);
+  if (!set) return tool::report(o.cameras, set.error());
+  auto cameras = rgs::choose_cameras(*set, o.split, o.view);
+  if (!cameras) return tool::report_usage(cameras.error());
+  Summary summary;
+  for (rgs::Camera& camera : *cameras) {
+    if (!o.size.empty()) {
+      const tool::ImageSize size = tool::parse_size(o.size).value();
+      camera = rgs::resized(camera, size.width, size.height);
+    }
+    summary.pixels += static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
+  }
+  summary.n_cameras = cameras->size();
+
+  auto time = Clock::now();
+  std::uint64_t hash = 0;
+  auto file = read_scene(o, hash);
+  if (!file) return file.error();
+  summary.format = rgs::format_name(file->format);
+  summary.source_bytes = file->bytes;
+  summary.n_source = file->cloud.size();
+  summary.read_seconds = lap(time);
+
+  tool::Progress progress(o.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+  const auto contributions = contributions_of(o, *file, *cameras, progress);
+  if (!contributions) return contributions.error();
+  summary.render_seconds = lap(time);
+
+  const auto kept = o.min_contribution ? rgs::prune::at_least(*contributions, o.score, *o.min_contribution)
+                                       : rgs::prune::highest(*contributions, o.score, o.keep.of(summary.n_source));
+  summary.outcome = rgs::prune::outcome(*contributions, o.score, kept);
+  rgs::keep(file->cloud, kept);
+  if (!o.scores.empty()) {
+    if (const auto written = write_scores(o, *contributions); !written) return written.error();
+  }
+  const auto bytes = write_scene(o, to, *std::move(file), summary.n_source, hash, set->cameras);
+  if (!bytes) return bytes.error();
+  summary.output_bytes = *bytes;
+  summary.write_seconds = lap(time);
+
+  if (o.json) {
+    std::fputs(summary_json(o, summary).c_str(), stdout);
+  } else if (!o.quiet) {
+    std::fputs(summary_text(o, summary).c_str(), stdout);
+  }
+  if (std::fflush(stdout) != 0)
+    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot be written",
+                                            rgs::Error::kNone, rgs::Error::kNone, errno});
+  return tool::kSuccess;
+}
+
+void add_options(CLI::App& app, Options& o) {
+  using rgs::math::AntiAliasing;
+  using rgs::prune::Score;
+  app.add_option("input", o.input, "scene of any format that rgs-convert reads; its content decides")->required();
+  app.add_option("output", o.output, "what is kept of it, .ply or .rgs")->required();
+  app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/CAMERAS.md)")->required();
+  app.add_option("--split", o.split, "only these cameras; train leaves the test cameras to judge the result")
+      ->check(CLI::IsMember({"train", "test"}));
+  app.add_option("--view", o.view, "camera by name or index in the split, or all")->capture_default_str();
+  app.add_option("--size", o.size, "WxH pixels, e.g. 640x480; keeps the horizontal field of view [the cameras' own]");
+  auto* const keep = app.add_option("--keep", o.keep_text, "how many: 20% of all, or a number such as 100000 or 100k");
+  app.add_option("--min-contribution", o.min_contribution, "instead: all whose score is at least this")
+      ->check(CLI::NonNegativeNumber)
+      ->excludes(keep);
+  app.add_option("--score", o.score, "weight over all pixels: sum, or the largest in any pixel: max [sum]")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, Score>{{"sum", Score::sum}, {"max", Score::max}})
+                      .description(""));
+  app.add_option("--scores", o.scores, "also write sum and max of every Gaussian of the input, NumPy float64 [n, 2]");
+  app.add_option("--low-pass", o.render.low_pass, "px^2 added to projected covariances; Mip-Splatting uses 0.1")
+      ->check(CLI::NonNegativeNumber)
+      ->capture_default_str();
+  app.add_option("--aa", o.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
+      ->transform(CLI::CheckedTransformer(std::map<std::string, AntiAliasing>{{"classic", AntiAliasing::classic},
+                                                                              {"mip", AntiAliasing::mip_splatting}})
+                      .description(""));
+  app.add_option("--threads", o.threads, "CPU threads, 0 for all cores; the output does not depend on it")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str();
+  app.add_flag("--overwrite", o.overwrite, "replace existing outputs");
+  app.add_flag("--no-sync", o.no_sync, "do not wait until the files are on the disk");
+  app.add_flag("--json", o.json, "summary as JSON on standard output");
+  app.add_flag("--quiet,-q", o.quiet, "no progress and no summary");
+  app.set_version_flag("--version", "rgs-prune " RGS_VERSION);
+  app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input.");
+}
+
+// Values that the parser of arguments does not know; empty if all are right.
+std::string read_values(Options& o) {
+  if (!o.size.empty() && !tool::parse_size(o.size)) return "--size takes WxH, sides 1 to 65536, not '" + o.size + "'";
+  if (o.keep_text.empty() && !o.min_contribution) return "say how much to keep: --keep or --min-contribution";
+  if (o.scores == o.output) return "--scores and the output are the same file";
+  if (o.keep_text.empty()) return {};
+  const auto keep = rgs::prune::parse_keep(o.keep_text);
+  if (!keep) return "--keep takes a percentage up to 100% or a number, not '" + o.keep_text + "'";
+  o.keep = *keep;
+  return {};
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&]() -> int {
+    Options options;
+    CLI::App app{"Keeps the Gaussians of a scene that give most to the pictures of given cameras.", "rgs-prune"};
+    add_options(app, options);
+    try {
+      app.parse(argc, argv);
+    } catch (const CLI::ParseError& error) {
+      return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
+    }
+    if (const std::string wrong = read_values(options); !wrong.empty()) return tool::report_usage(wrong);
+    return prune(options);
+  });
+}

@@ -1,0 +1,21 @@
+// camera_choice.hpp - which cameras of a file a program takes, and what their pictures are called.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include "rgs/camera_file.hpp"
+
+namespace rgs {
+
+/// File name without extension for camera `index` of a list: the last part of its name, harmless characters only.
+std::string picture_stem(const Camera& camera, std::size_t index);
+
+/// Cameras of `split` ("train", "test", or "" for both) that `view` names: "all", a camera's name, its picture_stem(), or
+/// an index in the split. The error is a message for the user.
+tl::expected<std::vector<Camera>, std::string> choose_cameras(const CameraSet& set, const std::string& split,
+                                                              const std::string& view);
+
+}  // namespace rgs
