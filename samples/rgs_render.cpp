@@ -37,6 +37,7 @@ struct Options {
   std::vector<float> depth_range;
   std::optional<rgs::math::AntiAliasing> anti_aliasing;
   std::string key = "exact", mode;
+  bool has_arithmetic = false;  // an option that excludes --mode is there
   rgs::RendererOptions renderer;
   rgs::RenderOptions render;
 };
@@ -156,13 +157,14 @@ rgs::RenderOptions with_anti_aliasing(rgs::RenderOptions render, const Options& 
   return render;
 }
 
-rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene) {
+rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene, const rgs::Renderer& renderer) {
   rgs::RenderOptions render = options.render;
   const auto& stated = scene.scene.declarations();
-  if (!options.mode.empty()) {
+  if (!options.mode.empty() || !options.has_arithmetic) {
     const rgs::RenderOptions preset = options.mode == "baseline" ? rgs::baseline_options()
                                       : options.mode == "paper"  ? rgs::paper_options(stated)
-                                                                 : rgs::turbo_options();
+                                      : options.mode == "turbo"  ? rgs::turbo_options()
+                                                                 : renderer.default_options();
     render.extent = preset.extent;
     render.depth_order = preset.depth_order;
     render.depth_mapping = preset.depth_mapping;
@@ -290,7 +292,7 @@ int render(const Options& options) {
 
   std::vector<Shot> shots;
   if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;
-  const rgs::RenderOptions render_how = render_options(options, *scene);
+  const rgs::RenderOptions render_how = render_options(options, *scene, *renderer);
 
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
@@ -385,9 +387,10 @@ void add_options(CLI::App& app, Options& o) {
       ->group(image);
 
   const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
-  auto* const mode = app.add_option("--mode", o.mode, "all of these at once: baseline (3DGS), paper, turbo")
-                         ->check(CLI::IsMember({"baseline", "paper", "turbo"}))
-                         ->group(arithmetic);
+  auto* const mode =
+      app.add_option("--mode", o.mode, "all of these at once: baseline (3DGS), paper, turbo [turbo on CUDA]")
+          ->check(CLI::IsMember({"baseline", "paper", "turbo"}))
+          ->group(arithmetic);
   app.add_option("--extent", o.render.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
       ->transform(names<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))
       ->excludes(mode)
@@ -463,6 +466,7 @@ int main(int argc, char** argv) {
       return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
     }
     options.renderer.simd = !options.scalar;
+    for (const auto* option : app.get_option("--mode")->get_excludes()) options.has_arithmetic |= option->count() > 0;
     if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);
     return render(options);
   });

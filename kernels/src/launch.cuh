@@ -16,6 +16,14 @@ inline Status checked(cudaError_t error, const char* what) {
 inline Status launched(const char* what) {
   return checked(cudaGetLastError(), what);
 }
+/// Blocks that are to share a multiprocessor, for __launch_bounds__: fewer where it has room for 1,024 threads, on sm_75.
+constexpr int resident_blocks(int wanted, int threads) {
+#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
+  return wanted * threads <= 1024 ? wanted : 1024 / threads;
+#else
+  return static_cast<void>(threads), wanted;
+#endif
+}
 constexpr std::uint32_t blocks_for(std::uint64_t n, std::uint32_t threads) {
   return static_cast<std::uint32_t>((n + threads - 1) / threads);
 }

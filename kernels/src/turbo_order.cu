@@ -545,7 +545,7 @@ __device__ inline void deal_out_long(Shared& s, const TurboArrays& a, math::Tile
   }
 }
 
-__global__ void __launch_bounds__(kThreads, 5)
+__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
     turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
   const std::uint32_t rank = blockIdx.x;

@@ -44,11 +44,6 @@ constexpr int kThreads = 32 * kWarps;
 // apart at 1, an eighth of a step of 8 bits.
 constexpr float kOpaque = 1.0F / 2048;
 constexpr float kCenterX = 7.5F, kCenterY = 3.5F;
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-constexpr int kBlocks = 8;  // at once on a multiprocessor: sm_75 has 1,024 threads
-#else
-constexpr int kBlocks = 10;
-#endif
 
 // D = A B, FP16, [16, 16] x [16, 8]; the rows of A repeat in k: columns 8 .. 15 are columns 0 .. 7.
 __device__ inline void multiply_repeated(__half2 (&d)[2], const uint4& a, uint2 b) {
@@ -220,7 +215,7 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   }
 }
 
-__global__ void __launch_bounds__(kThreads, kBlocks) turbo_tensor_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, resident_blocks(10, kThreads)) turbo_tensor_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
   const TurboCell head = a.arrays.cells[blockIdx.x];

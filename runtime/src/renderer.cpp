@@ -56,6 +56,14 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
   return impl_->reference->render(scene.view(), camera, target, options);
 }
 
+Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target) {
+  return render(scene, camera, target, default_options());
+}
+
+RenderOptions Renderer::default_options() const {
+  return impl_->cuda ? turbo_options() : RenderOptions();
+}
+
 Backend Renderer::backend() const {
   return impl_->cuda ? Backend::cuda : Backend::cpu;
 }

@@ -148,6 +148,8 @@ TEST_CASE("backends: automatic is CUDA if a device answers and the CPU if not") 
   const auto cpu = Renderer::create({.backend = Backend::cpu});
   require_ok(cpu);
   CHECK(cpu->backend() == Backend::cpu);
+  CHECK(!cpu->default_options().cuda.turbo);
+  CHECK(automatic->default_options().cuda.turbo == answers);
   if (answers) {
     CHECK(cuda->backend() == Backend::cuda);
     CHECK(std::string(cuda->backend_name()).starts_with("cuda "));

@@ -31,9 +31,9 @@ struct CudaOptions {
     fused,     ///< one kernel: the paper
   };
   FrontEnd front_end = FrontEnd::fused;
-  /// Lists per tile of 32x32 pixels, ordered exactly where they are blended, in place of a sort over the frame;
-  /// deterministic by itself. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of
-  /// 2^25 Gaussians and more are drawn by the other kernels. FrameStats: lists count as bin_ms, there is no sort, no key.
+  /// Lists per tile of 32x32 pixels, each ordered exactly on its own, in place of a sort over the frame; deterministic by
+  /// itself. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of 2^25
+  /// Gaussians and more are drawn by the other kernels. FrameStats: lists count as bin_ms, their order as sort_ms.
   bool turbo = false;
   /// Of turbo: blends by matrix products in FP16, and in FP32 where depth or counts are wanted or low_pass < 0.1. Stops
   /// a pixel at a transmittance of 2^-11 in place of 1e-4. docs/KERNELS.md has what this changes.
@@ -117,8 +117,12 @@ class Renderer {
   /// of a target span, or contributions asked of CUDA), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
   /// device_failed.
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
-                            const RenderOptions& options = {});
+                            const RenderOptions& options);
+  /// With default_options().
+  Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target);
 
+  /// What is drawn where nothing else is asked for: turbo_options() on CUDA, RenderOptions() on the CPU.
+  RenderOptions default_options() const;
   Backend backend() const;           ///< the backend in use, never automatic
   const char* backend_name() const;  ///< e.g. "cpu AVX3_SPR", "cpu scalar"
 
