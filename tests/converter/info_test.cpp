@@ -214,8 +214,8 @@ TEST_CASE_FIXTURE(Fixture, "an archive: its preset, steps and bounds") {
     if (custom) options.archive.opacity_levels = 77;
     const auto bytes = encoded(3000, 2, options);
     const std::string path = write(bytes);
-    const Run text = run(path + " --verify");
-    CHECK(text.code == 0);
+    const ProgramResult text = run(path + " --verify");
+    CHECK(text.exit_code == 0);
     CHECK(has(text.out, custom ? " archive, 1 frames" : " archive:high, 1 frames"));
     CHECK(has(text.out, "77 levels") == custom);
     const FileView view = open(bytes).value();
