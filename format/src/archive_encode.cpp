@@ -53,7 +53,6 @@ struct Frame {
   FrameCodes codes;
   std::int32_t min_octaves = std::numeric_limits<std::int32_t>::max();
   std::int32_t max_octaves = std::numeric_limits<std::int32_t>::min();
-  Box box;  // of decoded means
 };
 
 // Cell of a mean on one axis, counted from the centre: the inverse of grid_mean().
@@ -72,6 +71,11 @@ std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean)
     n = (static_cast<std::int64_t>(exponent) << p.mean_cells) + scaled(2 * fraction - 1);
   }
   return t < 0 ? -1 - n : n;
+}
+
+// A cell as the file has it.
+std::uint32_t grid_coordinate(const ArchiveParameters& p, std::size_t axis, float mean) {
+  return static_cast<std::uint32_t>(grid_cell(p, axis, mean) + (std::int64_t{1} << (p.mean_bits - 1)));
 }
 
 class Encoder {
@@ -133,8 +137,7 @@ class Encoder {
     std::vector<GridPoint> points(f.count), decoded(f.count);
     for (std::size_t i = 0; i < f.count; ++i) {
       for (std::size_t k = 0; k < 3; ++k) {
-        const std::int64_t cell = grid_cell(p, k, splats_.mean[3 * (f.first + i) + k]);
-        points[i][k] = static_cast<std::uint32_t>(cell + (std::int64_t{1} << (p.mean_bits - 1)));
+        points[i][k] = grid_coordinate(p, k, splats_.mean[3 * (f.first + i) + k]);
       }
     }
     auto stream = encode_points(points);
@@ -474,6 +477,14 @@ Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const Spla
   assert(plan.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
   assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
   return Encoder(plan, splats).run(source_index);
+}
+
+std::array<float, 3> archive_mean(const ArchiveParameters& p, const float mean[3]) {
+  std::array<float, 3> decoded;
+  for (std::size_t k = 0; k < 3; ++k) {
+    decoded[k] = std::isfinite(mean[k]) ? grid_mean(p, k, grid_coordinate(p, k, mean[k])) : mean[k];
+  }
+  return decoded;
 }
 
 }  // namespace rgs

@@ -117,6 +117,7 @@ TEST_CASE("archives decode to whole direct data within their bounds, on any numb
       for (std::size_t i = 0; i < n; ++i) {
         const Splat source = cloud.view().splat(order[i]);
         const Splat& d = decoded[i];
+        REQUIRE(std::ranges::equal(archive_mean(p, source.mean), d.mean));
         const ScaleSet steps = view->scale_set(view->chunk(i / options.chunk_size)->scale_set).value();
         for (std::size_t k = 0; k < 3; ++k) {
           const double reach = std::max(p.half_width[k], std::abs(static_cast<double>(d.mean[k]) - p.centre[k]));

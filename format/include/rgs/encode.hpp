@@ -263,7 +263,7 @@ PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> c
 
 /// The file of Profile::archive for the plan's Gaussians: `splats` are those that the policy let through, mended and in
 /// Morton order (frames are cut along it), `source_index` [n] their positions in the source, which a permutation and errors
-/// name. Draco's order becomes the file's. Takes about 700 bytes a Gaussian beside them. What is written has been
+/// name. Draco's order becomes the file's. Takes about 300 bytes a Gaussian beside them. What is written has been
 /// decoded again and compared with `splats`: see verify_archive().
 /// Errors: bad_value (a value too large for the steps asked for; `found` is the Gaussian's source_index), those of
 /// verify_archive().
@@ -275,5 +275,9 @@ Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const Spla
 /// in the file), those of open() and load_direct().
 Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
                       unsigned threads = 0);
+
+/// The mean that a file with these parameters decodes to where its source has `mean`: finds Gaussians again that Draco has
+/// put into its own order. Those in one cell of the grid cannot be told apart so.
+std::array<float, 3> archive_mean(const ArchiveParameters& parameters, const float mean[3]);
 
 }  // namespace rgs
