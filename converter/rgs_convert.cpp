@@ -30,12 +30,20 @@ namespace {
 namespace tool = rgs::tool;
 using rgs::SplatFormat;
 
+// Knobs of archive that were given.
+struct ArchiveChanges {
+  std::optional<int> mean_cells, opacity_levels;
+  std::optional<float> sh_step, dc_step, rotation_step, scale_step, slope;
+};
+
 struct Arguments {
   std::vector<std::string> files;  // inputs, then the output
   std::string cameras, axes = "3dgs", to_axes, crop, max_count;
   std::vector<std::string> translate, rotate, scale;  // one for all inputs, or one for each
   SplatFormat from = SplatFormat::unknown, to = SplatFormat::unknown;
   rgs::ConvertOptions convert;
+  rgs::ArchiveOptions archive;  // of the preset
+  ArchiveChanges archive_changes;
   rgs::SplatFilter filter;
   std::optional<rgs::AaMode> aa_mode;
   std::optional<rgs::ColourSpace> colour_space;
@@ -50,9 +58,24 @@ struct Arguments {
 };
 
 // What shapes an .rgs file alone. With another output they are refused: leaving them without effect would mislead.
-constexpr const char* kRgsOptions[] = {
-    "--profile", "--level", "--keep-permutation", "--chunk-size",      "--file-scales", "--cameras",
-    "--near",    "--far",   "--depth-map",        "--metres-per-unit", "--audit"};
+constexpr const char* kRgsOptions[] = {"--profile",
+                                       "--level",
+                                       "--keep-permutation",
+                                       "--chunk-size",
+                                       "--file-scales",
+                                       "--cameras",
+                                       "--near",
+                                       "--far",
+                                       "--depth-map",
+                                       "--metres-per-unit",
+                                       "--audit",
+                                       "--archive-mean-cells",
+                                       "--archive-sh-step",
+                                       "--archive-dc-step",
+                                       "--archive-rotation-step",
+                                       "--archive-scale-step",
+                                       "--archive-opacity-levels",
+                                       "--archive-slope"};
 
 rgs::StageObserver observe(tool::Progress& progress) {
   rgs::StageObserver observer;
@@ -99,6 +122,7 @@ class Input {
   }
   const std::string& path() const { return path_; }
   std::span<const std::byte> bytes() const { return bytes_; }
+  const rgs::MappedFile& file() const { return file_; }
   std::string name() const {
     std::string name = path_ == "-" ? "stdin" : std::filesystem::path(path_).filename().string();
     name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
@@ -118,6 +142,13 @@ class Input {
   rgs::detail::SpoolFile spool_;
   std::span<const std::byte> bytes_;
 };
+
+// The file that an error of the whole conversion is about.
+const std::string& file_of(const rgs::Error& error, const Arguments& arguments, const std::deque<Input>& inputs) {
+  if (concerns_output(error.code)) return arguments.output();
+  const auto changed = std::ranges::find_if(inputs, [](const Input& input) { return !input.file().check_size(); });
+  return (changed != inputs.end() ? *changed : inputs.front()).path();
+}
 
 // The error of one file, or of none ("").
 struct Failure {
@@ -199,7 +230,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
   const SplatFormat from = format_of_input(arguments, first);
   const auto outcome = [&](rgs::Result<rgs::ConvertSummary> summary) -> Outcome<rgs::ConvertSummary> {
     if (summary) return std::move(*summary);
-    return failed(concerns_output(summary.error().code) ? arguments.output() : first.path(), summary.error());
+    return failed(file_of(summary.error(), arguments, inputs), summary.error());
   };
   if (from == SplatFormat::ply && to == SplatFormat::rgs && !edits(arguments)) {
     const auto ply = rgs::PlyFile::open(first.bytes());
@@ -297,6 +328,19 @@ int run_audit(const Arguments& arguments, const std::string& program) {
   return code ? *code : tool::report(program, code.error());
 }
 
+rgs::ArchiveOptions archive_options(const Arguments& a) {
+  rgs::ArchiveOptions o = a.archive;
+  const ArchiveChanges& c = a.archive_changes;
+  o.mean_cells = c.mean_cells.value_or(o.mean_cells);
+  o.sh_step = c.sh_step.value_or(o.sh_step);
+  o.dc_step = c.dc_step.value_or(o.dc_step);
+  o.rotation_step = c.rotation_step.value_or(o.rotation_step);
+  o.scale_step = c.scale_step.value_or(o.scale_step);
+  o.opacity_levels = c.opacity_levels.value_or(o.opacity_levels);
+  o.slope = c.slope.value_or(o.slope);
+  return o;
+}
+
 int convert_main(Arguments& arguments) {
   rgs::remove_temporaries_on_signal();
   if (const auto message = check_arguments(arguments)) return tool::report_usage(*message);
@@ -304,6 +348,8 @@ int convert_main(Arguments& arguments) {
   encode.axes = rgs::parse_axes(arguments.axes).value();
   encode.order = arguments.keep_order ? rgs::Order::input : rgs::Order::morton;
   encode.chunk_scales = !arguments.file_scales;
+  encode.archive = archive_options(arguments);
+  encode.archive.threads = static_cast<unsigned>(arguments.threads);
   if (arguments.explicit_policy) encode.max_bad_fraction = 1;
   arguments.convert.output.sync = !arguments.no_sync;
   const std::size_t threads = arguments.threads > 0 ? static_cast<std::size_t>(arguments.threads)
@@ -321,6 +367,7 @@ int convert_main(Arguments& arguments) {
     }
     if (const rgs::Status s = inputs.emplace_back().open(path); !s) return tool::report(path, s.error());
     source_bytes += inputs.back().bytes().size();
+    arguments.convert.output.inputs.push_back(&inputs.back().file());
   }
   const SplatFormat to = arguments.to != SplatFormat::unknown ? arguments.to : rgs::format_of_name(output);
   if (to == SplatFormat::unknown)
@@ -360,6 +407,28 @@ int convert_main(Arguments& arguments) {
   return arguments.audit ? run_audit(arguments, auditor) : tool::kSuccess;
 }
 
+void choose_profile(const std::string& name, Arguments& a) {
+  rgs::EncodeOptions& e = a.convert.encode;
+  e.profile = name == "direct" ? rgs::Profile::direct : name == "packed" ? rgs::Profile::packed : rgs::Profile::archive;
+  a.archive = name == "archive:small" ? rgs::archive_small() : rgs::archive_high();
+}
+
+// Steps of one's own, on top of a preset: kept apart from it until all options are read.
+void add_archive_options(CLI::App& app, Arguments& a) {
+  auto& c = a.archive_changes;
+  app.add_option(
+      "--archive-mean-cells", c.mean_cells,
+      "archive: 2^N cells between the middle and the side of the scene's robust box, 4 to 20 [15; small 13]");
+  app.add_option("--archive-sh-step", c.sh_step, "archive: step of SH above degree 0 [0.11; small 0.24]");
+  app.add_option("--archive-dc-step", c.dc_step, "archive: step of SH degree 0 [0.14; small 0.3]");
+  app.add_option("--archive-rotation-step", c.rotation_step,
+                 "archive: step of quaternion components [0.0156; small 0.0357]");
+  app.add_option("--archive-scale-step", c.scale_step, "archive: step of ln(scale) [0.15; small 0.35]");
+  app.add_option("--archive-opacity-levels", c.opacity_levels, "archive: steps of opacity from 0 to 1 [96; small 32]");
+  app.add_option("--archive-slope", c.slope,
+                 "archive: steps fall with importance to the power of half of this, 0 to 1 [0.6]");
+}
+
 void add_options(CLI::App& app, Arguments& a) {
   rgs::EncodeOptions& e = a.convert.encode;
   std::map<std::string, SplatFormat> readable, writable;
@@ -368,8 +437,6 @@ void add_options(CLI::App& app, Arguments& a) {
     readable.emplace(rgs::format_name(format), format);
     if (format == SplatFormat::rgs || rgs::is_writable(format)) writable.emplace(rgs::format_name(format), format);
   }
-  const std::map<std::string, rgs::Profile> profiles{{"direct", rgs::Profile::direct},
-                                                     {"packed", rgs::Profile::packed}};
   const std::map<std::string, rgs::BadPolicy> policies{
       {"refuse", rgs::BadPolicy::refuse}, {"drop", rgs::BadPolicy::drop}, {"repair", rgs::BadPolicy::repair}};
   const std::map<std::string, rgs::DepthMapping> mappings{{"linear", rgs::DepthMapping::linear},
@@ -392,9 +459,14 @@ void add_options(CLI::App& app, Arguments& a) {
       ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
   app.add_flag("--merge", a.merge, "Put the Gaussians of several inputs into one output");
   e.profile = rgs::Profile::packed;
-  app.add_option("--profile", e.profile, "packed (the default), or direct: as the GPU reads it; same Gaussians")
-      ->transform(CLI::Transformer(profiles))
-      ->option_text("packed|direct");
+  app.add_option_function<std::string>(
+         "--profile", [&a](const std::string& name) { choose_profile(name, a); },
+         "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
+         "within stated bounds, a fifth of packed's size and less (docs/PROFILES.md)")
+      ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small"}))
+      ->option_text("packed|direct|archive:high|archive:small")
+      ->trigger_on_parse();
+  add_archive_options(app, a);
   app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: above 1 slower to write and a little smaller")
       ->check(CLI::Range(1, rgs::kMaxLevel));
   app.add_flag("--keep-order", a.keep_order, "Keep the order of the input instead of a Morton curve");

@@ -1,12 +1,15 @@
 #!/usr/bin/python3
-# measure_formats.py - size and rendered quality of a scene in each format that rgs-convert writes.
+# measure_formats.py - size and rendered quality of a scene in each format that rgs-convert writes or reads.
 # SPDX-License-Identifier: Apache-2.0
 """Converts a PLY to each format, renders the test views of all at half size with rgs-render (FP32 pictures), and prints
 bytes per Gaussian and PSNR against the PLY's pictures as a table and, with --json, as the record kept in docs/.
 
-  measure_formats.py scene.ply cameras.json [--bin build/release/bin] [--work FOLDER] [--json OUT] [NAME=FILE...]
+  measure_formats.py scene.ply cameras.json [--bin build/release/bin] [--work FOLDER] [--json OUT] [--peers] [NAME=FILE...]
 
-NAME=FILE adds files that other programs wrote of the same scene, e.g. SOG=scene.sog.
+--peers adds what other programs write of the same scene: PlayCanvas's splat-transform (compressed.ply, spz, sog) and
+GaussianSplats3D (ksplat, at most SH degree 2), fetched by npm into --work. A file of theirs that is there already is used
+as it is: clustering for SOG takes hours without a GPU. NAME=FILE adds further files. scripts/plot_formats.py draws the
+record.
 """
 import argparse
 import datetime
@@ -20,8 +23,29 @@ import zlib
 
 import numpy as np
 
-WRITTEN = [("rgs (packed)", "packed.rgs", []), ("rgs (direct)", "direct.rgs", ["--profile", "direct"]),
-           ("compressed.ply", "compressed.ply", []), ("spz", "spz", []), ("splat", "splat", []), ("glb", "glb", [])]
+# format, name of the file, options
+WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--profile", "direct"]),
+           ("rgs archive:high", "high.rgs", ["--profile", "archive:high"]),
+           ("rgs archive:small", "small.rgs", ["--profile", "archive:small"]),
+           ("compressed.ply", "scene.compressed.ply", []), ("spz", "scene.spz", []), ("splat", "scene.splat", []),
+           ("glb", "scene.glb", [])]
+TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@2.7.1", "@mkkellogg/gaussian-splats-3d@0.4.7"
+# format, writer, name of the file, command
+PEERS = [(kind, "splat-transform 2.7.1", f"peer.{kind}",
+          ["npx", "--yes", TRANSFORM, "-q", "-w", "-g", "cpu", "{input}", "{output}"])
+         for kind in ("compressed.ply", "spz", "sog")]
+PEERS += [(f"ksplat, level {level}", "GaussianSplats3D 0.4.7", f"peer{level}.ksplat",
+           ["node", "{work}/write_ksplat.mjs", "{input}", "{output}", str(level)]) for level in range(3)]
+WRITE_KSPLAT = """import fs from 'node:fs';
+globalThis.window = globalThis;
+globalThis.self = globalThis;
+const { PlyParser, SplatBufferGenerator } = await import('@mkkellogg/gaussian-splats-3d');
+const [input, output, level] = process.argv.slice(2);
+const file = fs.readFileSync(input);
+const splats = PlyParser.parseToUncompressedSplatArray(file.buffer.slice(file.byteOffset, file.byteOffset + file.length), 2);
+const generator = SplatBufferGenerator.getStandardGenerator(0, Number(level), 0);
+fs.writeFileSync(output, new Uint8Array(generator.generateFromUncompressedSplatArray(splats).bufferData));
+"""
 
 
 def run(*command):
@@ -70,6 +94,7 @@ def main():
     parser.add_argument("--bin", type=pathlib.Path, default=pathlib.Path("build/release/bin"))
     parser.add_argument("--work", type=pathlib.Path, default=pathlib.Path("build/formats"))
     parser.add_argument("--json", type=pathlib.Path)
+    parser.add_argument("--peers", action="store_true")
     arguments = parser.parse_intermixed_args()
     arguments.work.mkdir(parents=True, exist_ok=True)
     cameras = [camera for camera in json.loads(arguments.cameras.read_text()) if camera.get("split", "test") == "test"]
@@ -83,31 +108,49 @@ def main():
 
     reference = render(arguments.ply, "ply")
     n = None
-    entries = [{"format": "ply", "bytes": arguments.ply.stat().st_size, "psnr_db": None}]
-    files = []
-    for name, ending, options in WRITTEN:
-        path = arguments.work / f"scene.{ending}"
+    files = [("ply", "", arguments.ply)]
+    for kind, name, options in WRITTEN:
+        path = arguments.work / name
         summary = json.loads(run(arguments.bin / "rgs-convert", *options, "--json", "--quiet", "--overwrite",
                                  arguments.ply, path))
         n = summary["source"]["gaussians"]
-        files.append((name, path))
-    files += [(name, pathlib.Path(path)) for name, path in (other.split("=", 1) for other in arguments.others)]
-    for name, path in files:
-        pictures = render(path, name)
-        errors = [np.mean((a - b) ** 2) for a, b in zip(reference, pictures, strict=True)]
-        psnr = float(np.mean([-10 * np.log10(max(error, 1e-20)) for error in errors]))
-        entries.append({"format": name, "bytes": path.stat().st_size, "psnr_db": round(psnr, 2)})
-    for entry in entries:
-        entry["bytes_per_gaussian"] = round(entry["bytes"] / n, 2)
-    record = {"schema": "rgs-formats/1", "date": datetime.date.today().isoformat(), "renderer": "CPU, FP32",
+        files.append((kind, "rgs-convert", path))
+    if arguments.peers:
+        files += write_as_peers(arguments.ply, arguments.work)
+    files += [(name, "", pathlib.Path(path)) for name, path in (other.split("=", 1) for other in arguments.others)]
+    entries = []
+    for kind, writer, path in files:
+        entry = {"format": kind, "writer": writer, "bytes": path.stat().st_size,
+                 "bytes_per_gaussian": round(path.stat().st_size / n, 2), "psnr_db": None, "worst_psnr_db": None}
+        if kind != "ply":
+            pictures = render(path, path.name)
+            psnr = [-10 * np.log10(max(np.mean((a - b) ** 2), 1e-20)) for a, b in zip(reference, pictures, strict=True)]
+            entry |= {"psnr_db": round(float(np.mean(psnr)), 2), "worst_psnr_db": round(float(min(psnr)), 2)}
+        entries.append(entry)
+    record = {"schema": "rgs-formats/2", "date": datetime.date.today().isoformat(), "renderer": "CPU, FP32",
               "device": cpu_name(), "scene": arguments.ply.name, "gaussians": n, "views": len(reference), "size": size,
-              "psnr": "mean over views, float pictures, against the PLY", "entries": entries}
-    print("| file | bytes per Gaussian | PSNR |\n|---|---|---|")
+              "psnr": "mean and least over views, float pictures, against the PLY", "entries": entries}
+    print("| file | written by | bytes per Gaussian | PSNR | worst view |\n|---|---|---|---|---|")
     for entry in entries:
-        psnr = "-" if entry["psnr_db"] is None else f"{entry['psnr_db']:.1f} dB"
-        print(f"| {entry['format']} | {entry['bytes_per_gaussian']:.1f} | {psnr} |")
+        psnr, worst = ("-" if value is None else f"{value:.1f} dB" for value in (entry["psnr_db"], entry["worst_psnr_db"]))
+        print(f"| {entry['format']} | {entry['writer']} | {entry['bytes_per_gaussian']:.1f} | {psnr} | {worst} |")
     if arguments.json:
         arguments.json.write_text(json.dumps(record, indent=1) + "\n")
+
+
+def write_as_peers(ply, work):
+    """[format, writer, path] of what other programs make of the scene."""
+    work = work.resolve()
+    (work / "write_ksplat.mjs").write_text(WRITE_KSPLAT)
+    files = []
+    for kind, writer, name, command in PEERS:
+        path = work / name
+        if not path.exists():
+            if command[0] == "node" and not (work / "node_modules").exists():
+                run("npm", "install", "--silent", "--prefix", work, SPLATS3D)
+            run(*(word.format(input=ply.resolve(), output=path, work=work) for word in command))
+        files.append((kind, writer, path))
+    return files
 
 
 def cpu_name():

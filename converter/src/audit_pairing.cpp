@@ -10,6 +10,8 @@
 #include <bit>
 #include <optional>
 
+#include "rgs/encode.hpp"
+
 namespace rgs::audit {
 namespace {
 
@@ -108,7 +110,14 @@ Pairing pair_by_means(const PlyFile& source, const FileView& asset) {
       rows[row] = {key_of(mean), static_cast<std::uint32_t>(row)};
     };
   };
-  for_each_source_mean(source, note(of_source));
+  if (const ArchiveParameters* archive = asset.archive()) {
+    const auto keep = note(of_source);
+    for_each_source_mean(source, [&](std::uint64_t row, const float* mean) {
+      keep(row, archive_mean(*archive, mean).data());  // what became of it
+    });
+  } else {
+    for_each_source_mean(source, note(of_source));
+  }
   for_each_asset_mean(asset, note(of_asset));
   tbb::parallel_sort(of_source);
   tbb::parallel_sort(of_asset);

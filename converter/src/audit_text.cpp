@@ -5,10 +5,10 @@
 #include <fmt/format.h>
 
 #include <cmath>
-#include <iterator>
 
 #include "audit_gate.hpp"
 #include "info_escape.hpp"
+#include "text_lines.hpp"
 
 namespace rgs::audit {
 namespace {
@@ -16,7 +16,7 @@ namespace {
 using tool::format_bytes;
 using tool::format_count;
 
-class Text {
+class Text : private tool::TextLines {
  public:
   explicit Text(const Report& report) : report_(report) {}
 
@@ -29,17 +29,10 @@ class Text {
     const Verdict v = verdict(report_);
     line("{}. {}", v.headline, v.detail);
     if (!report_path.empty()) line("report: {}", report_path);
-    return std::move(out_);
+    return take();
   }
 
  private:
-  template <class... Args>
-  void line(fmt::format_string<Args...> format, Args&&... args) {
-    fmt::format_to(std::back_inserter(out_), format, std::forward<Args>(args)...);
-    out_.erase(out_.find_last_not_of(' ') + 1);
-    out_ += '\n';
-  }
-
   void sizes() {
     const SizeReport& s = report_.size;
     line("{} ({}) -> {} ({}): {:.2f}x smaller, {:.2f} bytes per Gaussian", escape(report_.source_name),
@@ -94,7 +87,6 @@ class Text {
   static std::string escape(const std::string& text) { return tool::escape_untrusted(text, false, 4096); }
 
   const Report& report_;
-  std::string out_;
 };
 
 }  // namespace

@@ -26,7 +26,7 @@ const char* depth_mapping_name(DepthMapping mapping) {
 
 // The minor version says whether sections are coded.
 const char* profile_name(const Header& header) {
-  return header.version_minor == 0 ? "direct" : "packed";
+  return header.version_minor == 0 ? "direct" : header.version_minor == 1 ? "packed" : "archive";
 }
 
 double per_gaussian(std::uint64_t bytes, std::uint64_t n) {

@@ -13,12 +13,10 @@
 namespace rgs {
 namespace {
 
-constexpr std::uint64_t kBatchRows = 4096;      // of files that are stored as is
-constexpr std::uint64_t kCodedRows = 1u << 19;  // decoded at a time from others
+constexpr std::uint64_t kBatchRows = 4096;
 
-// Positions in the file in the order of the source; empty if the file is in that order or does not say.
+// Positions in the file in the order of the source, of a checked permutation.
 std::vector<std::uint64_t> source_order(const FileView& view) {
-  if (view.find(SectionType::permutation) == nullptr) return {};
   std::vector<std::uint64_t> order(view.header().n_gaussians);
   std::iota(order.begin(), order.end(), std::uint64_t{0});
   std::ranges::sort(order, {}, [&view](std::uint64_t i) { return view.source_index(i); });
@@ -48,28 +46,33 @@ Status write_batches(std::uint64_t first, std::uint64_t count, PlyWriter& writer
   return status;
 }
 
-// In the order of the file a few frames are decoded at a time; in that of the source rows come from everywhere, and all
-// that is coded is decoded first.
-Status write_rows(const FileView& source, std::span<const std::uint64_t> order, PlyWriter& writer,
-                  const StageObserver& observer) {
-  const Header& h = source.header();
-  const std::uint64_t piece = source.coded() && order.empty() ? std::max<std::uint64_t>(1, kCodedRows / h.chunk_size)
-                                                              : std::max<std::uint64_t>(1, h.n_chunks);
-  for (std::uint64_t chunk = 0; chunk < h.n_chunks; chunk += piece) {
-    const auto data = read_chunks(source, chunk, std::min(piece, h.n_chunks - chunk), {.validate = false});
+// In the order of the file: what is decoded to be checked is written at once.
+Status write_in_file_order(const FileView& source, PlyWriter& writer, const StageObserver& observer) {
+  auto validation = Validation::begin(source);
+  if (!validation) return tl::unexpected(validation.error());
+  const std::uint64_t n_chunks = source.header().n_chunks, piece = validation->chunks_at_a_time();
+  for (std::uint64_t chunk = 0; chunk < n_chunks; chunk += piece) {
+    const auto data = read_chunks(source, chunk, std::min(piece, n_chunks - chunk), {.validate = false});
     if (!data) return tl::unexpected(data.error());
-    const Status s = write_batches(data->first(), data->size(), writer, observer,
-                                   [&](std::uint64_t begin, std::span<Splat> rows) -> Status {
-                                     if (order.empty()) return data->read(begin, rows);
-                                     for (std::size_t i = 0; i < rows.size(); ++i) {
-                                       if (Status read = data->read(order[begin + i], rows.subspan(i, 1)); !read)
-                                         return read;
-                                     }
-                                     return {};
-                                   });
-    if (!s) return s;
+    if (Status s = validation->check(*data); !s) return s;
+    const auto read = [&data](std::uint64_t begin, std::span<Splat> rows) { return data->read(begin, rows); };
+    if (Status s = write_batches(data->first(), data->size(), writer, observer, read); !s) return s;
   }
-  return {};
+  return validation->finish();
+}
+
+// In that of the source, which is known once the permutation is checked, rows come from everywhere.
+Status write_in_source_order(const FileView& source, PlyWriter& writer, const StageObserver& observer) {
+  if (Status s = validate(source); !s) return s;
+  const auto data = load_direct(source, {.validate = false});
+  if (!data) return tl::unexpected(data.error());
+  const std::vector<std::uint64_t> order = source_order(source);
+  return write_batches(0, order.size(), writer, observer, [&](std::uint64_t begin, std::span<Splat> rows) -> Status {
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+      if (Status s = data->read(order[begin + i], rows.subspan(i, 1)); !s) return s;
+    }
+    return {};
+  });
 }
 
 }  // namespace
@@ -78,16 +81,15 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
                                           AtomicFile::Options output, const StageObserver& observer) {
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
-  clock.begin("validate", 0, "");
-  if (const Status s = validate(source); !s) return tl::unexpected(s.error());
   const std::uint64_t n = source.header().n_gaussians;
   const int degree = source.header().sh_degree;
   auto writer = PlyWriter::create(output_path, n, degree, output);
   if (!writer) return tl::unexpected(writer.error());
-  const std::vector<std::uint64_t> order = source_order(source);
 
   clock.begin("decode", n, "Gaussians");
-  if (const Status s = write_rows(source, order, *writer, observer); !s) return tl::unexpected(s.error());
+  const bool permuted = source.find(SectionType::permutation) != nullptr;
+  const Status written = (permuted ? write_in_source_order : write_in_file_order)(source, *writer, observer);
+  if (!written) return tl::unexpected(written.error());
   clock.begin("commit", 0, "");
   const auto synced = writer->commit();
   if (!synced) return tl::unexpected(synced.error());

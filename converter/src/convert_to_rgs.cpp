@@ -3,6 +3,7 @@
 // Pass 1 reads every row once: finds damage, bounds and ranges, and keeps the means (12 bytes a Gaussian).
 // Then Morton keys replace the means and are sorted with 32-bit indices (24 bytes a Gaussian at the peak).
 // Pass 2 gathers rows in that order, chunk by chunk; chunks are quantised in parallel and written in order.
+// Profile::archive looks at the scene as a whole: pass 2 gathers all of it.
 // SPDX-License-Identifier: Apache-2.0
 #include <tbb/enumerable_thread_specific.h>
 #include <tbb/parallel_for.h>
@@ -135,6 +136,9 @@ struct Batch {
   EncodeCounts counts;
 };
 
+// Header and sections as they are in the file.
+using Finished = std::pair<Header, std::vector<SectionEntry>>;
+
 // Pass 2. Chunks are encoded in parallel; one thread at a time writes batches in file order. Frames of Profile::packed
 // have sizes that nobody knows before: they go to where the section would begin in the worst case, and move up when all
 // are there.
@@ -189,7 +193,7 @@ class ChunkStream {
   }
 
   // Tables, head, and what has to move. Returns the header and the sections as they are in the file.
-  Result<std::pair<Header, std::vector<SectionEntry>>> finish_file() {
+  Result<Finished> finish_file() {
     const auto permutation = plan_.keep_permutation ? std::as_bytes(indices_) : std::span<const std::byte>();
     return plan_.profile == Profile::packed ? finish_as_packed(permutation) : finish_as_direct(permutation);
   }
@@ -253,8 +257,6 @@ class ChunkStream {
     }
     return {};
   }
-
-  using Finished = std::pair<Header, std::vector<SectionEntry>>;
 
   Result<Finished> finish_as_direct(std::span<const std::byte> permutation) {
     if (const SectionEntry* entry = plan_.find(SectionType::permutation)) {
@@ -334,6 +336,35 @@ class ChunkStream {
   Status status_;
 };
 
+Result<Finished> write_archive(const SplatSource& source, const EncodePlan& plan,
+                               std::span<const std::uint32_t> indices, bool repairing, AtomicFile& file,
+                               EncodeCounts& counts) {
+  SplatCloud cloud;
+  cloud.resize(indices.size(), plan.header.sh_degree);
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, indices.size(), 1024), [&](const auto& range) {
+    std::vector<Splat> rows(range.size());
+    source.gather(indices.subspan(range.begin(), range.size()), rows);
+    for (std::size_t i = 0; i < rows.size(); ++i) {
+      if (repairing) repair(rows[i], find_defects(rows[i], plan.header.sh_degree));
+      cloud.set(range.begin() + i, rows[i]);
+    }
+  });
+  const auto bytes = encode_archive(plan, cloud.view(), indices);
+  if (!bytes) {
+    Error error = bytes.error();
+    if (error.code == Errc::bad_value && error.found != Error::kNone) error.offset = source.row_offset(error.found);
+    return tl::unexpected(error);
+  }
+  if (const Status s = file.write_at(0, *bytes); !s) return tl::unexpected(s.error());
+  DecodeLimits limits;
+  limits.max_expansion = std::uint64_t{1} << 32;  // as the encoder has opened it
+  const auto view = open(*bytes, limits);
+  if (!view) return tl::unexpected(view.error());
+  const Declarations& d = view->declarations();
+  counts = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
+  return Finished{view->header(), view->sections()};
+}
+
 }  // namespace
 
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
@@ -383,9 +414,17 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   if (encode.profile == Profile::direct) {
     if (const Status s = file->reserve(plan->header.file_bytes); !s) return tl::unexpected(s.error());
   }
-  ChunkStream stream(source, *plan, indices, encode.on_bad == BadPolicy::repair, *file);
-  if (const Status s = stream.run(observer); !s) return tl::unexpected(s.error());
-  auto finished = stream.finish_file();
+  const bool repairing = encode.on_bad == BadPolicy::repair;
+  EncodeCounts counts;
+  Result<Finished> finished;
+  if (plan->profile == Profile::archive) {
+    finished = write_archive(source, *plan, indices, repairing, *file, counts);
+  } else {
+    ChunkStream stream(source, *plan, indices, repairing, *file);
+    if (const Status s = stream.run(observer); !s) return tl::unexpected(s.error());
+    finished = stream.finish_file();
+    counts = stream.counts();
+  }
   if (!finished) return tl::unexpected(finished.error());
   clock.begin("commit", 0, "");
   const auto synced = file->commit();
@@ -406,10 +445,10 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan.defects(static_cast<Defect>(i));
   summary.header = finished->first;
   summary.declarations = plan->declarations;
-  summary.declarations.n_scale_subnormal = stream.counts().scale_subnormal;
-  summary.declarations.n_scale_zero = stream.counts().scale_zero;
-  summary.declarations.n_opacity_zero = stream.counts().opacity_zero;
-  summary.declarations.n_opacity_one = stream.counts().opacity_one;
+  summary.declarations.n_scale_subnormal = counts.scale_subnormal;
+  summary.declarations.n_scale_zero = counts.scale_zero;
+  summary.declarations.n_opacity_zero = counts.opacity_zero;
+  summary.declarations.n_opacity_one = counts.opacity_one;
   summary.sections = std::move(finished->second);
   if (scan.n_kept() != 0) {
     summary.min_scale = scale_from_log(scan.min_log_scale());

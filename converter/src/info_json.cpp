@@ -100,6 +100,34 @@ Json json(const Provenance& p) {
           {"tool", p.tool}};
 }
 
+Json json(const ArchiveParameters& p) {
+  Json classes = Json::array();
+  for (const ArchiveClass& c : p.classes) {
+    classes.push_back({{"rotation_step", number(c.rotation_step)},
+                       {"scale_step", scale_step(c)},
+                       {"dc_step", dc_step(c)},
+                       {"sh_step", number(c.sh_step)},
+                       {"bound_rotation", number(c.bound_rotation)},
+                       {"bound_scale", number(c.bound_scale)},
+                       {"bound_dc", number(c.bound_dc)},
+                       {"bound_sh", number(c.bound_sh)}});
+  }
+  return {{"profile", archive_name(p)},
+          {"mean_cells", p.mean_cells},
+          {"centre", p.centre},
+          {"half_width", p.half_width},
+          {"opacity_levels", p.opacity_levels},
+          {"rotation_step", number(p.rotation_step)},
+          {"scale_step", number(p.scale_step)},
+          {"dc_step", number(p.dc_step)},
+          {"sh_step", number(p.sh_step)},
+          {"slope", number(p.slope)},
+          {"class_octaves", number(p.class_octaves)},
+          {"bound_mean", number(p.bound_mean)},
+          {"bound_opacity", number(p.bound_opacity)},
+          {"classes", std::move(classes)}};
+}
+
 Json sections(const InfoReport& report) {
   Json array = Json::array();
   for (std::size_t i = 0; i < report.view->sections().size(); ++i) {
@@ -204,6 +232,7 @@ std::string info_json(const InfoReport& report) {
     j["declarations"] = json(view.declarations());
     j["provenance"] = view.provenance() ? json(*view.provenance()) : Json();
     j["sections"] = sections(report);
+    if (view.archive() != nullptr) j["archive"] = json(*view.archive());
     if (report.steps) j["sh_steps"] = json(*report.steps, view.header());
     if (report.chunks) {
       j["chunks"] = {{"diagonal", json(report.chunks->diagonal)},

@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <numbers>
 
 #include "rgs/checksum.hpp"
+#include "rgs/encode.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/quantize.hpp"
 
@@ -398,6 +400,26 @@ Name name_of(Order order) {
   return {"input", "order of the source"};
 }
 
+std::string archive_name(const ArchiveParameters& p) {
+  ArchiveOptions found;
+  found.mean_cells = static_cast<int>(p.mean_cells);
+  found.sh_step = p.sh_step;
+  found.dc_step = p.dc_step;
+  found.rotation_step = p.rotation_step;
+  found.scale_step = p.scale_step;
+  found.opacity_levels = static_cast<int>(p.opacity_levels);
+  found.slope = p.slope;
+  return found == archive_high() ? "archive:high" : found == archive_small() ? "archive:small" : "archive";
+}
+
+double scale_step(const ArchiveClass& c) {
+  return c.scale_step / 65536.0 * std::numbers::ln2;
+}
+
+double dc_step(const ArchiveClass& c) {
+  return c.dc_step / 65536.0;
+}
+
 const char* describe(SectionType type) {
   switch (type) {
     case SectionType::declarations: return "declarations";
@@ -406,6 +428,7 @@ const char* describe(SectionType type) {
     case SectionType::means: return "means";
     case SectionType::geometry: return "rotation, scale, opacity";
     case SectionType::sh: return "SH codes";
+    case SectionType::archive: return "archive: steps, tables";
     case SectionType::permutation: return "source positions";
     case SectionType::provenance: return "provenance";
   }
@@ -422,6 +445,7 @@ std::string codec_name(std::uint32_t codec) {
   switch (static_cast<Codec>(codec)) {
     case Codec::none: return "none";
     case Codec::planes: return "planes";
+    case Codec::archive: return "archive";
   }
   return "codec " + std::to_string(codec);
 }

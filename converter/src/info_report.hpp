@@ -115,6 +115,11 @@ Name name_of(SortMetric metric);
 Name name_of(DepthMapping mapping);
 Name name_of(DepthSource source);
 Name name_of(Order order);
+/// Profile::archive's name with that of the preset whose steps it has: "archive:high"; "archive" if they are others.
+std::string archive_name(const ArchiveParameters& parameters);
+/// Step of a class's ln(scale), and of its SH degree 0.
+double scale_step(const ArchiveClass& c);
+double dc_step(const ArchiveClass& c);
 /// Content of a section; empty for types that are not known.
 const char* describe(SectionType type);
 /// The four characters of a section's type as they are in the file: untrusted.

@@ -5,20 +5,20 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <iterator>
+#include <numbers>
 #include <string_view>
-#include <utility>
 
 #include "console.hpp"
 #include "info_escape.hpp"
 #include "rgs/quantize.hpp"
+#include "text_lines.hpp"
 
 namespace rgs::tool {
 namespace {
 
 constexpr const char* kChannels[3] = {"red", "green", "blue"};
 
-class TextReport {
+class TextReport : private TextLines {
  public:
   TextReport(const InfoReport& report, bool ascii)
       : report_(report), view_(*report.view), header_(view_.header()), ascii_(ascii) {}
@@ -28,10 +28,11 @@ class TextReport {
     summary();
     declarations();
     sections();
+    if (view_.archive() != nullptr) archive(*view_.archive());
     if (report_.steps) steps();
     if (report_.chunks) chunks();
     values();
-    return std::move(out_);
+    return take();
   }
 
   std::string chunk() {
@@ -50,16 +51,10 @@ class TextReport {
     bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
     step_table(fmt::format("SH steps, set {}", format_count(c.entry.scale_set)), c.steps);
     values();
-    return std::move(out_);
+    return take();
   }
 
  private:
-  template <class... Args>
-  void line(fmt::format_string<Args...> format, Args&&... args) {
-    fmt::format_to(std::back_inserter(out_), format, std::forward<Args>(args)...);
-    out_.erase(out_.find_last_not_of(' ') + 1);
-    out_ += '\n';
-  }
   void row(std::string_view key, std::string_view value) { line("  {:<17}{}", key, value); }
 
   void title(const std::string& what) {
@@ -83,8 +78,9 @@ class TextReport {
                     rest == 0 ? "" : fmt::format(" (the last {})", rest), name_of(view_.declarations().order).words));
     if (view_.coded()) {
       const FrameTable& frames = view_.frames(SectionType::sh);
+      const std::string name = view_.archive() == nullptr ? "packed" : archive_name(*view_.archive());
       row("profile",
-          fmt::format("packed, {} frames of {}", format_count(frames.frames.size()), format_count(frames.rows)));
+          fmt::format("{}, {} frames of {}", name, format_count(frames.frames.size()), format_count(frames.rows)));
     } else {
       row("profile", "direct");
     }
@@ -137,7 +133,7 @@ class TextReport {
   }
 
   void sections() {
-    line("\nsections  {:<24}{:>16}{:>16}{:>16}  {:<6}{:>8}{:>9}  {:<16}{}", "content", "offset", "stored", "decoded",
+    line("\nsections  {:<24}{:>16}{:>16}{:>16}  {:<7}{:>7}{:>9}  {:<16}{}", "content", "offset", "stored", "decoded",
          "codec", "B/Gauss", "share", "xxh3", report_.hashes.empty() ? "" : "  check");
     std::uint64_t stored = 0, decoded = 0;
     for (std::size_t i = 0; i < view_.sections().size(); ++i) {
@@ -146,17 +142,36 @@ class TextReport {
       decoded += s.decoded_bytes;
       const char* content = describe(static_cast<SectionType>(s.type));
       const char* check = report_.hashes.empty() ? "" : report_.hashes[i] == s.xxh3 ? "  OK" : "  DAMAGED";
-      line("  {:<8}{:<24}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%  {:016x}{}",
+      line("  {:<8}{:<24}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%  {:016x}{}",
            escape_untrusted(four_characters(s.type), true), *content == '\0' ? "unknown, skipped" : content,
            format_count(s.offset), format_count(s.stored_bytes), format_count(s.decoded_bytes), codec_name(s.codec),
            bytes_per_gaussian(s.stored_bytes, header_), share(s.stored_bytes), s.xxh3, check);
     }
     const std::uint64_t rest = report_.file_bytes - stored;
-    line("  {:<32}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%", "header, table, padding", "", format_count(rest),
+    line("  {:<32}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%", "header, table, padding", "", format_count(rest),
          format_count(rest), "", bytes_per_gaussian(rest, header_), share(rest));
-    line("  {:<32}{:>16}{:>16}{:>16}  {:<6}{:>8.2f}{:>8.2f}%", "total", "", format_count(report_.file_bytes),
+    line("  {:<32}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%", "total", "", format_count(report_.file_bytes),
          format_count(decoded + rest), "", bytes_per_gaussian(report_.file_bytes, header_), 100.0);
     if (report_.verified) line("  verified: every checksum and every value obeys the specification");
+  }
+
+  void archive(const ArchiveParameters& p) {
+    line("\narchive: steps, and the largest errors that its writer has verified");
+    row("means", fmt::format("2^{} cells from the middle to {:.4g}, {:.4g}, {:.4g} on each side, coarser in proportion "
+                             "beyond; error at most {:.2g} of that or of the distance",
+                             p.mean_cells, p.half_width[0], p.half_width[1], p.half_width[2], p.bound_mean));
+    row("opacity", fmt::format("{} levels; error at most {:.2g}", p.opacity_levels, p.bound_opacity));
+    row("steps", fmt::format("times importance^-{:.3g}, classes of {:.3g} octaves from the least seen to the most",
+                             p.slope / 2, p.class_octaves));
+    line("  {:<8}{:^22}{:^22}{:^22}{:^22}", "class", "rotation, degrees", "ln(scale)", "SH degree 0", "SH above");
+    line("  {0:<8}{1:>10}{2:>12}{1:>10}{2:>12}{1:>10}{2:>12}{1:>10}{2:>12}", "", "step", "bound");
+    constexpr float kDegrees = 180 / std::numbers::pi_v<float>;
+    for (std::size_t i = 0; i < p.classes.size(); ++i) {
+      const ArchiveClass& c = p.classes[i];
+      line("  {:<8}{:>10.3g}{:>12.3g}{:>10.3g}{:>12.3g}{:>10.3g}{:>12.3g}{:>10.3g}{:>12.3g}", i,
+           2 * c.rotation_step * kDegrees, c.bound_rotation * kDegrees, scale_step(c), c.bound_scale, dc_step(c),
+           c.bound_dc, c.sh_step, c.bound_sh);
+    }
   }
 
   double share(std::uint64_t part) const {
@@ -263,7 +278,6 @@ class TextReport {
   const FileView& view_;
   const Header& header_;
   bool ascii_;
-  std::string out_;
 };
 
 }  // namespace

@@ -14,17 +14,22 @@
 
 #include <array>
 #include <cmath>
+#include <functional>
+#include <future>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "quantised.hpp"
+#include "rgs/encode.hpp"
 #include "rgs/quantize.hpp"
+#include "rgs/spatial_order.hpp"
 
 namespace rgs::detail {
 namespace {
 
 constexpr std::uint32_t kMagicSpz = 0x5053474E;
-constexpr std::uint64_t kGzipHeaderBytes = 16, kHeaderBytesV4 = 32, kStreams = 6;
+constexpr std::uint64_t kGzipHeaderBytes = 16, kHeaderBytesV4 = 32, kStreams = 6, kShStream = 5;
 constexpr std::uint8_t kFlagAntialiased = 1, kFlagExtensions = 2;
 constexpr int kDefaultFractionalBits = 12;
 constexpr double kColourScale = 0.15;
@@ -268,12 +273,47 @@ std::uint32_t encode_rotation(const float (&rotation)[4]) {
   return code;
 }
 
-// SH codes are 128 + 128 * value; the encoder keeps only the upper bits, which is what makes them compress.
-std::uint8_t encode_sh(float value, int coefficient) {
-  const double step = coefficient < 4 ? 8 : 16;
-  const double code = 128 + step * std::floor(static_cast<double>(value) * 128 / step + 0.5);
-  return static_cast<std::uint8_t>(std::clamp(code, 0.0, 255.0));
+// Gaussians as a Morton curve meets them.
+std::vector<std::uint32_t> spatial_order(const SplatView& splats) {
+  SceneScan scan(splats.sh_degree, {});
+  for (std::uint64_t i = 0; i < splats.n; ++i) {
+    Splat splat = splats.splat(i);
+    scan.add(splat);
+  }
+  const MortonKey key(scan.robust());
+  std::vector<std::uint64_t> keys(splats.n);
+  std::vector<std::uint32_t> indices(splats.n);
+  for (std::uint32_t i = 0; i < indices.size(); ++i) {
+    indices[i] = i;
+    keys[i] = key(&splats.mean[3 * std::size_t{i}]);
+  }
+  sort_by_key(keys, indices);
+  return indices;
 }
+
+// SH codes are 128 + 128 * value, of which the encoder keeps the upper bits: that is what makes them compress. Steps are so
+// coarse that most codes are 0, and since a pixel blends neighbours, errors of one sign pile up in it. So each code takes
+// on a little of the error of those before it in space (error diffusion; Floyd and Steinberg 1976). An outdoor scene of
+// 778,812 Gaussians gains 1.2 dB for 0.7 bytes; a share of a half 2.4 dB for 2.3. Decoded values have no error to pass on.
+class ShDiffusion {
+ public:
+  explicit ShDiffusion(std::uint64_t floats) : carry_(floats) {}
+
+  // `sh` and `codes`: the coefficients above degree 0 of the next Gaussian.
+  void encode(const float* sh, std::byte* codes) {
+    for (std::size_t k = 0; k < carry_.size(); ++k) {
+      const double step = k < 9 ? 8 : 16, value = static_cast<double>(sh[k]) * 128;
+      const double wanted = value + kShare * std::clamp(carry_[k], -step, step);
+      const double code = std::clamp(step * std::floor(wanted / step + 0.5), -128.0, 127.0);
+      carry_[k] = kMemory * (carry_[k] + value - code);
+      codes[k] = static_cast<std::byte>(static_cast<int>(code) + 128);
+    }
+  }
+
+ private:
+  static constexpr double kShare = 0.12, kMemory = 0.97;
+  std::vector<double> carry_;
+};
 
 SplatCloud decode_streams(const SpzHeader& header, const Streams& in) {
   SplatCloud cloud;
@@ -334,11 +374,30 @@ std::array<std::vector<std::byte>, kStreams> encode_streams(const SplatView& spl
     }
     const float* q = &splats.rotation[4 * i];
     store(std::span(out[4]), 4 * i, encode_rotation({q[0], q[1], q[2], q[3]}));
-    for (std::uint64_t k = 3; k < floats; ++k) {
-      out[5][(floats - 3) * i + k - 3] = static_cast<std::byte>(encode_sh(sh[k], static_cast<int>(k / 3)));
-    }
+  }
+  if (header.sh_degree == 0) return out;
+  ShDiffusion diffusion(floats - 3);
+  for (const std::uint64_t i : spatial_order(splats)) {
+    diffusion.encode(&splats.sh[floats * i + 3], &out[5][(floats - 3) * i]);
   }
   return out;
+}
+
+// One zstd frame. Optimal parsing with few tries: what there is to find are short matches, and entropy. An outdoor scene takes
+// 20.9 bytes a Gaussian and 11 s of CPU time; level 12, which parses lazily, 21.8 and 2.7 s.
+std::vector<std::byte> compress(const std::vector<std::byte>& stream, std::size_t index) {
+  const std::unique_ptr<ZSTD_CCtx, decltype(&ZSTD_freeCCtx)> context(ZSTD_createCCtx(), ZSTD_freeCCtx);
+  std::vector<std::byte> stored(ZSTD_compressBound(stream.size()));
+  if (context == nullptr) throw std::bad_alloc();
+  const std::pair<ZSTD_cParameter, int> parameters[] = {
+      {ZSTD_c_strategy, ZSTD_btopt}, {ZSTD_c_windowLog, 22}, {ZSTD_c_chainLog, 22},
+      {ZSTD_c_hashLog, 20},          {ZSTD_c_searchLog, 3},  {ZSTD_c_minMatch, index == kShStream ? 5 : 3},
+      {ZSTD_c_targetLength, 32}};
+  for (const auto& [parameter, value] : parameters) ZSTD_CCtx_setParameter(context.get(), parameter, value);
+  const std::size_t size = ZSTD_compress2(context.get(), stored.data(), stored.size(), stream.data(), stream.size());
+  if (ZSTD_isError(size) != 0) throw std::bad_alloc();  // the only way to fail with room for the bound
+  stored.resize(size);
+  return stored;
 }
 
 }  // namespace
@@ -386,19 +445,17 @@ Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mod
   store(std::span(file), 14, header.flags);
   store(std::span(file), 15, static_cast<std::uint8_t>(header.n_streams()));
   store(std::span(file), 16, static_cast<std::uint32_t>(kHeaderBytesV4));
-  constexpr int kLevel = 12;  // south: 16.3 MB in 2 s; level 3 17.6 MB in half a second, level 19 15.2 MB in minutes
-  std::uint64_t entry = kHeaderBytesV4;
   const auto streams = encode_streams(splats, header);
-  for (const std::vector<std::byte>& stream : std::span(streams).first(header.n_streams())) {
-    const std::size_t start = file.size();
-    file.resize(start + ZSTD_compressBound(stream.size()));
-    const std::size_t stored =
-        ZSTD_compress(file.data() + start, file.size() - start, stream.data(), stream.size(), kLevel);
-    if (ZSTD_isError(stored) != 0) throw std::bad_alloc();  // the only way to fail with room for the bound
-    file.resize(start + stored);
-    store(std::span(file), entry, static_cast<std::uint64_t>(stored));
-    store(std::span(file), entry + 8, static_cast<std::uint64_t>(stream.size()));
-    entry += 16;
+  std::array<std::future<std::vector<std::byte>>, kStreams> compressed;
+  for (std::size_t i = header.n_streams(); i-- > 0;) {  // SH, which takes longest, first
+    compressed[i] = std::async(std::launch::async, compress, std::cref(streams[i]), i);
+  }
+  std::uint64_t entry = kHeaderBytesV4;
+  for (std::size_t i = 0; i < header.n_streams(); ++i, entry += 16) {
+    const std::vector<std::byte> stored = compressed[i].get();
+    store(std::span(file), entry, static_cast<std::uint64_t>(stored.size()));
+    store(std::span(file), entry + 8, static_cast<std::uint64_t>(streams[i].size()));
+    file.insert(file.end(), stored.begin(), stored.end());
   }
   return file;
 }

@@ -48,6 +48,9 @@ struct CodecKernels {
   /// The w of unit quaternions as FP16, by x, y, z: byte planes xyz [6][stride], low byte first, of which `count` are
   /// read. 0 where there is none.
   void (*unit_w)(const std::uint8_t* xyz, std::size_t stride, int count, std::uint16_t* w);
+  /// sums [n_out][64] of matrix [n_out][2 n_pairs] times codes: pairs [n_pairs][64][2], two numbers of each of 64
+  /// Gaussians together. Mod 2^32.
+  void (*mix)(const std::int16_t* pairs, const std::int16_t* matrix, int n_pairs, int n_out, std::int32_t* sums);
   /// same [n][n] += a a^T, lagged [n][n] += a b^T.
   void (*correlate)(const float* a, const float* b, int n, float* same, float* lagged);
 };

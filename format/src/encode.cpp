@@ -26,6 +26,20 @@ Status check_options(const EncodeOptions& o) {
     return bad("the chunk size must be a multiple of 32 from 32 to 65536");
   }
   if (o.level < 1 || o.level > kMaxLevel) return bad("the level must be 1 to 19");
+  if (o.profile == Profile::archive) {
+    const ArchiveOptions& a = o.archive;
+    if (a.mean_cells < 4 || a.mean_cells > 20) return bad("archive: mean cells must be 2^4 to 2^20");
+    if (!(a.sh_step >= 0x1p-20f && a.sh_step <= 0x1p20f)) return bad("archive: the SH step must be 2^-20 to 2^20");
+    if (!(a.dc_step >= 0x1p-10f && a.dc_step <= 0x1p6f)) return bad("archive: the DC step must be 2^-10 to 64");
+    if (!(a.rotation_step >= 0x1p-10f && a.rotation_step <= 0.5f))
+      return bad("archive: the rotation step must be 2^-10 to 0.5");
+    if (!(a.scale_step >= 0x1p-10f && a.scale_step <= 2.f)) return bad("archive: the scale step must be 2^-10 to 2");
+    if (a.opacity_levels < 1 || a.opacity_levels > 4096) return bad("archive: opacity levels must be 1 to 4096");
+    if (!(a.slope >= 0 && a.slope <= 1)) return bad("archive: the slope must be 0 to 1");
+    if (o.order == Order::input) {
+      return bad("archive orders Gaussians itself: store their positions (keep_permutation) to find them again");
+    }
+  }
   if (o.sh_degree < 0 || o.sh_degree > kMaxShDegree) return bad("the SH degree must be 0 to 3");
   if (o.depth) {
     const DepthRange& d = *o.depth;
@@ -89,13 +103,7 @@ std::vector<std::byte> assemble_direct(const EncodePlan& plan, const Encoded& e)
 
 std::vector<std::byte> assemble_packed(const EncodePlan& plan, const Encoded& e) {
   PackedEncoder encoder(plan);
-  std::vector<std::byte> means, geometry, sh;  // frames, one after the other
-  PackedSections sections;
-  const auto append = [](std::vector<std::byte>& all, std::vector<CodedFrame>& frames,
-                         std::span<const std::byte> frame) {
-    frames.push_back({all.size(), static_cast<std::uint32_t>(frame.size()), xxh3(frame)});
-    all.insert(all.end(), frame.begin(), frame.end());
-  };
+  detail::FramedFile file;
   const std::uint64_t n = plan.header.n_gaussians, stride = sh_bytes(plan.header.sh_degree), rows = plan.frame_rows();
   for (std::uint64_t first = 0; first < n; first += rows) {
     const std::uint64_t count = std::min(rows, n - first), chunk = first / plan.header.chunk_size;
@@ -104,24 +112,15 @@ std::vector<std::byte> assemble_packed(const EncodePlan& plan, const Encoded& e)
         encoder.encode(e.means.subspan(first * kMeanBytes, count * kMeanBytes),
                        e.geometry.subspan(first * kGeometryBytes, count * kGeometryBytes),
                        e.sh.subspan(first * stride, count * stride), e.scales.subspan(chunk, n_chunks));
-    append(means, sections.means, frames.means);
-    append(geometry, sections.geometry, frames.geometry);
-    append(sh, sections.sh, frames.sh);
+    file.means.append(frames.means);
+    file.geometry.append(frames.geometry);
+    file.sh.append(frames.sh);
   }
-  PackedLayout layout = finish_packed(plan, e.chunks, e.scales, e.counts, sections);
-  std::vector<std::byte> file(layout.header.file_bytes);
-  for (const FilePiece& piece : layout.pieces) put(file, piece.offset, piece.bytes);
-  const auto place = [&](SectionType type, std::span<const std::byte> frames) {
-    SectionEntry& entry = layout.find(type);
-    put(file, entry.offset + entry.stored_bytes - frames.size(), frames);
-    entry.xxh3 = xxh3(std::span(file).subspan(entry.offset, entry.stored_bytes));
-  };
-  place(SectionType::means, means);
-  place(SectionType::geometry, geometry);
-  place(SectionType::sh, sh);
-  if (plan.keep_permutation) place(SectionType::permutation, e.permutation);
-  put(file, 0, layout.head().bytes);
-  return file;
+  file.permutation = e.permutation;
+  file.chunks = e.chunks;
+  file.scales = e.scales;
+  file.counts = e.counts;
+  return assemble_frames(plan, std::move(file));
 }
 
 template <class T>
@@ -141,8 +140,9 @@ const SectionEntry* EncodePlan::find(SectionType type) const {
 
 std::uint32_t EncodePlan::frame_rows() const {
   // The smaller, the better weights and tables suit; below this they cost more than they save (docs/PROFILES.md).
-  constexpr std::uint32_t kFrameRows = 16384;
-  return std::max(1u, kFrameRows / header.chunk_size) * header.chunk_size;
+  constexpr std::uint32_t kPackedRows = 16384, kArchiveRows = 32768;
+  const std::uint32_t rows = profile == Profile::archive ? kArchiveRows : kPackedRows;
+  return std::max(1u, rows / header.chunk_size) * header.chunk_size;
 }
 
 Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options) {
@@ -192,7 +192,9 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
     return fail(Errc::bad_argument, Error::kNone, legal.error().what);
   }
 
-  plan.profile = options.profile;
+  // A scene of nothing has nothing to fit steps to.
+  plan.profile = options.profile == Profile::archive && n == 0 ? Profile::packed : options.profile;
+  plan.archive = options.archive;
   plan.level = options.level;
   plan.provenance = options.provenance;
   plan.chunk_scales = options.chunk_scales;
@@ -210,6 +212,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
                    section(SectionType::means, n * kMeanBytes),
                    section(SectionType::geometry, n * kGeometryBytes),
                    section(SectionType::sh, n * sh_bytes(h.sh_degree))};
+  if (plan.profile == Profile::archive) plan.sections.push_back(section(SectionType::archive, 0));
   if (options.keep_permutation) {
     plan.sections.push_back(section(SectionType::permutation, n * plan.permutation_entry_bytes, 0));
   }
@@ -380,6 +383,17 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
     std::vector<std::uint64_t> keys(indices.size());
     for (std::size_t i = 0; i < indices.size(); ++i) keys[i] = key(&splats.mean[3 * std::size_t{indices[i]}]);
     sort_by_key(keys, indices);
+  }
+
+  if (plan->profile == Profile::archive) {
+    SplatCloud sorted;
+    sorted.resize(indices.size(), plan->header.sh_degree);
+    for (std::size_t i = 0; i < indices.size(); ++i) {
+      Splat s = splats.splat(indices[i]);
+      if (options.on_bad == BadPolicy::repair) repair(s, find_defects(s, plan->header.sh_degree));
+      sorted.set(i, s);
+    }
+    return encode_archive(*plan, sorted.view(), indices);
   }
 
   // Rows of each section, one after the other.

@@ -108,6 +108,8 @@ Result<MappedFile> MappedFile::map(int fd) {
   if (S_ISDIR(info.st_mode)) return fail(Errc::open_failed, Error::kNone, "is a directory, not a file");
   if (!S_ISREG(info.st_mode)) return fail(Errc::open_failed, Error::kNone, "is not a regular file");
   MappedFile file;
+  file.fd_ = ::fcntl(fd, F_DUPFD_CLOEXEC, 0);
+  if (file.fd_ < 0) return system_error(Errc::open_failed, "cannot keep the file open");
   file.size_ = static_cast<std::size_t>(info.st_size);
   if (file.size_ == 0) return file;  // mmap refuses length 0
   void* data = ::mmap(nullptr, file.size_, PROT_READ, MAP_PRIVATE, fd, 0);
@@ -117,16 +119,30 @@ Result<MappedFile> MappedFile::map(int fd) {
 }
 
 MappedFile::MappedFile(MappedFile&& other) noexcept
-    : data_(std::exchange(other.data_, nullptr)), size_(std::exchange(other.size_, 0)) {}
+    : data_(std::exchange(other.data_, nullptr)),
+      size_(std::exchange(other.size_, 0)),
+      fd_(std::exchange(other.fd_, -1)) {}
 
 MappedFile& MappedFile::operator=(MappedFile&& other) noexcept {
   std::swap(data_, other.data_);
   std::swap(size_, other.size_);
+  std::swap(fd_, other.fd_);
   return *this;
 }
 
 MappedFile::~MappedFile() {
   if (data_ != nullptr) ::munmap(const_cast<std::byte*>(data_), size_);
+  if (fd_ >= 0) ::close(fd_);
+}
+
+Status MappedFile::check_size() const {
+  if (fd_ < 0) return {};
+  struct stat info {};
+  if (::fstat(fd_, &info) != 0) return system_error(Errc::read_failed, "cannot read the file's size");
+  const auto now = static_cast<std::uint64_t>(info.st_size);
+  if (now == size_) return {};
+  return fail(Errc::read_failed, std::min<std::uint64_t>(now, size_), "the file changed its size while it was read",
+              size_, now);
 }
 
 void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t length) const {
@@ -267,6 +283,9 @@ Status AtomicFile::copy_to_stdout() {
 }
 
 Result<double> AtomicFile::commit() {
+  for (const MappedFile* input : options_.inputs) {
+    if (const Status s = input->check_size(); !s) return tl::unexpected(s.error());
+  }
   if (path_ == kStdout) {
     const Status copied = copy_to_stdout();
     discard();

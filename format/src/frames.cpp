@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cassert>
 
+#include "archive_tables.hpp"
 #include "checked.hpp"
 #include "frame_codec.hpp"
 #include "layout_io.hpp"
@@ -113,6 +114,38 @@ std::span<const std::byte> FileView::table(SectionType type) const {
   return type == SectionType::chunks ? tables_->chunks : tables_->scales;
 }
 
+const ArchiveParameters* FileView::archive() const {
+  return archive_ ? &archive_->parameters : nullptr;
+}
+
+namespace detail {
+
+const ArchiveTables* archive_tables(const FileView& view) {
+  return view.archive_.get();
+}
+
+}  // namespace detail
+
+Status FileView::open_archive() {
+  const SectionEntry* entry = find(SectionType::archive);
+  if (entry == nullptr || header_.version_minor < 2) return {};
+  const std::uint32_t rows = frames(SectionType::means).rows;
+  for (const SectionType type : {SectionType::geometry, SectionType::sh}) {
+    if (frames(type).rows != rows) {
+      return fail(Errc::bad_value, find(type)->offset, "frames of MEAN, GEOM and SHI8 differ in rows", rows,
+                  frames(type).rows);
+    }
+  }
+  const auto bytes = stored(*entry);
+  if (const std::uint64_t hash = xxh3(bytes); hash != entry->xxh3) {
+    return fail(Errc::checksum_mismatch, entry->offset, "a section's checksum does not match", entry->xxh3, hash);
+  }
+  auto parsed = detail::parse_archive_tables(bytes, entry->offset, header_.sh_degree);
+  if (!parsed) return tl::unexpected(parsed.error());
+  archive_ = std::make_shared<const detail::ArchiveTables>(std::move(*parsed));
+  return {};
+}
+
 Status FileView::open_coded(const DecodeLimits& limits) {
   constexpr std::uint64_t kAlways = std::uint64_t{1} << 20;
   std::uint64_t budget = 0;
@@ -138,6 +171,7 @@ Status FileView::open_coded(const DecodeLimits& limits) {
   }
   if (frames_.empty()) return {};
   frames_ = std::move(tables);
+  if (Status s = open_archive(); !s) return s;
   auto decoded_tables = std::make_shared<Tables>();
   for (const auto& [type, place] :
        {std::pair(SectionType::chunks, &Tables::chunks), std::pair(SectionType::sh_scales, &Tables::scales)}) {

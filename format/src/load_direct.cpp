@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <new>
 
+#include "archive_codec.hpp"
 #include "checked.hpp"
 #include "frame_codec.hpp"
 #include "rgs/checksum.hpp"
@@ -62,12 +63,20 @@ struct Worker {
   std::vector<ScaleSet> steps;
 };
 
-Status decode_frame(const FileView& view, const CodedPart& part, std::uint64_t index, Worker& worker) {
-  const CodedFrame& frame = part.table->frames[index];
+// Stored bytes of a frame, once their hash is right.
+Result<std::span<const std::byte>> frame_bytes(const FileView& view, const CodedFrame& frame) {
   const auto stored = view.bytes().subspan(frame.offset, frame.stored_bytes);
   if (const std::uint64_t hash = xxh3(stored); hash != frame.xxh3) {
     return fail(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
   }
+  return stored;
+}
+
+Status decode_frame(const FileView& view, const CodedPart& part, std::uint64_t index, Worker& worker) {
+  const CodedFrame& frame = part.table->frames[index];
+  const auto bytes = frame_bytes(view, frame);
+  if (!bytes) return tl::unexpected(bytes.error());
+  const auto stored = *bytes;
   const std::uint64_t first = index * part.table->rows;
   const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(part.table->rows, part.end - first));
   const std::span rows(part.rows + (first - part.first) * part.row_bytes, count * part.row_bytes);
@@ -81,6 +90,57 @@ Status decode_frame(const FileView& view, const CodedPart& part, std::uint64_t i
     }
     default: return worker.decoder.words(stored, frame.offset, count, part.row_bytes, rows);
   }
+}
+
+// The frames of one index of all three sections, `parts` as read_chunks() lists them.
+Status decode_archive_frame(const FileView& view, std::span<const CodedPart> parts, std::uint64_t index,
+                            detail::ArchiveDecoder& decoder) {
+  const CodedPart &sh = parts[0], &geometry = parts[1], &means = parts[2];
+  const std::uint64_t first = index * sh.table->rows;
+  const std::size_t count = std::min<std::uint64_t>(sh.table->rows, sh.end - first);
+  const auto rows = [&](const CodedPart& part) {
+    return std::span(part.rows + (first - part.first) * part.row_bytes, count * part.row_bytes);
+  };
+  const CodedFrame& mean_frame = means.table->frames[index];
+  const auto mean_bytes = frame_bytes(view, mean_frame);
+  if (!mean_bytes) return tl::unexpected(mean_bytes.error());
+  if (Status s = decoder.means(*mean_bytes, mean_frame.offset, count, rows(means)); !s) return s;
+  const CodedFrame& geometry_frame = geometry.table->frames[index];
+  const auto geometry_bytes = frame_bytes(view, geometry_frame);
+  if (!geometry_bytes) return tl::unexpected(geometry_bytes.error());
+  if (Status s = decoder.geometry_codes(*geometry_bytes, geometry_frame.offset, count); !s) return s;
+  decoder.geometry(view.header().scale_exponent, rows(geometry));
+  const CodedFrame& sh_frame = sh.table->frames[index];
+  const auto sh_bytes = frame_bytes(view, sh_frame);
+  if (!sh_bytes) return tl::unexpected(sh_bytes.error());
+  if (Status s = decoder.sh_codes(*sh_bytes, sh_frame.offset); !s) return s;
+  const std::uint32_t chunk_rows = view.header().chunk_size;
+  std::vector<ScaleSet> steps;
+  if (Status s = frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, steps); !s) return s;
+  decoder.sh(view.header().sh_degree, chunk_rows, steps, rows(sh));
+  return {};
+}
+
+Status decode_parts(const FileView& view, std::span<const CodedPart> parts, unsigned threads) {
+  std::uint64_t n_jobs = 0;
+  for (const CodedPart& part : parts) n_jobs += part.n_frames;
+  std::vector<Worker> workers(detail::worker_count(n_jobs, threads));
+  return detail::run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) {
+    std::size_t k = 0;
+    while (job >= parts[k].n_frames) job -= parts[k++].n_frames;
+    return decode_frame(view, parts[k], parts[k].first_frame + job, workers[worker]);
+  });
+}
+
+Status decode_archive(const FileView& view, std::span<const CodedPart> parts, unsigned threads) {
+  const std::uint64_t n_jobs = parts[0].n_frames;
+  std::vector<detail::ArchiveDecoder> decoders;
+  for (unsigned i = detail::worker_count(n_jobs, threads); i > 0; --i) {
+    decoders.emplace_back(*detail::archive_tables(view));
+  }
+  return detail::run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) {
+    return decode_archive_frame(view, parts, parts[0].first_frame + job, decoders[worker]);
+  });
 }
 
 }  // namespace
@@ -110,7 +170,6 @@ Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, 
                                Section{SectionType::geometry, kGeometryBytes, &data.geometry_},
                                Section{SectionType::means, kMeanBytes, &data.means_}};
   std::vector<CodedPart> parts;
-  std::uint64_t n_jobs = 0;
   for (const Section& s : sections) {
     const FrameTable& table = view.frames(s.type);
     if (table.rows == 0) {
@@ -126,17 +185,12 @@ Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, 
     part.rows = data.memory_.back().get();
     *s.rows = {part.rows + (data.first_ - part.first) * s.row_bytes, data.n_ * s.row_bytes};
     parts.push_back(part);
-    n_jobs += part.n_frames;
   }
-  if (n_jobs != 0) {
+  if (!parts.empty()) {
     const unsigned threads =
         detail::threads_for(data.n_ * (kMeanBytes + kGeometryBytes + sh_bytes(h.sh_degree)), options.threads);
-    std::vector<Worker> workers(detail::worker_count(n_jobs, threads));
-    const Status decoded = detail::run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) {
-      std::size_t k = 0;
-      while (job >= parts[k].n_frames) job -= parts[k++].n_frames;
-      return decode_frame(view, parts[k], parts[k].first_frame + job, workers[worker]);
-    });
+    const Status decoded =
+        view.archive() != nullptr ? decode_archive(view, parts, threads) : decode_parts(view, parts, threads);
     if (!decoded) return tl::unexpected(decoded.error());
   }
   if (options.validate) {

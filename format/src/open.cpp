@@ -17,8 +17,19 @@ constexpr std::array kKnown = {SectionType::declarations, SectionType::sh_scales
                                SectionType::permutation,  SectionType::provenance};
 constexpr std::size_t kRequired = 6;  // the first six of kKnown
 
-bool known(std::uint32_t type) {
-  return std::ranges::find(kKnown, static_cast<SectionType>(type)) != kKnown.end();
+bool known(std::uint32_t type, std::uint16_t minor) {
+  return std::ranges::find(kKnown, static_cast<SectionType>(type)) != kKnown.end() ||
+         (minor >= 2 && type == static_cast<std::uint32_t>(SectionType::archive));
+}
+
+bool known_codec(const SectionEntry& s, std::uint16_t minor) {
+  const auto type = static_cast<SectionType>(s.type);
+  switch (static_cast<Codec>(s.codec)) {
+    case Codec::none: return true;
+    case Codec::planes: return minor >= 1 && coded_type(type);
+    case Codec::archive: return minor >= 2 && archive_type(type);
+  }
+  return false;
 }
 
 // Sections lie in table order, each at the next multiple of 256, zeros between, the last one up to the end of the file.
@@ -57,7 +68,7 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
   for (std::size_t i = 0; i < sections.size(); ++i) {
     const SectionEntry& s = sections[i];
     const std::uint64_t at = detail::section_entry_offset(i);
-    if (!known(s.type)) {
+    if (!known(s.type, minor)) {
       if ((s.flags & kSectionMustUnderstand) != 0) {
         return fail(Errc::unknown_required, at, "a section that must be understood is not known to this program",
                     Error::kNone, s.type);
@@ -67,15 +78,11 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
     if (std::ranges::count(sections.first(i), s.type, &SectionEntry::type) != 0) {
       return fail(Errc::duplicate_section, at, "a section is there twice", Error::kNone, s.type);
     }
-    if (s.codec == static_cast<std::uint32_t>(Codec::planes) && minor >= 1 &&
-        coded_type(static_cast<SectionType>(s.type))) {
-      continue;
-    }
-    if (s.codec != static_cast<std::uint32_t>(Codec::none)) {
+    if (!known_codec(s, minor)) {
       return fail(Errc::unsupported_codec, at + 8, "a section's codec is not known to this program", Error::kNone,
                   s.codec);
     }
-    if (s.stored_bytes != s.decoded_bytes) {
+    if (s.codec == static_cast<std::uint32_t>(Codec::none) && s.stored_bytes != s.decoded_bytes) {
       return fail(Errc::size_mismatch, at + 32, "stored and decoded size of an uncoded section differ", s.stored_bytes,
                   s.decoded_bytes);
     }
@@ -85,6 +92,29 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
       return fail(Errc::missing_section, kHeaderBytes, "a required section is missing",
                   static_cast<std::uint64_t>(kKnown[k]));
     }
+  }
+  return {};
+}
+
+// Codec::archive is that of MEAN, GEOM and SHI8 together, with ARCH, or of none.
+Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
+  constexpr auto kArchive = static_cast<std::uint32_t>(Codec::archive);
+  const bool archive = std::ranges::find(sections, kArchive, &SectionEntry::codec) != sections.end();
+  bool tables = false;
+  for (std::size_t i = 0; i < sections.size(); ++i) {
+    const std::uint64_t at = detail::section_entry_offset(i);
+    const auto type = static_cast<SectionType>(sections[i].type);
+    if (archive && archive_type(type) && sections[i].codec != kArchive) {
+      return fail(Errc::unsupported_codec, at + 8, "MEAN, GEOM and SHI8 do not have the same codec", kArchive,
+                  sections[i].codec);
+    }
+    if (type != SectionType::archive || minor < 2) continue;
+    tables = true;
+    if (!archive) return fail(Errc::bad_section, at, "section ARCH belongs to no section of its codec");
+  }
+  if (archive && !tables) {
+    return fail(Errc::missing_section, kHeaderBytes, "a required section is missing",
+                static_cast<std::uint64_t>(SectionType::archive));
   }
   return {};
 }
@@ -183,6 +213,7 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
     view.sections_.push_back(*entry);
   }
   if (const Status s = check_types(view.sections_, header->version_minor); !s) return tl::unexpected(s.error());
+  if (const Status s = check_archive(view.sections_, header->version_minor); !s) return tl::unexpected(s.error());
   if (const Status s = check_placement(bytes, view.sections_, head_bytes); !s) return tl::unexpected(s.error());
 
   if (const Status s = check_sizes(view); !s) return tl::unexpected(s.error());

@@ -90,10 +90,11 @@ FilePiece PackedLayout::head() const {
 
 PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> chunks, std::span<const ScaleSet> scales,
                            const EncodeCounts& counts, const PackedSections& frames) {
-  assert(plan.profile == Profile::packed);
+  assert(plan.profile != Profile::direct);
+  const bool archive = plan.profile == Profile::archive;
   PackedLayout layout;
   layout.header = plan.header;
-  layout.header.version_minor = 1;
+  layout.header.version_minor = archive ? 2 : 1;
   layout.sections = plan.sections;
   std::uint64_t end = kHeaderBytes + plan.header.n_sections * kSectionEntryBytes + kHeadChecksumBytes;
   for (SectionEntry& entry : layout.sections) {
@@ -105,11 +106,13 @@ PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> c
                                                                           : nullptr;
     if (list != nullptr) {
       auto table = write_frame_table(plan.frame_rows(), *list);
-      entry.codec = static_cast<std::uint32_t>(Codec::planes);
+      entry.codec = static_cast<std::uint32_t>(archive ? Codec::archive : Codec::planes);
       entry.stored_bytes = table.size() + total_bytes(*list);
       layout.pieces.push_back({entry.offset, std::move(table)});
     } else if (type != SectionType::permutation) {
-      auto bytes = detail::small_section(plan, type, chunks, scales, counts);
+      auto bytes = type == SectionType::archive ? frames.archive_tables
+                                                : detail::small_section(plan, type, chunks, scales, counts);
+      if (type == SectionType::archive) entry.decoded_bytes = bytes.size();
       if (coded_type(type)) bytes = code_table(std::move(bytes), plan.level, entry);
       entry.stored_bytes = bytes.size();
       entry.xxh3 = xxh3(bytes);
@@ -120,5 +123,38 @@ PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> c
   layout.header.file_bytes = end;
   return layout;
 }
+
+namespace detail {
+
+void FrameBytes::append(std::span<const std::byte> frame) {
+  frames.push_back({bytes.size(), static_cast<std::uint32_t>(frame.size()), xxh3(frame)});
+  bytes.insert(bytes.end(), frame.begin(), frame.end());
+}
+
+std::vector<std::byte> assemble_frames(const EncodePlan& plan, FramedFile parts) {
+  PackedSections sections{std::move(parts.means.frames),
+                          std::move(parts.geometry.frames),
+                          std::move(parts.sh.frames),
+                          {parts.tables.begin(), parts.tables.end()}};
+  PackedLayout layout = finish_packed(plan, parts.chunks, parts.scales, parts.counts, sections);
+  std::vector<std::byte> file(layout.header.file_bytes);
+  const auto put = [&file](std::uint64_t offset, std::span<const std::byte> bytes) {
+    std::ranges::copy(bytes, file.begin() + static_cast<std::ptrdiff_t>(offset));
+  };
+  for (const FilePiece& piece : layout.pieces) put(piece.offset, piece.bytes);
+  const auto place = [&](SectionType type, std::span<const std::byte> frames) {
+    SectionEntry& entry = layout.find(type);
+    put(entry.offset + entry.stored_bytes - frames.size(), frames);
+    entry.xxh3 = xxh3(std::span(file).subspan(entry.offset, entry.stored_bytes));
+  };
+  place(SectionType::means, parts.means.bytes);
+  place(SectionType::geometry, parts.geometry.bytes);
+  place(SectionType::sh, parts.sh.bytes);
+  if (plan.keep_permutation) place(SectionType::permutation, parts.permutation);
+  put(0, layout.head().bytes);
+  return file;
+}
+
+}  // namespace detail
 
 }  // namespace rgs

@@ -13,11 +13,32 @@
 #include "workers.hpp"
 
 namespace rgs {
+namespace detail {
+
+// What the declarations state about all Gaussians, summed up in any order.
+struct ValueTotals {
+  EncodeCounts counts;
+  Box full;
+  bool empty = true;
+
+  void add(const ValueTotals& other) {
+    counts.add(other.counts);
+    for (std::size_t k = 0; k < 3 && !other.empty; ++k) {
+      full.min[k] = empty ? other.full.min[k] : std::min(full.min[k], other.full.min[k]);
+      full.max[k] = empty ? other.full.max[k] : std::max(full.max[k], other.full.max[k]);
+    }
+    empty = empty && other.empty;
+  }
+};
+
+}  // namespace detail
+
 namespace {
 
 using detail::run_jobs;
 using detail::threads_for;
 using detail::worker_count;
+using Totals = detail::ValueTotals;
 
 // Stored quaternions have a squared norm within 2^-8 of 1: twice what the encoder lets through unnormalised.
 constexpr double kNormTolerance = 0x1p-8;
@@ -89,22 +110,6 @@ Status explain_sh(const std::int8_t* codes, const Place& place, const ScaleSet& 
   }
   return {};
 }
-
-// What the declarations state about all Gaussians, summed up in any order.
-struct Totals {
-  EncodeCounts counts;
-  Box full;
-  bool empty = true;
-
-  void add(const Totals& other) {
-    counts.add(other.counts);
-    for (std::size_t k = 0; k < 3 && !other.empty; ++k) {
-      full.min[k] = empty ? other.full.min[k] : std::min(full.min[k], other.full.min[k]);
-      full.max[k] = empty ? other.full.max[k] : std::max(full.max[k], other.full.max[k]);
-    }
-    empty = empty && other.empty;
-  }
-};
 
 Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) {
   const FileView& view = data.file();
@@ -253,20 +258,41 @@ Status check_file(const DirectData& data, unsigned threads) {
 
 }  // namespace detail
 
+Validation::Validation(const FileView& view) : view_(&view), totals_(std::make_unique<detail::ValueTotals>()) {}
+Validation::Validation(Validation&&) noexcept = default;
+Validation& Validation::operator=(Validation&&) noexcept = default;
+Validation::~Validation() = default;
+
+Result<Validation> Validation::begin(const FileView& view) {
+  if (const Status s = check_sections(view, 0, true); !s) return tl::unexpected(s.error());
+  if (const Status s = check_scale_sets(view); !s) return tl::unexpected(s.error());
+  return Validation(view);
+}
+
+Status Validation::check(const DirectData& next) {
+  return check_chunks(next, 0, *totals_);
+}
+
+Status Validation::finish() const {
+  if (Status s = check_declarations(*view_, *totals_); !s) return s;
+  return check_permutation(*view_);
+}
+
+std::uint64_t Validation::chunks_at_a_time() const {
+  const Header& h = view_->header();
+  return std::max<std::uint64_t>(1, view_->coded() ? (1u << 19) / h.chunk_size : h.n_chunks);
+}
+
 Status validate(const FileView& view) {
-  if (Status s = check_sections(view, 0, true); !s) return s;
-  if (Status s = check_scale_sets(view); !s) return s;
-  // A piece at a time, so that what has to be decoded is never in memory as a whole.
-  const std::uint64_t n_chunks = view.header().n_chunks;
-  const std::uint64_t piece = !view.coded() ? n_chunks : std::max(1u, (1u << 20) / view.header().chunk_size);
-  Totals totals;
+  auto validation = Validation::begin(view);
+  if (!validation) return tl::unexpected(validation.error());
+  const std::uint64_t n_chunks = view.header().n_chunks, piece = validation->chunks_at_a_time();
   for (std::uint64_t first = 0; first < n_chunks; first += piece) {
     const auto data = read_chunks(view, first, std::min(piece, n_chunks - first), {.validate = false});
     if (!data) return tl::unexpected(data.error());
-    if (Status s = check_chunks(*data, 0, totals); !s) return s;
+    if (Status s = validation->check(*data); !s) return s;
   }
-  if (Status s = check_declarations(view, totals); !s) return s;
-  return check_permutation(view);
+  return validation->finish();
 }
 
 }  // namespace rgs

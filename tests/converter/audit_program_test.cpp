@@ -359,6 +359,19 @@ TEST_CASE("a packed asset has the direct one's errors and pictures, in fewer byt
   CHECK(fs::file_size(packed) < fs::file_size(scene.rgs));
 }
 
+TEST_CASE("an archive's Gaussians are found again in spite of their moved means") {
+  const SceneFolder scene;
+  EncodeOptions options;
+  options.profile = Profile::archive;
+  const std::string archive = write_rgs(scene.file("archive.rgs"), scene.cloud, options);
+  const ProgramResult run = run_audit({scene.ply, archive, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const json j = json::parse(run.out);
+  CHECK(j["attributes"]["n_paired"] == scene.cloud.size());
+  CHECK(j["attributes"]["paired_by"] == "means");
+  CHECK(j["rendered"]["psnr"].get<double>() > 30);
+}
+
 TEST_CASE("usage, missing and damaged files have their exit codes, and outputs are kept") {
   const SceneFolder scene;
   CHECK(run_audit({}).exit_code == 2);

@@ -1,39 +1,27 @@
 // info_test.cpp - the program rgs-info, run on files made here.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
-#include <sys/wait.h>
 
 #include <algorithm>
-#include <cstdio>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <random>
 
 #include "rgs/rgs.hpp"
+#include "run_program.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
+using test::ProgramResult;
+using test::run_shell;
 
 namespace {
-
-struct Run {
-  int code = -1;  // exit code; -1 if a signal ended it
-  std::string out, error;
-};
-
-std::string read(const std::string& path) {
-  std::ifstream file(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(file), {}};
-}
 
 class Fixture {
  public:
   // `after` may redirect standard output.
-  Run run(const std::string& arguments, const std::string& after = "") {
-    const std::string out = folder_.file("out"), error = folder_.file("error");
-    const std::string command = "'" RGS_INFO "' " + arguments + " >'" + out + "' 2>'" + error + "' " + after;
-    const int status = std::system(command.c_str());
-    return {WIFEXITED(status) ? WEXITSTATUS(status) : -1, read(out), read(error)};
+  ProgramResult run(const std::string& arguments, const std::string& after = "") {
+    return run_shell("'" RGS_INFO "' " + arguments + " " + after);
   }
 
   std::string write(const std::vector<std::byte>& bytes, const std::string& name = "scene.rgs") {
@@ -44,8 +32,8 @@ class Fixture {
   }
 
   nlohmann::json json(const std::string& arguments, int code = 0) {
-    const Run r = run(arguments + " --json");
-    CHECK(r.code == code);
+    const ProgramResult r = run(arguments + " --json");
+    CHECK(r.exit_code == code);
     CHECK(std::ranges::all_of(r.out, [](char c) { return c == '\n' || (c >= ' ' && c <= '~'); }));
     nlohmann::json j = nlohmann::json::parse(r.out, nullptr, false);
     REQUIRE_FALSE(j.is_discarded());
@@ -93,9 +81,9 @@ TEST_CASE_FIXTURE(Fixture, "the text states what the file holds and declares") {
   options.axes = {Axis::right, Axis::up, Axis::forward};
   options.provenance = Provenance{1234567, 0xabcdef, "garden.ply", "maker 1.2"};
   const auto bytes = encoded(1000, 3, options);
-  const Run r = run(write(bytes));
-  CHECK(r.code == 0);
-  CHECK(r.error == "");
+  const ProgramResult r = run(write(bytes));
+  CHECK(r.exit_code == 0);
+  CHECK(r.err == "");
   for (const char* part :
        {"1,000 Gaussians, SH degree 3", "as PLY 248.0 kB (248 a Gaussian)", "16 of 64 (the last 40), Morton order",
         "\"garden.ply\", 1,234,567 bytes, xxh3 0000000000abcdef", "\"maker 1.2\"",
@@ -107,9 +95,9 @@ TEST_CASE_FIXTURE(Fixture, "the text states what the file holds and declares") {
   for (const char* type : {"DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PROV"}) CHECK(has(r.out, type));
   CHECK_FALSE(has(r.out, "PERM"));
 
-  const Run ascii = run(write(bytes) + " --ascii");
+  const ProgramResult ascii = run(write(bytes) + " --ascii");
   CHECK(std::ranges::all_of(ascii.out, [](char c) { return c > 0; }));
-  const Run brief = run(write(bytes) + " --no-stats");
+  const ProgramResult brief = run(write(bytes) + " --no-stats");
   CHECK(has(brief.out, "values not read"));
   CHECK_FALSE(has(brief.out, "entropy"));
 }
@@ -196,8 +184,8 @@ TEST_CASE_FIXTURE(Fixture, "a packed file: its profile, frames and one chunk, al
   auto bytes = encoded(20000, 1, options);
   const FileView view = open(bytes).value();
   const std::string path = write(bytes);
-  const Run text = run(path + " --verify");
-  CHECK(text.code == 0);
+  const ProgramResult text = run(path + " --verify");
+  CHECK(text.exit_code == 0);
   CHECK(has(text.out, "packed, 2 frames of 16,384"));
   CHECK(has(text.out, "planes"));
   const auto j = json(path + " --chunk 300");
@@ -213,10 +201,31 @@ TEST_CASE_FIXTURE(Fixture, "a packed file: its profile, frames and one chunk, al
   }
   bytes[frames.frames[0].offset + 20] ^= std::byte{1};
   const std::string damaged = write(bytes);
-  CHECK(run(damaged + " --chunk 300").code == 0);
-  const Run other = run(damaged + " --chunk 3");
-  CHECK(other.code == 4);
-  CHECK(has(other.error, std::to_string(frames.frames[0].offset)));
+  CHECK(run(damaged + " --chunk 300").exit_code == 0);
+  const ProgramResult other = run(damaged + " --chunk 3");
+  CHECK(other.exit_code == 4);
+  CHECK(has(other.err, std::to_string(frames.frames[0].offset)));
+}
+
+TEST_CASE_FIXTURE(Fixture, "an archive: its preset, steps and bounds") {
+  EncodeOptions options;
+  options.profile = Profile::archive;
+  for (const bool custom : {false, true}) {
+    if (custom) options.archive.opacity_levels = 77;
+    const auto bytes = encoded(3000, 2, options);
+    const std::string path = write(bytes);
+    const Run text = run(path + " --verify");
+    CHECK(text.code == 0);
+    CHECK(has(text.out, custom ? " archive, 1 frames" : " archive:high, 1 frames"));
+    CHECK(has(text.out, "77 levels") == custom);
+    const FileView view = open(bytes).value();
+    const auto j = json(path)["archive"];
+    CHECK(j["profile"] == (custom ? "archive" : "archive:high"));
+    CHECK(j["opacity_levels"] == options.archive.opacity_levels);
+    CHECK(j["bound_mean"].get<float>() == view.archive()->bound_mean);
+    REQUIRE(j["classes"].size() == view.archive()->classes.size());
+    CHECK(j["classes"][3]["bound_sh"].get<float>() == view.archive()->classes[3].bound_sh);
+  }
 }
 
 TEST_CASE_FIXTURE(Fixture, "one chunk") {
@@ -235,31 +244,31 @@ TEST_CASE_FIXTURE(Fixture, "one chunk") {
   CHECK(j["values"]["opacity"]["n"] == 36);
   CHECK(j["values"]["opacity"]["max"].get<float>() == view.chunk(1)->max_opacity);
   CHECK_FALSE(j.contains("chunks"));
-  const Run text = run(path + " --chunk 1");
-  CHECK(text.code == 0);
+  const ProgramResult text = run(path + " --chunk 1");
+  CHECK(text.exit_code == 0);
   CHECK(has(text.out, "chunk 1 of 2"));
   CHECK(has(text.out, "36 from 64 on"));
-  const Run absent = run(path + " --chunk 2");
-  CHECK(absent.code == 2);
+  const ProgramResult absent = run(path + " --chunk 2");
+  CHECK(absent.exit_code == 2);
   CHECK(absent.out == "");
-  CHECK(has(absent.error, "no such chunk"));
+  CHECK(has(absent.err, "no such chunk"));
 }
 
 TEST_CASE_FIXTURE(Fixture, "--verify passes a good file and names place and section of damage") {
   auto bytes = encoded(500, 2);
-  const Run good = run(write(bytes) + " --verify");
-  CHECK(good.code == 0);
+  const ProgramResult good = run(write(bytes) + " --verify");
+  CHECK(good.exit_code == 0);
   CHECK(has(good.out, "verified"));
   CHECK(json(write(bytes) + " --verify")["verified"] == true);
 
   const SectionEntry geometry = *open(bytes).value().find(SectionType::geometry);
   flip(bytes, geometry.offset + 100);
   const std::string path = write(bytes);
-  CHECK(run(path).code == 0);  // the payload's checksums are looked at only on request
-  const Run damaged = run(path + " --verify");
-  CHECK(damaged.code == 4);
-  CHECK(has(damaged.error, "byte " + std::to_string(geometry.offset) + ":"));
-  CHECK(has(damaged.error, "[checksum_mismatch]"));
+  CHECK(run(path).exit_code == 0);  // the payload's checksums are looked at only on request
+  const ProgramResult damaged = run(path + " --verify");
+  CHECK(damaged.exit_code == 4);
+  CHECK(has(damaged.err, "byte " + std::to_string(geometry.offset) + ":"));
+  CHECK(has(damaged.err, "[checksum_mismatch]"));
   CHECK(has(damaged.out, "DAMAGED"));
   CHECK(has(damaged.out, "OK"));
   CHECK_FALSE(has(damaged.out, "verified"));
@@ -284,9 +293,9 @@ TEST_CASE_FIXTURE(Fixture, "--verify also checks values under right checksums") 
   const std::uint64_t table_end = kHeaderBytes + view.sections().size() * kSectionEntryBytes;
   put(kHeaderBytes + entry * kSectionEntryBytes + 40, xxh3(view.stored(SectionType::geometry)));
   put(table_end, xxh3(std::span(bytes).first(table_end)));
-  const Run r = run(write(bytes) + " --verify");
-  CHECK(r.code == 4);
-  CHECK(has(r.error, "byte " + std::to_string(at) + ":"));
+  const ProgramResult r = run(write(bytes) + " --verify");
+  CHECK(r.exit_code == 4);
+  CHECK(has(r.err, "byte " + std::to_string(at) + ":"));
   CHECK(has(r.out, "1 stored numbers are not legal"));
 }
 
@@ -294,21 +303,21 @@ TEST_CASE_FIXTURE(Fixture, "a damaged table: what can be read is printed, then t
   auto bytes = encoded(500, 1);
   const std::uint64_t chunks = open(bytes).value().find(SectionType::chunks)->offset;
   bytes[chunks + 44] = std::byte{1};
-  const Run r = run(write(bytes));
-  CHECK(r.code == 4);
+  const ProgramResult r = run(write(bytes));
+  CHECK(r.exit_code == 4);
   CHECK(has(r.out, "CHNK"));
-  CHECK(has(r.error, "byte " + std::to_string(chunks + 44) + ":"));
+  CHECK(has(r.err, "byte " + std::to_string(chunks + 44) + ":"));
 }
 
 TEST_CASE_FIXTURE(Fixture, "an empty scene") {
   const std::string path = write(encoded(0, 3));
-  const Run r = run(path + " --verify --stats");
-  CHECK(r.code == 0);
+  const ProgramResult r = run(path + " --verify --stats");
+  CHECK(r.exit_code == 0);
   CHECK(has(r.out, " 0 Gaussians"));
   CHECK_FALSE(has(r.out, "nan"));
   CHECK_FALSE(has(r.out, "inf"));
   CHECK(json(path)["values"]["n"] == 0);
-  CHECK(run(path + " --chunk 0").code == 2);
+  CHECK(run(path + " --chunk 0").exit_code == 2);
 }
 
 TEST_CASE_FIXTURE(Fixture, "texts of the file cannot act on the terminal") {
@@ -316,8 +325,8 @@ TEST_CASE_FIXTURE(Fixture, "texts of the file cannot act on the terminal") {
   options.provenance =
       Provenance{1, 2, "a\x1b[31m\n\r\x7f\\b\xc2\x9b\xe2\x80\xae\xff\xc3\xa9\"", std::string(3000, 'x')};
   const std::string path = write(encoded(10, 0, options));
-  const Run r = run(path);
-  CHECK(r.code == 0);
+  const ProgramResult r = run(path);
+  CHECK(r.exit_code == 0);
   CHECK(has(r.out, "\"a\\u{1b}[31m\\u{a}\\u{d}\\u{7f}\\\\b\\u{9b}\\u{202e}\\xff\xc3\xa9\"\""));
   CHECK(has(r.out, "xxx...\""));
   CHECK_FALSE(has(r.out, std::string(300, 'x')));
@@ -327,31 +336,29 @@ TEST_CASE_FIXTURE(Fixture, "texts of the file cannot act on the terminal") {
 
 TEST_CASE_FIXTURE(Fixture, "exit codes") {
   const std::string path = write(encoded(10, 0));
-  CHECK(run("--help").code == 0);
+  CHECK(run("--help").exit_code == 0);
   CHECK(has(run("--version").out, "rgs-info "));
   for (const std::string& arguments :
        {std::string(), path + " --unknown", path + " --chunk x", path + " --chunk -1", path + " --stats --no-stats"}) {
     CAPTURE(arguments);
-    const Run r = run(arguments);
-    CHECK(r.code == 2);
+    const ProgramResult r = run(arguments);
+    CHECK(r.exit_code == 2);
     CHECK(r.out == "");
-    CHECK(has(r.error, "--help"));
+    CHECK(has(r.err, "--help"));
   }
-  CHECK(run(path + ".missing").code == 3);
+  CHECK(run(path + ".missing").exit_code == 3);
   CHECK(json(path + ".missing", 3)["error"]["code"] == "open_failed");
-  CHECK(run("/").code == 3);
-  const Run junk = run(write(std::vector<std::byte>(5000, std::byte{'j'}), "junk.rgs"));
-  CHECK(junk.code == 4);
-  CHECK(has(junk.error, "[bad_magic]"));
-  CHECK(run(write({}, "nothing.rgs")).code == 4);
+  CHECK(run("/").exit_code == 3);
+  const ProgramResult junk = run(write(std::vector<std::byte>(5000, std::byte{'j'}), "junk.rgs"));
+  CHECK(junk.exit_code == 4);
+  CHECK(has(junk.err, "[bad_magic]"));
+  CHECK(run(write({}, "nothing.rgs")).exit_code == 4);
 }
 
 TEST_CASE_FIXTURE(Fixture, "a closed or full standard output") {
   const std::string path = write(encoded(10, 0));
-  // The pipe has no reader by the time the program writes.
-  const std::string code = path + ".code";
-  const std::string closed = "( sleep 0.1; '" RGS_INFO "' '" + path + "'; echo $? >'" + code + "' ) | true; sleep 0.5";
-  CHECK(std::system(closed.c_str()) == 0);
-  CHECK(read(code) == "0\n");
-  CHECK(run(path, ">/dev/full").code == 3);
+  // The pipe has no reader by the time the program writes; its exit code goes past the pipe.
+  const ProgramResult closed = run_shell("{ ( sleep 0.1; '" RGS_INFO "' '" + path + "'; echo $? >&3 ) | true; } 3>&1");
+  CHECK(closed.out == "0\n");
+  CHECK(run(path, ">/dev/full").exit_code == 3);
 }

@@ -73,7 +73,7 @@ TEST_CASE("Gaussians arrive in the frame of 3DGS unless asked otherwise or undec
     CHECK(here->axes == kAxes3dgs);
     CHECK(compare(there->cloud, turned).mean[1] <= 1e-3);
     CHECK(compare(here->cloud, cloud).mean[1] <= 1e-3);
-    CHECK(compare(here->cloud, cloud).sh[3] <= 0.07);
+    CHECK(compare(here->cloud, cloud).sh[3] <= 0.62 / 8);  // steps of SPZ, see spz.cpp
   }
   EncodeOptions options;
   options.axes = {Axis::right, Axis::up, Axis::backward};

@@ -6,6 +6,7 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <csignal>
 #include <cstdlib>
@@ -14,6 +15,7 @@
 #include <fstream>
 #include <iterator>
 #include <string>
+#include <utility>
 
 #include "temporary_folder.hpp"
 
@@ -142,6 +144,34 @@ TEST_CASE("signals remove unfinished outputs and still end the process") {
     CHECK(WTERMSIG(status) == signal_number);
     CHECK(entries(folder.path()) == 0);
   }
+}
+
+TEST_CASE("an output whose input changed its size does not appear") {
+  const TemporaryFolder folder;
+  const std::string in = folder.file("in"), out = folder.file("out");
+  for (const std::uintmax_t size : {9U, 11U, 10U}) {  // less than a page is cut off: no signal, zeros
+    CAPTURE(size);
+    std::ofstream(in) << "0123456789";
+    auto opened = MappedFile::open(in);
+    REQUIRE(opened);
+    const MappedFile mapped = std::move(*opened);  // moves take the descriptor along
+    CHECK(opened->check_size());
+    auto file = AtomicFile::create(out, {.overwrite = true, .sync = false, .inputs = {&mapped}});
+    REQUIRE(file);
+    REQUIRE(file->write_at(0, mapped.bytes()));
+    fs::resize_file(in, size);
+    const auto committed = file->commit();
+    CHECK(committed.has_value() == (size == 10));
+    CHECK(mapped.check_size().has_value() == (size == 10));
+    if (committed) continue;
+    CHECK(committed.error().code == Errc::read_failed);
+    CHECK(committed.error().offset == std::min<std::uintmax_t>(size, 10));
+    CHECK(committed.error().expected == 10);
+    CHECK(committed.error().found == size);
+    *file = {};
+    CHECK(entries(folder.path()) == 1);
+  }
+  CHECK(contents(out) == "0123456789");
 }
 
 TEST_CASE("an input truncated while mapped removes the output and exits with code 3") {

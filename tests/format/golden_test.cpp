@@ -1,6 +1,7 @@
-// golden_test.cpp - files committed for formats 1.0 and 1.1: exact bytes from the encoder, expected values from the
+// golden_test.cpp - files committed for formats 1.0 to 1.2: exact bytes from the encoder, expected values from the
 // decoder, and files with one defect. SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
+#include <draco/core/draco_version.h>
 #include <zstd.h>
 
 #include <algorithm>
@@ -8,6 +9,7 @@
 #include <map>
 #include <set>
 #include <sstream>
+#include <string_view>
 
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"
@@ -23,8 +25,13 @@ namespace {
 
 const fs::path kGolden = fs::path(RGS_SOURCE_DIR) / "tests/golden";
 
-// What compresses to which bytes is Zstandard's own affair: packed files were written with this version.
+// What compresses to which bytes is the libraries' own affair: coded files were written with these versions.
 const bool kGoldenZstd = ZSTD_versionNumber() == 10504;
+const bool kGoldenDraco = std::string_view(draco::kDracoVersion) == "1.5.5";
+
+bool same_libraries(Profile profile) {
+  return profile == Profile::direct || (kGoldenZstd && (profile == Profile::packed || kGoldenDraco));
+}
 
 Bytes golden(const std::string& name) {
   return read_bytes(kGolden / (name + ".rgs"));
@@ -40,8 +47,8 @@ TEST_CASE("the encoder gives the bytes of every golden file") {
     const auto bytes = encode(scene.cloud.view(), scene.options);
     REQUIRE(bytes);
     const Bytes expected = golden(scene.name);
-    if (scene.options.profile == Profile::packed && !kGoldenZstd) {
-      MESSAGE("skipped: another version of Zstandard gives other bytes: " << scene.name);
+    if (!same_libraries(scene.options.profile)) {
+      MESSAGE("skipped: another version of Zstandard or Draco gives other bytes: " << scene.name);
       continue;
     }
     REQUIRE(bytes->size() == expected.size());
@@ -117,6 +124,7 @@ TEST_CASE("the golden file of two Gaussians holds the values known by hand") {
 
 TEST_CASE("every golden file decodes to its scene within the stated bounds") {
   for (const GoldenScene& scene : golden_scenes()) {
+    if (scene.options.profile == Profile::archive) continue;  // they state their own bounds
     CAPTURE(scene.name);
     const Bytes bytes = golden(scene.name);
     const auto view = open(bytes);
@@ -171,6 +179,53 @@ TEST_CASE("every golden file decodes to its scene within the stated bounds") {
       for (int k = 0; k < 48; ++k) {
         const float expected = k < 3 * sh_coefficients(h.sh_degree) ? s.sh[k] : 0.f;
         CHECK(std::abs(a.sh[k] - expected) <= 0.5f * steps->step[sh_degree_of(k / 3)][k % 3] + 1e-6f);
+      }
+    }
+  }
+}
+
+TEST_CASE("every golden archive decodes to its scene within the bounds that it states") {
+  for (const GoldenScene& scene : golden_scenes()) {
+    if (scene.options.profile != Profile::archive) continue;
+    CAPTURE(scene.name);
+    const Bytes bytes = golden(scene.name);
+    const auto view = open(bytes);
+    REQUIRE(view);
+    REQUIRE(validate(*view));
+    const SplatView source = scene.cloud.view();
+    REQUIRE(view->header().n_gaussians == source.n);
+    std::vector<ActivatedSplat> splats(source.n);
+    REQUIRE(view->read(0, splats));
+
+    const std::uint64_t arch = section_of(bytes, "ARCH"), n_classes = get<std::uint32_t>(bytes, arch + 8);
+    float bound[4] = {0, 0, 0, 0};  // rotation, scale, SH of degree 0, others: the largest of any class
+    for (std::uint64_t c = 0; c < n_classes; ++c) {
+      for (std::uint64_t k = 0; k < 4; ++k) {
+        bound[k] = std::max(bound[k], get<float>(bytes, arch + 128 + 36 * c + 20 + 4 * k));
+      }
+    }
+    for (std::uint64_t i = 0; i < source.n; ++i) {
+      CAPTURE(i);
+      const ActivatedSplat& a = splats[i];
+      const Splat s = source.splat(view->source_index(i));
+      for (std::uint64_t k = 0; k < 3; ++k) {
+        const auto centre = get<double>(bytes, arch + 24 + 8 * k), half_width = get<double>(bytes, arch + 48 + 8 * k);
+        const double mean = a.mean[k], reach = std::max(half_width, std::abs(mean - centre));
+        CHECK(std::abs(mean - s.mean[k]) <= get<float>(bytes, arch + 96) * reach);
+        CHECK(std::abs(std::log(a.scale[k]) - s.log_scale[k]) <= bound[1] + 1e-6);
+      }
+      const double opacity = 1 / (1 + std::exp(-static_cast<double>(s.opacity_logit)));
+      CHECK(std::abs(a.opacity - opacity) <= get<float>(bytes, arch + 100) + 1e-6);
+      double dot = 0, norm = 0;
+      for (int k = 0; k < 4; ++k) {
+        dot += static_cast<double>(a.rotation[k]) * s.rotation[k];
+        norm += static_cast<double>(s.rotation[k]) * s.rotation[k];
+      }
+      CHECK(2 * std::acos(std::min(1.0, std::abs(dot) / std::sqrt(norm))) <= bound[0] + 1e-3);  // acos near 1
+      const ScaleSet steps = view->scale_set(view->chunk(i / view->header().chunk_size)->scale_set).value();
+      for (int k = 0; k < 3 * sh_coefficients(source.sh_degree); ++k) {
+        const float step = steps.step[sh_degree_of(k / 3)][k % 3];
+        CHECK(std::abs(a.sh[k] - s.sh[k]) <= bound[k < 3 ? 2 : 3] + 0.5f * step + 1e-6f);
       }
     }
   }
@@ -260,7 +315,7 @@ TEST_CASE("each file with one defect gives the listed error at the listed offset
     CHECK(std::string(errc_name(cloud.error().code)) == code);
     CHECK(cloud.error().offset == offset);
     REQUIRE(cases.count(name) == 1);
-    if (kGoldenZstd || get<std::uint16_t>(bytes, 10) == 0) CHECK(cases.at(name).bytes == bytes);
+    if (same_libraries(Profile::archive) || get<std::uint16_t>(bytes, 10) == 0) CHECK(cases.at(name).bytes == bytes);
     CHECK(std::string(errc_name(cases.at(name).code)) == code);
     CHECK(cases.at(name).offset == offset);
   }
@@ -273,4 +328,34 @@ TEST_CASE("each file with one defect gives the listed error at the listed offset
     CAPTURE(name);
     CHECK(codes.count(name) == 1);
   }
+}
+
+TEST_CASE("validation in steps finds what validation at once finds") {
+  std::size_t n_refused = 0;
+  for (const fs::path& folder : {kGolden, kGolden / "reject"}) {
+    for (const auto& entry : fs::directory_iterator(folder)) {
+      if (entry.path().extension() != ".rgs") continue;
+      CAPTURE(entry.path().string());
+      const Bytes bytes = read_bytes(entry.path());
+      const auto view = open(bytes);
+      if (!view) continue;
+      const auto in_steps = [&]() -> Status {
+        auto validation = Validation::begin(*view);
+        if (!validation) return tl::unexpected(validation.error());
+        for (std::uint64_t chunk = 0; chunk < view->header().n_chunks; ++chunk) {
+          const auto data = read_chunks(*view, chunk, 1, {.validate = false});
+          if (!data) return tl::unexpected(data.error());
+          if (Status s = validation->check(*data); !s) return s;
+        }
+        return validation->finish();
+      };
+      const Status at_once = validate(*view), steps = in_steps();
+      REQUIRE(steps.has_value() == at_once.has_value());
+      if (at_once) continue;
+      ++n_refused;
+      CHECK(steps.error().code == at_once.error().code);
+      CHECK(steps.error().offset == at_once.error().offset);
+    }
+  }
+  CHECK(n_refused > 40);
 }

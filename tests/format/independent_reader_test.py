@@ -174,7 +174,8 @@ def main(program: str, folder: Path) -> int:
             if path in accepted:
                 scene = rgs_reader.read_file(str(path))
                 compare(scene, dump(program, path))
-                check_order(scene)
+                if not any(s["codec"] == 2 for s in scene.sections):  # whose order is Draco's
+                    check_order(scene)
                 check_robust(scene)
             elif path.name in expected:
                 check_refused(program, path, *expected[path.name])

@@ -231,6 +231,11 @@ TEST_CASE("every instruction set gives the same bits") {
   std::vector<std::uint8_t> residual(kShMaxCodes * kShLanes), planes(6 * 64);
   for (auto& byte : residual) byte = static_cast<std::uint8_t>(bits());
   for (auto& byte : planes) byte = static_cast<std::uint8_t>(bits());
+  std::vector<std::int16_t> pairs(3 * 2 * kShLanes), matrix(5 * 6);
+  for (auto* values : {&pairs, &matrix}) {
+    for (std::int16_t& x : *values) x = static_cast<std::int16_t>(bits());
+  }
+  pairs[0] = pairs[1] = matrix[0] = matrix[1] = -32768;  // the one product of a pair that wraps
   std::vector<float> a(48), b(48);
   for (auto* values : {&a, &b}) {
     for (float& x : *values) x = random.dyadic(-3, 3);
@@ -242,6 +247,7 @@ TEST_CASE("every instruction set gives the same bits") {
     std::vector<std::int8_t> rows, few;
     std::vector<std::uint16_t> w;
     std::vector<float> same, lagged;
+    std::vector<std::int32_t> sums;
   };
   std::vector<Outcome> outcomes;
   for (const CodecKernels* kernels : all) {
@@ -264,6 +270,8 @@ TEST_CASE("every instruction set gives the same bits") {
     o.same.resize(48 * 48, 0.5f);
     o.lagged.resize(48 * 48, 0.5f);
     kernels->correlate(a.data(), b.data(), 48, o.same.data(), o.lagged.data());
+    o.sums.resize(5 * kShLanes);
+    kernels->mix(pairs.data(), matrix.data(), 3, 5, o.sums.data());
     const Outcome& base = outcomes.front();
     CHECK(std::memcmp(o.lanes->value, base.lanes->value, sizeof base.lanes->value) == 0);
     CHECK(std::memcmp(o.lanes->error, base.lanes->error, sizeof base.lanes->error) == 0);
@@ -271,8 +279,16 @@ TEST_CASE("every instruction set gives the same bits") {
     CHECK(o.rows == base.rows);
     CHECK(o.few == base.few);
     CHECK(o.w == base.w);
+    CHECK(o.sums == base.sums);
     CHECK(o.same == base.same);
     CHECK(o.lagged == base.lagged);
+  }
+  for (std::size_t out = 0; out < 5; ++out) {  // as FORMAT says: sums of products mod 2^32
+    std::uint32_t sum = 0;
+    for (std::size_t k = 0; k < 6; ++k) {
+      sum += static_cast<std::uint32_t>(matrix[6 * out + k] * pairs[(k / 2 * kShLanes + 9) * 2 + k % 2]);
+    }
+    CHECK(outcomes[0].sums[out * kShLanes + 9] == static_cast<std::int32_t>(sum));
   }
   for (int lane = 0; lane < 64; ++lane) {
     for (int code = 0; code < 48; ++code) {

@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-# rgs_reader.py - an independent reader of .rgs files, written from docs/FORMAT.md alone; needs numpy, xxhash, zstandard.
+# rgs_reader.py - an independent reader of .rgs files, written from docs/FORMAT.md and docs/ARCHIVE.md alone; needs numpy,
+# xxhash, zstandard.
 # SPDX-License-Identifier: Apache-2.0
 """Reads an .rgs file, checks every rule of docs/FORMAT.md, and gives every value as a numpy array.
 
@@ -23,13 +24,16 @@ import xxhash
 import zstandard
 from numpy.typing import NDArray
 
+import rgs_archive
+
 MAGIC = bytes.fromhex("89 52 47 53 0D 0A 1A 0A")
 HEADER_BYTES, ENTRY_BYTES, HASH_BYTES = 128, 64, 8
 SH_BYTES = (4, 12, 28, 48)                                        # bytes a Gaussian, by degree
 DEGREE = np.array([0] + [1] * 3 + [2] * 5 + [3] * 7)              # degree of SH coefficient k
 KNOWN = ("DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PERM", "PROV")
 REQUIRED = KNOWN[:6]
-CODED = ("SHSC", "CHNK", "MEAN", "GEOM", "SHI8")
+ARCHIVED = ("MEAN", "GEOM", "SHI8")                               # what has codec 2 if anything has
+CODED = ("SHSC", "CHNK", *ARCHIVED)
 PROV_HEAD = struct.Struct("<QQII")
 PROV_TEXT_MAX = 4096
 
@@ -52,11 +56,19 @@ DECL = np.dtype([
     ("robust_fraction", "<f4"), ("n_source", "<u8"), ("n_dropped", "<u8"), ("n_repaired", "<u8"),
     ("n_scale_subnormal", "<u8"), ("n_scale_zero", "<u8"), ("n_opacity_zero", "<u8"), ("n_opacity_one", "<u8"),
     ("reserved_tail", "u1", 104)])
+ARCH = np.dtype([
+    ("mean_cells", "<u4"), ("mean_bits", "<u4"), ("n_classes", "<u4"), ("opacity_levels", "<u4"),
+    ("n_distributions", "<u4"), ("reserved", "<u4"), ("centre", "<f8", 3), ("half_width", "<f8", 3),
+    ("knobs", "<f4", 6), ("bound_mean", "<f4"), ("bound_opacity", "<f4"), ("reserved_tail", "u1", 24)])
+ARCH_CLASS = np.dtype([
+    ("rotation_step", "<f4"), ("scale_step", "<u4"), ("scale_base", "<i4"), ("dc_step", "<u4"), ("sh_step", "<f4"),
+    ("bound_rotation", "<f4"), ("bound_scale", "<f4"), ("bound_dc", "<f4"), ("bound_sh", "<f4")])
 ENUMERATORS = {"colour_space": (0, 1, 2), "sh_basis": (1,), "kernel": (1,), "aa_mode": (0, 1, 2), "sort_metric": (1,),
                "depth_mapping": (1, 2), "depth_source": (1, 2, 3), "order": (1, 2)}
 NOT_NEGATIVE = ("z_near", "z_far", "metres_per_unit", "cutoff_sigma", "alpha_threshold", "alpha_max", "low_pass_px2",
                 "transmittance_min")
 assert (HEADER.itemsize, ENTRY.itemsize, CHUNK.itemsize, DECL.itemsize) == (HEADER_BYTES, ENTRY_BYTES, 48, 256)
+assert (ARCH.itemsize, ARCH_CLASS.itemsize) == (128, 36)
 
 Record = dict[str, Any]
 
@@ -110,6 +122,16 @@ def align256(x: int) -> int:
 def require(ok: Any, code: str, offset: int, text: str) -> None:
     if not ok:
         raise RgsError(code, offset, text)
+
+
+def known(h: Record) -> tuple[str, ...]:
+    return KNOWN + (("ARCH",) if h["version_minor"] >= 2 else ())
+
+
+def codec_exists(h: Record, s: Record) -> bool:
+    versions = {0: s["type"] in known(h), 1: h["version_minor"] >= 1 and s["type"] in CODED,
+                2: h["version_minor"] >= 2 and s["type"] in ARCHIVED}
+    return versions.get(s["codec"], False)
 
 
 def require_all(ok: NDArray[np.bool_], offset: int, row_bytes: int, column_bytes: int, text: str,
@@ -177,17 +199,23 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
     seen: set[str] = set()
     for s in entries:
         s["type"] = bytes(s["type"]).decode("latin-1")        # known types are ASCII, others may be anything
-        if s["type"] in KNOWN:
+        if s["type"] in known(h):
             require(s["type"] not in seen, "duplicate_section", s["at"], s["type"] + " is there twice")
-            coded = s["codec"] == 1 and h["version_minor"] >= 1 and s["type"] in CODED
-            require(coded or s["codec"] == 0, "unsupported_codec", s["at"] + at["codec"], "codec 0, for some types 1")
-            require(coded or s["decoded_bytes"] == s["stored_bytes"], "size_mismatch", s["at"] + at["decoded_bytes"],
-                    "codec 0 stores as many bytes as it decodes to")
+            require(codec_exists(h, s), "unsupported_codec", s["at"] + at["codec"], "codec 0, for some types 1 or 2")
+            require(s["codec"] or s["decoded_bytes"] == s["stored_bytes"], "size_mismatch",
+                    s["at"] + at["decoded_bytes"], "codec 0 stores as many bytes as it decodes to")
         else:
             require(s["flags"] == 0, "unknown_required", s["at"], "an unknown section that must be understood")
         seen.add(s["type"])
     for kind in REQUIRED:
         require(kind in seen, "missing_section", HEADER_BYTES, kind + " is required")
+    archived = [s for s in entries if s["type"] in ARCHIVED and s["codec"] == 2]
+    for s in entries:
+        if archived and s["type"] in ARCHIVED:
+            require(s["codec"] == 2, "unsupported_codec", s["at"] + at["codec"], "codec 2 in all three or in none")
+        if not archived and s["type"] == "ARCH" and h["version_minor"] >= 2:
+            raise RgsError("bad_section", s["at"], "ARCH is for codec 2")
+    require(not archived or "ARCH" in seen, "missing_section", HEADER_BYTES, "codec 2 needs ARCH")
 
     end = head + HASH_BYTES
     for s in entries:
@@ -285,10 +313,61 @@ def read_frame_table(data: memoryview, h: Record, s: Record, row_bytes: int) -> 
     require(at == end, "size_mismatch", at, "the last frame ends the section")
 
 
-def inflate(data: memoryview, frame: tuple[int, int, int], size: int) -> NDArray[np.uint8]:
+def read_arch(data: memoryview, h: Record, s: Record) -> Record:
+    """ARCH with its classes (a list of records) and tables."""
+    base, end = s["offset"], s["offset"] + s["stored_bytes"]
+    require(end - base >= ARCH.itemsize, "size_mismatch", base, "ARCH has at least 128 bytes")
+    require_hash(data, s)
+    arch = record(data, ARCH, base)
+
+    def rules(dtype: np.dtype[np.void], row: Record, at: int, legal: dict[str, Any]) -> None:
+        for name in dtype.names:
+            values, field = np.atleast_1d(row[name]), at + dtype.fields[name][1]
+            item_bytes = dtype[name].base.itemsize
+            if name.startswith("reserved"):
+                require_reserved(data, field, field + dtype[name].itemsize, "reserved bytes of ARCH")
+            else:
+                require_all(legal.get(name, positive_or_0)(values), field, item_bytes, 0, name)
+
+    def positive_or_0(x: NDArray[Any]) -> Any:
+        return (x >= 0) & np.isfinite(x)
+
+    def within(low: float, high: float) -> Any:
+        return lambda x: (x >= low) & (x <= high)
+
+    rules(ARCH, arch, base, {
+        "mean_cells": within(4, 20), "mean_bits": within(1, min(arch["mean_cells"] + 9, 28)), "n_classes": within(1, 32),
+        "opacity_levels": within(1, 4096), "n_distributions": within(1, 255), "centre": within(-2.0**128, 2.0**128),
+        "half_width": within(np.nextafter(0, 1), 2.0**128)})
+    tables = base + ARCH.itemsize + ARCH_CLASS.itemsize * arch["n_classes"]
+    require(tables <= end, "size_mismatch", base, "ARCH ends inside its classes")
+    arch["classes"] = []
+    for at in range(base + ARCH.itemsize, tables, ARCH_CLASS.itemsize):
+        arch["classes"].append(record(data, ARCH_CLASS, at))
+        rules(ARCH_CLASS, arch["classes"][-1], at, {
+            "rotation_step": within(2.0**-20, 2), "scale_step": within(1, 2**22), "scale_base": within(-2**23, 2**23),
+            "dc_step": within(1, 2**26), "sh_step": within(2.0**-40, 2.0**40)})
+    shape = arch["n_classes"], 3 * (h["sh_degree"] + 1) ** 2 - 3, arch["n_distributions"]
+    content = unzip(data[tables:end], tables, rgs_archive.tables_bytes(*shape))
+    try:
+        arch["tables"] = rgs_archive.read_tables(content, *shape)
+    except rgs_archive.Damaged as error:
+        raise RgsError("bad_value", tables, str(error)) from error
+    return arch
+
+
+def frame_bytes(data: memoryview, frame: tuple[int, int, int]) -> memoryview:
     offset, stored, hash_ = frame
     code = data[offset:offset + stored]
     require(xxhash.xxh3_64_intdigest(code) == hash_, "checksum_mismatch", offset, "hash of a frame")
+    return code
+
+
+def inflate(data: memoryview, frame: tuple[int, int, int], size: int) -> NDArray[np.uint8]:
+    return np.frombuffer(unzip(frame_bytes(data, frame), frame[0], size), np.uint8)
+
+
+def unzip(code: memoryview, offset: int, size: int) -> bytes:
     require(bytes(code[:4]) == b"\x28\xB5\x2F\xFD", "corrupt_data", offset, "a Zstandard frame")
     stream = zstandard.ZstdDecompressor().decompressobj()
     try:
@@ -297,7 +376,7 @@ def inflate(data: memoryview, frame: tuple[int, int, int], size: int) -> NDArray
         content = b""
     require(stream.eof and not stream.unused_data and len(content) == size, "corrupt_data", offset,
             "one Zstandard frame of the right size")
-    return np.frombuffer(content, np.uint8)
+    return content
 
 
 def unfold(z: NDArray[Any]) -> NDArray[Any]:
@@ -378,6 +457,32 @@ def decode_section(data: memoryview, h: Record, s: Record, steps: NDArray[np.flo
     return b"".join(parts)
 
 
+def decode_archive(data: memoryview, h: Record, sections: dict[str, Record], arch: Record,
+                   steps: NDArray[np.float32]) -> dict[str, bytes]:
+    """Rows of MEAN, GEOM and SHI8 of codec 2. steps [n_chunks, 4, 3]"""
+    n, size, rows_each = h["n_gaussians"], h["chunk_size"], sections["MEAN"]["frame_rows"]
+    parts: dict[str, list[bytes]] = {kind: [] for kind in ARCHIVED}
+    for f in range(len(sections["MEAN"]["frames"])):
+        first = f * rows_each
+        rows = min(rows_each, n - first)
+        offset = 0
+        try:
+            for kind in ARCHIVED:
+                frame = sections[kind]["frames"][f]
+                offset, code = frame[0], bytes(frame_bytes(data, frame))
+                if kind == "MEAN":
+                    part = rgs_archive.decode_means(code, rows, arch)
+                elif kind == "GEOM":
+                    part, classes = rgs_archive.decode_geometry(code, rows, arch, h["scale_exponent"])
+                else:
+                    each = steps[np.arange(first, first + rows) // size][:, DEGREE[:(h["sh_degree"] + 1) ** 2]]
+                    part = rgs_archive.decode_sh(code, rows, arch, classes, each, h["sh_bytes"])
+                parts[kind].append(part)
+        except rgs_archive.Damaged as error:
+            raise RgsError("corrupt_data", offset, str(error)) from error
+    return {kind: b"".join(part) for kind, part in parts.items()}
+
+
 def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales: NDArray[np.float16],
                        opacities: NDArray[np.float32]) -> None:
     def rule(ok: Any, name: str, text: str) -> None:
@@ -399,7 +504,7 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     data = memoryview(data)
     h = read_header(data, max_file_bytes, max_gaussians)
     entries = read_table(data, h)
-    sections = {s["type"]: s for s in entries if s["type"] in KNOWN}
+    sections = {s["type"]: s for s in entries if s["type"] in known(h)}
     base = {kind: s["offset"] for kind, s in sections.items()}
     require_sizes(h, sections)
     require_hash(data, sections["DECL"])
@@ -408,12 +513,16 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     provenance = read_provenance(data, sections["PROV"]) if "PROV" in sections else None
 
     row_bytes = {"MEAN": 12, "GEOM": 16, "SHI8": h["sh_bytes"], "CHNK": 48, "SHSC": 48}
-    coded = [s for s in entries if s["type"] in CODED and s["codec"] == 1]
+    coded = [s for s in entries if s["type"] in CODED and s["codec"] != 0]
     budget = max_expansion * len(data) + 2**20
     for s in coded:
         read_frame_table(data, h, s, row_bytes[s["type"]])
         budget -= s["decoded_bytes"]
         require(budget >= 0, "limit_exceeded", s["at"] + ENTRY.fields["decoded_bytes"][1], "too much for so small a file")
+    archived = [s for s in coded if s["codec"] == 2]
+    for s in archived:
+        require(s["frame_rows"] == archived[0]["frame_rows"], "bad_value", s["offset"], "the same rows in each frame")
+    arch = read_arch(data, h, sections["ARCH"]) if archived else None
 
     def array(kind: str, dtype: Any, *shape: int, **more: Any) -> NDArray[Any]:
         return np.frombuffer(decode_section(data, h, sections[kind], **more), dtype).reshape(shape)
@@ -431,9 +540,14 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     require_all(step_ok.ravel(), base["SHSC"], 4, 0, "a step is +0, or 2^-107 to 2^93 in 17 bits, up to degree D")
 
     sets = np.minimum(chunks["scale_set"], max(h["n_scale_sets"], 1) - 1)      # legal or not is checked below
-    means = array("MEAN", "<f4", n, 3)
-    geom = array("GEOM", "<f2", n, 8)
-    rows = array("SHI8", "i1", n, h["sh_bytes"], **({"steps": steps[sets]} if sections["SHI8"]["codec"] else {}))
+    if arch:
+        decoded = decode_archive(data, h, sections, arch, steps[sets])
+        means, geom, rows = (np.frombuffer(decoded[kind], dtype).reshape(n, -1) for kind, dtype in
+                             (("MEAN", "<f4"), ("GEOM", "<f2"), ("SHI8", "i1")))
+    else:
+        means = array("MEAN", "<f4", n, 3)
+        geom = array("GEOM", "<f2", n, 8)
+        rows = array("SHI8", "i1", n, h["sh_bytes"], **({"steps": steps[sets]} if sections["SHI8"]["codec"] else {}))
 
     require_all(np.isfinite(means), base["MEAN"], 12, 4, "means are finite")
 

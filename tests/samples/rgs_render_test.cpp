@@ -1,12 +1,9 @@
 // rgs_render_test.cpp - rgs-render as a user runs it: pictures, folders, refusals, exit codes and --json.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
-#include <sys/wait.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdio>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <limits>
@@ -22,6 +19,7 @@
 #include "rgs/ply.hpp"
 #include "rgs/splat_cloud.hpp"
 #include "rgs/splat_edit.hpp"
+#include "run_program.hpp"
 #include "temporary_folder.hpp"
 
 namespace fs = std::filesystem;
@@ -35,14 +33,8 @@ struct Outcome {
 };
 
 Outcome render(const std::string& arguments) {
-  Outcome outcome;
-  std::FILE* pipe = ::popen(("'" RGS_RENDER "' " + arguments + " 2>&1").c_str(), "r");
-  REQUIRE(pipe != nullptr);
-  char buffer[4096];
-  for (std::size_t n; (n = std::fread(buffer, 1, sizeof buffer, pipe)) > 0;) outcome.out.append(buffer, n);
-  const int status = ::pclose(pipe);
-  outcome.code = WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  return outcome;
+  rgs::test::ProgramResult run = rgs::test::run_shell("'" RGS_RENDER "' " + arguments + " 2>&1");
+  return {run.exit_code, std::move(run.out)};
 }
 
 rgs::SplatCloud ball() {

@@ -3,11 +3,9 @@
 #include "scene_generator.hpp"
 
 #include <doctest/doctest.h>
-#include <sys/wait.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -16,6 +14,7 @@
 #include <thread>
 #include <vector>
 
+#include "run_program.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
@@ -202,8 +201,7 @@ TEST_CASE("the portrait camera looks at the house with a right-handed frame") {
 namespace {
 
 int make_scene(const std::string& arguments) {
-  const int status = std::system(("'" RGS_MAKE_SCENE "' --quiet --no-sync " + arguments + " 2>/dev/null").c_str());
-  return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  return test::run_shell("'" RGS_MAKE_SCENE "' --quiet --no-sync " + arguments).exit_code;
 }
 
 std::string contents(const std::string& path) {

@@ -85,8 +85,8 @@ inline void fix_hashes(std::span<std::byte> file, Hashes which = Hashes::all) {
   for (std::uint64_t i = 0; i < n; ++i) {
     const auto offset = get<std::uint64_t>(file, entry_at(i) + 16), size = get<std::uint64_t>(file, entry_at(i) + 24);
     if (offset > file.size() || size > file.size() - offset) continue;
-    if (which == Hashes::all && get<std::uint32_t>(file, entry_at(i) + 8) == 1)
-      fix_frame_hashes(file.subspan(offset, size));
+    const auto codec = get<std::uint32_t>(file, entry_at(i) + 8);
+    if (which == Hashes::all && (codec == 1 || codec == 2)) fix_frame_hashes(file.subspan(offset, size));
     put(file, entry_at(i) + 40, xxh3(file.subspan(offset, size)));
   }
   if (file.size() - entry_at(n) >= 8) put(file, entry_at(n), xxh3(file.first(entry_at(n))));

@@ -139,6 +139,25 @@ inline std::vector<GoldenScene> golden_scenes() {
   scenes.back().options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
   scenes.push_back({"packed_degree2", golden_cloud(130, 2, 19), golden_options()});
   scenes.back().options.profile = Profile::packed;
+  // Lossy: every degree, one Gaussian, more chunks than one, and distant means. Options stand here, for presets may change.
+  const std::uint64_t counts[] = {5, 1, 70, 300};
+  for (int degree = 0; degree <= kMaxShDegree; ++degree) {
+    scenes.push_back({"archive_degree" + std::to_string(degree),
+                      golden_cloud(counts[degree], degree, 21 + static_cast<std::uint64_t>(degree)), golden_options()});
+    EncodeOptions& options = scenes.back().options;
+    options.profile = Profile::archive;
+    options.keep_permutation = true;
+    options.chunk_size = 32;
+    options.archive.mean_cells = 12;
+    options.archive.sh_step = 0.0625f;
+    options.archive.dc_step = 0.125f;
+    options.archive.rotation_step = 0.03125f;
+    options.archive.scale_step = 0.125f;
+    options.archive.opacity_levels = 50;
+    options.archive.slope = 0.5f;
+  }
+  scenes.back().cloud.mean[30] = 65536.f;
+  scenes.back().cloud.mean[91] = -300.f;
   return scenes;
 }
 

@@ -3,66 +3,14 @@
 #pragma once
 
 #include <limits>
-#include <utility>
 
-#include "edit_file.hpp"
+#include "archive_reject_cases.hpp"
 #include "golden_scenes.hpp"
-#include "rgs/result.hpp"
+#include "reject_maker.hpp"
 
 namespace rgs::test {
 
-struct RejectCase {
-  std::string name;  ///< tests/golden/reject/NAME.rgs
-  Errc code;
-  std::uint64_t offset;
-  Bytes bytes;
-};
-
 namespace detail {
-
-/// Collects defects of one sound file.
-class RejectMaker {
- public:
-  RejectMaker(std::vector<RejectCase>& cases, Bytes file) : cases_(cases), file_(std::move(file)) {}
-
-  const Bytes& file() const { return file_; }
-  std::uint64_t entry(std::string_view type) const { return entry_of(file_, type); }
-  std::uint64_t section(std::string_view type) const { return section_of(file_, type); }
-
-  /// `change(bytes)` makes the defect; hashes are made to fit afterwards.
-  template <class Change>
-  void change(const std::string& name, Errc code, std::uint64_t offset, Change change, Hashes hashes = Hashes::all) {
-    Bytes bytes = file_;
-    change(bytes);
-    fix_hashes(bytes, hashes);
-    cases_.push_back({name, code, offset, std::move(bytes)});
-  }
-  template <class T>
-  void set(const std::string& name, Errc code, std::uint64_t offset, std::uint64_t at, T value) {
-    change(name, code, offset, [&](Bytes& b) { put(b, at, value); });
-  }
-  /// The usual case: the error names the field that was changed.
-  template <class T>
-  void set(const std::string& name, Errc code, std::uint64_t at, T value) {
-    set(name, code, at, at, value);
-  }
-  /// Flips a bit and leaves the hashes wrong.
-  void flip(const std::string& name, Errc code, std::uint64_t offset, std::uint64_t at) {
-    cases_.push_back({name, code, offset, file_});
-    cases_.back().bytes[at] ^= std::byte{0x10};
-  }
-  /// Both sizes of a section's entry.
-  void resize(const std::string& name, std::string_view type, std::uint64_t size) {
-    change(name, Errc::size_mismatch, entry(type) + 32, [&](Bytes& b) {
-      put(b, entry(type) + 24, size);
-      put(b, entry(type) + 32, size);
-    });
-  }
-
- private:
-  std::vector<RejectCase>& cases_;
-  Bytes file_;
-};
 
 inline Bytes sound(const SplatCloud& cloud, const EncodeOptions& options) {
   return encode(cloud.view(), options).value();
@@ -347,6 +295,12 @@ inline std::vector<RejectCase> reject_cases() {
   options.profile = Profile::packed;
   detail::RejectMaker coded(cases, detail::sound(golden_cloud(200, 0, 17), options));
   detail::reject_coded(coded);
+
+  options.profile = Profile::archive;
+  options.keep_permutation = false;
+  options.chunk_size = 64;
+  detail::RejectMaker archive(cases, detail::sound(golden_cloud(150, 1, 20), options));
+  detail::reject_archive(archive);
   return cases;
 }
 

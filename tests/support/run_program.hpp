@@ -98,4 +98,9 @@ inline ProgramResult run_program(const std::vector<std::string>& arguments,
   return Program(arguments, before_exec).wait();
 }
 
+/// `line` as a shell takes it: with quotes, redirections, pipes. The exit code is that of its last command.
+inline ProgramResult run_shell(const std::string& line) {
+  return run_program({"/bin/sh", "-c", line});
+}
+
 }  // namespace rgs::test

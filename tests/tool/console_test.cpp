@@ -8,6 +8,8 @@
 #include <new>
 #include <stdexcept>
 
+#include "text_lines.hpp"
+
 using namespace rgs;
 using namespace rgs::tool;
 
@@ -76,4 +78,14 @@ TEST_CASE("image sizes") {
     CAPTURE(bad);
     CHECK_FALSE(parse_size(bad));
   }
+}
+
+TEST_CASE("lines of a report end behind their last word") {
+  TextLines lines;
+  lines.line("{:<6}{:>4}{:<5}", "ab", 7, "");
+  lines.line("");
+  lines.line("{}", "   ");
+  lines.line(" x");
+  CHECK(lines.take() == "ab       7\n\n\n x\n");
+  CHECK(lines.take() == "");
 }

@@ -39,6 +39,12 @@ struct LoadOptions {
 };
 
 class DirectData;
+class FileView;
+
+namespace detail {
+struct ArchiveTables;
+const ArchiveTables* archive_tables(const FileView& view);
+}  // namespace detail
 
 /// An opened file: its parsed head over the caller's bytes, which must outlive the view. Reading is thread-safe.
 class FileView {
@@ -57,6 +63,8 @@ class FileView {
   }
   /// Frames of a section of a type that the file has; none if it is stored as is.
   const FrameTable& frames(SectionType type) const;
+  /// Steps and bounds of a file of Profile::archive; null for others.
+  const ArchiveParameters* archive() const;
   /// Some section is coded: its Gaussians are decoded a frame at a time.
   bool coded() const;
   /// Where byte `byte` of row `row` of a section is in the file: itself if the section is stored as is, else its frame.
@@ -84,8 +92,10 @@ class FileView {
 
  private:
   friend Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits);
+  friend const detail::ArchiveTables* detail::archive_tables(const FileView& view);
   std::span<const std::byte> table(SectionType type) const;
   Status open_coded(const DecodeLimits& limits);
+  Status open_archive();
 
   std::span<const std::byte> bytes_;
   Header header_;
@@ -96,7 +106,8 @@ class FileView {
   struct Tables {
     std::vector<std::byte> chunks, scales;
   };
-  std::shared_ptr<const Tables> tables_;         // what is coded of them, decoded
+  std::shared_ptr<const Tables> tables_;  // what is coded of them, decoded
+  std::shared_ptr<const detail::ArchiveTables> archive_;
   std::shared_ptr<const DirectData> preloaded_;  // all attributes, after preload()
 };
 
@@ -157,6 +168,31 @@ Result<DirectData> load_direct(const FileView& view, const LoadOptions& options 
 /// After success read() cannot fail. Reads the whole file; takes 8 bytes a Gaussian if there is a permutation, and a
 /// few frames of memory if sections are coded. Uses all threads.
 Status validate(const FileView& view);
+
+namespace detail {
+struct ValueTotals;
+}
+
+/// validate() in steps, for callers that use what it decodes: begin(), check() with every chunk of the file in order, a
+/// range at a time from read_chunks() without LoadOptions::validate, then finish(). Same checks, same errors, same order.
+/// Move-only; the view must outlive it.
+class Validation {
+ public:
+  static Result<Validation> begin(const FileView& view);
+  Status check(const DirectData& next);
+  Status finish() const;
+  /// Chunks to read at a time, so that what is coded is never in memory as a whole.
+  std::uint64_t chunks_at_a_time() const;
+
+  Validation(Validation&&) noexcept;
+  Validation& operator=(Validation&&) noexcept;
+  ~Validation();
+
+ private:
+  explicit Validation(const FileView& view);
+  const FileView* view_;
+  std::unique_ptr<detail::ValueTotals> totals_;
+};
 
 /// open(), validate() and all Gaussians in memory.
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits = {});

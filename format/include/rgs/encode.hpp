@@ -48,15 +48,36 @@ struct DepthRange {
   DepthSource source = DepthSource::by_hand;
 };
 
-/// How sections are stored; all profiles decode to the same bytes.
+/// How sections are stored. direct and packed decode to the same bytes.
 enum class Profile : std::uint8_t {
   direct,  ///< as the GPU reads them
-  packed   ///< Codec::planes: about two thirds of the size
+  packed,  ///< Codec::planes: about two thirds of the size
+  archive  ///< Codec::archive: lossy within stated bounds, a sixth of the size and less; same layout once decoded
 };
+
+/// What Profile::archive may lose. Steps are those of a Gaussian of median importance (opacity^2 times area, over squared
+/// distance where that is large); a Gaussian of x times its importance gets steps x^(-slope / 2) times as large, x limited
+/// to 2^-8 .. 2^8. Defaults are archive_high().
+struct ArchiveOptions {
+  int mean_cells = 15;    ///< 4 to 20: 2^mean_cells cells between centre and half width of the robust box, on each axis
+  float sh_step = 0.11f;  ///< of SH above degree 0, after decorrelation; 2^-20 to 2^20
+  float dc_step = 0.14f;  ///< of SH degree 0, after decorrelation; 2^-10 to 2^6
+  float rotation_step = 1.f / 64;  ///< of quaternion components; 2^-10 to 0.5
+  float scale_step = 0.15f;        ///< of ln(scale); 2^-10 to 2
+  int opacity_levels = 96;         ///< 1 to 4096 steps between 0 and 1
+  float slope = 0.6f;              ///< 0 to 1
+  unsigned threads = 0;            ///< 0: as many as the machine runs at once; the file does not depend on it
+
+  bool operator==(const ArchiveOptions&) const = default;
+};
+/// Presets; what they cost is in docs/PROFILES.md.
+ArchiveOptions archive_high();
+ArchiveOptions archive_small();
 inline constexpr int kMaxLevel = 19;
 
 struct EncodeOptions {
   Profile profile = Profile::direct;
+  ArchiveOptions archive;
   int level = 1;                   ///< packed: effort, 1 to kMaxLevel; see docs/PROFILES.md
   std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16]
   bool chunk_scales = true;        ///< SH steps per chunk; false: one set for the file (the paper's scheme)
@@ -74,9 +95,10 @@ struct EncodeOptions {
   std::optional<Provenance> provenance;
 };
 
-/// The file for `splats`. Deterministic (packed: for one version of Zstandard). Single-threaded.
+/// The file for `splats`. Deterministic (packed and archive: for one version of Zstandard and Draco). Single-threaded but
+/// for Profile::archive.
 /// Errors: bad_argument (options out of range, sizes of the view disagree), bad_value (BadPolicy::refuse; offset is the
-/// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort).
+/// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those of encode_archive().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
 
 // ---- streamed encoding ---------------------------------------------------------------------------------------------
@@ -137,9 +159,11 @@ class SceneScan {
   std::vector<std::uint64_t> histogram_;  // [3, 65536] of the top 16 bits of each coordinate, order-preserving
 };
 
-/// Where the bytes go. Section offsets are in file order; those of Profile::packed leave room for the worst case.
+/// Where the bytes go. Section offsets are in file order; those of Profile::packed leave room for the worst case, those of
+/// Profile::archive mean nothing.
 struct EncodePlan {
   Profile profile = Profile::direct;
+  ArchiveOptions archive;
   int level = 1;
   Header header;
   Declarations declarations;
@@ -151,7 +175,7 @@ struct EncodePlan {
   std::vector<SectionEntry> sections;         ///< hashes still 0
 
   const SectionEntry* find(SectionType type) const;
-  /// Gaussians a frame of Profile::packed: whole chunks, at least one.
+  /// Gaussians a frame of Profile::packed or archive: whole chunks, at least one.
   std::uint32_t frame_rows() const;
 };
 
@@ -217,6 +241,7 @@ class PackedEncoder {
 /// Frames of the large sections in order. CodedFrame::offset is the caller's own: finish_packed() does not look at it.
 struct PackedSections {
   std::vector<CodedFrame> means, geometry, sh;
+  std::vector<std::byte> archive_tables;  ///< content of ARCH, for Profile::archive
 };
 
 /// Where everything of a packed file belongs.
@@ -233,5 +258,26 @@ struct PackedLayout {
 };
 PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> chunks, std::span<const ScaleSet> scales,
                            const EncodeCounts& counts, const PackedSections& frames);
+
+// ---- Profile::archive ----------------------------------------------------------------------------------------------
+
+/// The file of Profile::archive for the plan's Gaussians: `splats` are those that the policy let through, mended and in
+/// Morton order (frames are cut along it), `source_index` [n] their positions in the source, which a permutation and errors
+/// name. Draco's order becomes the file's. Takes about 300 bytes a Gaussian beside them. What is written has been
+/// decoded again and compared with `splats`: see verify_archive().
+/// Errors: bad_value (a value too large for the steps asked for; `found` is the Gaussian's source_index), those of
+/// verify_archive().
+Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const SplatView& splats,
+                                              std::span<const std::uint32_t> source_index);
+
+/// Opens and decodes `file`, a file of Profile::archive, and compares Gaussian i with Gaussian order[i] of `splats`
+/// against the bounds that the file states. Errors: internal (a bound does not hold; the offset is the Gaussian's index
+/// in the file), those of open() and load_direct().
+Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
+                      unsigned threads = 0);
+
+/// The mean that a file with these parameters decodes to where its source has `mean`: finds Gaussians again that Draco has
+/// put into its own order. Those in one cell of the grid cannot be told apart so.
+std::array<float, 3> archive_mean(const ArchiveParameters& parameters, const float mean[3]);
 
 }  // namespace rgs

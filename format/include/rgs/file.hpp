@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "rgs/result.hpp"
 
@@ -25,6 +26,9 @@ class MappedFile {
   ~MappedFile();
 
   std::span<const std::byte> bytes() const { return {data_, size_}; }
+  /// read_failed if the file no longer has the size that was mapped. What is cut off reads as zeros up to the end of a
+  /// page, and raises SIGBUS beyond it.
+  Status check_size() const;
   /// Tells the kernel how [offset, offset + length) will be read next; a hint, never an error.
   enum class Access { normal, sequential, random, will_need, done };
   void advise(Access access, std::uint64_t offset = 0, std::uint64_t length = ~std::uint64_t{0}) const;
@@ -32,6 +36,7 @@ class MappedFile {
  private:
   const std::byte* data_ = nullptr;
   std::size_t size_ = 0;
+  int fd_ = -1;  // of its own
 };
 
 /// An output that appears under its name complete or not at all. Bytes go to `PATH.tmp-XXXXXX` in the same folder;
@@ -44,6 +49,7 @@ class AtomicFile {
   struct Options {
     bool overwrite = false;  ///< replace an existing file; otherwise commit() and create() refuse with output_exists
     bool sync = true;        ///< fsync file and folder before commit() returns
+    std::vector<const MappedFile*> inputs = {};  ///< commit() asks each of them for check_size() first
   };
   /// Errors: output_exists, output_unusable (a directory), write_failed.
   static Result<AtomicFile> create(const std::string& path, Options options);

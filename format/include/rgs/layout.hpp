@@ -14,8 +14,9 @@ namespace rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// Newest that this library knows. A file states the lowest that describes it: 1 if a section is coded, else 0.
-inline constexpr std::uint16_t kVersionMinor = 1;
+/// Newest that this library knows. A file states the lowest that describes it: 2 with Codec::archive, 1 with
+/// Codec::planes, else 0.
+inline constexpr std::uint16_t kVersionMinor = 2;
 
 inline constexpr std::uint64_t kHeaderBytes = 128;
 inline constexpr std::uint64_t kSectionEntryBytes = 64;
@@ -55,6 +56,7 @@ enum class SectionType : std::uint32_t {
   means = four_cc("MEAN"),         ///< FP32 [n, 3]
   geometry = four_cc("GEOM"),      ///< FP16 [n, 8]
   sh = four_cc("SHI8"),            ///< INT8 [n, sh_bytes]
+  archive = four_cc("ARCH"),       ///< with Codec::archive: its parameters, docs/ARCHIVE.md
   permutation = four_cc("PERM"),   ///< optional: position in the source, u32 [n], u64 [n] above 2^32 source Gaussians
   provenance = four_cc("PROV"),    ///< optional: Provenance
 };
@@ -62,12 +64,18 @@ enum class SectionType : std::uint32_t {
 enum class Codec : std::uint32_t {
   none = 0,    ///< stored bytes are the decoded bytes
   planes = 1,  ///< a frame table and frames: rows transformed into byte planes, Zstandard; for those of coded_type()
+  archive = 2  ///< a frame table and frames: lossy codes, docs/ARCHIVE.md; MEAN, GEOM and SHI8 together
 };
 
 /// Section types that may have Codec::planes.
 constexpr bool coded_type(SectionType type) {
   return type == SectionType::sh_scales || type == SectionType::chunks || type == SectionType::means ||
          type == SectionType::geometry || type == SectionType::sh;
+}
+
+/// Section types that have Codec::archive, all or none.
+constexpr bool archive_type(SectionType type) {
+  return type == SectionType::means || type == SectionType::geometry || type == SectionType::sh;
 }
 
 /// One independently decodable piece of a coded section.
@@ -171,6 +179,34 @@ struct ChunkEntry {
 /// Step sizes of the SH codes. value = step[degree][channel] * code.
 struct ScaleSet {
   float step[4][3] = {};
+};
+
+/// How finely Codec::archive stores the Gaussians of one class, and what its writer verified of their errors.
+struct ArchiveClass {
+  float rotation_step = 0;       ///< of quaternion components
+  std::uint32_t scale_step = 1;  ///< of log2(scale), 1/65536
+  std::int32_t scale_base = 0;   ///< log2(scale) of code 0, 1/65536
+  std::uint32_t dc_step = 1;     ///< of SH degree 0, 1/65536
+  float sh_step = 0;             ///< of the other degrees
+  float bound_rotation = 0;      ///< angle, radians
+  float bound_scale = 0;         ///< of ln(scale), where it is a normal FP16 number as stored
+  float bound_dc = 0;            ///< of each coefficient of degree 0; half a step of the chunk's scale set comes on top
+  float bound_sh = 0;            ///< of the other coefficients, likewise
+};
+inline constexpr std::uint32_t kMaxArchiveClasses = 32;
+
+/// What section ARCH tells people; the steps asked for are those of the middle class.
+struct ArchiveParameters {
+  std::uint32_t mean_cells = 4;  ///< 2^mean_cells cells between centre and half width on each axis
+  std::uint32_t mean_bits = 1;   ///< of a coordinate
+  std::uint32_t opacity_levels = 1;
+  std::array<double, 3> centre{0, 0, 0}, half_width{1, 1, 1};
+  float sh_step = 0, dc_step = 0, rotation_step = 0, scale_step = 0;  ///< scale_step: of ln(scale)
+  float slope = 0;          ///< steps are proportional to importance^(-slope / 2)
+  float class_octaves = 0;  ///< of importance
+  float bound_mean = 0;     ///< of |error| / max(half_width, |mean - centre|) on each axis
+  float bound_opacity = 0;
+  std::vector<ArchiveClass> classes;
 };
 
 struct Provenance {

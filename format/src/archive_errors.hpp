@@ -1,0 +1,48 @@
+// archive_errors.hpp - how far decoded Gaussians are from their source: what ARCH states and verify_archive() checks.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include "rgs/layout.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs::detail {
+
+/// One Gaussian as stored: the row of GEOM, and SH before or after the codes of SHI8.
+struct StoredSplat {
+  float mean[3];
+  std::uint16_t geometry[8];
+  float sh[48];
+};
+
+struct SplatErrors {
+  double mean = 0;  ///< of |error| / max(half_width, |mean - centre|)
+  double opacity = 0;
+  double rotation = 0;  ///< radians
+  double scale = 0;     ///< of ln(scale)
+  double dc = 0, sh = 0;
+};
+/// `sh_slack` [48] is taken off each coefficient's error.
+SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int sh_degree, const Splat& source,
+                         const StoredSplat& stored, const float* sh_slack = nullptr);
+
+/// Largest errors of a scene, by class where bounds are.
+class ErrorMaxima {
+ public:
+  explicit ErrorMaxima(std::size_t n_classes) : by_class_(n_classes) {}
+  void add(std::size_t class_index, const SplatErrors& errors);
+  void merge(const ErrorMaxima& other);
+  /// Writes the bounds of `p`, rounded up.
+  void state(ArchiveParameters& p) const;
+
+ private:
+  double mean_ = 0, opacity_ = 0;
+  std::vector<SplatErrors> by_class_;
+};
+
+/// All errors within the bounds that `p` states for the class.
+bool within_bounds(const ArchiveParameters& p, std::size_t class_index, const SplatErrors& errors);
+
+}  // namespace rgs::detail

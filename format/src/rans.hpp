@@ -1,0 +1,177 @@
+// rans.hpp - entropy coder of Codec::archive: eight interleaved rANS states over one stream; docs/ARCHIVE.md "Streams".
+//
+// Range asymmetric numeral systems (Duda 2013) with 12-bit frequencies, 32-bit states and 16-bit words, interleaved as in
+// Giesen 2014: consecutive numbers use different states, so that the processor works on several at once.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <bit>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <span>
+#include <type_traits>
+#include <vector>
+
+namespace rgs::detail {
+
+inline constexpr std::uint32_t kRansStates = 8;
+inline constexpr std::uint32_t kRansLow = 1u << 16;  ///< states are at least this between numbers
+inline constexpr std::uint32_t kRansTokens = 76;
+inline constexpr std::uint32_t kRansTotal = 4096;
+
+/// A number as token and raw bits behind it.
+struct RansToken {
+  std::uint32_t token, n_bits, bits;
+};
+/// Below 32 a token each, then four an octave. z < 2^16.
+constexpr RansToken rans_token(std::uint32_t z) {
+  if (z < 32) return {z, 0, 0};
+  const auto n_bits = static_cast<std::uint32_t>(std::bit_width(z)) - 3;
+  return {32 + (n_bits - 3) * 4 + (z >> n_bits) - 4, n_bits, z & ((1u << n_bits) - 1)};
+}
+
+/// Codes of either sign to numbers: 0 -1 1 -2 2 to 0 1 2 3 4; and back.
+constexpr std::uint32_t fold_code(std::int16_t code) {
+  return static_cast<std::uint16_t>(static_cast<std::uint16_t>(code << 1) ^ static_cast<std::uint16_t>(code >> 15));
+}
+constexpr std::int16_t unfold_code(std::uint32_t z) {
+  return static_cast<std::int16_t>(static_cast<std::uint16_t>(z >> 1 ^ (0u - (z & 1u))));
+}
+
+/// Distributions ready for decoding. Slot s of distribution d: token, frequency - 1, and s less the frequencies before.
+class RansTables {
+ public:
+  /// frequencies [n, kRansTokens]; false if a row does not sum to kRansTotal.
+  bool assign(std::span<const std::uint16_t> frequencies);
+  const std::uint32_t* of(std::uint8_t distribution) const { return &slots_[std::size_t{distribution} * kRansTotal]; }
+
+ private:
+  std::vector<std::uint32_t> slots_;  // token | (frequency - 1) << 8 | bias << 20
+};
+
+/// Decodes planes of one stream. Every word is counted: reading past the end gives zeros and ok() false.
+class RansReader {
+ public:
+  RansReader(const RansTables& tables, std::span<const std::uint8_t> map) : tables_(tables), map_(map) {}
+  /// False if the stream is shorter than its states or has half a word.
+  bool begin(std::span<const std::byte> stream);
+
+  /// values[i] for i < n, in order, so that context(i) may look at those before. Unsigned numbers above `limit` become
+  /// 0 and ok() false.
+  template <class T, class Context>
+  void plane(std::size_t n, T* values, [[maybe_unused]] std::uint32_t limit, Context context) {
+    std::array<std::uint32_t, kRansStates> x = states_;
+    const auto take = [&](std::size_t i, std::uint32_t z) {
+      if constexpr (std::is_signed_v<T>) {
+        values[i] = unfold_code(z);
+      } else {
+        bad_ |= z > limit;
+        values[i] = z > limit ? T{0} : static_cast<T>(z);
+      }
+    };
+    std::size_t i = 0;
+    for (; i + kRansStates <= n && end_ - at_ >= std::ptrdiff_t{4 * kRansStates}; i += kRansStates) {
+      for (std::size_t lane = 0; lane < kRansStates; ++lane) take(i + lane, next<true>(x[lane], context(i + lane)));
+    }
+    for (; i < n; ++i) take(i, next<false>(x[i % kRansStates], context(i)));
+    states_ = x;
+  }
+
+  bool ok() const { return !bad_; }
+  /// All words were read and the states are what the encoder began with.
+  bool finished() const;
+
+ private:
+  template <bool kAmple>
+  std::uint32_t next(std::uint32_t& x, std::size_t context) {
+    const std::uint32_t entry = tables_.of(map_[context])[x & (kRansTotal - 1)];
+    x = ((entry >> 8 & (kRansTotal - 1)) + 1) * (x >> 12) + (entry >> 20);
+    refill<kAmple>(x);
+    const std::uint32_t token = entry & 0xFF;
+    if (token < 32) [[likely]]
+      return token;
+    const std::uint32_t n_bits = (token - 32) / 4 + 3;
+    const std::uint32_t z = (4 + token % 4) << n_bits | (x & ((1u << n_bits) - 1));
+    x >>= n_bits;
+    refill<kAmple>(x);
+    return z;
+  }
+  template <bool kAmple>
+  void refill(std::uint32_t& x) {
+    if constexpr (kAmple) {  // without a branch: which state needs a word is chance
+      std::uint16_t word;
+      std::memcpy(&word, at_, sizeof word);
+      const bool low = x < kRansLow;
+      x = low ? x << 16 | word : x;
+      at_ += low ? 2 : 0;
+    } else if (x < kRansLow) {
+      std::uint16_t word = 0;
+      if (at_ != end_) {
+        std::memcpy(&word, at_, sizeof word);
+        at_ += 2;
+      } else {
+        bad_ = true;
+      }
+      x = x << 16 | word;
+    }
+  }
+
+  const RansTables& tables_;
+  std::span<const std::uint8_t> map_;
+  std::array<std::uint32_t, kRansStates> states_{};
+  const std::byte *at_ = nullptr, *end_ = nullptr;
+  bool bad_ = false;
+};
+
+/// What a plane's number looks like to the coder.
+template <class T>
+std::uint32_t rans_number(T value) {
+  if constexpr (std::is_signed_v<T>) {
+    return fold_code(value);
+  } else {
+    return value;
+  }
+}
+
+/// Counts tokens by context: [n_contexts, kRansTokens].
+class RansCounter {
+ public:
+  explicit RansCounter(std::size_t n_contexts) : counts_(n_contexts * kRansTokens) {}
+  template <class T, class Context>
+  void plane(std::size_t n, T* values, std::uint32_t, Context context) {
+    for (std::size_t i = 0; i < n; ++i) ++counts_[context(i) * kRansTokens + rans_token(rans_number(values[i])).token];
+  }
+  std::vector<std::uint32_t>& counts() { return counts_; }
+
+ private:
+  std::vector<std::uint32_t> counts_;
+};
+
+/// Encodes planes given in the order of decoding. frequencies [n, kRansTokens].
+class RansWriter {
+ public:
+  RansWriter(std::span<const std::uint16_t> frequencies, std::span<const std::uint8_t> map);
+  template <class T, class Context>
+  void plane(std::size_t n, T* values, std::uint32_t, Context context) {
+    for (std::size_t i = 0; i < n; ++i) {
+      numbers_.push_back({static_cast<std::uint16_t>(rans_number(values[i])), map_[context(i)],
+                          static_cast<std::uint8_t>(i % kRansStates)});
+    }
+  }
+  /// The stream; the writer is empty afterwards.
+  std::vector<std::byte> finish();
+
+ private:
+  struct Number {
+    std::uint16_t z;
+    std::uint8_t distribution, state;
+  };
+  std::span<const std::uint16_t> frequencies_;
+  std::span<const std::uint8_t> map_;
+  std::vector<std::uint16_t> starts_;  // [n, kRansTokens]: sum of the frequencies before
+  std::vector<Number> numbers_;
+};
+
+}  // namespace rgs::detail

@@ -1,0 +1,53 @@
+#!/usr/bin/python3
+# formats_record_test.py - what the documents say of formats' sizes and quality is what the record holds.
+# SPDX-License-Identifier: Apache-2.0
+"""formats_record_test.py SOURCE_FOLDER
+
+docs/images/formats.svg is what scripts/plot_formats.py draws of docs/interchange_south.json; README.md and
+docs/INTERCHANGE.md have its tables; texts in the picture neither leave it nor cover each other.
+"""
+import itertools
+import json
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+root = Path(sys.argv[1])
+sys.path.insert(0, str(root / "scripts"))
+import plot_formats  # noqa: E402  (found through the line above)
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def boxes(picture):
+    """(words, box) of each upright text, wider than it will be."""
+    for text in ElementTree.fromstring(picture).iter(f"{SVG}text"):
+        if "transform" in text.attrib:
+            continue
+        x, y, width = float(text.get("x")), float(text.get("y")), 5.6 * len(text.text)
+        left = x - width * {"start": 0, "middle": 0.5, "end": 1}[text.get("text-anchor")]
+        yield text.text, (left, y - 9, left + width, y + 2)
+
+
+def check(ok, words):
+    if not ok:
+        print(words)
+        failures.append(words)
+
+
+failures = []
+record = json.loads((root / "docs/interchange_south.json").read_text())
+picture = (root / "docs/images/formats.svg").read_text()
+check(picture == plot_formats.svg(record), "docs/images/formats.svg is not what the record gives; plot_formats.py --svg")
+for document, short in (("README.md", True), ("docs/INTERCHANGE.md", False)):
+    lines = plot_formats.table(record, short)
+    check(lines in (root / document).read_text(), f"{document} does not have the record's table:\n{lines}")
+for words, (left, top, right, bottom) in boxes(picture):
+    inside = 0 <= left and right <= plot_formats.WIDTH and 0 <= top and bottom <= plot_formats.HEIGHT
+    check(inside, f"'{words}' leaves the picture")
+for (a, box), (b, other) in itertools.combinations(boxes(picture), 2):
+    check(not plot_formats.overlap(box, other), f"'{a}' and '{b}' cover each other")
+worse = json.loads(json.dumps(record))
+worse["entries"][1]["psnr_db"] -= 1
+check(plot_formats.svg(worse) != picture and plot_formats.table(worse) != plot_formats.table(record), "points do not move")
+sys.exit(1 if failures else 0)
