@@ -75,9 +75,9 @@ def rates(size):
 
 
 def orthogonality(full, pruned, audit=None):
-    """Pruning and the last mode, alone and together: the layout of the RoofGS paper's table with PUP 3D-GS."""
+    """Pruning and the pruned file's last mode, alone and together: the layout of the RoofGS paper's table with PUP 3D-GS."""
     scenes = {"": full, "pruned ": pruned}
-    fast = full["modes"][-1]["name"]
+    fast = pruned["modes"][-1]["name"]
     head, rows = [""], []
     for size in full["sizes"]:
         head += [f"{size['width']}x{size['height']}, FPS", "speed-up"]

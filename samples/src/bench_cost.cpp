@@ -108,11 +108,25 @@ constexpr PairOps folded_ops(math::Exp exp, int pixels) {
 // and the colour where it is blended.
 constexpr double kSharedBytes = 6 * kWord, kSharedColorBytes = 3 * kWord;
 
-// The turbo loop: a column of four pixels has 3 FMA in x, then a pixel 2 FMA and a test; blended: ex2, weight,
-// difference, three FMA. The clamp is for rare Gaussians and not counted.
-constexpr double kTurboColumn = 4, kTurboCellPixels = math::kCellWidth * math::kCellHeight;
-constexpr PairOps kTurboOps{{2 * (3 / kTurboColumn + 2), 3 / kTurboColumn + 2 + 1, 0}, {1 + 1 + 6, 1 + 1 + 1 + 3, 1}};
+// Turbo blends a cell of 16x8 pixels without a branch: what is evaluated takes all operations.
+constexpr double kTurboCellPixels = math::kCellWidth * math::kCellHeight;
+
+// In FP32: a thread's column of four pixels has 3 FMA in x, then a pixel 2 FMA; ex2; test and select; weight, difference,
+// three FMA. The clamp is for rare Gaussians and not counted.
+constexpr double kTurboColumn = 4;
+constexpr Ops kTurboOps{2 * (3 / kTurboColumn + 2) + 1 + 1 + 6, 3 / kTurboColumn + 2 + 1 + 2 + 1 + 1 + 3, 1};
 constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP16
+
+// By matrix products, whose exponents and colours are not counted: they have units of their own, which are busy for a
+// shorter time than those of the exponentials (docs/KERNELS.md, "Roofline"). A lane has 16 (pixel, Gaussian) pairs of a row
+// and 32 Gaussians, two in an instruction: eight times the test's FMA, opacity, weight and what it lets through, but the
+// first of a chain has its weight already; eight products with the chain's transmittance; seven products and two
+// selections over the chains. ex2.approx.f16x2 takes the special function units twice, once a pair.
+constexpr double kLanePairs = 16;
+constexpr Ops kTensorOps{(2 * (8 * (2 + 1 + 1 + 2 + 1) - 2) + 2 * 7) / kLanePairs,
+                         (8 * (1 + 1 + 1 + 1 + 1) - 2 + 7 + 2) / kLanePairs + 1, 1};
+// A warp reads four coefficient registers and one of colours for its two rows of 16 pixels and 32 Gaussians.
+constexpr double kTensorLoads = 5, kTensorLoadPairs = 2 * 16 * 32;
 
 void add(Cost& cost, const Ops& ops, double times) {
   cost.flops += ops.flops * times;
@@ -172,26 +186,47 @@ Cost turbo_project_cost(const FrameWork& w, const Counts& n) {
   return c;
 }
 
-// Counts of entries and runs to a list and a place in a class, tile by tile.
+double turbo_tiles(const FrameWork& w) {
+  const auto grid = math::tile_grid<cuda::kTurboTile>(w.width, w.height);
+  return static_cast<double>(grid.columns) * static_cast<double>(grid.rows);
+}
+
+// Counts of entries and runs to a list and a place in a class, tile by tile. Runs are not counted.
 Cost turbo_bin_cost(const FrameWork& w) {
   Cost c;
-  const auto grid = math::tile_grid<cuda::kTurboTile>(w.width, w.height);
-  c.bytes = static_cast<double>(grid.columns) * static_cast<double>(grid.rows) *
-            (2 * kWord + sizeof(cuda::TurboList) + kWord);
+  c.bytes = turbo_tiles(w) * (sizeof(cuda::TurboCount) + sizeof(cuda::TurboList) + kWord);
   return c;
 }
 
-// Each cell of 16x8 pixels stages its Gaussians for itself. The ordering of the lists is not counted: how much of them
-// is ordered depends on when their pixels are opaque.
-Cost turbo_blend_cost(const Counts& n) {
+// Gaussians that cells go through: one serves the pixels of its cell at most.
+double staged_by_cells(const Counts& n) {
+  return n.evaluated / kTurboCellPixels;
+}
+
+// Every entry is read, once if its list is short, and written to one cell at least; cells have all that their pixels go
+// through. Ordering takes integer operations, which are not counted.
+Cost turbo_order_cost(const FrameWork& w, const Counts& n) {
   Cost c;
-  const double staged = n.evaluated / kTurboCellPixels;
-  const double entries = n.evaluated / (cuda::kTurboTile * cuda::kTurboTile);
-  c.bytes = std::min(n.visible, staged) * kSplatBytes + entries * sizeof(cuda::TurboEntry) + n.pixels * n.pixel_bytes;
-  c.l2_bytes = staged * kSplatBytes;
-  c.shared_loads = staged * (kTurboCellPixels / kTurboColumn / kWarp) * kTurboSharedBytes / 16;
-  add(c, kTurboOps.evaluated, n.evaluated);
-  add(c, kTurboOps.blended, n.blended);
+  c.bytes = n.pairs * sizeof(cuda::TurboEntry) + std::max(n.pairs, staged_by_cells(n)) * kWord +
+            turbo_tiles(w) * (sizeof(cuda::TurboList) + kWord + cuda::kTurboCells * sizeof(cuda::TurboCell));
+  return c;
+}
+
+// Evaluated pairs are those of the definition, whose pixels stop at kTransmittanceMin. Matrix products stop at a
+// higher one, though only with all pixels of a warp: their floor may be too high by what lies between.
+Cost turbo_blend_cost(const FrameWork& w, const Counts& n) {
+  Cost c;
+  const double staged = staged_by_cells(n);
+  c.bytes = std::min(n.visible, staged) * kSplatBytes + staged * kWord +
+            turbo_tiles(w) * cuda::kTurboCells * sizeof(cuda::TurboCell) + n.pixels * n.pixel_bytes;
+  c.l2_bytes = staged * (kSplatBytes + kWord);
+  if (w.options.cuda.tensor_cores) {
+    c.shared_loads = n.evaluated / kTensorLoadPairs * kTensorLoads;
+    add(c, kTensorOps, n.evaluated);
+  } else {
+    c.shared_loads = staged * (kTurboCellPixels / kTurboColumn / kWarp) * kTurboSharedBytes / 16;
+    add(c, kTurboOps, n.evaluated);
+  }
   return c;
 }
 
@@ -263,7 +298,7 @@ Cost& Cost::operator+=(const Cost& other) {
 StageCosts stage_costs(const FrameWork& work) {
   const Counts n(work);
   if (work.options.cuda.turbo && work.stats.gaussians < cuda::kMaxTurboGaussians) {
-    return {turbo_project_cost(work, n), turbo_bin_cost(work), Cost{}, turbo_blend_cost(n)};
+    return {turbo_project_cost(work, n), turbo_bin_cost(work), turbo_order_cost(work, n), turbo_blend_cost(work, n)};
   }
   return {project_cost(work, n), bin_cost(work, n), sort_cost(work, n), blend_cost(work, n)};
 }

@@ -14,7 +14,7 @@
 
 namespace rgs::bench {
 
-/// As FrameStats times them. A fused front end is all projection.
+/// As FrameStats times them. A fused front end is all projection; turbo's ordering of its lists is its sort.
 enum class Stage { project, bin, sort, blend };
 inline constexpr std::array kStages{Stage::project, Stage::bin, Stage::sort, Stage::blend};
 const char* stage_name(Stage stage);
@@ -24,8 +24,9 @@ double stage_ms(const FrameStats& stats, Stage stage);
 struct Cost {
   double bytes = 0;         ///< read from and written to device memory
   double l2_bytes = 0;      ///< of gathers that L2 serves, read
-  double flops = 0;         ///< FP32; an FMA is two
-  double operations = 0;    ///< FP32 instructions of single lanes, comparisons and selections included; an FMA is one
+  double flops = 0;         ///< FP32, and FP16 outside matrix products; an FMA is two
+  double operations = 0;    ///< instructions of single lanes, comparisons and selections included; an FMA is one, also
+                            ///< on two FP16 numbers: they take as many issue slots as FP32
   double special = 0;       ///< of these, instructions for the special function units
   double shared_loads = 0;  ///< 16-byte words from shared memory, one for all lanes of a warp
 

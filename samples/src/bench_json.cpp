@@ -44,6 +44,7 @@ ordered_json options_json(const Configuration& c) {
   ordered_json json;
   json["attributes"] = c.compact ? "compact" : "fp32";
   json["turbo"] = o.cuda.turbo;
+  json["tensor_cores"] = o.cuda.turbo && o.cuda.tensor_cores;
   json["front_end"] = o.cuda.front_end == CudaOptions::FrontEnd::fused ? "fused" : "separate";
   json["extent"] = o.extent == math::Extent::square ? "square" : "ellipse";
   json["depth_order"] = o.depth_order == math::DepthOrder::exact ? "exact" : "quantized";

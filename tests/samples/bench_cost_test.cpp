@@ -63,15 +63,28 @@ TEST_CASE("bytes and operations of turbo's stages") {
   const StageCosts costs = stage_costs(w);
   CHECK(of(costs, Stage::project).bytes == 4 * (12 + 16 + 48 + 48) + 3 * 8);
   CHECK(of(costs, Stage::bin).bytes == 8 + sizeof(rgs::cuda::TurboList) + 4);  // one tile of 32x32
-  CHECK(of(costs, Stage::sort).bytes == 0);
-  // 512 / 128 = 4 staged, half an entry of 1,024 pixels; 256 pixels.
+  // Three entries; 512 / 128 = 4 Gaussians in cells; the tile's list, its place in a class and its eight cells.
+  CHECK(of(costs, Stage::sort).bytes == 3 * 8 + 4 * 4 + sizeof(rgs::cuda::TurboList) + 4 + 8 * 16);
   const Cost& blend = of(costs, Stage::blend);
-  CHECK(blend.bytes == 4 * 48 + 4 + 256 * 12);
-  CHECK(blend.l2_bytes == 4 * 48);
-  CHECK(blend.shared_loads == 4 * 2);  // a warp, two words
-  CHECK(blend.flops == 512 * 5.5 + 100 * 8);
-  CHECK(blend.operations == 512 * 3.75 + 100 * 6);
-  CHECK(blend.special == 100);
+  CHECK(blend.bytes == 4 * 48 + 4 * 4 + 8 * 16 + 256 * 12);
+  CHECK(blend.l2_bytes == 4 * (48 + 4));
+  CHECK(blend.shared_loads == 512 / 1024.0 * 5);
+  CHECK(blend.special == 512);  // an exponential a pair, blended or not
+  // 16 pairs of a lane: 38 packed instructions, 7 products and 2 selections over the chains, and the exponentials.
+  CHECK(blend.operations == 512 * (47 / 16.0 + 1));
+  CHECK(blend.flops == 512 * 7.625);
+  // An entry is in one cell at least.
+  w.stats.evaluated = 0;
+  CHECK(of(stage_costs(w), Stage::sort).bytes == of(costs, Stage::sort).bytes - 4);
+  w.stats.evaluated = 512;
+  // In FP32: a warp, two words; the exponential outside any branch.
+  w.options.cuda.tensor_cores = false;
+  const Cost fp32 = of(stage_costs(w), Stage::blend);
+  CHECK(fp32.bytes == blend.bytes);
+  CHECK(fp32.shared_loads == 4 * 2);
+  CHECK(fp32.flops == 512 * 13.5);
+  CHECK(fp32.operations == 512 * 10.75);
+  CHECK(fp32.special == 512);
   // Scenes too large for it are drawn by the other kernels.
   w.stats.gaussians = std::uint64_t{1} << 25;
   w.stats.key_bits = 45;

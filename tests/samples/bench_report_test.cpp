@@ -239,6 +239,14 @@ TEST_CASE("the tables of the documents are made of JSON reports") {
   CHECK(both.find("| pruned + fast exp = paper | 1,842 | 10.9x |") != std::string::npos);
   CHECK(both.find("80 % at 1920x1080 of the product") != std::string::npos);
   CHECK(both.find("28.09 dB, worst view 25.74, 1.05 dB lost") != std::string::npos);
+  // The mode is the pruned file's last: the whole scene may have been measured in more.
+  Report more = full;
+  more.modes.push_back(more.modes[1]);
+  more.modes.back().configuration.name = "another";
+  more.sizes[0].rows.push_back(more.sizes[0].rows[1]);
+  std::ofstream(folder.file("full.json")) << report_json(more);
+  CHECK(tables({folder.file("pruned.json"), "--orthogonality", "--audit", folder.file("audit.json")}) == both);
+  std::ofstream(folder.file("full.json")) << report_json(full);
   const std::string growth = tables({folder.file("pruned.json"), "--scaling"});
   const std::size_t small = growth.find("| 0.312 M | 1920x1080 | 2.957 |"), large = growth.find("| 0.779 M |");
   CHECK(small < large);
@@ -273,4 +281,13 @@ TEST_CASE("the ablation goes from baseline to paper in steps") {
   CHECK(before["exp"] == "exact");
   before["exp"] = "paper";
   CHECK(before == json["modes"][1]["options"]);
+}
+
+TEST_CASE("the JSON report tells turbo's two blends apart") {
+  Report report;
+  report.modes = {{make_mode("paper", {}), {}}, {make_mode("turbo", {}), {}}, {make_mode("turbo-fp32", {}), {}}};
+  const auto modes = nlohmann::json::parse(report_json(report))["modes"];
+  CHECK(modes[0]["options"]["tensor_cores"] == false);
+  CHECK(modes[1]["options"]["tensor_cores"] == true);
+  CHECK(modes[2]["options"]["tensor_cores"] == false);
 }

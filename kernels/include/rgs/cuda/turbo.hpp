@@ -1,5 +1,6 @@
-// turbo.hpp - launches of the turbo pipeline: lists per tile of 32x32 pixels, ordered in shared memory where they are
-// blended. No sort over the frame, and nothing that the host must know before the last kernel is queued.
+// turbo.hpp - launches of the turbo pipeline: lists per tile of 32x32 pixels, each ordered on its own and dealt out to the
+// cells of 16x8 pixels that are blended. No sort over the frame, and nothing that the host must know before the last kernel
+// is queued.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
