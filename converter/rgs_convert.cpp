@@ -143,13 +143,6 @@ class Input {
   std::span<const std::byte> bytes_;
 };
 
-// The file that an error of the whole conversion is about.
-const std::string& file_of(const rgs::Error& error, const Arguments& arguments, const std::deque<Input>& inputs) {
-  if (concerns_output(error.code)) return arguments.output();
-  const auto changed = std::ranges::find_if(inputs, [](const Input& input) { return !input.file().check_size(); });
-  return (changed != inputs.end() ? *changed : inputs.front()).path();
-}
-
 // The error of one file, or of none ("").
 struct Failure {
   std::string file;
@@ -160,6 +153,15 @@ using Outcome = tl::expected<T, Failure>;
 
 tl::unexpected<Failure> failed(const std::string& file, const rgs::Error& error) {
   return tl::unexpected(Failure{file, error});
+}
+
+// What an input no longer holds reads as zeros: that it changed explains whatever was found wrong in it.
+Failure explained(Failure failure, const std::deque<Input>& inputs) {
+  if (concerns_output(failure.error.code)) return failure;
+  for (const Input& input : inputs) {
+    if (const rgs::Status s = input.file().check_size(); !s) return {input.path(), s.error()};
+  }
+  return failure;
 }
 
 // Axes of what is written. Formats that prescribe theirs get them. An .rgs can declare any: it keeps those of its
@@ -230,7 +232,8 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
   const SplatFormat from = format_of_input(arguments, first);
   const auto outcome = [&](rgs::Result<rgs::ConvertSummary> summary) -> Outcome<rgs::ConvertSummary> {
     if (summary) return std::move(*summary);
-    return failed(file_of(summary.error(), arguments, inputs), summary.error());
+    const rgs::Error& error = summary.error();
+    return failed(concerns_output(error.code) ? arguments.output() : inputs.front().path(), error);
   };
   if (from == SplatFormat::ply && to == SplatFormat::rgs && !edits(arguments)) {
     const auto ply = rgs::PlyFile::open(first.bytes());
@@ -393,7 +396,10 @@ int convert_main(Arguments& arguments) {
     tool::Progress progress(arguments.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
     summary = convert(arguments, inputs, to, observe(progress));
   }
-  if (!summary) return tool::report(summary.error().file, summary.error().error);
+  if (!summary) {
+    const Failure failure = explained(std::move(summary.error()), inputs);
+    return tool::report(failure.file, failure.error);
+  }
   summary->source_name = name;
   if (arguments.json) {
     std::fputs(rgs::summary_json(*summary).c_str(), stdout);
