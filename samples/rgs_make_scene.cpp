@@ -30,7 +30,7 @@ struct Options {
   bool overwrite = false, quiet = false, sync = true;
 };
 
-rgs::Status write_text(const std::string& path, const std::string& text, rgs::AtomicFile::Options options) {
+rgs::Status write_text(const std::string& path, const std::string& text, const rgs::AtomicFile::Options& options) {
   rgs::Result<rgs::AtomicFile> file = rgs::AtomicFile::create(path, options);
   if (!file) return tl::unexpected(file.error());
   if (rgs::Status written = file->write_at(0, std::as_bytes(std::span(text))); !written) return written;

@@ -61,7 +61,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
 /// .rgs to PLY. The file is validated first. With a permutation section rows come in the order of the source.
 /// Errors: those of validate() and PlyWriter.
 Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::string& output_path,
-                                          AtomicFile::Options output, const StageObserver& observer = {});
+                                          const AtomicFile::Options& output, const StageObserver& observer = {});
 
 /// A scene in memory and where it came from.
 struct LoadedScene {

@@ -78,7 +78,7 @@ Status write_in_source_order(const FileView& source, PlyWriter& writer, const St
 }  // namespace
 
 Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::string& output_path,
-                                          AtomicFile::Options output, const StageObserver& observer) {
+                                          const AtomicFile::Options& output, const StageObserver& observer) {
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   const std::uint64_t n = source.header().n_gaussians;

@@ -71,7 +71,7 @@ void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std
 }
 
 Result<PlyWriter> PlyWriter::create(const std::string& path, std::uint64_t n, int sh_degree,
-                                    AtomicFile::Options options) {
+                                    const AtomicFile::Options& options) {
   if (sh_degree < 0 || sh_degree > kMaxShDegree) {
     return fail(Errc::bad_argument, Error::kNone, "the SH degree is not 0 to 3");
   }

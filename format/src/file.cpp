@@ -161,7 +161,7 @@ void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t lengt
   ::madvise(const_cast<std::byte*>(data_) + first, last - first, advice);
 }
 
-Result<AtomicFile> AtomicFile::create(const std::string& path, Options options) {
+Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& options) {
   struct stat info {};
   if (path != kStdout && ::stat(path.c_str(), &info) == 0) {
     if (S_ISDIR(info.st_mode)) return fail(Errc::output_unusable, Error::kNone, "the output is a directory");

@@ -69,7 +69,8 @@ Result<SplatCloud> read_ply(const std::string& path);
 class PlyWriter {
  public:
   /// Reserves the space. Errors: bad_argument (degree, count), and those of AtomicFile::create and reserve.
-  static Result<PlyWriter> create(const std::string& path, std::uint64_t n, int sh_degree, AtomicFile::Options options);
+  static Result<PlyWriter> create(const std::string& path, std::uint64_t n, int sh_degree,
+                                  const AtomicFile::Options& options);
   /// Rows first .. first + splats.size() - 1. Errors: write_failed.
   Status write(std::uint64_t first, std::span<const Splat> splats);
   /// See AtomicFile::commit: seconds spent syncing.

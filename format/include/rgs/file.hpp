@@ -52,7 +52,7 @@ class AtomicFile {
     std::vector<const MappedFile*> inputs = {};  ///< commit() asks each of them for check_size() first
   };
   /// Errors: output_exists, output_unusable (a directory), write_failed.
-  static Result<AtomicFile> create(const std::string& path, Options options);
+  static Result<AtomicFile> create(const std::string& path, const Options& options);
 
   AtomicFile() = default;
   AtomicFile(AtomicFile&& other) noexcept;
