@@ -58,7 +58,7 @@ struct Frame {
 // Cell of a mean on one axis, counted from the centre: the inverse of grid_mean().
 std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean) {
   const double t = (static_cast<double>(mean) - p.centre[axis]) / p.half_width[axis];
-  const double u = std::abs(t);
+  const double u = std::min(std::abs(t), 0x1p255);  // far beyond any grid, and still a number
   const auto scaled = [&p](double x) {
     return static_cast<std::int64_t>(std::floor(std::ldexp(x, static_cast<int>(p.mean_cells))));
   };

@@ -99,7 +99,10 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
 // Codec::archive is that of MEAN, GEOM and SHI8 together, with ARCH, or of none.
 Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
   constexpr auto kArchive = static_cast<std::uint32_t>(Codec::archive);
-  const bool archive = std::ranges::find(sections, kArchive, &SectionEntry::codec) != sections.end();
+  // Of a type that is not known, the codec is nobody's business.
+  const bool archive = std::ranges::any_of(sections, [](const SectionEntry& s) {
+    return s.codec == kArchive && archive_type(static_cast<SectionType>(s.type));
+  });
   bool tables = false;
   for (std::size_t i = 0; i < sections.size(); ++i) {
     const std::uint64_t at = detail::section_entry_offset(i);

@@ -10,6 +10,7 @@
 #include <cassert>
 #include <cstring>
 #include <exception>
+#include <new>
 
 #include "byte_reader.hpp"
 
@@ -71,6 +72,8 @@ Status decode_points(std::span<const std::byte> stream, std::uint64_t offset, st
               values->byte_stride() == sizeof(GridPoint) &&
               values->buffer()->data_size() >= points.size() * sizeof(GridPoint) && buffer.remaining_size() == 0;
     if (decoded) std::memcpy(points.data(), values->GetAddress(draco::AttributeValueIndex(0)), points.size_bytes());
+  } catch (const std::bad_alloc&) {
+    throw;
   } catch (const std::exception&) {  // of a damaged stream: its head allows no allocation that is out of proportion
     decoded = false;
   }

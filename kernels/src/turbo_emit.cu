@@ -44,11 +44,11 @@ static_assert(kLargeTiles < 256 && kThreads * kLargeTiles < 1 << 15);
 struct Shared {
   math::Ellipse<float> ellipse[kThreads];
   Box box[kThreads];
-  std::uint32_t depth[kThreads];    // bits
-  std::uint16_t row_end[kThreads];  // inclusive sums of the Gaussians' rows after the first
-  std::uint8_t listed[kThreads];    // the Gaussian has an entry
-  std::uint32_t counts[kWindow];    // entries of each tile of the window; then the place of its next one
-  std::uint32_t words[kWords];      // tile of the block's bounding box << 16 | owner << 8 | cells; without cells: none
+  std::uint32_t depth[kThreads];              // bits
+  std::uint16_t row_end[kThreads];            // inclusive sums of the Gaussians' rows after the first
+  std::uint8_t listed[kThreads];              // the Gaussian has an entry
+  alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of its next one
+  std::uint32_t words[kWords];  // tile of the block's bounding box << 16 | owner << 8 | cells; without cells: none
   std::uint32_t n_words;
   std::uint32_t bounds[4];  // of the block: largest 2^15 - x0, 2^15 - y0, x1, y1
   RunPlaces<kThreads> places;

@@ -56,6 +56,10 @@ Status check(const DeviceTarget& target) {
 // Where Gaussians may be narrower, coefficients of their exponents may leave the range of FP16.
 constexpr float kTensorLowPass = 0.1F;
 
+tl::unexpected<Error> too_many(std::uint64_t pairs) {
+  return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, pairs);
+}
+
 bool draws_turbo(const RenderOptions& options, std::uint64_t n_gaussians) {
   return options.cuda.turbo && n_gaussians < cuda::kMaxTurboGaussians;
 }
@@ -494,7 +498,7 @@ Result<FrameStats> CudaRenderer::Impl::outcome(std::uint64_t n_gaussians, std::u
                                                const cuda::ViewParameters& view, const RenderOptions& options,
                                                CudaStream stream) {
   if (pairs > kMaxPairs) {
-    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, pairs);
+    return too_many(pairs);
   }
   const bool is_turbo = draws_turbo(options, n_gaussians);
   FrameStats stats;
@@ -544,6 +548,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     const Impl::TurboFrame before = *std::exchange(w.open, std::nullopt);
     const auto settled = w.settle(before);
     if (!settled) return tl::unexpected(settled.error());
+    if (*settled > kMaxPairs) return too_many(*settled);
   }
   const DeviceScene::Storage& storage = Impl::stored(scene);
 

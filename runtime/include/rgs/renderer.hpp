@@ -50,7 +50,7 @@ struct CudaOptions {
   /// timed, and the host, where it waits for the counts, waits for the end of the frame.
   bool graph = false;
   /// Turbo: CudaRenderer::render() waits for nothing and returns when the frame is queued; its counts are 0. A frame
-  /// that needs more workspace than there is shows the background alone until the renderer's next call makes it again:
+  /// that needs more workspace than there is lacks tiles or all of them until the renderer's next call makes it again:
   /// see CudaRenderer::finish(). Renderer waits all the same.
   bool asynchronous = false;
 };

@@ -132,8 +132,8 @@ Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream
 /// Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, CUevent_st* counted, Stream stream);
 
-/// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. If it did not fit, all cells
-/// are empty. Errors: device_failed.
+/// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. Cells of tiles that
+/// do not fit are empty. Errors: device_failed.
 Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
                           Stream stream);
 
