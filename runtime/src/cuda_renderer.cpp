@@ -472,7 +472,7 @@ Status CudaRenderer::Impl::queue_turbo(const TurboFrame& f) {
 }
 
 // Entries of a queued frame. It was queued before their number was known; if they did not fit, which the host learns
-// while the frame is still being made, the lists were left empty and it is made again.
+// while the frame is still being made, lists or cells were left empty and it is made again.
 Result<std::uint64_t> CudaRenderer::Impl::settle(const TurboFrame& frame) {
   for (;;) {
     // Events within a graph are not there to be waited for.

@@ -95,8 +95,8 @@ struct EncodeOptions {
   std::optional<Provenance> provenance;
 };
 
-/// The file for `splats`. Deterministic (packed and archive: for one version of Zstandard and Draco). Single-threaded but
-/// for Profile::archive.
+/// The file for `splats`. Deterministic (packed and archive: for one version of Zstandard and Draco; archive: and of the C
+/// library's exp() and log() on one kind of processor). Single-threaded but for Profile::archive.
 /// Errors: bad_argument (options out of range, sizes of the view disagree), bad_value (BadPolicy::refuse; offset is the
 /// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those of encode_archive().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
