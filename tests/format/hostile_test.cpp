@@ -5,11 +5,13 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <cstring>
 #include <functional>
 #include <memory>
+#include <string_view>
 
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"
@@ -274,6 +276,84 @@ TEST_CASE("what coded sections decode to is limited by the size of the file") {
   REQUIRE_FALSE(view);
   CHECK(view.error().code == Errc::limit_exceeded);
   CHECK(view.error().offset == entry_of(*bytes, "GEOM") + 32);
+}
+
+TEST_CASE("sections of unknown types are passed over, whatever their codec and decoded size") {
+  for (const char* name : {"optional", "packed_edges", "archive_degree1"}) {
+    const Bytes original = golden(name);
+    const std::uint64_t perm = entry_of(original, "PERM"), section = section_of(original, "PERM");
+    const bool archive = get<std::uint16_t>(original, 10) == 2;
+    const auto expected = decode(original);
+    REQUIRE(expected);
+    // ARCH is a type like any other before version 1.2, which golden "optional" and "packed_edges" precede.
+    for (const char* type : {"ZZZZ", "ARCH"}) {
+      if (archive && std::string_view(type) == "ARCH") continue;
+      for (const std::uint32_t codec : {0u, 1u, 2u, 3u, ~0u}) {
+        CAPTURE(name);
+        CAPTURE(type);
+        CAPTURE(codec);
+        Bytes bytes = original;
+        std::memcpy(bytes.data() + perm, type, 4);
+        put(bytes, perm + 8, codec);
+        put(bytes, perm + 32, ~std::uint64_t{0});
+        fix_hashes(bytes);
+        const auto view = open(bytes);
+        REQUIRE(view);
+        CHECK(validate(*view));
+        CHECK((view->archive() != nullptr) == archive);
+        const auto cloud = decode(bytes);
+        REQUIRE(cloud);
+        CHECK(cloud->mean == expected->mean);
+        CHECK(cloud->log_scale == expected->log_scale);
+        CHECK(cloud->rotation == expected->rotation);
+        CHECK(cloud->opacity_logit == expected->opacity_logit);
+        CHECK(cloud->sh == expected->sh);
+        bytes[section] ^= std::byte{1};  // its hash is checked all the same
+        const Status status = validate(*open(bytes));
+        REQUIRE_FALSE(status);
+        CHECK(status.error().code == Errc::checksum_mismatch);
+        CHECK(status.error().offset == section);
+      }
+    }
+  }
+}
+
+TEST_CASE("unknown types may appear twice, in files of later minor versions too") {
+  for (const unsigned minor : {0u, 1u, 2u, 3u, 65535u}) {
+    CAPTURE(minor);
+    Bytes bytes = golden("optional");
+    for (const std::uint64_t entry : {entry_of(bytes, "PERM"), entry_of(bytes, "PROV")}) {
+      std::memcpy(bytes.data() + entry, "ZZZZ", 4);
+      put(bytes, entry + 8, 2u);
+    }
+    put(bytes, 10, static_cast<std::uint16_t>(minor));
+    fix_hashes(bytes);
+    CHECK(decode_exactly(bytes));
+  }
+}
+
+TEST_CASE("of the enumerators in DECL every value that the specification does not name is refused") {
+  struct Field {
+    std::uint64_t at;
+    unsigned low, high;
+  };
+  const Bytes original = golden("two");
+  const std::uint64_t declarations = section_of(original, "DECL");
+  for (const Field& f :
+       {Field{3, 0, 2}, {4, 1, 1}, {5, 1, 1}, {6, 0, 2}, {7, 1, 1}, {8, 1, 2}, {9, 1, 3}, {10, 1, 2}}) {
+    CAPTURE(f.at);
+    for (unsigned value = 0; value < 256; ++value) {
+      CAPTURE(value);
+      Bytes bytes = original;
+      put(bytes, declarations + f.at, static_cast<std::uint8_t>(value));
+      fix_hashes(bytes);
+      const auto view = open(bytes);
+      REQUIRE(view.has_value() == (value >= f.low && value <= f.high));
+      if (view) continue;
+      CHECK(view.error().code == Errc::bad_value);
+      CHECK(view.error().offset == declarations + f.at);
+    }
+  }
 }
 
 TEST_CASE("a small file makes no large allocation") {
