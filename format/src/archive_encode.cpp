@@ -331,9 +331,15 @@ class Encoder {
     float largest_sh = 1;
     for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
     const double rounding = static_cast<double>(largest_sh) * 0x1p-11;  // matrices have 14 bits
-    double off_centre = 0;                                              // FP32 rounding of means far from the origin
-    for (std::size_t k = 0; k < 3; ++k) off_centre = std::max(off_centre, std::abs(p.centre[k]) / p.half_width[k]);
-    bool explained = p.bound_mean <= std::ldexp(0.501, -static_cast<int>(p.mean_cells)) + (1 + off_centre) * 0x1p-23 &&
+    // Half a cell, and what rounding to f32 adds to it far from the origin or next to nothing from it. It adds no more than
+    // that again: the source's mean is an f32, and none is nearer to what was rounded than the one that it became.
+    const double half_cell = std::ldexp(0.501, -static_cast<int>(p.mean_cells));
+    double rounding_mean = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double relative = 1 + std::abs(p.centre[k]) / p.half_width[k];
+      rounding_mean = std::max(rounding_mean, relative * 0x1p-23 + 0x1p-149 / p.half_width[k]);
+    }
+    bool explained = p.bound_mean <= half_cell + std::min(half_cell, rounding_mean) &&
                      p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
     for (const ArchiveClass& c : p.classes) {
       const double side = std::sqrt(0.75), reached = side * (1 + static_cast<double>(c.rotation_step));

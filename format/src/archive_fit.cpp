@@ -229,9 +229,9 @@ void fit_grid(const Box& robust, const Box& full, ArchiveParameters& p) {
     p.centre[k] = (low + high) / 2;
     const double reach =
         std::max(static_cast<double>(full.max[k]) - p.centre[k], p.centre[k] - static_cast<double>(full.min[k]));
-    // At most 100 octaves outside, for which coordinates have room.
-    p.half_width[k] = std::max((high - low) / 2, std::ldexp(reach, -100));
-    if (!(p.half_width[k] >= 0x1p-200)) p.half_width[k] = 1;
+    // At most 100 octaves outside, for which coordinates have room. Half a cell of the least is lost in any f32: an axis
+    // on which all means are equal decodes to what it was.
+    p.half_width[k] = std::max({(high - low) / 2, std::ldexp(reach, -100), 0x1p-200});
   }
 }
 

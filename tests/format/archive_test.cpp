@@ -235,6 +235,56 @@ TEST_CASE("archives of extremes and of equals") {
   }
 }
 
+TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
+  SplitMix random{114};
+  const SplatCloud base = plausible_cloud(700, 1, random);
+  const auto encoded = [](const SplatCloud& cloud, int mean_cells) {
+    EncodeOptions options = archive_options();
+    options.archive.mean_cells = mean_cells;
+    Bytes bytes = encode_archive_file(cloud, options);
+    const auto view = open(bytes);
+    REQUIRE(view);
+    REQUIRE(validate(*view));
+    CHECK(verify_archive(bytes, cloud.view(), source_order(*view)));
+    return bytes;
+  };
+  // An axis on which all means are equal loses nothing.
+  for (const float place : {0.f, 0x1p-149f, -1e-39f, 7.3f, -1e30f}) {
+    CAPTURE(place);
+    SplatCloud cloud = base;
+    std::ranges::fill(cloud.mean, place);
+    const Bytes bytes = encoded(cloud, 4);
+    CHECK(open(bytes)->archive()->bound_mean == 0);
+    CHECK(decode(bytes)->mean == cloud.mean);
+    for (std::size_t i = 0; i < cloud.size(); ++i) cloud.mean[3 * i + 2] = base.mean[3 * i + 2];
+    const SplatCloud line = decode(encoded(cloud, 4)).value();
+    for (std::size_t i = 0; i < line.size(); ++i) REQUIRE(line.mean[3 * i + 1] == place);
+  }
+  // Rounding to numbers so small may add as much again as the cells do, and never more.
+  for (const double extent : {1e-36, 1e-37, 1e-38, 1e-39, 1e-40, 1e-42, 1e-44}) {
+    for (const int mean_cells : {4, 10, 15, 20}) {
+      for (const std::size_t n_axes : {1u, 3u}) {
+        CAPTURE(extent);
+        CAPTURE(mean_cells);
+        SplatCloud cloud = base;
+        for (std::size_t i = 0; i < cloud.mean.size(); ++i) {
+          if (i % 3 < n_axes) cloud.mean[i] = static_cast<float>(extent * random.dyadic(-1, 1));
+        }
+        const Bytes bytes = encoded(cloud, mean_cells);
+        const ArchiveParameters p = *open(bytes)->archive();
+        CHECK(p.bound_mean <= std::ldexp(1.002, -mean_cells));
+        const auto order = source_order(*open(bytes));
+        const SplatCloud decoded = decode(bytes).value();
+        for (std::size_t i = 0; i < decoded.mean.size(); ++i) {
+          const double mean = decoded.mean[i], source = cloud.mean[3 * order[i / 3] + i % 3];
+          const double reach = std::max(p.half_width[i % 3], std::abs(mean - p.centre[i % 3]));
+          REQUIRE(std::abs(mean - source) <= p.bound_mean * reach);
+        }
+      }
+    }
+  }
+}
+
 TEST_CASE("a scene of nothing is not stored as an archive") {
   const Bytes bytes = encode_archive_file(SplatCloud{}, archive_options());
   const auto view = open(bytes);
