@@ -167,7 +167,7 @@ class Comparison {
 
   void set_steps(const ScaleSet& set) {
     for (std::size_t i = 0; i < floats_; ++i) {
-      step_[i] = set.step[sh_degree_of(static_cast<int>(i / 3))][i % 3];
+      step_[i] = set.of_value(static_cast<int>(i));
       inverse_step_[i] = step_[i] > 0 ? 1 / step_[i] : 0;
     }
   }
@@ -353,7 +353,7 @@ AttributeReport compare_attributes(const PlyFile& source, const FileView& asset,
         if (pairing.source_of[first + i] == kUnpaired) continue;
         if ((first + i) / chunk_size != chunk) {
           chunk = (first + i) / chunk_size;
-          comparison.set_steps(asset.scale_set(asset.chunk(chunk)->scale_set).value());
+          comparison.set_steps(asset.chunk_steps(chunk).value());
         }
         const std::uint32_t defects = find_defects(wanted[i], source.sh_degree());
         if (defects != 0 && !repair(wanted[i], defects)) continue;

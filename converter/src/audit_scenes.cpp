@@ -32,7 +32,7 @@ void requantise(SplatCloud& cloud, std::uint64_t first, std::uint64_t end, const
   const auto floats = 3 * static_cast<std::uint64_t>(sh_coefficients(cloud.sh_degree));
   for (std::uint64_t i = first * floats; i < end * floats; ++i) {
     const std::uint64_t k = i % floats;
-    const float step = set.step[sh_degree_of(static_cast<int>(k / 3))][k % 3];
+    const float step = set.of_value(static_cast<int>(k));
     cloud.sh[i] = dequantize_sh(quantize_sh(cloud.sh[i], step), step);
   }
 }

@@ -213,7 +213,7 @@ void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const
     for (std::size_t part = 0; part < count; part += kPart) {
       const ScaleSet& set = chunk_steps[(first + part) / chunk_rows];
       for (std::size_t k = 0; k < n_values; ++k) {
-        const float step = set.step[sh_degree_of(static_cast<int>(k / 3))][k % 3];
+        const float step = set.of_value(static_cast<int>(k));
         for (std::size_t i = part; i < part + kPart; ++i) {
           block_.lanes.codes[k][i] = quantize_sh(block_.value[k][i], step);
         }

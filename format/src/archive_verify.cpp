@@ -130,12 +130,10 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
   for (std::uint64_t i = first; i < end; ++i) {
     if (i / h.chunk_size != loaded) {
       loaded = i / h.chunk_size;
-      const auto entry = view.chunk(loaded);
-      if (!entry) return tl::unexpected(entry.error());
-      const auto set = view.scale_set(entry->scale_set);
-      if (!set) return tl::unexpected(set.error());
+      const auto steps = view.chunk_steps(loaded);
+      if (!steps) return tl::unexpected(steps.error());
       for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) {
-        step[k] = set->step[sh_degree_of(k / 3)][k % 3];
+        step[k] = steps->of_value(k);
         // Half a step, rounding of the value that was coded, and values too small for any step.
         slack[k] = step[k] * (0.5f + 0x1p-16f) + kShFlush;
       }

@@ -67,11 +67,9 @@ Status read_rows(const FileView& view, const Rows& rows, std::uint64_t first, st
     const std::uint64_t i = first + k, row = i - rows.first;
     if (i / h.chunk_size != loaded) {
       loaded = i / h.chunk_size;
-      const auto entry = view.chunk(loaded);
-      if (!entry) return tl::unexpected(entry.error());
-      const auto set = view.scale_set(entry->scale_set);
-      if (!set) return tl::unexpected(set.error());
-      for (int j = 0; j < codes.floats; ++j) codes.step[j] = set->step[sh_degree_of(j / 3)][j % 3];
+      const auto steps = view.chunk_steps(loaded);
+      if (!steps) return tl::unexpected(steps.error());
+      for (int j = 0; j < codes.floats; ++j) codes.step[j] = steps->of_value(j);
     }
     std::memcpy(codes.mean, rows.means.data() + row * kMeanBytes, kMeanBytes);
     std::memcpy(codes.geometry, rows.geometry.data() + row * kGeometryBytes, kGeometryBytes);
@@ -135,6 +133,10 @@ Result<ScaleSet> FileView::scale_set(std::uint64_t i) const {
     }
   }
   return set;
+}
+
+Result<ScaleSet> FileView::chunk_steps(std::uint64_t i) const {
+  return chunk(i).and_then([this](const ChunkEntry& entry) { return scale_set(entry.scale_set); });
 }
 
 std::uint64_t FileView::source_index(std::uint64_t i) const {

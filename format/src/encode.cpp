@@ -259,7 +259,7 @@ void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOu
     }
   }
   float steps[48];  // per coefficient and channel, so that the loop below has no look-up
-  for (std::size_t i = 0; i < floats; ++i) steps[i] = out.scales.step[sh_degree_of(static_cast<int>(i / 3))][i % 3];
+  for (std::size_t i = 0; i < floats; ++i) steps[i] = out.scales.of_value(static_cast<int>(i));
 
   ChunkEntry& entry = out.entry;
   entry = {};

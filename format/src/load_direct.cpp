@@ -49,9 +49,7 @@ Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_
                    std::vector<ScaleSet>& steps) {
   steps.clear();
   for (std::uint64_t i = first_chunk; i < first_chunk + n_chunks; ++i) {
-    const auto entry = view.chunk(i);
-    if (!entry) return tl::unexpected(entry.error());
-    const auto set = view.scale_set(entry->scale_set);
+    const auto set = view.chunk_steps(i);
     if (!set) return tl::unexpected(set.error());
     steps.push_back(*set);
   }

@@ -77,7 +77,7 @@ using ShMask = std::array<std::uint8_t, 48>;
 ShMask legal_bits(const ScaleSet& steps, int degree) {
   ShMask mask{};
   for (int i = 0; i < 3 * sh_coefficients(degree); ++i) {
-    mask[static_cast<std::size_t>(i)] = steps.step[sh_degree_of(i / 3)][i % 3] != 0 ? 0xFF : 0;
+    mask[static_cast<std::size_t>(i)] = steps.of_value(i) != 0 ? 0xFF : 0;
   }
   return mask;
 }
@@ -99,7 +99,7 @@ Status explain_sh(const std::int8_t* codes, const Place& place, const ScaleSet& 
     if (codes[i] == -128) {
       return fail(Errc::bad_value, place(static_cast<std::uint64_t>(i)), "an SH code is -128, which is not used");
     }
-    if (codes[i] != 0 && steps.step[sh_degree_of(i / 3)][i % 3] == 0) {
+    if (codes[i] != 0 && steps.of_value(i) == 0) {
       return fail(Errc::bad_value, place(static_cast<std::uint64_t>(i)), "an SH code is not 0 though its step is 0");
     }
   }

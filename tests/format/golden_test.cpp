@@ -172,13 +172,11 @@ TEST_CASE("every golden file decodes to its scene within the stated bounds") {
         norm += static_cast<double>(s.rotation[k]) * s.rotation[k];
       }
       CHECK(std::abs(dot) / std::sqrt(norm) > 1 - 1e-6);
-      const auto chunk = view->chunk(i / h.chunk_size);
-      REQUIRE(chunk);
-      const auto steps = view->scale_set(chunk->scale_set);
+      const auto steps = view->chunk_steps(i / h.chunk_size);
       REQUIRE(steps);
       for (int k = 0; k < 48; ++k) {
         const float expected = k < 3 * sh_coefficients(h.sh_degree) ? s.sh[k] : 0.f;
-        CHECK(std::abs(a.sh[k] - expected) <= 0.5f * steps->step[sh_degree_of(k / 3)][k % 3] + 1e-6f);
+        CHECK(std::abs(a.sh[k] - expected) <= 0.5f * steps->of_value(k) + 1e-6f);
       }
     }
   }
@@ -222,10 +220,9 @@ TEST_CASE("every golden archive decodes to its scene within the bounds that it s
         norm += static_cast<double>(s.rotation[k]) * s.rotation[k];
       }
       CHECK(2 * std::acos(std::min(1.0, std::abs(dot) / std::sqrt(norm))) <= bound[0] + 1e-3);  // acos near 1
-      const ScaleSet steps = view->scale_set(view->chunk(i / view->header().chunk_size)->scale_set).value();
+      const ScaleSet steps = view->chunk_steps(i / view->header().chunk_size).value();
       for (int k = 0; k < 3 * sh_coefficients(source.sh_degree); ++k) {
-        const float step = steps.step[sh_degree_of(k / 3)][k % 3];
-        CHECK(std::abs(a.sh[k] - s.sh[k]) <= bound[k < 3 ? 2 : 3] + 0.5f * step + 1e-6f);
+        CHECK(std::abs(a.sh[k] - s.sh[k]) <= bound[k < 3 ? 2 : 3] + 0.5f * steps.of_value(k) + 1e-6f);
       }
     }
   }
@@ -240,10 +237,13 @@ TEST_CASE("golden files have the scale sets and optional sections that they are 
   CHECK(chunked->header().n_scale_sets == 2);
   CHECK(chunked->chunk(1)->scale_set == 1);
   CHECK(chunked->chunk(1)->count == 8);
+  CHECK(chunked->chunk_steps(1)->of_value(47) == chunked->scale_set(1)->step[3][2]);
+  CHECK(chunked->chunk_steps(1)->of_value(47) != chunked->scale_set(0)->step[3][2]);
   const auto global = open(global_bytes);
   REQUIRE(global);
   CHECK(global->header().n_scale_sets == 1);
   CHECK(global->chunk(1)->scale_set == 0);
+  CHECK(global->chunk_steps(1)->of_value(3) == global->scale_set(0)->step[1][0]);
   const auto optional = open(optional_bytes);
   REQUIRE(optional);
   REQUIRE(optional->provenance());

@@ -77,6 +77,8 @@ class FileView {
   Result<ChunkEntry> chunk(std::uint64_t i) const;
   /// SH steps `i` < n_scale_sets. Errors: bad_value.
   Result<ScaleSet> scale_set(std::uint64_t i) const;
+  /// SH steps of the Gaussians of chunk `i` < n_chunks. Errors: those of chunk() and scale_set().
+  Result<ScaleSet> chunk_steps(std::uint64_t i) const;
   /// Position in the source of Gaussian `i`; `i` itself if the file keeps no permutation.
   std::uint64_t source_index(std::uint64_t i) const;
 

@@ -179,6 +179,8 @@ struct ChunkEntry {
 /// Step sizes of the SH codes. value = step[degree][channel] * code.
 struct ScaleSet {
   float step[4][3] = {};
+  /// Step of value i of a Gaussian's SH: coefficient i div 3, channel i mod 3.
+  constexpr float of_value(int i) const { return step[sh_degree_of(i / 3)][i % 3]; }
 };
 
 /// How finely Codec::archive stores the Gaussians of one class, and what its writer verified of their errors.
