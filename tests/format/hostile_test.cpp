@@ -11,7 +11,9 @@
 #include <cstring>
 #include <functional>
 #include <memory>
+#include <numeric>
 #include <string_view>
+#include <vector>
 
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"
@@ -46,6 +48,22 @@ Status decode_exactly(std::span<const std::byte> bytes) {
     for (const float value : *values) REQUIRE(std::isfinite(value));
   }
   return {};
+}
+
+// The same sections, laid out in another order of the table.
+Bytes with_order(const Bytes& file, std::span<const std::uint64_t> order) {
+  Bytes out(file.begin(), file.begin() + static_cast<std::ptrdiff_t>(entry_at(order.size()) + 8));
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    std::memcpy(out.data() + entry_at(i), file.data() + entry_at(order[i]), 64);
+    const auto from = get<std::uint64_t>(out, entry_at(i) + 16), size = get<std::uint64_t>(out, entry_at(i) + 24);
+    out.resize((out.size() + 255) / 256 * 256);
+    put<std::uint64_t>(out, entry_at(i) + 16, out.size());
+    const auto bytes = std::span(file).subspan(from, size);
+    out.insert(out.end(), bytes.begin(), bytes.end());
+  }
+  put<std::uint64_t>(out, 16, out.size());
+  fix_hashes(out);
+  return out;
 }
 
 #ifndef RGS_TEST_SANITIZED
@@ -276,6 +294,39 @@ TEST_CASE("what coded sections decode to is limited by the size of the file") {
   REQUIRE_FALSE(view);
   CHECK(view.error().code == Errc::limit_exceeded);
   CHECK(view.error().offset == entry_of(*bytes, "GEOM") + 32);
+}
+
+TEST_CASE("sections may be in any order, which no error depends on") {
+  for (const char* name : {"optional", "packed_degree3", "archive_degree3"}) {
+    CAPTURE(name);
+    const Bytes original = golden(name);
+    const auto expected = decode(original);
+    REQUIRE(expected);
+    std::vector<std::uint64_t> order(get<std::uint32_t>(original, 52));
+    std::iota(order.begin(), order.end(), 0u);
+    for (std::size_t turn = 0; turn < order.size(); ++turn) {
+      CAPTURE(turn);
+      std::ranges::rotate(order, order.begin() + 1);
+      if (turn % 2 == 0) std::ranges::reverse(order);
+      Bytes bytes = with_order(original, order);
+      const auto cloud = decode(bytes);
+      REQUIRE(cloud);
+      CHECK(cloud->mean == expected->mean);
+      CHECK(cloud->sh == expected->sh);
+      if (get<std::uint16_t>(bytes, 10) < 2) continue;
+      // Frames of 320 rows are one here as well.
+      for (const char* type : {"GEOM", "SHI8"}) {
+        Bytes changed = bytes;
+        const std::uint64_t rows = section_of(changed, std::string_view(type) == "GEOM" ? "MEAN" : type);
+        put<std::uint32_t>(changed, rows, 320);
+        fix_hashes(changed);
+        const Status status = decode_exactly(changed);
+        REQUIRE_FALSE(status);
+        CHECK(status.error().code == Errc::bad_value);
+        CHECK(status.error().offset == section_of(changed, type));
+      }
+    }
+  }
 }
 
 TEST_CASE("sections of unknown types are passed over, whatever their codec and decoded size") {

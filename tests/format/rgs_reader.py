@@ -520,8 +520,8 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
         budget -= s["decoded_bytes"]
         require(budget >= 0, "limit_exceeded", s["at"] + ENTRY.fields["decoded_bytes"][1], "too much for so small a file")
     archived = [s for s in coded if s["codec"] == 2]
-    for s in archived:
-        require(s["frame_rows"] == archived[0]["frame_rows"], "bad_value", s["offset"], "the same rows in each frame")
+    for s in (sections[kind] for kind in ARCHIVED if archived):
+        require(s["frame_rows"] == sections["MEAN"]["frame_rows"], "bad_value", s["offset"], "the same rows in each frame")
     arch = read_arch(data, h, sections["ARCH"]) if archived else None
 
     def array(kind: str, dtype: Any, *shape: int, **more: Any) -> NDArray[Any]:
