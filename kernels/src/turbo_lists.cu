@@ -27,10 +27,12 @@ __device__ bool turbo_fits(const TurboArrays& a) {
 }
 
 // Its number among the long lists.
-__device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std::uint32_t n, std::uint32_t n_runs) {
+__device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std::uint32_t in_class, std::uint32_t n,
+                                  std::uint32_t n_runs) {
   const std::uint32_t own = atomicAdd(&a.state->n_long, 1u);
   TurboLong list{};
   list.tile = tile;
+  list.in_class = in_class;
   list.scratch = atomicAdd(&a.state->scratch, n);
   list.n_slices = math::max((n + kTurboSlice - 1) / kTurboSlice, (n_runs + kTurboSliceRuns - 1) / kTurboSliceRuns);
   list.first_slice = atomicAdd(&a.state->n_slices, list.n_slices);
@@ -79,8 +81,9 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   }
   __syncthreads();
   if (tile >= a.n_tiles) return;
-  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboEntries ? add_long(a, tile, n, runs) : 0};
-  a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + class_base[length] + rank] = tile;
+  const std::uint32_t in_class = class_base[length] + rank;
+  a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + in_class] = tile;
+  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboEntries ? add_long(a, tile, in_class, n, runs) : 0};
 }
 
 __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {

@@ -1,7 +1,7 @@
 // turbo_long.cu - long lists to scratch memory in the order of bins of depth, and cut in units that blocks order.
 // SPDX-License-Identifier: Apache-2.0
 //
-// In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, in_cells; bins, unit_cells
+// In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
 // Cost    an entry: 8 B read three times, 8 B written anywhere; an atomic addition a slice and bin, twice
 // Launch  256 threads a slice of about 4,096 entries; as many blocks as keep the device busy take slices in turn
 // Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
@@ -75,23 +75,29 @@ __device__ void place_bins(Counting& s, std::uint32_t first, std::uint32_t* bins
   __syncthreads();
 }
 
-// Places for the Gaussians of the list's cells; none, and no Gaussians, if there is no room.
-__device__ void place_cells(Counting& s, const TurboArrays& a, TurboLong& list) {
-  const std::uint32_t own = threadIdx.x;
-  if (own < kTurboCells) {
-    std::uint32_t before = 0, total = 0;
-    for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const std::uint32_t n = __ldcg(list.cell_n + c);
-      if (c < own) before += n;
-      total += n;
-    }
+// Rank of the list's tile: those of longer classes come before it. A warp calls it.
+__device__ std::uint32_t rank_of(const TurboArrays& a, const TurboLong& list) {
+  const std::uint32_t lane = threadIdx.x % 32;
+  const auto own = static_cast<std::uint32_t>(turbo_class(a.lists[list.tile].n_entries));
+  static_assert(kTurboClasses == 32, "a lane a class");
+  return warp_sum(lane < own ? a.state->class_size[lane] : 0) + list.in_class;
+}
+
+// Places for the Gaussians of the list's cells, and their heads; none, and no Gaussians, if there is no room.
+__device__ void place_cells(Counting& s, const TurboArrays& a, math::TileGrid grid, TurboLong& list, TurboState* seen) {
+  if (threadIdx.x < 32) {
+    const std::uint32_t lane = threadIdx.x, rank = rank_of(a, list);
+    const std::uint32_t n = lane < kTurboCells ? __ldcg(list.cell_n + lane) : 0;
+    const std::uint32_t end = inclusive_warp_sum(n), total = __shfl_sync(kFullWarp, end, 31);
     std::uint64_t base = 0;
-    if (own == 0) base = atomic_add(a.state->in_cells, total);
-    base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
-    const bool fits = base + total <= a.cell_capacity;
-    list.cell_begin[own] = static_cast<std::uint32_t>(base) + before;
-    if (!fits) list.cell_n[own] = 0;
-    if (own == 0) s.fits = fits;
+    if (lane == 0) base = atomic_add(a.state->in_cells, total);
+    base = __shfl_sync(kFullWarp, base, 0);
+    s.fits = base + total <= a.cell_capacity;
+    if (lane < kTurboCells) {
+      list.cell_begin[lane] = static_cast<std::uint32_t>(base) + end - n;
+      put_head(a, grid, rank, list.tile, lane, list.cell_begin[lane], s.fits ? n : 0);
+    }
+    if (lane == 0) end_tile(a, seen);
   }
   __syncthreads();
 }
@@ -144,7 +150,8 @@ __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own)
 }
 
 // Adds a slice to the sums of its list; the last of a list cuts it in units.
-__device__ void count_slice(Counting& s, const TurboArrays& a, std::uint32_t slice) {
+__device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t slice,
+                            TurboState* seen) {
   const std::uint32_t own = a.slices[slice];
   TurboLong& list = a.long_lists[own];
   std::uint32_t* const sums = a.bins + std::uint64_t{kTurboBins} * own;
@@ -170,16 +177,16 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, std::uint32_t sli
   if (!s.is_last) return;
   __threadfence();
   place_bins(s, list.scratch, sums);
-  place_cells(s, a, list);
+  place_cells(s, a, grid, list, seen);
   if (!s.fits) return;
   group_bins(s, list.scratch, a.lists[list.tile].n_entries);
   make_units(s, a, own);
 }
 
-__global__ void __launch_bounds__(kThreads) turbo_count_kernel(TurboArrays a) {
+__global__ void __launch_bounds__(kThreads) turbo_count_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Counting s;
   for (std::uint32_t slice = blockIdx.x; slice < a.state->n_slices; slice += gridDim.x) {
-    count_slice(s, a, slice);
+    count_slice(s, a, grid, slice, seen);
     __syncthreads();
   }
 }
@@ -211,8 +218,8 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
 
 }  // namespace
 
-Status launch_turbo_long(const TurboArrays& a, Stream stream) {
-  turbo_count_kernel<<<kBlocks, kThreads, 0, stream>>>(a);
+Status launch_turbo_long(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
+  turbo_count_kernel<<<kBlocks, kThreads, 0, stream>>>(a, grid, seen);
   if (const auto ok = launched("the kernel that counts the long lists could not be launched"); !ok) return ok;
   turbo_scatter_kernel<<<kBlocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that moves the long lists could not be launched");

@@ -1,10 +1,10 @@
 // turbo_order.cu - orders each tile's list by depth and deals it out to the tile's cells.
 // SPDX-License-Identifier: Apache-2.0
 //
-// In/Out  lists, entries -> cells [tiles, 8], cell_gaussians
+// In/Out  lists, entries; units, scratch -> cells [tiles, 8], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a unit of a long list, then a tile, longest lists first. A warp orders 128 or 256 entries in
-//         registers, the block merges them; then a warp deals out 32 at a time
+// Launch  256 threads a tile, longest lists first; others for the units of long lists, as many blocks as keep the device busy.
+//         A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 38 KiB
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
@@ -270,14 +270,6 @@ __device__ inline void count_chunks(Shared& s) {
   __syncthreads();
 }
 
-// The cells of a tile lie at its rank.
-__device__ inline void put_head(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank, std::uint32_t tile,
-                                std::uint32_t cell, std::uint32_t begin, std::uint32_t n) {
-  const auto columns = static_cast<std::uint32_t>(grid.columns);
-  a.cells[kTurboCells * rank + cell] = {begin, n, tile % columns * kTurboTile + math::kCellWidth * (cell % 2),
-                                        tile / columns * kTurboTile + math::kCellHeight * (cell / 2)};
-}
-
 // Places for the cells' Gaussians, and their heads.
 __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
   const std::uint32_t own = threadIdx.x;
@@ -342,16 +334,6 @@ __device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t
   }
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   __syncthreads();
-}
-
-// The last tile tells the host.
-__device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
-  if (threadIdx.x != 0) return;
-  __threadfence();
-  if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
-    seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
-    __threadfence_system();
-  }
 }
 
 // A list that fits shared memory.
@@ -473,38 +455,31 @@ __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   }
 }
 
-// Heads of the cells of a long list.
-__device__ inline void place_heads(const Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const std::uint32_t own = threadIdx.x;
-  if (own >= kTurboCells) return;
-  const TurboLong& list = a.long_lists[s.head.long_list];
-  put_head(a, grid, rank, s.tile, own, list.cell_begin[own], list.cell_n[own]);
+__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads)) turbo_unit_kernel(TurboArrays a) {
+  __shared__ Shared s;
+  deal_out_units(s, a);
 }
 
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
     turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
-  if (blockIdx.x < kUnitBlocks) {
-    deal_out_units(s, a);
-    return;
-  }
-  const std::uint32_t rank = blockIdx.x - kUnitBlocks;
+  const std::uint32_t rank = blockIdx.x;
   begin_tile(s, a, rank);
-  if (s.head.n_entries >= kEntries) {
-    place_heads(s, a, grid, rank);
-  } else {
-    deal_out_short(s, a, grid, rank);
-  }
-  end_tile(a, seen);
+  if (s.head.n_entries >= kTurboEntries) return;  // a long list
+  deal_out_short(s, a, grid, rank);
+  if (threadIdx.x == 0) end_tile(a, seen);
 }
 
 }  // namespace
 
-Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
-                          Stream stream) {
-  turbo_order_kernel<<<kUnitBlocks + a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
-  if (const auto ok = launched("the kernel that orders the lists could not be launched"); !ok) return ok;
-  return checked(cudaEventRecord(counted, stream), "an event could not be recorded");
+Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
+  turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
+  return launched("the kernel that orders the lists could not be launched");
+}
+
+Status launch_turbo_units(const TurboArrays& a, Stream stream) {
+  turbo_unit_kernel<<<kUnitBlocks, kThreads, 0, stream>>>(a);
+  return launched("the kernel that orders the long lists could not be launched");
 }
 
 }  // namespace rgs::cuda

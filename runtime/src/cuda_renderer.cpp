@@ -79,9 +79,10 @@ struct CudaRenderer::Impl {
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
-    for (cudaEvent_t event : {counted, finished}) {
+    for (cudaEvent_t event : {counted, finished, listed, ordered_long}) {
       if (event != nullptr) cudaEventDestroy(event);
     }
+    if (beside != nullptr) cudaStreamDestroy(beside);
     cudaFreeHost(host);
   }
 
@@ -113,6 +114,7 @@ struct CudaRenderer::Impl {
   std::uint64_t run_capacity() const;
   cuda::TurboLongSizes long_sizes() const { return cuda::TurboLongSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays turbo_arrays(const TurboFrame& frame) const;
+  Status order_turbo(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
   Status launch_turbo(const TurboFrame& frame, CudaStream on);
   Status queue_turbo(const TurboFrame& frame);
   Result<std::uint64_t> settle(const TurboFrame& frame);
@@ -130,7 +132,9 @@ struct CudaRenderer::Impl {
 
   std::string name;
   std::array<cudaEvent_t, kMarks> events{};
-  cudaEvent_t counted = nullptr;   // the turbo pipeline has counted its pairs
+  cudaEvent_t counted = nullptr;  // the turbo pipeline has counted its pairs
+  cudaStream_t beside = nullptr;  // for long lists; `listed` begins what is queued there, `ordered_long` ends it
+  cudaEvent_t listed = nullptr, ordered_long = nullptr;
   cudaEvent_t finished = nullptr;  // the last frame no longer uses the workspace
   HostCounters* host = nullptr;
   std::optional<TurboFrame> open;  // queued; whether it fitted has not been looked at
@@ -166,8 +170,16 @@ Result<CudaRenderer> CudaRenderer::create() {
   for (cudaEvent_t& event : impl->events) {
     if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
   }
-  for (cudaEvent_t* event : {&impl->counted, &impl->finished}) {
+  for (cudaEvent_t* event : {&impl->counted, &impl->finished, &impl->listed, &impl->ordered_long}) {
     if (ok) ok = device_status(cudaEventCreateWithFlags(event, cudaEventDisableTiming), "an event could not be made");
+  }
+  int least = 0, greatest = 0;
+  if (ok) {
+    ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest), "the device has no priorities");
+  }
+  if (ok) {  // first, although its blocks come when all others are queued: it takes longest
+    ok = device_status(cudaStreamCreateWithPriority(&impl->beside, cudaStreamNonBlocking, greatest),
+                       "a stream could not be made");
   }
   if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
   if (!ok) return tl::unexpected(ok.error());
@@ -444,6 +456,24 @@ cuda::TurboArrays CudaRenderer::Impl::turbo_arrays(const TurboFrame& f) const {
   return a;
 }
 
+// Long lists are few and take several steps: beside the order of the others, which would have to wait for them.
+Status CudaRenderer::Impl::order_turbo(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on) {
+  const auto record = [](cudaEvent_t event, CudaStream stream) {
+    return device_status(cudaEventRecord(event, stream), "an event could not be recorded");
+  };
+  const auto wait_for = [](cudaEvent_t event, CudaStream stream) {
+    return device_status(cudaStreamWaitEvent(stream, event), "a stream could not be made to wait");
+  };
+  Status ok = record(listed, on);
+  if (ok) ok = wait_for(listed, beside);
+  if (ok) ok = cuda::launch_turbo_long(arrays, grid, &host->turbo, beside);
+  if (ok) ok = cuda::launch_turbo_units(arrays, beside);
+  if (ok) ok = record(ordered_long, beside);
+  if (ok) ok = cuda::launch_turbo_order(arrays, grid, &host->turbo, on);
+  if (ok) ok = wait_for(ordered_long, on);
+  return ok ? record(counted, on) : ok;
+}
+
 // The frame's kernels, on its stream or on one that captures them. Nothing is waited for.
 Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
   const cuda::TurboArrays arrays = turbo_arrays(f);
@@ -458,8 +488,7 @@ Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
   if (ok) ok = mark_stage(kProjected);
   if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, on);
   if (ok) ok = mark_stage(kDuplicated);
-  if (ok) ok = cuda::launch_turbo_long(arrays, on);
-  if (ok) ok = cuda::launch_turbo_order(arrays, f.view.grid, &host->turbo, counted, on);
+  if (ok) ok = order_turbo(arrays, f.view.grid, on);
   for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = mark_stage(m);
   }

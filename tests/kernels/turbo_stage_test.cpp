@@ -93,6 +93,22 @@ std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const 
   return unit - list.first_unit;
 }
 
+/// The cells of a long list lie at the rank of its tile, one after the other in memory.
+void check_heads(const cuda::TurboLong& list, const std::vector<cuda::TurboCell>& cells, std::size_t rank,
+                 math::TileGrid grid) {
+  const auto columns = static_cast<std::uint32_t>(grid.columns);
+  std::uint32_t begin = list.cell_begin[0];
+  for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
+    const cuda::TurboCell& cell = cells[cuda::kTurboCells * rank + c];
+    CHECK(list.cell_begin[c] == begin);
+    CHECK(cell.begin == begin);
+    CHECK(cell.n == list.cell_n[c]);
+    CHECK(cell.x == list.tile % columns * 32 + c % 2 * 16);
+    CHECK(cell.y == list.tile / columns * 32 + c / 2 * 8);
+    begin += cell.n;
+  }
+}
+
 /// Emits and lists with the given room; nothing may be written beyond it, and what does not fit leaves lists empty.
 Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewParameters& v, const Room& room) {
   const auto n_tiles = static_cast<std::uint32_t>(v.grid.columns * v.grid.rows);
@@ -118,10 +134,12 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const auto sizes = cuda::TurboLongSizes::of(room.entries, room.runs);
   const DeviceArray<std::byte> long_lists(sizes.bytes());
   sizes.lay_out(long_lists.data(), arrays);
+  const DeviceArray<cuda::TurboCell> cells(std::size_t{n_tiles} * cuda::kTurboCells);
+  arrays.cells = cells.data();
   Seen seen;
   require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
   require_ok(cuda::launch_turbo_lists(arrays, seen.state(), nullptr));
-  require_ok(cuda::launch_turbo_long(arrays, nullptr));
+  require_ok(cuda::launch_turbo_long(arrays, v.grid, seen.state(), nullptr));
   synchronize();
 
   Lists out;
@@ -167,11 +185,21 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   REQUIRE(final_state.n_long <= sizes.lists);
   REQUIRE(final_state.n_units <= sizes.units);
   CHECK(final_state.n_slices <= sizes.slices);
+  std::vector<std::size_t> rank_of(n_tiles);
+  std::size_t n_ranked = 0;
+  for (std::size_t c = 0; c < cuda::kTurboClasses; ++c) {
+    for (std::size_t k = 0; k < final_state.class_size[c]; ++k) {
+      REQUIRE(host_classes[c * n_tiles + k] < n_tiles);
+      rank_of[host_classes[c * n_tiles + k]] = n_ranked++;
+    }
+  }
+  const auto host_cells = cells.download();
   for (std::uint32_t t = 0; t < n_tiles && fits; ++t) {
     if (out.tiles[t].size() < cuda::kTurboEntries) continue;
     REQUIRE(host_heads[t].long_list < final_state.n_long);
     const cuda::TurboLong& list = host_longs[host_heads[t].long_list];
     CHECK(list.tile == t);
+    check_heads(list, host_cells, rank_of[t], v.grid);
     out.n_units += check_units(list, host_heads[t].long_list, host_units, host_scratch, out.tiles[t]);
   }
   CHECK(out.n_units == final_state.n_units);

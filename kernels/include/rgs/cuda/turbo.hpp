@@ -11,8 +11,6 @@
 #include "rgs/hd.hpp"
 #include "rgs/result.hpp"
 
-struct CUevent_st;
-
 namespace rgs::cuda {
 
 inline constexpr int kTurboTile = math::kCellTile;  ///< pixels along a tile's side
@@ -68,6 +66,7 @@ struct alignas(8) TurboBox {
 /// units: bins next to each other, or a share of one that holds more than can be ordered at a time.
 struct alignas(16) TurboLong {
   std::uint32_t tile;
+  std::uint32_t in_class;                 ///< place of the tile in its class, see below
   std::uint32_t scratch;                  ///< place of its n_entries in TurboArrays::scratch
   std::uint32_t first_slice, n_slices;    ///< in turn, a slice has ceil(n_runs / n_slices) of its runs
   std::uint32_t nearest, farthest;        ///< bits of depth: range of a sample of the entries
@@ -190,15 +189,16 @@ Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream
 /// state for the host to read: page-locked memory that the device reaches. Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, Stream stream);
 
-/// Moves the long lists to scratch memory, cuts them in units, and gives their cells their places; those of lists that do
-/// not fit are empty. Errors: device_failed.
-Status launch_turbo_long(const TurboArrays& arrays, Stream stream);
+/// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of tiles that
+/// do not fit are empty. `seen`, see above, gets the Gaussians of all cells, once launch_turbo_long() has also been by.
+/// Errors: device_failed.
+Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
 
-/// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. Cells of tiles that
-/// do not fit are empty. `seen`, see above, gets their Gaussians, and `counted` is recorded when it has them. Errors:
+/// The same for the long lists; the two may run side by side. Moves them to scratch memory, cut in units. Errors:
 /// device_failed.
-Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
-                          Stream stream);
+Status launch_turbo_long(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
+/// Then this orders the units. Errors: device_failed.
+Status launch_turbo_units(const TurboArrays& arrays, Stream stream);
 
 /// Blends each cell. Errors: device_failed.
 struct TurboBlendArguments {
