@@ -1,22 +1,22 @@
 // turbo_order.cu - orders each tile's list by depth and deals it out to the tile's cells.
 // SPDX-License-Identifier: Apache-2.0
 //
-// In/Out  lists, entries -> cells [tiles, 8], cell_gaussians
+// In/Out  lists, entries; units, scratch -> cells [tiles, 8], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a tile, longest lists first. A warp orders 128 or 256 entries in registers, the block merges them;
-//         then a warp deals out 32 at a time
-// Shared  Shared: entries, their keys twice, histograms; 41 KiB
+// Launch  256 threads a tile, longest lists first; others for the units of long lists, as many blocks as keep the device busy.
+//         A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
+// Shared  Shared: entries, their keys twice, places of runs; 38 KiB
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
-// Lists are as long as the scene makes them, shared memory is not: a list longer than kTurboEntries is first moved to
-// scratch memory in the order of 1,024 bins of depth, and then taken in rounds of as many bins as fit. A bin that does not
-// fit is cut in finer ones, and so on.
+// Units of a list (turbo_long.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from those
+// before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
 #include <cstdint>
 
 #include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "launch.cuh"
 #include "rgs/cuda/turbo.hpp"
+#include "turbo_list.cuh"
 
 namespace rgs::cuda {
 namespace {
@@ -24,32 +24,27 @@ namespace {
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr std::uint32_t kEntries = kTurboEntries;
-constexpr int kBinBits = 8;       // of the histogram that cuts a range, a bin a thread
-constexpr int kDepthBins = 1024;  // of the histogram that cuts a long list, by depth
+constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
+constexpr unsigned kUnitBlocks = 132 * 5;
 static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kWarps == kTurboCells);
-constexpr int kBinsPerThread = kDepthBins / kThreads;
 
 struct Shared {
   TurboEntry entries[kEntries];
   alignas(16) std::uint32_t exchange[2][kEntries];  // keys: depth above, position among the entries below
   std::uint32_t* order;                             // the one of the two that is in order
   std::uint32_t positions;                          // mask of a key's position
-  std::uint32_t bins[kDepthBins];
-  std::uint32_t run_begin[kThreads], run_end[kThreads];  // of 256 runs: first entry, inclusive sums of their sizes
+  TurboRuns::Places<kThreads> places;
   std::uint32_t warp_sums[kWarps];
-  std::uint32_t n;                        // entries of the round
-  std::uint32_t cell_n[kTurboCells];      // of the whole list
+  std::uint32_t lows[kWarps], highs[kWarps];
+  std::uint32_t n;                        // entries that are ordered
+  std::uint32_t cell_n[kTurboCells];      // of them, or of the unit
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
   std::uint32_t chunks[kTurboCells]
                       [kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
   TurboList head;
-  std::uint32_t tile;
+  std::uint32_t tile, unit;
   bool fits;
 };
-
-__device__ inline std::uint32_t depth_of(TurboEntry entry) {
-  return static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
-}
 
 template <std::uint32_t kKeys>
 __device__ inline void store_keys(const std::uint32_t (&keys)[kKeys], std::uint32_t* to) {
@@ -142,17 +137,17 @@ struct DepthRange {
   __device__ void share(Shared& s) {
     low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
     high = reduce_warp(high, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
-    if (threadIdx.x % 32 == 0) s.run_begin[threadIdx.x / 32] = low, s.run_end[threadIdx.x / 32] = high;
+    if (threadIdx.x % 32 == 0) s.lows[threadIdx.x / 32] = low, s.highs[threadIdx.x / 32] = high;
     __syncthreads();
 #pragma unroll
-    for (int w = 0; w < kWarps; ++w) low = math::min(low, s.run_begin[w]), high = math::max(high, s.run_end[w]);
+    for (int w = 0; w < kWarps; ++w) low = math::min(low, s.lows[w]), high = math::max(high, s.highs[w]);
   }
 };
 
-// Orders the keys of the round's entries, depth above and position below: kKeys a lane by warps, then merged. Where they
-// are then.
+// Orders keys of the s.n entries, their bits from `from` on above and position below: kKeys a lane by warps, then merged.
+// Where they are then.
 template <std::uint32_t kKeys>
-__device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int shift, int position_bits) {
+__device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t low, int shift, int position_bits) {
   constexpr std::uint32_t kRun = 32 * kKeys;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   const std::uint32_t total = s.n <= kRun ? kRun : kRun << (32 - __clz(static_cast<int>((s.n - 1) / kRun)));
@@ -161,7 +156,8 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int
 #pragma unroll
     for (std::uint32_t k = 0; k < kKeys; ++k) {
       const std::uint32_t position = kRun * warp + 32 * k + lane;
-      key[k] = position < s.n ? (depth_of(s.entries[position]) - nearest) >> shift << position_bits | position : ~0u;
+      const auto value = static_cast<std::uint32_t>(s.entries[position] >> from);
+      key[k] = position < s.n ? (value - low) >> shift << position_bits | position : ~0u;
     }
     if (kRun * warp < s.n) sort_warp(key);
     store_keys(key, s.exchange[0] + kRun * warp + kKeys * lane);
@@ -180,14 +176,20 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint32_t nearest, int
 // by looking at the entries themselves. `range` is that of the depths that the thread has seen.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
   range.share(s);
+  int from = kTurboIndexBits + 8;
+  if (range.low == range.high) {  // one depth: by index
+    from = 8;
+    range.low = static_cast<std::uint32_t>(s.entries[0] >> from) & ~static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
+    range.high = range.low + static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
+  }
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
   s.positions = positions;  // the same from all threads
   const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - position_bits));
   // Short lists are spread over more warps: all wait for the last.
-  std::uint32_t* const order = s.n <= 4 * kThreads ? sort_keys<4>(s, range.low, shift, position_bits)
-                                                   : sort_keys<8>(s, range.low, shift, position_bits);
+  std::uint32_t* const order = s.n <= 4 * kThreads ? sort_keys<4>(s, from, range.low, shift, position_bits)
+                                                   : sort_keys<8>(s, from, range.low, shift, position_bits);
   s.order = order;
   const auto is_inverted = [&](std::uint32_t k) {
     const std::uint32_t a = order[k], b = order[k + 1];
@@ -206,146 +208,6 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
     }
     quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
   }
-}
-
-// A tile's entries: runs of them.
-struct List {
-  const TurboRun* runs;
-  const TurboEntry* entries;
-  std::uint32_t n_runs;
-
-  // Calls f(entry, position in the list) for every entry. All threads of the block call it. Four loads of a thread are
-  // on their way at a time.
-  template <class F>
-  __device__ void for_each(Shared& s, const F& f) const {
-    constexpr int kAhead = 4;
-    std::uint32_t done = 0;
-    for (std::uint32_t begin = 0; begin < n_runs; begin += kThreads) {
-      const TurboRun run = begin + threadIdx.x < n_runs ? runs[begin + threadIdx.x] : TurboRun{0, 0};
-      s.run_end[threadIdx.x] = inclusive_block_sum<kThreads>(run.n, s.warp_sums);
-      s.run_begin[threadIdx.x] = run.begin;
-      __syncthreads();
-      const std::uint32_t n = s.run_end[kThreads - 1];
-      for (std::uint32_t first = threadIdx.x; first < n; first += kAhead * kThreads) {
-        TurboEntry loaded[kAhead];
-#pragma unroll
-        for (int j = 0; j < kAhead; ++j) {
-          const std::uint32_t k = first + static_cast<std::uint32_t>(j * kThreads);
-          if (k >= n) break;
-          const std::uint32_t owner = owner_of<kThreads>(s.run_end, k);
-          const std::uint32_t before = owner == 0 ? 0 : s.run_end[owner - 1];
-          loaded[j] = entries[s.run_begin[owner] + (k - before)];
-        }
-#pragma unroll
-        for (int j = 0; j < kAhead; ++j) {
-          const std::uint32_t k = first + static_cast<std::uint32_t>(j * kThreads);
-          if (k < n) f(loaded[j], done + k);
-        }
-      }
-      done += n;
-      __syncthreads();
-    }
-  }
-};
-
-// Bins of a list's depths: of equal width in their bits, which is nearly equal ratio, from the nearest to the farthest.
-struct DepthBins {
-  std::uint32_t nearest;
-  int shift;
-  __device__ std::uint32_t of(TurboEntry entry) const { return (depth_of(entry) - nearest) >> shift; }
-};
-
-__device__ inline DepthBins depth_bins(Shared& s, const List& list) {
-  DepthRange range;
-  list.for_each(s, [&](TurboEntry entry, std::uint32_t) { range.add(depth_of(entry)); });
-  range.share(s);
-  __syncthreads();
-  constexpr int kBits = 10;
-  static_assert(kDepthBins == 1 << kBits);
-  return {range.low, math::max(0, 32 - __clz(static_cast<int>(range.high - range.low)) - kBits)};
-}
-
-// Adds up, over the block, how many entries of a list touch each cell. An entry's eight bits go to eight counters of 16
-// bits in two words, which are passed on before one can overflow.
-class CellCounter {
- public:
-  __device__ void add(Shared& s, TurboEntry entry) {
-    constexpr std::uint64_t kSpread = 1 | 1u << 15 | 1u << 30 | std::uint64_t{1} << 45;
-    constexpr std::uint64_t kLowest = 0x0001000100010001;
-    low_ += (entry & 0xF) * kSpread & kLowest;
-    high_ += (entry >> 4 & 0xF) * kSpread & kLowest;
-    if (++n_ < 0xFFFF) return;
-    for (int c = 0; c < kTurboCells; ++c) atomicAdd(s.cell_n + c, of(c));
-    low_ = high_ = 0, n_ = 0;
-  }
-  // All lanes of a warp call it, in the end.
-  __device__ void flush(Shared& s) const {
-    for (int c = 0; c < kTurboCells; ++c) {
-      const std::uint32_t sum = warp_sum(of(c));
-      if (threadIdx.x % 32 == 0) atomicAdd(s.cell_n + c, sum);
-    }
-  }
-
- private:
-  __device__ std::uint32_t of(int cell) const {
-    return static_cast<std::uint32_t>((cell < 4 ? low_ : high_) >> (16 * (cell % 4))) & 0xFFFF;
-  }
-
-  std::uint64_t low_ = 0, high_ = 0;
-  std::uint32_t n_ = 0;
-};
-
-// Moves a list to `sorted` in the order of its bins; s.bins then holds the end of each, s.cell_n how many entries touch
-// each cell.
-__device__ inline void order_by_bins(Shared& s, const List& list, TurboEntry* sorted) {
-  const DepthBins bins = depth_bins(s, list);
-  for (int k = 0; k < kBinsPerThread; ++k) s.bins[kThreads * k + threadIdx.x] = 0;
-  __syncthreads();
-  CellCounter counter;
-  list.for_each(s, [&](TurboEntry entry, std::uint32_t) {
-    atomicAdd(s.bins + bins.of(entry), 1u);
-    counter.add(s, entry);
-  });
-  counter.flush(s);
-  std::uint32_t sum = 0;
-  for (int k = 0; k < kBinsPerThread; ++k) sum += s.bins[kBinsPerThread * threadIdx.x + k];
-  std::uint32_t at = inclusive_block_sum<kThreads>(sum, s.warp_sums) - sum;
-  for (int k = 0; k < kBinsPerThread; ++k) {
-    std::uint32_t& bin = s.bins[kBinsPerThread * threadIdx.x + k];
-    const std::uint32_t n = bin;
-    bin = at;
-    at += n;
-  }
-  __syncthreads();
-  list.for_each(s, [&](TurboEntry entry, std::uint32_t) { sorted[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
-}
-
-// End of the largest number of whole bins from position `begin` on that hold at most kEntries entries, and at least
-// one; or, if the next bin holds more, its end, to be cut further.
-__device__ inline std::uint32_t group_end(const Shared& s, std::uint32_t begin) {
-  std::uint32_t fitting = begin, next = ~0u;  // ends of bins: the last that fits, the first that does not
-  for (int k = 0; k < kBinsPerThread; ++k) {
-    const std::uint32_t end = s.bins[kBinsPerThread * threadIdx.x + k];
-    if (end <= begin) continue;
-    if (end - begin <= kEntries) {
-      fitting = math::max(fitting, end);
-    } else {
-      next = math::min(next, end);
-    }
-  }
-  __shared__ std::uint32_t ends[2];
-  if (threadIdx.x == 0) ends[0] = begin, ends[1] = ~0u;
-  __syncthreads();
-  fitting = reduce_warp(fitting, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
-  next = reduce_warp(next, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
-  if (threadIdx.x % 32 == 0) {
-    atomicMax(ends, fitting);
-    atomicMin(ends + 1, next);
-  }
-  __syncthreads();
-  const std::uint32_t end = ends[0] > begin ? ends[0] : ends[1];
-  __syncthreads();
-  return end;
 }
 
 // End of the round that begins at `begin`, from where more than kEntries of the n entries are left: at most kEntries of
@@ -408,7 +270,7 @@ __device__ inline void count_chunks(Shared& s) {
   __syncthreads();
 }
 
-// Places for the cells' Gaussians, and their heads; the cells of a tile lie at its rank.
+// Places for the cells' Gaussians, and their heads.
 __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
   const std::uint32_t own = threadIdx.x;
   if (own < kTurboCells) {
@@ -424,10 +286,7 @@ __device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::Tile
     const auto begin = static_cast<std::uint32_t>(base) + before;
     s.cell_begin[own] = begin;
     if (own == 0) s.fits = fits;
-    const auto columns = static_cast<std::uint32_t>(grid.columns);
-    a.cells[kTurboCells * rank + own] = {begin, fits ? s.cell_n[own] : 0,
-                                         s.tile % columns * kTurboTile + math::kCellWidth * (own % 2),
-                                         s.tile / columns * kTurboTile + math::kCellHeight * (own / 2)};
+    put_head(a, grid, rank, s.tile, own, begin, fits ? s.cell_n[own] : 0);
   }
   __syncthreads();
 }
@@ -477,21 +336,11 @@ __device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t
   __syncthreads();
 }
 
-// The last tile tells the host.
-__device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
-  if (threadIdx.x != 0) return;
-  __threadfence();
-  if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
-    seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
-    __threadfence_system();
-  }
-}
-
 // A list that fits shared memory.
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const List list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
+  const TurboRuns list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
   DepthRange range;
-  list.for_each(s, [&](TurboEntry entry, std::uint32_t k) {
+  list.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
@@ -501,48 +350,114 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
   if (s.fits) deal_out(s, a);
 }
 
-// A list of any length, in rounds.
-__device__ inline void deal_out_long(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const List list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
-  const std::uint32_t n_entries = s.head.n_entries;
-  TurboEntry* const sorted = a.scratch + s.head.scratch;
-  order_by_bins(s, list, sorted);
-  __syncthreads();
-  reserve_cells(s, a, grid, rank);
-  if (!s.fits) return;
-  for (std::uint32_t begin = 0; begin < n_entries;) {
-    const std::uint32_t end = group_end(s, begin);
-    const TurboEntry* const group = sorted + begin;
-    const std::uint32_t n = end - begin;
-    TurboEntry from = 0;
-    for (std::uint32_t left = n; left > 0;) {
-      if (threadIdx.x == 0) s.n = n <= kEntries ? n : 0;
-      DepthRange range;
-      const auto take = [&](std::uint32_t k, TurboEntry entry) {
-        s.entries[k] = entry;
-        range.add(depth_of(entry));
-      };
-      if (n <= kEntries) {
-        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) take(k, group[k]);
-      } else {
-        const TurboEntry to = left <= kEntries ? ~TurboEntry{0} : round_end(s, group, n, from);
-        __syncthreads();
-        for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
-          const TurboEntry entry = group[k];
-          if (entry >= from && entry < to) take(atomicAdd(&s.n, 1u), entry);
-        }
-        from = to;
-      }
-      __syncthreads();
-      left -= s.n;
-      sort_entries(s, range);
-      count_chunks(s);
-      deal_out(s, a);
-      __syncthreads();
-      if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
-    }
-    begin = end;
+// A part of scratch memory, and what of it a unit orders: entries from <= entry < to.
+struct Part {
+  const TurboEntry* entries;
+  std::uint32_t n;
+  TurboEntry from = 0, to = ~TurboEntry{0};
+};
+
+// Cuts a part in equal shares, by a sample of it: all blocks find the same. Entries are unique, so that equal depths are
+// cut, too.
+__device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
+  DepthRange range;
+  for (std::uint32_t k = threadIdx.x; k < kEntries; k += kThreads) {
+    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kEntries];
+    range.add(depth_of(s.entries[k]));
   }
+  if (threadIdx.x == 0) s.n = kEntries;
+  __syncthreads();
+  sort_entries(s, range);
+  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kEntries / n_shares] & s.positions]; };
+  if (share > 0) part.from = cut(share);
+  if (share + 1 < n_shares) part.to = cut(share + 1);
+  __syncthreads();
+  return part;
+}
+
+// Puts what a unit orders into s.entries, as far as there is room, their number into s.n, how many touch each cell into
+// s.cell_n; and the range of their depths.
+__device__ inline DepthRange load(Shared& s, const Part& part) {
+  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
+  if (threadIdx.x == 0) s.n = part.n <= kEntries ? part.n : 0;
+  __syncthreads();
+  DepthRange range;
+  CellCounter cells(s.cell_n);
+  for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
+    const TurboEntry entry = part.entries[k];
+    if (entry < part.from || entry >= part.to) continue;
+    const std::uint32_t at = part.n <= kEntries ? k : atomicAdd(&s.n, 1u);
+    if (at < kEntries) s.entries[at] = entry;
+    range.add(depth_of(entry));
+    cells.add(entry);
+  }
+  cells.flush();
+  __syncthreads();
+  return range;
+}
+
+// Tells how many of the unit's entries touch each cell, and learns the same of the units before it: s.cell_begin. A number
+// and 1 are one word, which is there or is not, so that nothing else has to be waited for.
+__device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t unit) {
+  if (threadIdx.x < kTurboCells) {
+    static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
+  }
+}
+__device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLong& list) {
+  const std::uint32_t cell = threadIdx.x / 32, lane = threadIdx.x % 32;
+  std::uint32_t before = 0;
+  for (std::uint32_t k = list.first_unit + lane; k < unit; k += 32) {
+    const volatile std::uint32_t& told = a.unit_cells[kTurboCells * k + cell];
+    std::uint32_t n = told;
+    while (n == 0) n = told;
+    before += n - 1;
+  }
+  before = warp_sum(before);
+  if (lane == 0) s.cell_begin[cell] = list.cell_begin[cell] + before;
+}
+
+// Orders a unit. All of it at a time, but where a share has become larger than the sample said: then as much as fits.
+__device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint32_t unit) {
+  const TurboUnit own = a.units[unit];
+  Part part{a.scratch + own.begin, own.end - own.begin};
+  const std::uint32_t n_shares = turbo_shares(part.n);
+  if (n_shares > 1) part = share_of(s, part, own.share, n_shares);
+  DepthRange range = load(s, part);
+  tell(s, a, unit);
+  place_in_cells(s, a, unit, a.long_lists[own.long_list]);
+  std::uint32_t left = s.n;
+  const bool at_once = left <= kEntries;
+  while (left > 0) {
+    __syncthreads();
+    if (!at_once) {
+      Part round = part;
+      if (left > kEntries) round.to = round_end(s, part.entries, part.n, part.from);
+      range = load(s, round);
+      part.from = round.to;
+    }
+    left -= s.n;
+    sort_entries(s, range);
+    count_chunks(s);
+    deal_out(s, a);
+    __syncthreads();
+    if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
+  }
+}
+
+// Units, until there are no more.
+__device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
+  for (const std::uint32_t n = a.state->n_units;;) {
+    if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->taken, 1u) : 0;
+    __syncthreads();
+    if (s.unit >= n) return;
+    deal_out_unit(s, a, s.unit);
+    __syncthreads();
+  }
+}
+
+__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads)) turbo_unit_kernel(TurboArrays a) {
+  __shared__ Shared s;
+  deal_out_units(s, a);
 }
 
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
@@ -550,21 +465,21 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
   __shared__ Shared s;
   const std::uint32_t rank = blockIdx.x;
   begin_tile(s, a, rank);
-  if (s.head.n_entries > kEntries) {
-    deal_out_long(s, a, grid, rank);
-  } else {
-    deal_out_short(s, a, grid, rank);
-  }
-  end_tile(a, seen);
+  if (s.head.n_entries >= kTurboEntries) return;  // a long list
+  deal_out_short(s, a, grid, rank);
+  if (threadIdx.x == 0) end_tile(a, seen);
 }
 
 }  // namespace
 
-Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
-                          Stream stream) {
+Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
   turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
-  if (const auto ok = launched("the kernel that orders the lists could not be launched"); !ok) return ok;
-  return checked(cudaEventRecord(counted, stream), "an event could not be recorded");
+  return launched("the kernel that orders the lists could not be launched");
+}
+
+Status launch_turbo_units(const TurboArrays& a, Stream stream) {
+  turbo_unit_kernel<<<kUnitBlocks, kThreads, 0, stream>>>(a);
+  return launched("the kernel that orders the long lists could not be launched");
 }
 
 }  // namespace rgs::cuda

@@ -79,9 +79,10 @@ struct CudaRenderer::Impl {
     for (cudaEvent_t event : events) {
       if (event != nullptr) cudaEventDestroy(event);
     }
-    for (cudaEvent_t event : {counted, finished}) {
+    for (cudaEvent_t event : {counted, finished, listed, ordered_long}) {
       if (event != nullptr) cudaEventDestroy(event);
     }
+    if (beside != nullptr) cudaStreamDestroy(beside);
     cudaFreeHost(host);
   }
 
@@ -109,7 +110,11 @@ struct CudaRenderer::Impl {
   Result<std::uint64_t> separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
                                  const RenderOptions& options, bool narrow, CudaStream stream);
   Status prepare_turbo(const TurboFrame& frame);
+  std::uint64_t entry_capacity() const;
+  std::uint64_t run_capacity() const;
+  cuda::TurboLongSizes long_sizes() const { return cuda::TurboLongSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays turbo_arrays(const TurboFrame& frame) const;
+  Status order_turbo(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
   Status launch_turbo(const TurboFrame& frame, CudaStream on);
   Status queue_turbo(const TurboFrame& frame);
   Result<std::uint64_t> settle(const TurboFrame& frame);
@@ -127,7 +132,9 @@ struct CudaRenderer::Impl {
 
   std::string name;
   std::array<cudaEvent_t, kMarks> events{};
-  cudaEvent_t counted = nullptr;   // the turbo pipeline has counted its pairs
+  cudaEvent_t counted = nullptr;  // the turbo pipeline has counted its pairs
+  cudaStream_t beside = nullptr;  // for long lists; `listed` begins what is queued there, `ordered_long` ends it
+  cudaEvent_t listed = nullptr, ordered_long = nullptr;
   cudaEvent_t finished = nullptr;  // the last frame no longer uses the workspace
   HostCounters* host = nullptr;
   std::optional<TurboFrame> open;  // queued; whether it fitted has not been looked at
@@ -136,7 +143,7 @@ struct CudaRenderer::Impl {
   DeviceBuffer counters, splats, covers, tiles, sums, sum_temporary, block_state;
   DeviceBuffer keys, spare_keys, gaussians, spare_gaussians, sort_temporary, ranges;
   DeviceBuffer turbo_state, turbo_entries, turbo_scratch, turbo_runs, tile_runs, turbo_large, lists, classes;
-  DeviceBuffer cells, cell_gaussians;
+  DeviceBuffer long_lists, cells, cell_gaussians;
 };
 
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -163,8 +170,16 @@ Result<CudaRenderer> CudaRenderer::create() {
   for (cudaEvent_t& event : impl->events) {
     if (ok) ok = device_status(cudaEventCreate(&event), "an event could not be made");
   }
-  for (cudaEvent_t* event : {&impl->counted, &impl->finished}) {
+  for (cudaEvent_t* event : {&impl->counted, &impl->finished, &impl->listed, &impl->ordered_long}) {
     if (ok) ok = device_status(cudaEventCreateWithFlags(event, cudaEventDisableTiming), "an event could not be made");
+  }
+  int least = 0, greatest = 0;
+  if (ok) {
+    ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest), "the device has no priorities");
+  }
+  if (ok) {  // first, although its blocks come when all others are queued: it takes longest
+    ok = device_status(cudaStreamCreateWithPriority(&impl->beside, cudaStreamNonBlocking, greatest),
+                       "a stream could not be made");
   }
   if (ok) ok = impl->counters.reserve(sizeof(cuda::Counters));
   if (!ok) return tl::unexpected(ok.error());
@@ -181,10 +196,10 @@ const char* CudaRenderer::name() const {
 std::uint64_t CudaRenderer::Impl::bytes() const {
   std::uint64_t sum = 0;
   for (const DeviceBuffer* b :
-       {&counters,      &splats,        &covers,     &tiles,           &sums,           &sum_temporary, &block_state,
-        &keys,          &spare_keys,    &gaussians,  &spare_gaussians, &sort_temporary, &ranges,        &turbo_state,
-        &turbo_entries, &turbo_scratch, &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes,
-        &cells,         &cell_gaussians}) {
+       {&counters,      &splats,         &covers,     &tiles,           &sums,           &sum_temporary, &block_state,
+        &keys,          &spare_keys,     &gaussians,  &spare_gaussians, &sort_temporary, &ranges,        &turbo_state,
+        &turbo_entries, &turbo_scratch,  &turbo_runs, &tile_runs,       &turbo_large,    &lists,         &classes,
+        &cells,         &cell_gaussians, &long_lists}) {
     sum += b->bytes();
   }
   return sum;
@@ -389,6 +404,7 @@ Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t 
       const std::uint64_t n = is_generous ? detail::with_room_to_grow(need.n, need.held(), kMaxPairs) : need.n;
       if (ok) ok = need.buffer.reserve(n * need.size);
     }
+    if (ok) ok = long_lists.reserve(long_sizes().bytes());
     for (const Need& need : needs) {
       if (!ok) need.buffer = {};  // what has grown would keep the memory that the others need
     }
@@ -404,11 +420,18 @@ Status CudaRenderer::Impl::prepare_turbo(const TurboFrame& f) {
   if (ok) ok = lists.reserve(n_tiles * sizeof(cuda::TurboList));
   if (ok) ok = classes.reserve(n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
   if (ok) ok = cells.reserve(n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
-  const std::uint64_t first_entries = std::max(kFirstPairs, 2 * n);
-  if (ok && turbo_entries.bytes() == 0) {
-    ok = reserve_turbo(first_entries, first_entries / 4, first_entries / 32, 3 * first_entries);
-  }
-  return ok;
+  if (!ok || turbo_entries.bytes() > 0) return ok;
+  return detail::reserve_growing([&](bool is_generous) {
+    const std::uint64_t first = is_generous ? std::max(kFirstPairs, 2 * n) : kFirstPairs;
+    return reserve_turbo(first, first / 4, first / 32, 3 * first);
+  });
+}
+
+std::uint64_t CudaRenderer::Impl::entry_capacity() const {
+  return std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
+}
+std::uint64_t CudaRenderer::Impl::run_capacity() const {
+  return std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
 }
 
 cuda::TurboArrays CudaRenderer::Impl::turbo_arrays(const TurboFrame& f) const {
@@ -422,15 +445,33 @@ cuda::TurboArrays CudaRenderer::Impl::turbo_arrays(const TurboFrame& f) const {
   a.classes = classes.as<std::uint32_t>();
   a.scratch = turbo_scratch.as<cuda::TurboEntry>();
   a.large = turbo_large.as<cuda::TurboLarge>();
-  a.entry_capacity = std::min(turbo_entries.bytes(), turbo_scratch.bytes()) / sizeof(cuda::TurboEntry);
-  a.run_capacity =
-      std::min(turbo_runs.bytes() / sizeof(cuda::TurboTileRun), tile_runs.bytes() / sizeof(cuda::TurboRun));
+  a.entry_capacity = entry_capacity();
+  a.run_capacity = run_capacity();
   a.large_capacity = turbo_large.bytes() / (sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
   a.large_boxes = reinterpret_cast<cuda::TurboBox*>(a.large + a.large_capacity);
+  long_sizes().lay_out(long_lists.as<void>(), a);
   a.cells = cells.as<cuda::TurboCell>();
   a.cell_gaussians = cell_gaussians.as<std::uint32_t>();
   a.cell_capacity = cell_gaussians.bytes() / sizeof(std::uint32_t);
   return a;
+}
+
+// Long lists are few and take several steps: beside the order of the others, which would have to wait for them.
+Status CudaRenderer::Impl::order_turbo(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on) {
+  const auto record = [](cudaEvent_t event, CudaStream stream) {
+    return device_status(cudaEventRecord(event, stream), "an event could not be recorded");
+  };
+  const auto wait_for = [](cudaEvent_t event, CudaStream stream) {
+    return device_status(cudaStreamWaitEvent(stream, event), "a stream could not be made to wait");
+  };
+  Status ok = record(listed, on);
+  if (ok) ok = wait_for(listed, beside);
+  if (ok) ok = cuda::launch_turbo_long(arrays, grid, &host->turbo, beside);
+  if (ok) ok = cuda::launch_turbo_units(arrays, beside);
+  if (ok) ok = record(ordered_long, beside);
+  if (ok) ok = cuda::launch_turbo_order(arrays, grid, &host->turbo, on);
+  if (ok) ok = wait_for(ordered_long, on);
+  return ok ? record(counted, on) : ok;
 }
 
 // The frame's kernels, on its stream or on one that captures them. Nothing is waited for.
@@ -445,9 +486,9 @@ Status CudaRenderer::Impl::launch_turbo(const TurboFrame& f, CudaStream on) {
         {scene.attributes, static_cast<std::uint32_t>(scene.n), f.view, splats.as<cuda::ScreenSplat>(), arrays}, on);
   }
   if (ok) ok = mark_stage(kProjected);
-  if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, counted, on);
+  if (ok) ok = cuda::launch_turbo_lists(arrays, &host->turbo, on);
   if (ok) ok = mark_stage(kDuplicated);
-  if (ok) ok = cuda::launch_turbo_order(arrays, f.view.grid, &host->turbo, counted, on);
+  if (ok) ok = order_turbo(arrays, f.view.grid, on);
   for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = mark_stage(m);
   }
@@ -486,6 +527,8 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(const TurboFrame& frame) {
     const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
+    ok = device_status(cudaEventSynchronize(finished), "a kernel failed");  // it uses the workspace until then
+    if (!ok) return tl::unexpected(ok.error());
     // Counts without all large Gaussians are too low to be worth memory.
     ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large, 0);
     if (ok) ok = queue_turbo(frame);

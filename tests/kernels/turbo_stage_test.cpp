@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <array>
 #include <cstring>
 
 #include "device_fixture.hpp"
@@ -19,36 +20,94 @@ using cuda::TurboState;
 
 namespace {
 
-/// Page-locked memory and an event for the numbers that come back.
+/// Page-locked memory for the numbers that come back.
 class Seen {
  public:
-  Seen() {
-    require_cuda(cudaMallocHost(reinterpret_cast<void**>(&state_), sizeof(TurboState)));
-    require_cuda(cudaEventCreateWithFlags(&event_, cudaEventDisableTiming));
-  }
-  ~Seen() {
-    cudaFreeHost(state_);
-    cudaEventDestroy(event_);
-  }
+  Seen() { require_cuda(cudaMallocHost(reinterpret_cast<void**>(&state_), sizeof(TurboState))); }
+  ~Seen() { cudaFreeHost(state_); }
   Seen(const Seen&) = delete;
   Seen& operator=(const Seen&) = delete;
   TurboState* state() { return state_; }
-  cudaEvent_t event() const { return event_; }
 
  private:
   TurboState* state_ = nullptr;
-  cudaEvent_t event_ = nullptr;
 };
 
 struct Lists {
   std::vector<ScreenSplat> splats;
   std::vector<std::vector<TurboEntry>> tiles;  // in order
   TurboState state;
+  std::uint32_t n_units = 0;  // of long lists
 };
 
 struct Room {
   std::uint64_t entries = 0, runs = 0, large = 0;
 };
+
+std::uint32_t depth_bits_of(TurboEntry entry) {
+  return static_cast<std::uint32_t>(entry >> (cuda::kTurboIndexBits + 8));
+}
+
+template <class T>
+std::vector<T> downloaded(const T* from, std::size_t n) {
+  std::vector<T> values(n);
+  if (n > 0) require_cuda(cudaMemcpy(values.data(), from, n * sizeof(T), cudaMemcpyDeviceToHost));
+  return values;
+}
+
+/// Units of a long list follow each other in depth, hold together what the list holds, and none has more to order than it can
+/// but for chance. `entries` are the list's in order. Returns its units.
+std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
+                          const std::vector<TurboEntry>& scratch, const std::vector<TurboEntry>& entries) {
+  std::array<std::uint32_t, cuda::kTurboCells> in_cells{};
+  for (const TurboEntry entry : entries) {
+    for (std::size_t c = 0; c < in_cells.size(); ++c) in_cells[c] += entry >> c & 1;
+  }
+  CHECK(std::equal(in_cells.begin(), in_cells.end(), std::begin(list.cell_n)));
+  const auto n = static_cast<std::uint32_t>(entries.size());
+  std::uint32_t unit = list.first_unit;
+  for (std::uint32_t begin = 0; begin < n;) {
+    REQUIRE(unit < units.size());
+    const std::uint32_t end = units[unit].end - list.scratch;
+    REQUIRE(end > begin);
+    REQUIRE(end <= n);
+    const std::uint32_t n_shares = cuda::turbo_shares(end - begin);
+    REQUIRE(unit + n_shares <= units.size());
+    for (std::uint32_t share = 0; share < n_shares; ++share, ++unit) {
+      CHECK(units[unit].begin == list.scratch + begin);
+      CHECK(units[unit].end == list.scratch + end);
+      CHECK(units[unit].long_list == own);
+      CHECK(units[unit].share == share);
+    }
+    std::vector<TurboEntry> part(scratch.begin() + list.scratch + begin, scratch.begin() + list.scratch + end);
+    std::sort(part.begin(), part.end());
+    CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
+    // It is too long for the sake of its last bin alone.
+    if (end - begin > 2 * cuda::kTurboUnit) {
+      const auto within = [&](TurboEntry e) { return std::clamp(depth_bits_of(e), list.nearest, list.farthest); };
+      CHECK(within(part.back()) - within(part[cuda::kTurboUnit]) <=
+            2 * (list.farthest - list.nearest) / cuda::kTurboBins);
+    }
+    begin = end;
+  }
+  return unit - list.first_unit;
+}
+
+/// The cells of a long list lie at the rank of its tile, one after the other in memory.
+void check_heads(const cuda::TurboLong& list, const std::vector<cuda::TurboCell>& cells, std::size_t rank,
+                 math::TileGrid grid) {
+  const auto columns = static_cast<std::uint32_t>(grid.columns);
+  std::uint32_t begin = list.cell_begin[0];
+  for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
+    const cuda::TurboCell& cell = cells[cuda::kTurboCells * rank + c];
+    CHECK(list.cell_begin[c] == begin);
+    CHECK(cell.begin == begin);
+    CHECK(cell.n == list.cell_n[c]);
+    CHECK(cell.x == list.tile % columns * 32 + c % 2 * 16);
+    CHECK(cell.y == list.tile / columns * 32 + c / 2 * 8);
+    begin += cell.n;
+  }
+}
 
 /// Emits and lists with the given room; nothing may be written beyond it, and what does not fit leaves lists empty.
 Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewParameters& v, const Room& room) {
@@ -71,9 +130,16 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   arrays.large = large.data(), arrays.large_boxes = boxes.data();
   arrays.lists = heads.data(), arrays.classes = classes.data();
   arrays.entry_capacity = room.entries, arrays.run_capacity = room.runs, arrays.large_capacity = room.large;
+  arrays.cell_capacity = cuda::kTurboCells * room.entries;
+  const auto sizes = cuda::TurboLongSizes::of(room.entries, room.runs);
+  const DeviceArray<std::byte> long_lists(sizes.bytes());
+  sizes.lay_out(long_lists.data(), arrays);
+  const DeviceArray<cuda::TurboCell> cells(std::size_t{n_tiles} * cuda::kTurboCells);
+  arrays.cells = cells.data();
   Seen seen;
   require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
-  require_ok(cuda::launch_turbo_lists(arrays, seen.state(), seen.event(), nullptr));
+  require_ok(cuda::launch_turbo_lists(arrays, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_long(arrays, v.grid, seen.state(), nullptr));
   synchronize();
 
   Lists out;
@@ -88,6 +154,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   large.check_guards();
   boxes.check_guards();
   scratch.check_guards();
+  long_lists.check_guards();
   const bool fits =
       out.state.counters.instances <= room.entries && out.state.runs <= room.runs && out.state.n_large <= room.large;
   out.tiles.resize(n_tiles);
@@ -110,9 +177,34 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   }
   CHECK(n_listed == (fits ? out.state.counters.instances : 0));
 
-  // Every tile is in one class, the longest lists first.
   TurboState final_state;
   std::memcpy(&final_state, host_state.data(), sizeof final_state);
+  const auto host_scratch = scratch.download();
+  const auto host_longs = downloaded(arrays.long_lists, sizes.lists);
+  const auto host_units = downloaded(arrays.units, final_state.n_units);
+  REQUIRE(final_state.n_long <= sizes.lists);
+  REQUIRE(final_state.n_units <= sizes.units);
+  CHECK(final_state.n_slices <= sizes.slices);
+  std::vector<std::size_t> rank_of(n_tiles);
+  std::size_t n_ranked = 0;
+  for (std::size_t c = 0; c < cuda::kTurboClasses; ++c) {
+    for (std::size_t k = 0; k < final_state.class_size[c]; ++k) {
+      REQUIRE(host_classes[c * n_tiles + k] < n_tiles);
+      rank_of[host_classes[c * n_tiles + k]] = n_ranked++;
+    }
+  }
+  const auto host_cells = cells.download();
+  for (std::uint32_t t = 0; t < n_tiles && fits; ++t) {
+    if (out.tiles[t].size() < cuda::kTurboEntries) continue;
+    REQUIRE(host_heads[t].long_list < final_state.n_long);
+    const cuda::TurboLong& list = host_longs[host_heads[t].long_list];
+    CHECK(list.tile == t);
+    check_heads(list, host_cells, rank_of[t], v.grid);
+    out.n_units += check_units(list, host_heads[t].long_list, host_units, host_scratch, out.tiles[t]);
+  }
+  CHECK(out.n_units == final_state.n_units);
+
+  // Every tile is in one class, the longest lists first.
   std::vector<int> seen_tiles(n_tiles, 0);
   std::uint32_t shortest = ~0u, rising = 0;
   for (std::uint32_t c = 0; c < static_cast<std::uint32_t>(cuda::kTurboClasses); ++c) {
@@ -333,32 +425,55 @@ TEST_CASE("a frame of more entries than there is room for is made again, with ro
   CHECK(psnr(turbo.rgb, draw(paper).rgb) >= 60);
 }
 
-TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {
-  if (!device_answers()) return;
-  const int n = small_sizes() ? 12000 : 60000;  // in four tiles
+namespace {
+
+// Faint Gaussians, so that no pixel stops early, before front_camera(64, 64), in all of its four tiles: half of them at one depth, the others at seven more
+// and anywhere; and with `far`, some so far away that a bin of depth has nearly all of the others.
+std::vector<Splat> crowd(int n, bool far) {
   std::vector<Splat> splats;
   Random random(805);
   for (int i = 0; i < n; ++i) {
-    // Half of them at one depth, the others at seven more and anywhere; faint, so that no pixel stops early.
-    const double z = i % 2 == 0 ? 4 : i % 4 == 1 ? 2 + i % 7 : random.uniform(2, 9);
+    const double z = i % 2 == 0 ? 4 : far && i % 64 == 1 ? 1e12 : i % 4 == 1 ? 2 + i % 7 : random.uniform(2, 9);
     Splat s = splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.02 * z, 0.03,
                        static_cast<float>(random.uniform(0, 1)));
     s.sh[1] = static_cast<float>(random.uniform(-1.7, 1.7));
     splats.push_back(s);
   }
-  const auto render_with = [&](std::span<const Splat> list, const RenderOptions& options, Backend backend) {
-    return render(scene_of(cloud_of(list)), front_camera(64, 64), options, {.backend = backend, .simd = false});
-  };
-  RenderOptions plain = turbo_options();
-  plain.cuda.turbo = false;
-  const Frame host = render_with(splats, plain, Backend::cpu);
-  const Frame device = render_with(splats, turbo_options(), Backend::cuda);
-  const double quality = psnr(device.rgb, host.rgb);
-  MESSAGE("long lists: ", quality, " dB, at most ", 255 * largest_difference(device.rgb, host.rgb), "/255 off the CPU");
-  CHECK(quality >= 65);
-  CHECK(largest_difference(device.rgb, host.rgb) <= 2.0 / 255);
-  CHECK(largest_difference(device.depth, host.depth) <= 0.01);
-  auto reversed = splats;
-  std::reverse(reversed.begin(), reversed.end());
-  CHECK(psnr(render_with(reversed, turbo_options(), Backend::cuda).rgb, device.rgb) < quality - 5);
+  return splats;
+}
+
+}  // namespace
+
+TEST_CASE("long lists are moved to scratch memory in units that follow each other in depth") {
+  if (!device_answers()) return;
+  for (const int n : {2100, 3000, small_sizes() ? 12000 : 200000}) {
+    for (const bool far : {false, true}) {
+      const Scene scene = scene_of(cloud_of(crowd(n, far)));
+      check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(64, 64));
+    }
+  }
+}
+
+TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {
+  if (!device_answers()) return;
+  for (const bool far : {false, true}) {
+    CAPTURE(far);
+    const auto splats = crowd(small_sizes() ? 12000 : 60000, far);
+    const auto render_with = [&](std::span<const Splat> list, const RenderOptions& options, Backend backend) {
+      return render(scene_of(cloud_of(list)), front_camera(64, 64), options, {.backend = backend, .simd = false});
+    };
+    RenderOptions plain = turbo_options();
+    plain.cuda.turbo = false;
+    const Frame host = render_with(splats, plain, Backend::cpu);
+    const Frame device = render_with(splats, turbo_options(), Backend::cuda);
+    const double quality = psnr(device.rgb, host.rgb);
+    MESSAGE("long lists: ", quality, " dB, at most ", 255 * largest_difference(device.rgb, host.rgb),
+            "/255 off the CPU");
+    CHECK(quality >= 65);
+    CHECK(largest_difference(device.rgb, host.rgb) <= 2.0 / 255);
+    if (!far) CHECK(largest_difference(device.depth, host.depth) <= 0.01);
+    auto reversed = splats;
+    std::reverse(reversed.begin(), reversed.end());
+    CHECK(psnr(render_with(reversed, turbo_options(), Backend::cuda).rgb, device.rgb) < quality - 5);
+  }
 }

@@ -11,8 +11,6 @@
 #include "rgs/hd.hpp"
 #include "rgs/result.hpp"
 
-struct CUevent_st;
-
 namespace rgs::cuda {
 
 inline constexpr int kTurboTile = math::kCellTile;  ///< pixels along a tile's side
@@ -35,10 +33,10 @@ struct alignas(16) TurboTileRun {
 };
 static_assert(sizeof(TurboTileRun) == 16);
 
-/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `scratch` is the place of as many entries in
-/// TurboArrays::scratch, if there are more than kTurboEntries.
+/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `long_list` is its place among the long lists,
+/// if it is one: if it has kTurboEntries or more.
 struct TurboList {
-  std::uint32_t begin, n_runs, n_entries, scratch;
+  std::uint32_t begin, n_runs, n_entries, long_list;
 };
 inline constexpr std::uint32_t kTurboEntries = 2048;  ///< ordered at a time; a power of two
 
@@ -64,6 +62,37 @@ struct alignas(8) TurboBox {
   std::uint16_t x0, y0, x1, y1;
 };
 
+/// A long list is moved to scratch memory in the order of kTurboBins bins of depth, slice by slice, and then ordered in
+/// units: bins next to each other, or a share of one that holds more than can be ordered at a time.
+struct alignas(16) TurboLong {
+  std::uint32_t tile;
+  std::uint32_t in_class;                 ///< place of the tile in its class, see below
+  std::uint32_t scratch;                  ///< place of its n_entries in TurboArrays::scratch
+  std::uint32_t first_slice, n_slices;    ///< in turn, a slice has ceil(n_runs / n_slices) of its runs
+  std::uint32_t nearest, farthest;        ///< bits of depth: range of a sample of the entries
+  std::uint32_t counted;                  ///< slices that have been
+  std::uint32_t first_unit;               ///< its units have numbers in order of depth
+  std::uint32_t cell_n[kTurboCells];      ///< Gaussians of its cells,
+  std::uint32_t cell_begin[kTurboCells];  ///< and where they begin in TurboArrays::cell_gaussians
+};
+inline constexpr std::uint32_t kTurboBins = 1024;
+inline constexpr std::uint32_t kTurboSlice = 4096;     ///< entries of a slice, or fewer, but for the length of a run
+inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, or fewer
+inline constexpr std::uint32_t kTurboUnit = 1024;      ///< entries of a unit, but for the length of a bin
+
+/// Entries begin .. end - 1 of TurboArrays::scratch; of more than kTurboEntries, those of one share alone.
+struct alignas(16) TurboUnit {
+  std::uint32_t begin, end;
+  std::uint32_t long_list;
+  std::uint32_t share;
+};
+/// How many units order n entries of neighbouring bins.
+RGS_HD constexpr std::uint32_t turbo_shares(std::uint32_t n) {
+  if (n <= kTurboEntries) return 1;
+  const std::uint32_t shares = (n + kTurboUnit - 1) / kTurboUnit;
+  return shares < kTurboEntries / 2 ? shares : kTurboEntries / 2;
+}
+
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
 inline constexpr int kTurboClasses = 32;
 /// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
@@ -79,11 +108,13 @@ RGS_HD constexpr int turbo_class(std::uint32_t length) {
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
   Counters counters;
-  std::uint64_t runs;      ///< written or not
-  std::uint32_t n_large;   ///< the same of TurboArrays::large
-  std::uint32_t placed;    ///< runs that have a place in their tile's list
-  std::uint32_t scratch;   ///< entries of the long lists
-  std::uint32_t ordered;   ///< tiles
+  std::uint64_t runs;     ///< written or not
+  std::uint32_t n_large;  ///< the same of TurboArrays::large
+  std::uint32_t placed;   ///< runs that have a place in their tile's list
+  std::uint32_t scratch;  ///< entries of the long lists
+  std::uint32_t ordered;  ///< tiles
+  std::uint32_t n_long, n_slices, n_units;
+  std::uint32_t taken;     ///< units that a block has begun
   std::uint64_t in_cells;  ///< Gaussians of all cells, written or not
   std::uint32_t class_size[kTurboClasses];
 
@@ -98,17 +129,44 @@ static_assert(sizeof(TurboState) % 16 == 0);
 struct TurboArrays {
   TurboState* state;
   std::uint32_t n_tiles;
-  TurboEntry* entries;            ///< [entry_capacity]
-  TurboTileRun* runs;             ///< [run_capacity]
-  TurboRun* tile_runs;            ///< [run_capacity] the same by tile
-  TurboLarge* large;              ///< [large_capacity]
-  TurboBox* large_boxes;          ///< [large_capacity]
-  TurboEntry* scratch;            ///< [entry_capacity]
+  TurboEntry* entries;    ///< [entry_capacity]
+  TurboTileRun* runs;     ///< [run_capacity]
+  TurboRun* tile_runs;    ///< [run_capacity] the same by tile
+  TurboLarge* large;      ///< [large_capacity]
+  TurboBox* large_boxes;  ///< [large_capacity]
+  TurboEntry* scratch;    ///< [entry_capacity] of the long lists
+  TurboLong* long_lists;  ///< [TurboLongSizes::lists], and so on
+  TurboUnit* units;
+  std::uint32_t* unit_cells;      ///< [units, kTurboCells] entries that touch each cell, and 1; 0 while not known
+  std::uint32_t* bins;            ///< [lists, kTurboBins] entries of each bin; then the place of its next one
+  std::uint32_t* slices;          ///< lists of the slices
   TurboList* lists;               ///< [n_tiles]
   std::uint32_t* classes;         ///< [kTurboClasses, n_tiles] tiles of each class
   TurboCell* cells;               ///< [n_tiles, kTurboCells] tiles in the order of their classes
   std::uint32_t* cell_gaussians;  ///< [cell_capacity]
   std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
+};
+
+/// How many long lists, and parts of them, there can be at most among so many entries and runs.
+struct TurboLongSizes {
+  std::uint64_t lists, units, slices;
+
+  static constexpr TurboLongSizes of(std::uint64_t entries, std::uint64_t runs) {
+    const std::uint64_t lists = entries / kTurboEntries;
+    return {lists, 2 * (entries / kTurboUnit) + 2 * lists, entries / kTurboSlice + runs / kTurboSliceRuns + 2 * lists};
+  }
+  /// Of all five arrays.
+  constexpr std::uint64_t bytes() const {
+    return lists * (sizeof(TurboLong) + 4 * kTurboBins) + units * (sizeof(TurboUnit) + 4 * kTurboCells) + 4 * slices;
+  }
+  /// One after the other in `memory`, of so many bytes.
+  void lay_out(void* memory, TurboArrays& to) const {
+    to.long_lists = static_cast<TurboLong*>(memory);
+    to.units = reinterpret_cast<TurboUnit*>(to.long_lists + lists);
+    to.unit_cells = reinterpret_cast<std::uint32_t*>(to.units + units);
+    to.bins = to.unit_cells + units * kTurboCells;
+    to.slices = to.bins + lists * kTurboBins;
+  }
 };
 
 /// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
@@ -128,14 +186,19 @@ Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream stream);
 
 /// Gives every tile its runs and its class. If a capacity was exceeded, all lists are empty. `seen` gets a copy of the
-/// state for the host to read: page-locked memory that the device reaches; `counted` is recorded when it is there.
-/// Errors: device_failed.
-Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, CUevent_st* counted, Stream stream);
+/// state for the host to read: page-locked memory that the device reaches. Errors: device_failed.
+Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, Stream stream);
 
-/// Orders each tile's list by depth, then by index, and deals it out to the tile's cells. Cells of tiles that
-/// do not fit are empty. Errors: device_failed.
-Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, CUevent_st* counted,
-                          Stream stream);
+/// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of tiles that
+/// do not fit are empty. `seen`, see above, gets the Gaussians of all cells, once launch_turbo_long() has also been by.
+/// Errors: device_failed.
+Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
+
+/// The same for the long lists; the two may run side by side. Moves them to scratch memory, cut in units. Errors:
+/// device_failed.
+Status launch_turbo_long(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
+/// Then this orders the units. Errors: device_failed.
+Status launch_turbo_units(const TurboArrays& arrays, Stream stream);
 
 /// Blends each cell. Errors: device_failed.
 struct TurboBlendArguments {
