@@ -54,7 +54,11 @@ void release_slot(int slot) {
   if (slot >= 0) g_slots[slot].state.store(0, std::memory_order_release);
 }
 
+// Set by the first thread that reads where an input has shrunk; threads that do so at the same time wait for its exit.
+std::atomic_flag g_input_shrank;
+
 extern "C" void remove_temporaries_and_die(int signal_number) {
+  while (signal_number == SIGBUS && g_input_shrank.test_and_set()) ::pause();
   for (Slot& slot : g_slots) {
     if (slot.state.load(std::memory_order_acquire) == 2) ::unlink(slot.path);
   }
@@ -341,6 +345,7 @@ void remove_temporaries_on_signal() {
     // What nohup or a shell's background job ignores stays ignored.
     if (::sigaction(s, nullptr, &inherited) == 0 && inherited.sa_handler != SIG_IGN) ::sigaction(s, &action, nullptr);
   }
+  action.sa_flags = 0;  // with SA_RESETHAND a second thread's SIGBUS would end the process before the first one's exit
   ::sigaction(SIGBUS, &action, nullptr);
   ::signal(SIGXFSZ, SIG_IGN);  // a write beyond the size limit (ulimit -f) then fails with EFBIG
 }
