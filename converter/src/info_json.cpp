@@ -135,7 +135,7 @@ Json sections(const InfoReport& report) {
     Json j{{"type", four_characters(s.type)},
            {"known", *describe(static_cast<SectionType>(s.type)) != '\0'},
            {"must_understand", (s.flags & kSectionMustUnderstand) != 0},
-           {"codec", codec_name(s.codec)},
+           {"codec", codec_name(s)},
            {"offset", s.offset},
            {"stored_bytes", s.stored_bytes},
            {"decoded_bytes", s.decoded_bytes},

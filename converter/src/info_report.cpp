@@ -441,13 +441,13 @@ std::string four_characters(std::uint32_t type) {
   return text;
 }
 
-std::string codec_name(std::uint32_t codec) {
-  switch (static_cast<Codec>(codec)) {
-    case Codec::none: return "none";
-    case Codec::planes: return "planes";
-    case Codec::archive: return "archive";
-  }
-  return "codec " + std::to_string(codec);
+std::string codec_name(const SectionEntry& section) {
+  const auto codec = static_cast<Codec>(section.codec);
+  const bool known = *describe(static_cast<SectionType>(section.type)) != '\0';
+  if (codec == Codec::none) return "none";
+  if (codec == Codec::planes && known) return "planes";
+  if (codec == Codec::archive && known) return "archive";
+  return "codec " + std::to_string(section.codec);
 }
 
 }  // namespace rgs::tool

@@ -124,7 +124,7 @@ double dc_step(const ArchiveClass& c);
 const char* describe(SectionType type);
 /// The four characters of a section's type as they are in the file: untrusted.
 std::string four_characters(std::uint32_t type);
-/// "none"; "codec 7" for those that are not known.
-std::string codec_name(std::uint32_t codec);
+/// "none"; "codec 7" for those that are not known, as all but 0 in sections of types that are not.
+std::string codec_name(const SectionEntry& section);
 
 }  // namespace rgs::tool

@@ -139,13 +139,14 @@ class TextReport : private TextLines {
     for (std::size_t i = 0; i < view_.sections().size(); ++i) {
       const SectionEntry& s = view_.sections()[i];
       stored += s.stored_bytes;
-      decoded += s.decoded_bytes;
       const char* content = describe(static_cast<SectionType>(s.type));
+      const bool known = *content != '\0';  // else nobody knows what it decodes to
+      decoded += known ? s.decoded_bytes : s.stored_bytes;
       const char* check = report_.hashes.empty() ? "" : report_.hashes[i] == s.xxh3 ? "  OK" : "  DAMAGED";
       line("  {:<8}{:<24}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%  {:016x}{}",
-           escape_untrusted(four_characters(s.type), true), *content == '\0' ? "unknown, skipped" : content,
-           format_count(s.offset), format_count(s.stored_bytes), format_count(s.decoded_bytes), codec_name(s.codec),
-           bytes_per_gaussian(s.stored_bytes, header_), share(s.stored_bytes), s.xxh3, check);
+           escape_untrusted(four_characters(s.type), true), known ? content : "unknown, skipped",
+           format_count(s.offset), format_count(s.stored_bytes), known ? format_count(s.decoded_bytes) : "?",
+           codec_name(s), bytes_per_gaussian(s.stored_bytes, header_), share(s.stored_bytes), s.xxh3, check);
     }
     const std::uint64_t rest = report_.file_bytes - stored;
     line("  {:<32}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%", "header, table, padding", "", format_count(rest),

@@ -3,10 +3,12 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <cstring>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <random>
 
+#include "edit_file.hpp"
 #include "rgs/rgs.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
@@ -307,6 +309,31 @@ TEST_CASE_FIXTURE(Fixture, "a damaged table: what can be read is printed, then t
   CHECK(r.exit_code == 4);
   CHECK(has(r.out, "CHNK"));
   CHECK(has(r.err, "byte " + std::to_string(chunks + 44) + ":"));
+}
+
+TEST_CASE_FIXTURE(Fixture, "of a section of an unknown type only what is certain is stated") {
+  EncodeOptions options;
+  options.keep_permutation = true;
+  auto bytes = encoded(500, 0, options);
+  const std::uint64_t entry = test::entry_of(bytes, "PERM");
+  std::memcpy(bytes.data() + entry, "ZZZZ", 4);
+  for (const std::uint32_t codec : {1u, 2u, 7u}) {
+    test::put(bytes, entry + 8, codec);
+    test::put(bytes, entry + 32, ~std::uint64_t{0});  // decoded bytes
+    test::fix_hashes(bytes);
+    const std::string path = write(bytes), name = "codec " + std::to_string(codec);
+    const ProgramResult r = run(path + " --verify");
+    CHECK(r.exit_code == 0);
+    const std::string line = r.out.substr(r.out.find("ZZZZ"), 140);
+    CHECK(has(line, "unknown, skipped"));
+    CHECK(has(line, " ? "));
+    CHECK(has(line, name));
+    const std::string total = r.out.substr(r.out.find("  total "), 100), size = std::to_string(bytes.size());
+    const std::string grouped = size.substr(0, size.size() - 3) + "," + size.substr(size.size() - 3);
+    CHECK(total.find(grouped) != total.rfind(grouped));  // stored, and decoded: here they are the same
+    CHECK(json(path)["sections"][6]["codec"] == name);
+    CHECK(json(path)["sections"][6]["known"] == false);
+  }
 }
 
 TEST_CASE_FIXTURE(Fixture, "an empty scene") {
