@@ -12,6 +12,7 @@
 #include <cuda_fp16.h>
 
 #include <cstdint>
+#include <limits>
 
 #include "atomic_add.cuh"
 #include "block_scan.cuh"
@@ -58,6 +59,9 @@ __device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, floa
   const float terms = splat.conic.a * dx * dx + splat.conic.c * dy * dy;
   return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
 }
+
+// Depths, too, stay finite.
+constexpr float kLargest = std::numeric_limits<float>::max();
 
 __device__ inline Staged stage(const ScreenSplat& splat, float corner_x, float corner_y) {
   const auto f = math::fold(splat.conic, {splat.mean.u - corner_x, splat.mean.v - corner_y}, splat.log2_opacity);
@@ -139,7 +143,7 @@ class Cell {
     if (lane < n) {
       const ScreenSplat splat = splats[gaussians[lane]];
       staged[lane] = stage(splat, corner_x_, corner_y_);
-      z = splat.z;
+      z = math::min(splat.z, kLargest);
       clamp = may_exceed(splat, corner_x_, corner_y_);
     }
     __syncwarp();

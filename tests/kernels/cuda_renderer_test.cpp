@@ -815,6 +815,24 @@ TEST_CASE("where half as much again is not to be had, the workspace grows by wha
   }
 }
 
+TEST_CASE("where the first guess at a workspace is not to be had, a smaller one is") {
+  if (!device_answers()) return;
+  if (small_sizes()) return;
+  const Camera camera = front_camera(640, 360);
+  std::vector<Splat> splats(1200000, splat_at(0, 0, -5, 0.01, 0.5));  // behind the camera
+  for (std::size_t i = 0; i < 100; ++i)
+    splats[12000 * i] = splat_at(0.02 * static_cast<double>(i) - 1, 0, 4, 0.05, 0.5);
+  const DeviceScene scene = upload(scene_of(cloud_of(splats)));
+  Device fresh(camera);
+  require_ok(fresh.render(scene, modes()[kTurbo]));
+  const std::uint64_t guess = fresh.renderer().bytes(), left = guess - (std::uint64_t{30} << 20);
+  Device device(camera);
+  const Hog hog(left);
+  require_ok(device.render(scene, modes()[kTurbo]));
+  check_same(device.rgb(), fresh.rgb());
+  CHECK(device.renderer().bytes() < left);
+}
+
 TEST_CASE("device memory is back at its start once everything is destroyed") {
   if (!device_answers()) return;
   if (small_sizes()) return;  // compute-sanitizer's own memory comes and goes; its leak check takes over

@@ -79,6 +79,7 @@ inline constexpr std::uint32_t kTurboBins = 1024;
 inline constexpr std::uint32_t kTurboSlice = 4096;     ///< entries of a slice, or fewer, but for the length of a run
 inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, or fewer
 inline constexpr std::uint32_t kTurboUnit = 1024;      ///< entries of a unit, but for the length of a bin
+inline constexpr std::uint32_t kTurboShare = 1024;     ///< entries of a share, but for what a sample misses
 
 /// Entries begin .. end - 1 of TurboArrays::scratch; of more than kTurboEntries, those of one share alone.
 struct alignas(16) TurboUnit {
@@ -89,7 +90,7 @@ struct alignas(16) TurboUnit {
 /// How many units order n entries of neighbouring bins.
 RGS_HD constexpr std::uint32_t turbo_shares(std::uint32_t n) {
   if (n <= kTurboEntries) return 1;
-  const std::uint32_t shares = (n + kTurboUnit - 1) / kTurboUnit;
+  const std::uint32_t shares = (n + kTurboShare - 1) / kTurboShare;
   return shares < kTurboEntries / 2 ? shares : kTurboEntries / 2;
 }
 
@@ -153,7 +154,7 @@ struct TurboLongSizes {
 
   static constexpr TurboLongSizes of(std::uint64_t entries, std::uint64_t runs) {
     const std::uint64_t lists = entries / kTurboEntries;
-    return {lists, 2 * (entries / kTurboUnit) + 2 * lists, entries / kTurboSlice + runs / kTurboSliceRuns + 2 * lists};
+    return {lists, 2 * (entries / kTurboShare) + 2 * lists, entries / kTurboSlice + runs / kTurboSliceRuns + 2 * lists};
   }
   /// Of all five arrays.
   constexpr std::uint64_t bytes() const {
