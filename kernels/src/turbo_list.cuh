@@ -25,6 +25,7 @@ __device__ inline void put_head(const TurboArrays& a, math::TileGrid grid, std::
 __device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
   __threadfence();
   if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
+    __threadfence();
     seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
     __threadfence_system();
   }
@@ -77,8 +78,8 @@ struct TurboRuns {
   }
 };
 
-/// Adds up, over the block, how many entries touch each cell. An entry's eight bits go to eight counters of 16 bits in two
-/// words, which are passed on before one can overflow.
+/// Adds up, over the block, how many entries touch each cell. An entry's eight bits go to eight counters of 16 bits in
+/// two words, which are passed on before one can overflow.
 class CellCounter {
  public:
   /// `sums` [kTurboCells] in shared memory, zeroed before.

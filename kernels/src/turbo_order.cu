@@ -3,8 +3,8 @@
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, 8], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a tile, longest lists first; others for the units of long lists, as many blocks as keep the device busy.
-//         A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
+// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as keep the device busy. A
+//         warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 38 KiB
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
@@ -144,8 +144,8 @@ struct DepthRange {
   }
 };
 
-// Orders keys of the s.n entries, their bits from `from` on above and position below: kKeys a lane by warps, then merged.
-// Where they are then.
+// Orders keys of the s.n entries, bits from `from` on above and position below: kKeys a lane by warps, then merged. Where
+// they are then.
 template <std::uint32_t kKeys>
 __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t low, int shift, int position_bits) {
   constexpr std::uint32_t kRun = 32 * kKeys;
@@ -207,31 +207,6 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
       swapped = true;
     }
     quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
-  }
-}
-
-// End of the round that begins at `begin`, from where more than kEntries of the n entries are left: at most kEntries of
-// them, and at least one, lie in begin <= entry < end. Looks for it among kBins bins of equal width, then in the one
-// that holds too many, and so on: entries are unique, so that bins of width 1 hold one each.
-__device__ inline TurboEntry round_end(Shared& s, const TurboEntry* entries, std::uint32_t n, TurboEntry begin) {
-  constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
-  __shared__ std::uint32_t bins[kBins];
-  int shift = 64 - kBinBits;
-  for (;;) {
-    bins[threadIdx.x] = 0;
-    __syncthreads();
-    for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
-      const TurboEntry entry = entries[k];
-      const TurboEntry bin = (entry - begin) >> shift;
-      if (entry >= begin && bin < kBins) atomicAdd(bins + bin, 1u);
-    }
-    __syncthreads();
-    const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
-    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
-    const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
-    begin += fitting << shift;
-    if (any) return begin;
-    shift = shift > kBinBits ? shift - kBinBits : 0;
   }
 }
 
@@ -357,8 +332,8 @@ struct Part {
   TurboEntry from = 0, to = ~TurboEntry{0};
 };
 
-// Cuts a part in equal shares, by a sample of it: all blocks find the same. Entries are unique, so that equal depths are
-// cut, too.
+// Cuts a part in equal shares, by a sample of it: all blocks find the same. Entries are unique, so that equal depths
+// are cut, too.
 __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kEntries; k += kThreads) {
@@ -396,8 +371,34 @@ __device__ inline DepthRange load(Shared& s, const Part& part) {
   return range;
 }
 
-// Tells how many of the unit's entries touch each cell, and learns the same of the units before it: s.cell_begin. A number
-// and 1 are one word, which is there or is not, so that nothing else has to be waited for.
+// End of the round that begins at part.from, where the part has more than kEntries entries: at most kEntries of them, and
+// at least one, lie in part.from <= entry < end. Looks for it among kBins bins of equal width, then in the one that holds
+// too many, and so on: entries are unique, so that bins of width 1 hold one each.
+__device__ inline TurboEntry round_end(Shared& s, const Part& part) {
+  constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
+  __shared__ std::uint32_t bins[kBins];
+  TurboEntry begin = part.from;
+  int shift = math::max(0, 64 - __clzll(static_cast<long long>(part.to - begin)) - kBinBits);
+  for (;;) {
+    bins[threadIdx.x] = 0;
+    __syncthreads();
+    for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
+      const TurboEntry entry = part.entries[k];
+      const TurboEntry bin = (entry - begin) >> shift;
+      if (entry >= begin && entry < part.to && bin < kBins) atomicAdd(bins + bin, 1u);
+    }
+    __syncthreads();
+    const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
+    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
+    const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
+    begin += fitting << shift;
+    if (any) return begin;
+    shift = shift > kBinBits ? shift - kBinBits : 0;
+  }
+}
+
+// Tells how many of the unit's entries touch each cell, and learns the same of the units before it: s.cell_begin. A
+// number and 1 are one word, which is there or is not, so that nothing else has to be waited for.
 __device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t unit) {
   if (threadIdx.x < kTurboCells) {
     static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
@@ -431,7 +432,7 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
     __syncthreads();
     if (!at_once) {
       Part round = part;
-      if (left > kEntries) round.to = round_end(s, part.entries, part.n, part.from);
+      if (left > kEntries) round.to = round_end(s, part);
       range = load(s, round);
       part.from = round.to;
     }

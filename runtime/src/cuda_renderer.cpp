@@ -466,11 +466,14 @@ Status CudaRenderer::Impl::order_turbo(const cuda::TurboArrays& arrays, math::Ti
   };
   Status ok = record(listed, on);
   if (ok) ok = wait_for(listed, beside);
-  if (ok) ok = cuda::launch_turbo_long(arrays, grid, &host->turbo, beside);
+  if (!ok) return ok;
+  ok = cuda::launch_turbo_long(arrays, grid, &host->turbo, beside);
   if (ok) ok = cuda::launch_turbo_units(arrays, beside);
-  if (ok) ok = record(ordered_long, beside);
+  // Joined after an error, too: the next frame waits for `on` alone.
+  Status joined = record(ordered_long, beside);
   if (ok) ok = cuda::launch_turbo_order(arrays, grid, &host->turbo, on);
-  if (ok) ok = wait_for(ordered_long, on);
+  if (joined) joined = wait_for(ordered_long, on);
+  if (ok) ok = joined;
   return ok ? record(counted, on) : ok;
 }
 

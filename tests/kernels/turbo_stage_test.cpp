@@ -37,11 +37,12 @@ struct Lists {
   std::vector<ScreenSplat> splats;
   std::vector<std::vector<TurboEntry>> tiles;  // in order
   TurboState state;
-  std::uint32_t n_units = 0;  // of long lists
+  std::uint32_t n_units = 0, n_shares = 0;  // of long lists; units that have a share of a bin
 };
 
 struct Room {
   std::uint64_t entries = 0, runs = 0, large = 0;
+  std::uint64_t in_cells = 0;  // 0: for all
 };
 
 std::uint32_t depth_bits_of(TurboEntry entry) {
@@ -55,8 +56,8 @@ std::vector<T> downloaded(const T* from, std::size_t n) {
   return values;
 }
 
-/// Units of a long list follow each other in depth, hold together what the list holds, and none has more to order than it can
-/// but for chance. `entries` are the list's in order. Returns its units.
+/// Units of a long list follow each other in depth, hold together what the list holds, and none has more to order than it
+/// can but for chance. `entries` are the list's in order. Returns how many there are.
 std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
                           const std::vector<TurboEntry>& scratch, const std::vector<TurboEntry>& entries) {
   std::array<std::uint32_t, cuda::kTurboCells> in_cells{};
@@ -93,23 +94,42 @@ std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const 
   return unit - list.first_unit;
 }
 
-/// The cells of a long list lie at the rank of its tile, one after the other in memory.
-void check_heads(const cuda::TurboLong& list, const std::vector<cuda::TurboCell>& cells, std::size_t rank,
-                 math::TileGrid grid) {
-  const auto columns = static_cast<std::uint32_t>(grid.columns);
-  std::uint32_t begin = list.cell_begin[0];
-  for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
-    const cuda::TurboCell& cell = cells[cuda::kTurboCells * rank + c];
-    CHECK(list.cell_begin[c] == begin);
-    CHECK(cell.begin == begin);
-    CHECK(cell.n == list.cell_n[c]);
-    CHECK(cell.x == list.tile % columns * 32 + c % 2 * 16);
-    CHECK(cell.y == list.tile / columns * 32 + c / 2 * 8);
-    begin += cell.n;
+/// Cells lie at the rank of their tile and show, in order, the entries of its list that touch them; or nothing, if there is
+/// no room. Returns how many entries they have in all, and how many cells were left empty.
+struct CellCount {
+  std::uint64_t total = 0, refused = 0;
+};
+CellCount check_cells(const std::vector<cuda::TurboCell>& cells, const std::vector<std::uint32_t>& gaussians,
+                      const std::vector<std::vector<TurboEntry>>& tiles, const std::vector<std::size_t>& rank_of,
+                      math::TileGrid grid) {
+  const auto columns = static_cast<std::size_t>(grid.columns);
+  CellCount count;
+  std::uint64_t n_wrong = 0;
+  for (std::size_t t = 0; t < tiles.size(); ++t) {
+    for (std::size_t c = 0; c < cuda::kTurboCells; ++c) {
+      const cuda::TurboCell& cell = cells[cuda::kTurboCells * rank_of[t] + c];
+      std::vector<std::uint32_t> expected;
+      for (const TurboEntry entry : tiles[t]) {
+        if ((entry >> c & 1) == 0) continue;
+        expected.push_back(static_cast<std::uint32_t>(entry >> 8) &
+                           static_cast<std::uint32_t>(cuda::kMaxTurboGaussians - 1));
+      }
+      count.total += expected.size();
+      if (cell.x != t % columns * 32 + c % 2 * 16 || cell.y != t / columns * 32 + c / 2 * 8) ++n_wrong;
+      if (cell.n == 0 && !expected.empty()) {
+        ++count.refused;
+        continue;
+      }
+      REQUIRE(std::uint64_t{cell.begin} + cell.n <= gaussians.size());
+      const auto begin = gaussians.begin() + cell.begin;
+      if (!std::equal(begin, begin + cell.n, expected.begin(), expected.end())) ++n_wrong;
+    }
   }
+  CHECK_MESSAGE(n_wrong == 0, n_wrong, " cells show something else than the list of their tile says");
+  return count;
 }
 
-/// Emits and lists with the given room; nothing may be written beyond it, and what does not fit leaves lists empty.
+/// Emits, lists and orders with the given room; nothing may be written beyond it, and what does not fit leaves lists empty.
 Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewParameters& v, const Room& room) {
   const auto n_tiles = static_cast<std::uint32_t>(v.grid.columns * v.grid.rows);
   DeviceArray<std::byte> state(TurboState::bytes(n_tiles));
@@ -130,7 +150,9 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   arrays.large = large.data(), arrays.large_boxes = boxes.data();
   arrays.lists = heads.data(), arrays.classes = classes.data();
   arrays.entry_capacity = room.entries, arrays.run_capacity = room.runs, arrays.large_capacity = room.large;
-  arrays.cell_capacity = cuda::kTurboCells * room.entries;
+  arrays.cell_capacity = room.in_cells > 0 ? room.in_cells : cuda::kTurboCells * room.entries;
+  const DeviceArray<std::uint32_t> cell_gaussians(arrays.cell_capacity);
+  arrays.cell_gaussians = cell_gaussians.data();
   const auto sizes = cuda::TurboLongSizes::of(room.entries, room.runs);
   const DeviceArray<std::byte> long_lists(sizes.bytes());
   sizes.lay_out(long_lists.data(), arrays);
@@ -140,6 +162,8 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
   require_ok(cuda::launch_turbo_lists(arrays, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_long(arrays, v.grid, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_units(arrays, nullptr));
+  require_ok(cuda::launch_turbo_order(arrays, v.grid, seen.state(), nullptr));
   synchronize();
 
   Lists out;
@@ -188,21 +212,25 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   std::vector<std::size_t> rank_of(n_tiles);
   std::size_t n_ranked = 0;
   for (std::size_t c = 0; c < cuda::kTurboClasses; ++c) {
-    for (std::size_t k = 0; k < final_state.class_size[c]; ++k) {
+    for (std::size_t k = 0; k < std::min(final_state.class_size[c], n_tiles); ++k) {
       REQUIRE(host_classes[c * n_tiles + k] < n_tiles);
       rank_of[host_classes[c * n_tiles + k]] = n_ranked++;
     }
   }
-  const auto host_cells = cells.download();
+  const CellCount in_cells = check_cells(cells.download(), cell_gaussians.download(), out.tiles, rank_of, v.grid);
+  CHECK(out.state.in_cells == in_cells.total);
+  CHECK((in_cells.refused > 0) == (in_cells.total > arrays.cell_capacity));
+  if (in_cells.refused > 0) return out;  // lists that do not fit have no units
   for (std::uint32_t t = 0; t < n_tiles && fits; ++t) {
     if (out.tiles[t].size() < cuda::kTurboEntries) continue;
     REQUIRE(host_heads[t].long_list < final_state.n_long);
     const cuda::TurboLong& list = host_longs[host_heads[t].long_list];
     CHECK(list.tile == t);
-    check_heads(list, host_cells, rank_of[t], v.grid);
     out.n_units += check_units(list, host_heads[t].long_list, host_units, host_scratch, out.tiles[t]);
   }
   CHECK(out.n_units == final_state.n_units);
+  out.n_shares = static_cast<std::uint32_t>(
+      std::count_if(host_units.begin(), host_units.end(), [](const auto& unit) { return unit.share > 0; }));
 
   // Every tile is in one class, the longest lists first.
   std::vector<int> seen_tiles(n_tiles, 0);
@@ -250,7 +278,7 @@ void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>&
   }
 }
 
-void check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
+Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
   auto v = view_parameters(camera, {}, scene.sh_degree);
   v.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
   const auto n = static_cast<std::uint32_t>(scene.n);
@@ -266,8 +294,11 @@ void check(const cuda::Attributes& attributes, const SceneView& scene, const Cam
   if (room.runs > 0) (void)run(attributes, n, v, {room.entries, room.runs - 1, room.large});
   // How large Gaussians share runs depends on their order, which atomic additions make.
   room.runs *= 2;
-  const Lists lists = run(attributes, n, v, room);
+  Lists lists = run(attributes, n, v, room);
   CHECK(lists.state.counters.instances == room.entries);
+  if (lists.state.in_cells > 1) {
+    (void)run(attributes, n, v, {room.entries, room.runs, room.large, lists.state.in_cells - 1});
+  }
 
   Deviations deviations;
   std::vector<std::vector<TurboEntry>> expected(lists.tiles.size());
@@ -311,6 +342,7 @@ void check(const cuda::Attributes& attributes, const SceneView& scene, const Cam
   }
   CHECK_MESSAGE(n_wrong == 0, n_wrong, " of ", expected.size(), " lists differ; that of tile ", wrong, " has ",
                 lists.tiles[wrong].size(), " entries on the device, ", expected[wrong].size(), " on the host");
+  return lists;
 }
 
 }  // namespace
@@ -427,13 +459,14 @@ TEST_CASE("a frame of more entries than there is room for is made again, with ro
 
 namespace {
 
-// Before front_camera() of any size, faint, so that no pixel stops early: half of them at one depth, the others at seven more
-// and anywhere; and with `far`, some so far away that a bin of depth has nearly all of the others.
+// Before front_camera() of any size, faint, so that no pixel stops early: half of them at one depth, the others at seven
+// more and anywhere; or, with `far`, close behind it, but for some so far away that one bin of depth has all the others.
 std::vector<Splat> crowd(int n, bool far) {
   std::vector<Splat> splats;
   Random random(805);
   for (int i = 0; i < n; ++i) {
-    const double z = i % 2 == 0 ? 4 : far && i % 64 == 1 ? 1e12 : i % 4 == 1 ? 2 + i % 7 : random.uniform(2, 9);
+    const double close = far ? random.uniform(4, 4.1) : i % 4 == 1 ? 2 + i % 7 : random.uniform(2, 9);
+    const double z = i % 2 == 0 ? 4 : far && i % 64 == 1 ? 1e12 : close;
     Splat s = splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.02 * z, 0.03,
                        static_cast<float>(random.uniform(0, 1)));
     s.sh[1] = static_cast<float>(random.uniform(-1.7, 1.7));
@@ -444,14 +477,32 @@ std::vector<Splat> crowd(int n, bool far) {
 
 }  // namespace
 
-TEST_CASE("long lists are moved to scratch memory in units that follow each other in depth") {
+TEST_CASE("long lists are moved to scratch memory and ordered in units that follow each other in depth") {
   if (!device_answers()) return;
-  for (const int n : {2100, 3000, small_sizes() ? 12000 : 200000}) {
+  for (const int n : {2047, 2048, 2049, 5000, small_sizes() ? 12000 : 200000}) {
     for (const bool far : {false, true}) {
+      CAPTURE(n);
+      CAPTURE(far);
       const Scene scene = scene_of(cloud_of(crowd(n, far)));
-      check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(64, 64));
+      const Lists lists = check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32));
+      REQUIRE(lists.tiles.size() == 1);
+      CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboEntries));
+      if (n > 4000) CHECK(lists.n_units > 0);
+      if (n > 4000 && far) CHECK(lists.n_shares > 0);
     }
   }
+}
+
+TEST_CASE("a list of more entries of one depth than a sample can tell apart is ordered in rounds") {
+  if (!device_answers()) return;
+  if (small_sizes()) return;
+  Random random(811);
+  std::vector<Splat> splats;
+  for (int i = 0; i < 1200000; ++i) {  // 1,024 shares of two samples each
+    splats.push_back(splat_at(random.uniform(-2, 2), random.uniform(-2, 2), 4, 0.02, 0.03));
+  }
+  const Scene scene = scene_of(cloud_of(splats));
+  CHECK(check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32)).n_units > 1000);
 }
 
 TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {

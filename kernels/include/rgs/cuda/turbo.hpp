@@ -33,8 +33,8 @@ struct alignas(16) TurboTileRun {
 };
 static_assert(sizeof(TurboTileRun) == 16);
 
-/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `long_list` is its place among the long lists,
-/// if it is one: if it has kTurboEntries or more.
+/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `long_list` is its place among the long
+/// lists, if it is one: if it has kTurboEntries or more.
 struct TurboList {
   std::uint32_t begin, n_runs, n_entries, long_list;
 };
@@ -76,7 +76,7 @@ struct alignas(16) TurboLong {
   std::uint32_t cell_begin[kTurboCells];  ///< and where they begin in TurboArrays::cell_gaussians
 };
 inline constexpr std::uint32_t kTurboBins = 1024;
-inline constexpr std::uint32_t kTurboSlice = 4096;     ///< entries of a slice, or fewer, but for the length of a run
+inline constexpr std::uint32_t kTurboSlice = 4096;     ///< entries of a list's slices on average, or fewer
 inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, or fewer
 inline constexpr std::uint32_t kTurboUnit = 1024;      ///< entries of a unit, but for the length of a bin
 inline constexpr std::uint32_t kTurboShare = 1024;     ///< entries of a share, but for what a sample misses
@@ -162,6 +162,7 @@ struct TurboLongSizes {
   }
   /// One after the other in `memory`, of so many bytes.
   void lay_out(void* memory, TurboArrays& to) const {
+    if (memory == nullptr) return;
     to.long_lists = static_cast<TurboLong*>(memory);
     to.units = reinterpret_cast<TurboUnit*>(to.long_lists + lists);
     to.unit_cells = reinterpret_cast<std::uint32_t*>(to.units + units);
@@ -190,9 +191,9 @@ Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream
 /// state for the host to read: page-locked memory that the device reaches. Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, Stream stream);
 
-/// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of tiles that
-/// do not fit are empty. `seen`, see above, gets the Gaussians of all cells, once launch_turbo_long() has also been by.
-/// Errors: device_failed.
+/// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of tiles
+/// that do not fit are empty. `seen`, see above, gets the Gaussians of all cells once both this and launch_turbo_long()
+/// have found places for theirs. Errors: device_failed.
 Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
 
 /// The same for the long lists; the two may run side by side. Moves them to scratch memory, cut in units. Errors:
