@@ -3,7 +3,7 @@
 #   sh scripts/bench_synthetic.sh BIN OUT        BIN: folder of the programs, build/cuda/bin or that of a bundle
 # Environment: RGS_GAUSSIANS "100k 1M 5M 20M", RGS_SIZES 1280x720,1920x1080,3840x2160,7680x4320, RGS_FRAMES 10 a camera,
 # RGS_SECONDS 330 for all of it: what is not done by then is left out and said so. Scenes lie in OUT while they are
-# measured, 6.6 GB for 20 M. Then: scripts/bench_tables.py --scaling OUT/*.json
+# measured, 6.5 GB for 20 M. Then: scripts/bench_tables.py --scaling OUT/synthetic_*.json
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 if [ $# -ne 2 ]; then

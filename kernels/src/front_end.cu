@@ -7,7 +7,7 @@
 //         one; 8 or 12 B written a pair, coalesced. About 500 flops a Gaussian, 60 a tile row, 40 integer operations a
 //         pair
 // Launch  256 threads, ceil(n / 256) blocks
-// Shared  Shared: covers, depth keys and the sums that map rows and pairs to their owners; 19 KiB with ellipses
+// Shared  Shared: covers, depth keys and the sums that map rows and pairs to their owners; 16 KiB with ellipses
 // Order   of the pairs: by Gaussian, row and column within a block; blocks in the order of their atomic addition, or
 //         with block_state in the order of the Gaussians. Compiled without contraction to FMA, see project.cu.
 //

@@ -3,7 +3,7 @@
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; docs/RENDERING.md "A Gaussian on the image"
 // In/Out  attributes [n] -> splats [n], covers [n], tiles [n]; then covers, sums of tiles -> pairs
-// Cost    project: 236 B (FP32) or 76 B (compact) read, 48 + 16 or 56 + 4 B written; about 500 flops: memory-bound
+// Cost    project: 236 B (FP32) or 76 B (compact) read, 48 + 16 or 44 + 4 B written; about 500 flops: memory-bound
 //         duplicate: 12 or 8 B written a pair, uncoalesced: each thread writes its own run
 // Launch  256 threads, ceil(n / 256) blocks
 // Order   deterministic: pairs lie in the order of the Gaussians. Compiled without contraction to FMA, so that

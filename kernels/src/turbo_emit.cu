@@ -6,14 +6,15 @@
 // Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
 // Launch  256 threads, ceil(n / 256) blocks
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
-//         entries between counting and placing; 34 KiB
+//         words between counting and placing; 33 KiB
 // Order   of entries and runs: any. The lists' order is made later, by depth and index, so that the image is the same
 //         on every run. Compiled without contraction to FMA, see project.cu.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
 // block sorts its entries by tile before they leave it, by counting. What their rows show is kept meanwhile, in a word for
 // each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted 1,024 at a time; most
-// blocks have fewer. A Gaussian of many tiles would keep its block long after the others: it waits for turbo_large.cu.
+// blocks have fewer. A Gaussian of many tiles would keep its block long after the others: it waits for turbo_large.cu, as
+// does one for whose words there is no room.
 #include <cstdint>
 
 #include "block_scan.cuh"

@@ -6,11 +6,11 @@
 // Cost    8 B read, from L2, a Gaussian and region; 64 B gathered and 8 B an entry written where they meet
 // Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles: about eight blocks a multiprocessor at 1080p, 4K
 //         and 8K
-// Shared  Shared: the Gaussians found, the cells that they touch, a counter a tile; 14 to 24 KiB
+// Shared  Shared: the Gaussians found, the cells that they touch, a counter a tile; 15 to 24 KiB
 // Order   of entries and runs: any. Compiled without contraction to FMA, see project.cu.
 //
-// The other way round, a Gaussian adding to each of its tiles, takes an atomic addition an entry, and these wait for each
-// other: large Gaussians touch the same tiles.
+// The other way round, a Gaussian adding to each of its tiles, takes an atomic addition an entry in device memory, and
+// these wait for each other: large Gaussians touch the same tiles.
 #include <cstdint>
 
 #include "block_scan.cuh"

@@ -2,7 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes; long_lists and their slices, bins set to 0
-// Cost    16 B read, 16 B gathered and 8 B written anywhere a run; 8 B read of every 64th entry of a long list
+// Cost    16 B read, 16 B gathered and 8 B written anywhere a run; of a long list, 8 B read of the first and every 64th
+//         entry of each run
 // Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as keep the device busy, each
 //         taking runs in turn, because their number is known on the device alone
 // Order   of runs within a list, of lists and of tiles within a class: any

@@ -5,7 +5,7 @@
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
 // Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as keep the device busy. A
 //         warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
-// Shared  Shared: entries, their keys twice, places of runs; 38 KiB
+// Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Units of a list (turbo_long.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from those

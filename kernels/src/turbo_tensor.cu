@@ -3,8 +3,8 @@
 //
 // Math    rgs/math/blend.hpp: fold(); docs/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
-// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane; a (pixel, Gaussian) pair: 19 multiply-adds of matrix
-//         products, one exponential, and about three instructions, each on two FP16 numbers
+// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
+//         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each
 // Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell
 // Shared  Staging: 128 Gaussians; 5 KiB
 // Order   that of the cells' lists: deterministic

@@ -177,7 +177,7 @@ Result<CudaRenderer> CudaRenderer::create() {
   if (ok) {
     ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest), "the device has no priorities");
   }
-  if (ok) {  // first, although its blocks come when all others are queued: it takes longest
+  if (ok) {  // of high priority: what it holds takes longest, and its blocks come when those of the others are queued
     ok = device_status(cudaStreamCreateWithPriority(&impl->beside, cudaStreamNonBlocking, greatest),
                        "a stream could not be made");
   }

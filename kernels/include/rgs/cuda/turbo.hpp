@@ -48,7 +48,7 @@ struct alignas(16) TurboCell {
 static_assert(sizeof(TurboCell) == 16);
 inline constexpr int kTurboCells = 8;  ///< of a tile
 
-/// A Gaussian that touches many tiles: kept for a kernel in which tiles look for theirs.
+/// A Gaussian whose bounding box has many tiles: kept for a kernel in which tiles look for theirs.
 struct alignas(16) TurboLarge {
   math::Ellipse<float> ellipse;
   std::uint32_t depth;  ///< bits
@@ -63,7 +63,7 @@ struct alignas(8) TurboBox {
 };
 
 /// A long list is moved to scratch memory in the order of kTurboBins bins of depth, slice by slice, and then ordered in
-/// units: bins next to each other, or a share of one that holds more than can be ordered at a time.
+/// units: bins next to each other, or a share of such bins where they hold more than can be ordered at a time.
 struct alignas(16) TurboLong {
   std::uint32_t tile;
   std::uint32_t in_class;                 ///< place of the tile in its class, see below
@@ -184,7 +184,8 @@ struct TurboEmitArguments {
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 
-/// Writes the entries and runs of the large Gaussians, which launch_turbo_emit() has set aside, and calls this.
+/// Writes the entries and runs of the large Gaussians. launch_turbo_emit(), which has set them aside, calls it.
+/// Errors: device_failed.
 Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream stream);
 
 /// Gives every tile its runs and its class. If a capacity was exceeded, all lists are empty. `seen` gets a copy of the
@@ -202,7 +203,8 @@ Status launch_turbo_long(const TurboArrays& arrays, math::TileGrid grid, TurboSt
 /// Then this orders the units. Errors: device_failed.
 Status launch_turbo_units(const TurboArrays& arrays, Stream stream);
 
-/// Blends each cell. Errors: device_failed.
+/// Blends each cell; launch_turbo_blend() in FP32, or by launch_turbo_tensor() where `is_tensor` says so. Errors:
+/// device_failed.
 struct TurboBlendArguments {
   TurboArrays arrays;
   const ScreenSplat* splats;
@@ -211,7 +213,7 @@ struct TurboBlendArguments {
   math::Vec3<float> background;
   PixelArrays target;
   bool count_pairs;  ///< into the state's counters.evaluated and .blended
-  bool is_tensor;    ///< FP16 matrix products, where no details are wanted
+  bool is_tensor;    ///< FP16 matrix products, where neither depth nor counts are wanted
 };
 Status launch_turbo_tensor(const TurboBlendArguments& arguments, Stream stream);
 Status launch_turbo_blend(const TurboBlendArguments& arguments, Stream stream);
