@@ -7,7 +7,7 @@
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 if [ $# -ne 2 ]; then
-  sed -n '2,7s/^# //p' "$0" >&2
+  sed -n '2,6s/^# //p' "$0" >&2
   exit 2
 fi
 bin=$1 out=$2
