@@ -4,6 +4,7 @@
 
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "rgs/cuda/turbo.hpp"
 
@@ -15,10 +16,6 @@ struct RunPlaces {
   std::uint32_t warp_sums[Threads / 32];
   std::uint64_t entry_base, run_base;
 };
-
-__device__ inline std::uint64_t add(std::uint64_t& to, std::uint64_t n) {
-  return atomicAdd(reinterpret_cast<unsigned long long*>(&to), static_cast<unsigned long long>(n));
-}
 
 __device__ inline TurboEntry make_entry(std::uint32_t depth, std::uint32_t index, std::uint32_t cells) {
   return static_cast<std::uint64_t>(depth) << (kTurboIndexBits + 8) | static_cast<std::uint64_t>(index) << 8 | cells;
@@ -32,8 +29,8 @@ __device__ std::uint32_t reserve_runs(RunPlaces<Threads>& s, std::uint32_t n, st
   // Sums of entries and of runs in one word.
   const std::uint32_t end = inclusive_block_sum<Threads>(n | (n > 0 ? 1u << 16 : 0), s.warp_sums);
   if (threadIdx.x == Threads - 1 && end > 0) {
-    s.entry_base = add(out.state->counters.instances, end & 0xFFFFu);
-    s.run_base = add(out.state->runs, end >> 16);
+    s.entry_base = atomic_add(out.state->counters.instances, end & 0xFFFFu);
+    s.run_base = atomic_add(out.state->runs, end >> 16);
   }
   __syncthreads();
   const std::uint32_t begin = static_cast<std::uint32_t>(s.entry_base) + (end & 0xFFFFu) - n;

@@ -17,6 +17,7 @@
 // does one for whose words there is no room.
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "cull_chunk.cuh"
 #include "emit_runs.cuh"
@@ -220,7 +221,7 @@ __global__ void __launch_bounds__(kThreads)
   __syncthreads();
   const int visible = __syncthreads_count(s.listed[threadIdx.x] != 0);
   if (threadIdx.x == 0 && visible > 0) {
-    add(a.arrays.state->counters.visible, static_cast<std::uint64_t>(visible));
+    atomic_add(a.arrays.state->counters.visible, static_cast<std::uint64_t>(visible));
   }
 }
 

@@ -13,6 +13,7 @@
 // these wait for each other: large Gaussians touch the same tiles.
 #include <cstdint>
 
+#include "atomic_add.cuh"
 #include "block_scan.cuh"
 #include "emit_runs.cuh"
 #include "launch.cuh"
@@ -161,7 +162,7 @@ __global__ void __launch_bounds__(kThreads) turbo_large_kernel(TurboArrays a, ma
     __syncthreads();
   }
   visible = warp_sum(visible);
-  if (threadIdx.x % 32 == 0 && visible > 0) add(a.state->counters.visible, visible);
+  if (threadIdx.x % 32 == 0 && visible > 0) atomic_add(a.state->counters.visible, visible);
 }
 
 template <int Words>

@@ -43,14 +43,14 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
   return own;
 }
 
-// Takes every 64th of a run's entries into the range of its list.
+// Takes the first and every 64th of a run's entries into the range of its list.
 __device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLong& list) {
   std::uint32_t nearest = ~0u, farthest = 0;
   for (std::uint32_t k = 0; k < run.n; k += 64) {
     const std::uint32_t depth = depth_of(entries[run.begin + k]);
     nearest = math::min(nearest, depth), farthest = math::max(farthest, depth);
   }
-  // Mostly it is within the range by now: additions to one word wait for each other.
+  // Mostly it is within the range by now: atomic operations on one word wait for each other.
   if (nearest < *static_cast<volatile std::uint32_t*>(&list.nearest)) atomicMin(&list.nearest, nearest);
   if (farthest > *static_cast<volatile std::uint32_t*>(&list.farthest)) atomicMax(&list.farthest, farthest);
 }
