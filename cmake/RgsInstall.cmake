@@ -74,10 +74,8 @@ foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-rend
   endif()
 endforeach()
 
-foreach(folder format kernels/math kernels runtime converter)
-  if(EXISTS ${PROJECT_SOURCE_DIR}/${folder}/include)
-    install(DIRECTORY ${folder}/include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} FILES_MATCHING PATTERN "*.hpp" PATTERN "*.cuh")
-  endif()
+foreach(folder format kernels/math runtime converter/formats)
+  install(DIRECTORY ${folder}/include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} FILES_MATCHING PATTERN "*.hpp")
 endforeach()
 
 configure_package_config_file(cmake/rgsConfig.cmake.in ${PROJECT_BINARY_DIR}/rgsConfig.cmake

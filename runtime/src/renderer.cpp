@@ -6,8 +6,8 @@
 #include <string>
 #include <utility>
 
-#include "cuda_backend.hpp"
-#include "reference_renderer.hpp"
+#include "cpu/reference_renderer.hpp"
+#include "cuda/cuda_backend.hpp"
 #include "render_options.hpp"
 
 namespace rgs {

@@ -8,8 +8,8 @@
 #include <span>
 #include <vector>
 
-#include "../../format/src/archive_codec.hpp"
-#include "../../format/src/point_codec.hpp"
+#include "archive/archive_codec.hpp"
+#include "archive/point_codec.hpp"
 
 namespace {
 

@@ -15,10 +15,10 @@
 #include <vector>
 
 #include "renderer_fixture.hpp"
-#include "rgs/cuda/front_end.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/renderer.hpp"
+#include "sorted/front_end.hpp"
 
 namespace rgs::test {
 

@@ -5,10 +5,10 @@
 #include <cstring>
 #include <string>
 
-#include "blend_fixture.hpp"
 #include "device_fixture.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/math/sh.hpp"
+#include "sorted/blend_fixture.hpp"
 
 using namespace rgs;
 using namespace rgs::test;

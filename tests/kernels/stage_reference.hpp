@@ -11,7 +11,7 @@
 #include <limits>
 #include <string>
 
-#include "rgs/cuda/frame.hpp"
+#include "common/frame.hpp"
 #include "rgs/math/projection.hpp"
 #include "rgs/math/sh.hpp"
 #include "rgs/scene.hpp"

@@ -1,0 +1,547 @@
+// rgs_convert.cpp - rgs-convert: splat files of any format to any other. Arguments and exit codes; the work is in
+// src/convert_*.cpp and rgs::interchange.
+// SPDX-License-Identifier: Apache-2.0
+#include <tbb/global_control.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <cstdio>
+#include <deque>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <string>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "console.hpp"
+#include "convert.hpp"
+#include "convert_arguments.hpp"
+#include "convert_summary.hpp"
+#include "rgs/camera_file.hpp"
+#include "rgs/spool_file.hpp"
+#include "sibling_program.hpp"
+#include "stage_clock.hpp"
+
+namespace {
+
+namespace tool = rgs::tool;
+using rgs::SplatFormat;
+
+// Knobs of archive that were given.
+struct ArchiveChanges {
+  std::optional<int> mean_cells, opacity_levels;
+  std::optional<float> sh_step, dc_step, rotation_step, scale_step, slope;
+};
+
+struct Arguments {
+  std::vector<std::string> files;  // inputs, then the output
+  std::string cameras, axes = "3dgs", to_axes, crop, max_count;
+  std::vector<std::string> translate, rotate, scale;  // one for all inputs, or one for each
+  SplatFormat from = SplatFormat::unknown, to = SplatFormat::unknown;
+  rgs::ConvertOptions convert;
+  rgs::ArchiveOptions archive;  // of the preset
+  ArchiveChanges archive_changes;
+  rgs::SplatFilter filter;
+  std::optional<rgs::AaMode> aa_mode;
+  std::optional<rgs::ColourSpace> colour_space;
+  bool merge = false, axes_given = false, to_axes_given = false;
+  bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
+  bool file_scales = false, audit = false;
+  int threads = 0;
+  const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
+
+  const std::string& output() const { return files.back(); }
+  std::size_t n_inputs() const { return files.size() - 1; }
+};
+
+// What shapes an .rgs file alone. With another output they are refused: leaving them without effect would mislead.
+constexpr const char* kRgsOptions[] = {"--profile",
+                                       "--level",
+                                       "--keep-permutation",
+                                       "--chunk-size",
+                                       "--file-scales",
+                                       "--cameras",
+                                       "--near",
+                                       "--far",
+                                       "--depth-map",
+                                       "--metres-per-unit",
+                                       "--audit",
+                                       "--archive-mean-cells",
+                                       "--archive-sh-step",
+                                       "--archive-dc-step",
+                                       "--archive-rotation-step",
+                                       "--archive-scale-step",
+                                       "--archive-opacity-levels",
+                                       "--archive-slope"};
+
+rgs::StageObserver observe(tool::Progress& progress) {
+  rgs::StageObserver observer;
+  observer.begin = [&progress](const char* stage, std::uint64_t total, const char* unit) {
+    progress.begin(stage, total, unit);
+  };
+  observer.advance = [&progress](std::uint64_t units) { progress.advance(units); };
+  observer.finish = [&progress] { progress.finish(); };
+  return observer;
+}
+
+// Failures that are the output's and not the input's.
+bool concerns_output(rgs::Errc code) {
+  using rgs::Errc;
+  return code == Errc::write_failed || code == Errc::output_exists || code == Errc::output_unusable;
+}
+
+// An input's bytes: a mapped file, or standard input spooled.
+class Input {
+ public:
+  rgs::Status open(const std::string& path) {
+    path_ = path;
+    if (path != "-") {
+      auto file = rgs::MappedFile::open(path);
+      if (!file) return tl::unexpected(file.error());
+      file_ = std::move(*file);
+      bytes_ = file_.bytes();
+      return {};
+    }
+    std::vector<std::byte> buffer(std::size_t{1} << 20);
+    for (;;) {
+      const ssize_t n = ::read(STDIN_FILENO, buffer.data(), buffer.size());
+      if (n < 0 && errno == EINTR) continue;
+      if (n < 0) {
+        return rgs::fail(rgs::Errc::read_failed, rgs::Error::kNone, "cannot read standard input", rgs::Error::kNone,
+                         rgs::Error::kNone, errno);
+      }
+      if (n == 0) break;
+      if (rgs::Status s = spool_.append(std::span(buffer).first(static_cast<std::size_t>(n))); !s) return s;
+    }
+    if (rgs::Status s = spool_.finish(); !s) return s;
+    bytes_ = spool_.bytes();
+    return {};
+  }
+  const std::string& path() const { return path_; }
+  std::span<const std::byte> bytes() const { return bytes_; }
+  const rgs::MappedFile& file() const { return file_; }
+  std::string name() const {
+    std::string name = path_ == "-" ? "stdin" : std::filesystem::path(path_).filename().string();
+    name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
+    return name;
+  }
+  rgs::Result<rgs::SplatFile> read(SplatFormat format) const {
+    rgs::ReadOptions options;
+    options.format = format;
+    options.keep_axes = true;
+    // By path where there is one: a SOG may be a folder.
+    return path_ == "-" ? rgs::read_splats(bytes_, options) : rgs::read_splats(path_, options);
+  }
+
+ private:
+  std::string path_;
+  rgs::MappedFile file_;
+  rgs::detail::SpoolFile spool_;
+  std::span<const std::byte> bytes_;
+};
+
+// The error of one file, or of none ("").
+struct Failure {
+  std::string file;
+  rgs::Error error;
+};
+template <class T>
+using Outcome = tl::expected<T, Failure>;
+
+tl::unexpected<Failure> failed(const std::string& file, const rgs::Error& error) {
+  return tl::unexpected(Failure{file, error});
+}
+
+// What an input no longer holds reads as zeros: that it changed explains whatever was found wrong in it.
+Failure explained(Failure failure, const std::deque<Input>& inputs) {
+  if (concerns_output(failure.error.code)) return failure;
+  for (const Input& input : inputs) {
+    if (const rgs::Status s = input.file().check_size(); !s) return {input.path(), s.error()};
+  }
+  return failure;
+}
+
+// Axes of what is written. Formats that prescribe theirs get them. An .rgs can declare any: it keeps those of its
+// source, unless the source had no choice either; scenes are then brought into the frame that cameras of 3DGS are in.
+rgs::Axes target_axes(const Arguments& arguments, const rgs::SplatFile& first, SplatFormat to) {
+  if (to == SplatFormat::spz || to == SplatFormat::glb) return rgs::format_axes(to);
+  if (arguments.to_axes_given) return rgs::parse_axes(arguments.to_axes).value();
+  const bool prescribed = first.format == SplatFormat::spz || first.format == SplatFormat::glb;
+  return to == SplatFormat::rgs && (!prescribed || arguments.axes_given) ? first.axes : rgs::kAxes3dgs;
+}
+
+const std::string& of_input(const std::vector<std::string>& texts, std::size_t input) {
+  static const std::string kNone;
+  return texts.empty() ? kNone : texts[texts.size() == 1 ? 0 : input];
+}
+
+// Reads, places and merges all inputs, then filters. Sets what the files declare and the options do not say.
+Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to) {
+  rgs::LoadedScene scene;
+  rgs::EncodeOptions& encode = arguments.convert.encode;
+  rgs::Hasher hash;
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    auto file = inputs[i].read(arguments.from);
+    if (!file) return failed(inputs[i].path(), file.error());
+    if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
+    if (i == 0) {
+      encode.axes = target_axes(arguments, *file, to);
+      encode.aa_mode = arguments.aa_mode.value_or(file->aa_mode);
+      encode.colour_space = arguments.colour_space.value_or(file->colour_space);
+    }
+    scene.format = i == 0 ? rgs::format_name(file->format) : "merged";
+    scene.bytes += file->bytes;
+    scene.n_source += file->cloud.size();
+    scene.source_sh_degree = std::max(scene.source_sh_degree, file->cloud.sh_degree);
+    hash.update(inputs[i].bytes());
+    rgs::convert_axes(file->cloud, file->axes, encode.axes);
+    const auto similarity = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
+                                                  of_input(arguments.scale, i));
+    rgs::transform(file->cloud, *similarity);
+    if (i == 0) {
+      scene.cloud = std::move(file->cloud);
+    } else {
+      rgs::append(scene.cloud, file->cloud);
+    }
+  }
+  rgs::filter(scene.cloud, arguments.filter);
+  scene.xxh3 = hash.digest();
+  return scene;
+}
+
+bool moves(const Arguments& arguments) {
+  return arguments.to_axes_given || !arguments.translate.empty() || !arguments.rotate.empty() ||
+         !arguments.scale.empty();
+}
+
+// Whether the Gaussians go through unchanged, so that they can be streamed.
+bool edits(const Arguments& arguments) {
+  return arguments.n_inputs() > 1 || !arguments.filter.keeps_all() || moves(arguments);
+}
+
+SplatFormat format_of_input(const Arguments& arguments, const Input& input) {
+  return arguments.from != SplatFormat::unknown ? arguments.from : rgs::detect_format(input.bytes());
+}
+
+Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to,
+                                     const rgs::StageObserver& observer) {
+  const Input& first = inputs.front();
+  const SplatFormat from = format_of_input(arguments, first);
+  const auto outcome = [&](rgs::Result<rgs::ConvertSummary> summary) -> Outcome<rgs::ConvertSummary> {
+    if (summary) return std::move(*summary);
+    const rgs::Error& error = summary.error();
+    return failed(concerns_output(error.code) ? arguments.output() : inputs.front().path(), error);
+  };
+  if (from == SplatFormat::ply && to == SplatFormat::rgs && !edits(arguments)) {
+    const auto ply = rgs::PlyFile::open(first.bytes());
+    if (!ply) return failed(first.path(), ply.error());
+    arguments.convert.encode.aa_mode = arguments.aa_mode.value_or(rgs::AaMode::classic);
+    arguments.convert.encode.colour_space = arguments.colour_space.value_or(rgs::ColourSpace::srgb_display);
+    return outcome(rgs::convert_to_rgs(*ply, arguments.output(), arguments.convert, observer));
+  }
+  if (from == SplatFormat::rgs && to == SplatFormat::ply && !edits(arguments)) {
+    const auto view = rgs::open(first.bytes());
+    if (!view) return failed(first.path(), view.error());
+    const rgs::Axes& axes = view->declarations().axes;
+    const bool as_is = axes == rgs::kAxes3dgs || axes[0] == rgs::Axis::undeclared;
+    if (as_is && !arguments.axes_given && view->header().sh_degree <= arguments.convert.encode.sh_degree) {
+      return outcome(rgs::convert_rgs_to_ply(*view, arguments.output(), arguments.convert.output, observer));
+    }
+  }
+  std::vector<std::pair<const char*, double>> seconds;
+  rgs::StageClock clock(observer, seconds);
+  clock.begin("read", 0, "");
+  auto scene = load_scene(arguments, inputs, to);
+  if (!scene) return tl::unexpected(scene.error());
+  clock.end();
+  auto summary = rgs::convert_scene(std::move(*scene), to, arguments.output(), arguments.convert, observer);
+  if (summary) summary->seconds.insert(summary->seconds.begin(), seconds.begin(), seconds.end());
+  return outcome(std::move(summary));
+}
+
+// Whether texts of options can be read and fit together; the message for the user if not.
+std::optional<std::string> check_arguments(Arguments& a) {
+  const auto text = [](const rgs::Error& error) { return std::string(error.what); };
+  for (const std::string* axes : {&a.axes, &a.to_axes}) {
+    if (axes->empty()) continue;
+    if (const auto parsed = rgs::parse_axes(*axes); !parsed) return text(parsed.error());
+  }
+  if (a.n_inputs() > 1 && !a.merge) return "several inputs make one output only with --merge";
+  for (const auto* texts : {&a.translate, &a.rotate, &a.scale}) {
+    if (texts->size() > 1 && texts->size() != a.n_inputs()) {
+      return "--translate, --rotate and --scale are given once for all inputs or once for each";
+    }
+  }
+  for (std::size_t i = 0; i < a.n_inputs(); ++i) {
+    const auto placed = rgs::parse_similarity(of_input(a.translate, i), of_input(a.rotate, i), of_input(a.scale, i));
+    if (!placed) return text(placed.error());
+  }
+  if (!a.crop.empty()) {
+    const auto box = rgs::parse_box(a.crop);
+    if (!box) return text(box.error());
+    a.filter.crop = *box;
+  }
+  if (!a.max_count.empty()) {
+    const auto count = tool::parse_count(a.max_count);
+    if (!count) return "--max-count: " + text(count.error());
+    a.filter.max_n = *count;
+  }
+  if (a.json && a.output() == "-") return "--json and output - both need standard output";
+  if (std::count(a.files.begin(), a.files.end() - 1, "-") > 1) return "only one input can be standard input";
+  return std::nullopt;
+}
+
+// Where rgs-audit writes its report: "scene.rgs" gives "scene.audit.html".
+std::string report_path(const std::string& output) {
+  return std::filesystem::path(output).replace_extension(".audit.html").string();
+}
+
+// The audit pairs the Gaussians of two files, and needs its program before an hour of work rather than after it.
+int check_audit(const Arguments& arguments, const Input& input, std::string& program) {
+  if (!arguments.audit) return tool::kSuccess;
+  if (input.path() == "-" || arguments.output() == "-")
+    return tool::report_usage("--audit compares two files; name input and output instead of -");
+  if (arguments.n_inputs() > 1 || format_of_input(arguments, input) != SplatFormat::ply)
+    return tool::report_usage("--audit compares an .rgs with the one 3DGS PLY that it was made from");
+  if (moves(arguments))
+    return tool::report_usage("--audit finds Gaussians where the source has them: drop what moves them");
+  const auto found = tool::sibling_program("rgs-audit");
+  if (!found) return tool::report("rgs-audit", found.error());
+  program = *found;
+  std::error_code ignored;
+  const std::string report = report_path(arguments.output());
+  if (!arguments.convert.output.overwrite && std::filesystem::exists(report, ignored))
+    return tool::report(report, {rgs::Errc::output_exists, rgs::Error::kNone,
+                                 "the report exists already; pass --overwrite to replace it"});
+  return tool::kSuccess;
+}
+
+// Another program, because pictures need libraries that a converter should not.
+int run_audit(const Arguments& arguments, const std::string& program) {
+  std::vector<std::string> options{arguments.files.front(), arguments.output(), "--report",
+                                   report_path(arguments.output())};
+  if (!arguments.cameras.empty()) options.insert(options.end(), {"--cameras", arguments.cameras});
+  if (arguments.convert.output.overwrite) options.emplace_back("--overwrite");
+  if (arguments.threads > 0) options.insert(options.end(), {"--threads", std::to_string(arguments.threads)});
+  if (arguments.quiet || arguments.json) options.emplace_back("--quiet");
+  const auto code = tool::run_program_and_wait(program, options);
+  return code ? *code : tool::report(program, code.error());
+}
+
+rgs::ArchiveOptions archive_options(const Arguments& a) {
+  rgs::ArchiveOptions o = a.archive;
+  const ArchiveChanges& c = a.archive_changes;
+  o.mean_cells = c.mean_cells.value_or(o.mean_cells);
+  o.sh_step = c.sh_step.value_or(o.sh_step);
+  o.dc_step = c.dc_step.value_or(o.dc_step);
+  o.rotation_step = c.rotation_step.value_or(o.rotation_step);
+  o.scale_step = c.scale_step.value_or(o.scale_step);
+  o.opacity_levels = c.opacity_levels.value_or(o.opacity_levels);
+  o.slope = c.slope.value_or(o.slope);
+  return o;
+}
+
+int convert_main(Arguments& arguments) {
+  rgs::remove_temporaries_on_signal();
+  if (const auto message = check_arguments(arguments)) return tool::report_usage(*message);
+  rgs::EncodeOptions& encode = arguments.convert.encode;
+  encode.axes = rgs::parse_axes(arguments.axes).value();
+  encode.order = arguments.keep_order ? rgs::Order::input : rgs::Order::morton;
+  encode.chunk_scales = !arguments.file_scales;
+  encode.archive = archive_options(arguments);
+  encode.archive.threads = static_cast<unsigned>(arguments.threads);
+  if (arguments.explicit_policy) encode.max_bad_fraction = 1;
+  arguments.convert.output.sync = !arguments.no_sync;
+  const std::size_t threads = arguments.threads > 0 ? static_cast<std::size_t>(arguments.threads)
+                                                    : std::max(1u, std::thread::hardware_concurrency());
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+
+  const std::string& output = arguments.output();
+  std::deque<Input> inputs;
+  std::uint64_t source_bytes = 0;
+  for (std::size_t i = 0; i < arguments.n_inputs(); ++i) {
+    const std::string& path = arguments.files[i];
+    if (path != "-" && output != "-" && rgs::same_file(path, output)) {
+      return tool::report(output,
+                          {rgs::Errc::output_unusable, rgs::Error::kNone, "input and output are the same file"});
+    }
+    if (const rgs::Status s = inputs.emplace_back().open(path); !s) return tool::report(path, s.error());
+    source_bytes += inputs.back().bytes().size();
+    arguments.convert.output.inputs.push_back(&inputs.back().file());
+  }
+  const SplatFormat to = arguments.to != SplatFormat::unknown ? arguments.to : rgs::format_of_name(output);
+  if (to == SplatFormat::unknown)
+    return tool::report_usage("cannot tell the output's format from its name: pass --to rgs, ply, spz, ...");
+  if (to != SplatFormat::rgs && !rgs::is_writable(to))
+    return tool::report_usage(std::string("the format ") + rgs::format_name(to) + " is read only");
+  if (to != SplatFormat::rgs && arguments.rgs_option != nullptr)
+    return tool::report_usage(std::string(arguments.rgs_option) + " is for .rgs outputs");
+  if ((to == SplatFormat::spz || to == SplatFormat::glb) && arguments.to_axes_given)
+    return tool::report_usage(std::string("the axes of ") + rgs::format_name(to) + " are prescribed by the format");
+  std::string auditor;
+  if (const int code = check_audit(arguments, inputs.front(), auditor); code != tool::kSuccess) return code;
+  if (!arguments.cameras.empty()) {
+    auto cameras = rgs::read_cameras(arguments.cameras);
+    if (!cameras) return tool::report(arguments.cameras, cameras.error());
+    arguments.convert.cameras = std::move(*cameras);
+  }
+  const std::string name = inputs.size() == 1 ? inputs.front().name() : inputs.front().name() + " and more";
+  encode.provenance = rgs::Provenance{source_bytes, 0, name, "rgs-convert " RGS_VERSION};
+
+  Outcome<rgs::ConvertSummary> summary;
+  {
+    tool::Progress progress(arguments.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+    summary = convert(arguments, inputs, to, observe(progress));
+  }
+  if (!summary) {
+    const Failure failure = explained(std::move(summary.error()), inputs);
+    return tool::report(failure.file, failure.error);
+  }
+  summary->source_name = name;
+  if (arguments.json) {
+    std::fputs(rgs::summary_json(*summary).c_str(), stdout);
+  } else if (!arguments.quiet) {
+    std::fputs(rgs::summary_text(*summary).c_str(), output == "-" ? stderr : stdout);
+  }
+  if (std::fflush(stdout) != 0) {
+    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot write the summary",
+                                            rgs::Error::kNone, rgs::Error::kNone, errno});
+  }
+  return arguments.audit ? run_audit(arguments, auditor) : tool::kSuccess;
+}
+
+void choose_profile(const std::string& name, Arguments& a) {
+  rgs::EncodeOptions& e = a.convert.encode;
+  e.profile = name == "direct" ? rgs::Profile::direct : name == "packed" ? rgs::Profile::packed : rgs::Profile::archive;
+  a.archive = name == "archive:small" ? rgs::archive_small() : rgs::archive_high();
+}
+
+// Steps of one's own, on top of a preset: kept apart from it until all options are read.
+void add_archive_options(CLI::App& app, Arguments& a) {
+  auto& c = a.archive_changes;
+  app.add_option(
+      "--archive-mean-cells", c.mean_cells,
+      "archive: 2^N cells between the middle and the side of the scene's robust box, 4 to 20 [15; small 13]");
+  app.add_option("--archive-sh-step", c.sh_step, "archive: step of SH above degree 0 [0.11; small 0.24]");
+  app.add_option("--archive-dc-step", c.dc_step, "archive: step of SH degree 0 [0.14; small 0.3]");
+  app.add_option("--archive-rotation-step", c.rotation_step,
+                 "archive: step of quaternion components [0.0156; small 0.0357]");
+  app.add_option("--archive-scale-step", c.scale_step, "archive: step of ln(scale) [0.15; small 0.35]");
+  app.add_option("--archive-opacity-levels", c.opacity_levels, "archive: steps of opacity from 0 to 1 [96; small 32]");
+  app.add_option("--archive-slope", c.slope,
+                 "archive: steps fall with importance to the power of half of this, 0 to 1 [0.6]");
+}
+
+void add_options(CLI::App& app, Arguments& a) {
+  rgs::EncodeOptions& e = a.convert.encode;
+  std::map<std::string, SplatFormat> readable, writable;
+  for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ply, SplatFormat::compressed_ply, SplatFormat::spz,
+                                   SplatFormat::splat, SplatFormat::ksplat, SplatFormat::sog, SplatFormat::glb}) {
+    readable.emplace(rgs::format_name(format), format);
+    if (format == SplatFormat::rgs || rgs::is_writable(format)) writable.emplace(rgs::format_name(format), format);
+  }
+  const std::map<std::string, rgs::BadPolicy> policies{
+      {"refuse", rgs::BadPolicy::refuse}, {"drop", rgs::BadPolicy::drop}, {"repair", rgs::BadPolicy::repair}};
+  const std::map<std::string, rgs::DepthMapping> mappings{{"linear", rgs::DepthMapping::linear},
+                                                          {"log", rgs::DepthMapping::logarithmic}};
+  const std::map<std::string, rgs::AaMode> aa_modes{{"undeclared", rgs::AaMode::undeclared},
+                                                    {"classic", rgs::AaMode::classic},
+                                                    {"mip-splatting", rgs::AaMode::mip_splatting}};
+  const std::map<std::string, rgs::ColourSpace> colour_spaces{{"undeclared", rgs::ColourSpace::undeclared},
+                                                              {"srgb", rgs::ColourSpace::srgb_display},
+                                                              {"linear", rgs::ColourSpace::linear_display}};
+  app.add_option("files", a.files, "Inputs (with --merge more than one), then the output; - for a standard stream")
+      ->required()
+      ->expected(2, -1)
+      ->option_text("input... output");
+  app.add_option("--from", a.from, "Format of the inputs; default: by their content")
+      ->transform(CLI::Transformer(readable))
+      ->option_text("rgs|ply|compressed.ply|spz|splat|ksplat|sog|glb");
+  app.add_option("--to", a.to, "Format of the output; default: by its name")
+      ->transform(CLI::Transformer(writable))
+      ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
+  app.add_flag("--merge", a.merge, "Put the Gaussians of several inputs into one output");
+  e.profile = rgs::Profile::packed;
+  app.add_option_function<std::string>(
+         "--profile", [&a](const std::string& name) { choose_profile(name, a); },
+         "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
+         "within stated bounds, a fifth of packed's size and less (docs/PROFILES.md)")
+      ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small"}))
+      ->option_text("packed|direct|archive:high|archive:small")
+      ->trigger_on_parse();
+  add_archive_options(app, a);
+  app.add_option("--level", e.level, "Effort of packed, 1 to 19 [1]: above 1 slower to write and a little smaller")
+      ->check(CLI::Range(1, rgs::kMaxLevel));
+  app.add_flag("--keep-order", a.keep_order, "Keep the order of the input instead of a Morton curve");
+  app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
+  app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
+  app.add_flag("--file-scales", a.file_scales, "One set of SH scales for the file instead of one per chunk");
+  app.add_option("--sh-degree", e.sh_degree, "Strip SH above this degree")->check(CLI::Range(0, 3));
+  app.add_option("--on-bad", e.on_bad, "Damaged Gaussians; by default they are dropped if at most 1 % are damaged")
+      ->transform(CLI::Transformer(policies))
+      ->option_text("refuse|drop|repair")
+      ->each([&a](const std::string&) { a.explicit_policy = true; });
+  app.add_option("--cameras", a.cameras,
+                 "Depth range of the sort key as these cameras see the scene (docs/CAMERAS.md)");
+  app.add_option("--near", a.convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
+  app.add_option("--far", a.convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
+  app.add_option("--depth-map", e.depth_mapping, "Mapping of depth to the sort key [log]")
+      ->transform(CLI::Transformer(mappings))
+      ->option_text("linear|log");
+  app.add_option("--axes", a.axes,
+                 "Where the input's +x,+y,+z point, if not where its format says: 3dgs (right,down,forward), opengl "
+                 "(right,up,backward), gltf (left,up,forward), undeclared, or three directions")
+      ->each([&a](const std::string&) { a.axes_given = true; });
+  app.add_option("--to-axes", a.to_axes, "Turn the scene so that its axes point there; default: docs/INTERCHANGE.md")
+      ->each([&a](const std::string&) { a.to_axes_given = true; });
+  app.add_option("--translate", a.translate,
+                 "Move each input, or the first, the second, ...: x,y,z in the output's axes")
+      ->allow_extra_args(false);
+  app.add_option("--rotate", a.rotate, "Turn it first: degrees about x, y, z in turn, or a quaternion w,x,y,z")
+      ->allow_extra_args(false);
+  app.add_option("--scale", a.scale, "Scale it first: one factor")->allow_extra_args(false);
+  app.add_option("--crop", a.crop, "Keep Gaussians with means between two corners x,y,z,X,Y,Z of the placed scene");
+  app.add_option("--min-opacity", a.filter.min_opacity, "Keep Gaussians of at least this opacity")
+      ->check(CLI::Range(0.0, 1.0));
+  app.add_option("--max-count", a.max_count, "Keep so many (200k, 1.5M) with the largest opacity times area");
+  app.add_option("--aa-mode", a.aa_mode, "Anti-aliasing that the scene was trained with")
+      ->transform(CLI::Transformer(aa_modes))
+      ->option_text("classic|mip-splatting|undeclared");
+  app.add_option("--colour-space", a.colour_space, "Colours that SH evaluates to")
+      ->transform(CLI::Transformer(colour_spaces))
+      ->option_text("srgb|linear|undeclared");
+  app.add_option("--metres-per-unit", e.metres_per_unit, "Size of a world unit, if known")
+      ->check(CLI::NonNegativeNumber);
+  app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
+  app.add_flag("--overwrite", a.convert.output.overwrite, "Replace an existing output");
+  app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");
+  app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));
+  app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
+  app.add_flag("--quiet", a.quiet, "No progress, no summary");
+  for (const char* name : kRgsOptions) app.get_option(name)->group("Options for .rgs output");
+}
+
+int parse_and_convert(int argc, char** argv) {
+  CLI::App app("Converts trained 3D Gaussian splat scenes between .rgs and the formats of others.", "rgs-convert");
+  app.set_version_flag("--version", "rgs-convert " RGS_VERSION);
+  Arguments arguments;
+  add_options(app, arguments);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
+  }
+  for (const char* name : kRgsOptions) {
+    if (app.get_option(name)->count() != 0) arguments.rgs_option = name;
+  }
+  return convert_main(arguments);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&] { return parse_and_convert(argc, argv); });
+}

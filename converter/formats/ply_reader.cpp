@@ -1,0 +1,546 @@
+// ply_reader.cpp - 3DGS PLY files as random-access rows of Gaussians.
+// SPDX-License-Identifier: Apache-2.0
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cassert>
+#include <cerrno>
+#include <charconv>
+#include <cstring>
+#include <functional>
+#include <limits>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include "ply_header.hpp"
+#include "rgs/ply.hpp"
+#include "rgs/spool_file.hpp"
+
+namespace rgs {
+
+using namespace detail;
+
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "byte order is swapped for big-endian files only");
+static_assert(std::numeric_limits<float>::is_iec559 && std::numeric_limits<double>::is_iec559);
+
+constexpr std::uint32_t kFloat = sizeof(float);
+
+// Sizes above 2^64 - 2 are reported as that: Error::kNone itself means "not numeric".
+constexpr std::uint64_t saturating_product(std::uint64_t a, std::uint64_t b) {
+  return b != 0 && a > (Error::kNone - 1) / b ? Error::kNone - 1 : a * b;
+}
+constexpr std::uint64_t saturating_sum(std::uint64_t a, std::uint64_t b) {
+  return a > Error::kNone - 1 - b ? Error::kNone - 1 : a + b;
+}
+
+template <class Stored, bool kSwap>
+Stored load(const std::byte* from) {
+  std::array<std::byte, sizeof(Stored)> raw;
+  std::memcpy(raw.data(), from, sizeof(Stored));
+  if constexpr (kSwap) std::reverse(raw.begin(), raw.end());
+  return std::bit_cast<Stored>(raw);
+}
+
+template <class Value, bool kSwap>
+Value load_as(PlyType type, const std::byte* from) {
+  switch (type) {
+    case PlyType::int8: return static_cast<Value>(load<std::int8_t, kSwap>(from));
+    case PlyType::uint8: return static_cast<Value>(load<std::uint8_t, kSwap>(from));
+    case PlyType::int16: return static_cast<Value>(load<std::int16_t, kSwap>(from));
+    case PlyType::uint16: return static_cast<Value>(load<std::uint16_t, kSwap>(from));
+    case PlyType::int32: return static_cast<Value>(load<std::int32_t, kSwap>(from));
+    case PlyType::uint32: return static_cast<Value>(load<std::uint32_t, kSwap>(from));
+    case PlyType::float32: return static_cast<Value>(load<float, kSwap>(from));
+    case PlyType::float64: return static_cast<Value>(load<double, kSwap>(from));
+  }
+  return Value{};
+}
+
+template <class Value>
+Value load_as(PlyType type, const std::byte* from, bool swap) {
+  return swap ? load_as<Value, true>(type, from) : load_as<Value, false>(type, from);
+}
+
+void store_float(Splat& splat, std::size_t index, float value) {
+  std::memcpy(reinterpret_cast<std::byte*>(&splat) + index * kFloat, &value, kFloat);
+}
+
+// A row in the original 3DGS code's order: x y z somewhere, then the other 11 + 3 kCoefficients floats in one run.
+template <int kCoefficients>
+void decode_standard(const std::byte* mean, const std::byte* rest, Splat& out) {
+  constexpr std::size_t kPerChannel = kCoefficients - 1;
+  constexpr std::size_t kRest = 3 * kPerChannel;
+  const auto value = [rest](std::size_t i) { return load<float, false>(rest + i * kFloat); };
+  std::memcpy(out.mean, mean, sizeof(out.mean));
+  std::memcpy(out.sh, rest, 3 * kFloat);
+  for (std::size_t k = 0; k < kPerChannel; ++k) {
+    for (std::size_t c = 0; c < 3; ++c) out.sh[3 * (k + 1) + c] = value(3 + c * kPerChannel + k);
+  }
+  if constexpr (kCoefficients < 16) std::memset(out.sh + 3 * kCoefficients, 0, (48 - 3 * kCoefficients) * kFloat);
+  out.opacity_logit = value(3 + kRest);
+  std::memcpy(out.log_scale, rest + (4 + kRest) * kFloat, sizeof(out.log_scale));
+  std::memcpy(out.rotation, rest + (7 + kRest) * kFloat, sizeof(out.rotation));
+}
+
+// Position in the data of a file while its variable-size parts are walked. Nothing is read past the end.
+struct Cursor {
+  std::span<const std::byte> bytes;
+  std::uint64_t at = 0;
+
+  std::uint64_t remaining() const { return bytes.size() - at; }
+  Status skip(std::uint64_t n) {
+    if (n > remaining()) {
+      return fail(Errc::truncated, bytes.size(), "the file ends before its last vertex", saturating_sum(at, n),
+                  bytes.size());
+    }
+    at += n;
+    return {};
+  }
+};
+
+// Passes one binary row; value(i, bytes) sees each property i that is no list.
+template <class Value>
+Status walk_binary_row(Cursor& cursor, const PlyElement& element, bool swap, Value&& value) {
+  for (std::size_t i = 0; i < element.properties.size(); ++i) {
+    const PlyProperty& property = element.properties[i];
+    const std::uint64_t start = cursor.at;
+    const PlyType type = property.is_list ? property.count_type : property.type;
+    if (auto ok = cursor.skip(ply_type_bytes(type)); !ok) return ok;
+    if (!property.is_list) {
+      value(i, cursor.bytes.data() + start);
+      continue;
+    }
+    const auto items = load_as<std::int64_t>(type, cursor.bytes.data() + start, swap);
+    if (items < 0) return fail(Errc::bad_value, start, "a list has a negative length");
+    if (auto ok = cursor.skip(static_cast<std::uint64_t>(items) * ply_type_bytes(property.type)); !ok) return ok;
+  }
+  return {};
+}
+
+bool is_blank(std::byte b) {
+  const auto c = std::to_integer<char>(b);
+  return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f';
+}
+
+// One line of text values.
+class LineReader {
+ public:
+  explicit LineReader(std::span<const std::byte> line)
+      : at_(reinterpret_cast<const char*>(line.data())), end_(at_ + line.size()) {
+    skip_blanks();
+  }
+  bool done() const { return at_ == end_; }
+  std::string_view next() {
+    const char* const start = at_;
+    while (at_ != end_ && !is_blank(std::byte(*at_))) ++at_;
+    const std::string_view token(start, static_cast<std::size_t>(at_ - start));
+    skip_blanks();
+    return token;
+  }
+
+ private:
+  void skip_blanks() {
+    while (at_ != end_ && is_blank(std::byte(*at_))) ++at_;
+  }
+  const char* at_;
+  const char* end_;
+};
+
+// from_chars reports overflow and underflow alike: 0 if the magnitude is below 1, else infinity.
+float out_of_range_value(std::string_view text) {
+  const bool negative = text.front() == '-';
+  const std::size_t exponent = text.find_first_of("eE");
+  const bool tiny = exponent != text.npos ? text[exponent + 1] == '-'
+                                          : text.substr(0, text.find('.')).find_first_of("123456789") == text.npos;
+  const float magnitude = tiny ? 0.0F : std::numeric_limits<float>::infinity();
+  return negative ? -magnitude : magnitude;
+}
+
+bool parse_float(std::string_view text, float& value) {
+  if (text.size() > 1 && text[0] == '+' && text[1] != '-') text.remove_prefix(1);
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (end != text.data() + text.size() || error == std::errc::invalid_argument) return false;
+  if (error == std::errc::result_out_of_range) value = out_of_range_value(text);
+  return true;
+}
+
+// Moves to the next line that is not empty and returns it without its end; empty at the end of the file.
+std::span<const std::byte> next_line(Cursor& cursor) {
+  const auto bytes = cursor.bytes;
+  while (cursor.at < bytes.size() && (is_blank(bytes[cursor.at]) || bytes[cursor.at] == std::byte('\n'))) ++cursor.at;
+  if (cursor.remaining() == 0) return {};
+  const auto* const start = bytes.data() + cursor.at;
+  const auto* const found = static_cast<const std::byte*>(std::memchr(start, '\n', cursor.remaining()));
+  const auto length = found != nullptr ? static_cast<std::size_t>(found - start) : cursor.remaining();
+  cursor.at += length;
+  return {start, length};
+}
+
+Status parse_ascii_row(std::span<const std::byte> line, std::uint64_t offset, const PlyElement& element,
+                       const std::vector<std::int16_t>& splat_float, std::span<float> out) {
+  const auto too_few = [&](std::size_t i) {
+    return fail(Errc::bad_syntax, offset, "a vertex line has fewer values than the header has properties",
+                element.properties.size(), i);
+  };
+  LineReader reader(line);
+  for (std::size_t i = 0; i < element.properties.size(); ++i) {
+    if (reader.done()) return too_few(i);
+    const std::string_view token = reader.next();
+    if (element.properties[i].is_list) {
+      std::uint64_t items = 0;
+      const auto [end, error] = std::from_chars(token.data(), token.data() + token.size(), items);
+      if (error != std::errc{} || end != token.data() + token.size()) {
+        return fail(Errc::bad_syntax, offset, "a list's length is not a count", Error::kNone, i);
+      }
+      for (; items > 0; --items) {
+        if (reader.done()) return too_few(i);
+        reader.next();
+      }
+    } else if (splat_float[i] >= 0 && !parse_float(token, out[static_cast<std::size_t>(splat_float[i])])) {
+      return fail(Errc::bad_syntax, offset, "a value of a vertex line is not a number (found: which property)",
+                  Error::kNone, i);
+    }
+  }
+  if (!reader.done()) {
+    return fail(Errc::bad_syntax, offset, "a vertex line has more values than the header has properties");
+  }
+  return {};
+}
+
+}  // namespace
+
+struct PlyFile::Impl {
+  struct Column {
+    std::uint32_t offset = 0;  // in the row
+    PlyType type = PlyType::float32;
+  };
+  // standard: decode_standard; the others go column by column.
+  enum class Layout { standard, floats, swapped_floats, mixed };
+
+  MappedFile file;
+  SpoolFile pipe, converted;
+  std::span<const std::byte> source;
+
+  std::uint64_t n = 0;
+  int sh_degree = 0;
+  bool swap = false;
+  Layout layout = Layout::mixed;
+  const std::byte* rows = nullptr;
+  std::uint32_t row_bytes = 0;
+  std::uint32_t used_first = 0;                // the first byte of a row that decoding touches
+  std::array<Column, kSplatFloats> columns{};  // [splat_floats(sh_degree)] used
+
+  Status parse();
+  Status skip_element(const PlyElement& element, PlyEncoding encoding, Cursor& cursor) const;
+  Status convert(const PlyElement& element, PlyEncoding encoding, const SplatProperties& properties, Cursor& cursor);
+  void choose_layout();
+  bool is_standard() const;
+
+  template <bool kSwap>
+  void decode_floats(const std::byte* row, Splat& out) const {
+    const auto count = static_cast<std::size_t>(splat_floats(sh_degree));
+    for (std::size_t i = 0; i < count; ++i) store_float(out, i, load<float, kSwap>(row + columns[i].offset));
+    zero_above(count, out);
+  }
+  void decode_mixed(const std::byte* row, Splat& out) const {
+    const auto count = static_cast<std::size_t>(splat_floats(sh_degree));
+    for (std::size_t i = 0; i < count; ++i) {
+      store_float(out, i, load_as<float>(columns[i].type, row + columns[i].offset, swap));
+    }
+    zero_above(count, out);
+  }
+  static void zero_above(std::size_t count, Splat& out) {
+    std::memset(reinterpret_cast<std::byte*>(&out) + count * kFloat, 0, (kSplatFloats - count) * kFloat);
+  }
+
+  // Calls use(decode) with the row decoder of this file's layout, so that loops are compiled once for each.
+  template <class Use>
+  void with_decoder(Use&& use) const {
+    const auto standard = [this, &use](auto coefficients) {
+      const std::uint32_t mean = columns[0].offset, rest = columns[11].offset;
+      use([mean, rest](const std::byte* row, Splat& out) {
+        decode_standard<decltype(coefficients)::value>(row + mean, row + rest, out);
+      });
+    };
+    switch (layout) {
+      case Layout::standard:
+        switch (sh_degree) {
+          case 0: return standard(std::integral_constant<int, 1>{});
+          case 1: return standard(std::integral_constant<int, 4>{});
+          case 2: return standard(std::integral_constant<int, 9>{});
+          default: return standard(std::integral_constant<int, 16>{});
+        }
+      case Layout::floats: return use([this](const std::byte* row, Splat& out) { decode_floats<false>(row, out); });
+      case Layout::swapped_floats:
+        return use([this](const std::byte* row, Splat& out) { decode_floats<true>(row, out); });
+      case Layout::mixed: return use([this](const std::byte* row, Splat& out) { decode_mixed(row, out); });
+    }
+  }
+};
+
+Status PlyFile::Impl::parse() {
+  const auto header = parse_ply_header(source);
+  if (!header) return tl::unexpected(header.error());
+  const auto properties = find_splat_properties(*header);
+  if (!properties) return tl::unexpected(properties.error());
+  const PlyElement& vertex = header->elements[properties->element];
+  n = vertex.count;
+  sh_degree = properties->sh_degree;
+  swap = header->encoding == PlyEncoding::big_endian;
+
+  Cursor cursor{source, header->bytes};
+  for (std::size_t i = 0; i < properties->element; ++i) {
+    if (auto ok = skip_element(header->elements[i], header->encoding, cursor); !ok) return ok;
+  }
+  // Counts are weighed against the file before anything is done n times. Text needs a digit and a separator a value.
+  const bool ascii = header->encoding == PlyEncoding::ascii;
+  const std::uint64_t least_row = ascii ? 2 * vertex.properties.size() : vertex.min_row_bytes;
+  const std::uint64_t least = saturating_product(n, least_row);
+  const std::uint64_t last_line_end = ascii && n > 0 ? 1 : 0;  // may be missing
+  if (least > cursor.remaining() + last_line_end) {
+    return fail(Errc::truncated, source.size(), "the file is too short for the vertex count in its header",
+                saturating_sum(cursor.at, least - last_line_end), source.size());
+  }
+  if (ascii || vertex.has_lists) return convert(vertex, header->encoding, *properties, cursor);
+
+  std::uint32_t offset = 0;
+  for (std::size_t i = 0; i < vertex.properties.size(); ++i) {
+    const PlyType type = vertex.properties[i].type;
+    if (const int target = properties->splat_float[i]; target >= 0) {
+      columns[static_cast<std::size_t>(target)] = {offset, type};
+    }
+    offset += ply_type_bytes(type);
+  }
+  rows = source.data() + cursor.at;
+  row_bytes = offset;
+  choose_layout();
+  return {};
+}
+
+Status PlyFile::Impl::skip_element(const PlyElement& element, PlyEncoding encoding, Cursor& cursor) const {
+  if (element.properties.empty()) return {};
+  if (encoding == PlyEncoding::ascii) {
+    for (std::uint64_t i = 0; i < element.count; ++i) {
+      if (next_line(cursor).empty()) {
+        return fail(Errc::truncated, source.size(), "the file ends before its last vertex line");
+      }
+    }
+    return {};
+  }
+  if (!element.has_lists) return cursor.skip(saturating_product(element.count, element.min_row_bytes));
+  for (std::uint64_t i = 0; i < element.count; ++i) {
+    if (auto ok = walk_binary_row(cursor, element, swap, [](std::size_t, const std::byte*) {}); !ok) return ok;
+  }
+  return {};
+}
+
+// Rows of variable size become rows of splat_floats() floats in Splat order.
+Status PlyFile::Impl::convert(const PlyElement& element, PlyEncoding encoding, const SplatProperties& properties,
+                              Cursor& cursor) {
+  std::array<float, kSplatFloats> values{};
+  const auto row = std::span(values).first(static_cast<std::size_t>(splat_floats(sh_degree)));
+  for (std::uint64_t i = 0; i < n; ++i) {
+    Status parsed;
+    if (encoding == PlyEncoding::ascii) {
+      const auto line = next_line(cursor);
+      if (line.empty()) {
+        return fail(Errc::truncated, source.size(), "the file ends before its last vertex line (counted in lines)", n,
+                    i);
+      }
+      parsed = parse_ascii_row(line, static_cast<std::uint64_t>(line.data() - source.data()), element,
+                               properties.splat_float, values);
+    } else {
+      parsed = walk_binary_row(cursor, element, swap, [&](std::size_t property, const std::byte* from) {
+        const int target = properties.splat_float[property];
+        if (target < 0) return;
+        values[static_cast<std::size_t>(target)] = load_as<float>(element.properties[property].type, from, swap);
+      });
+    }
+    if (!parsed) return parsed;
+    if (auto ok = converted.append(std::as_bytes(row)); !ok) return ok;
+  }
+  if (auto ok = converted.finish(); !ok) return ok;
+  rows = converted.bytes().data();
+  row_bytes = static_cast<std::uint32_t>(row.size_bytes());
+  for (std::uint32_t i = 0; i < row.size(); ++i) columns[i] = {i * kFloat, PlyType::float32};
+  swap = false;
+  choose_layout();
+  return {};
+}
+
+void PlyFile::Impl::choose_layout() {
+  const auto used = std::span(columns).first(static_cast<std::size_t>(splat_floats(sh_degree)));
+  bool all_floats = true;
+  used_first = row_bytes;
+  for (const Column& column : used) {
+    used_first = std::min(used_first, column.offset);
+    all_floats &= column.type == PlyType::float32;
+  }
+  if (!all_floats) {
+    layout = Layout::mixed;
+  } else if (swap) {
+    layout = Layout::swapped_floats;
+  } else {
+    layout = is_standard() ? Layout::standard : Layout::floats;
+  }
+}
+
+// x y z in a row, and f_dc, f_rest, opacity, scale, rot in a row; normals may stand between or not.
+bool PlyFile::Impl::is_standard() const {
+  const auto per_channel = static_cast<std::uint32_t>(sh_coefficients(sh_degree) - 1);
+  const std::uint32_t rest = columns[11].offset;
+  const auto run_at = [this](std::size_t first, std::size_t count, std::uint32_t offset) {
+    for (std::size_t i = 0; i < count; ++i) {
+      if (columns[first + i].offset != offset + static_cast<std::uint32_t>(i) * kFloat) return false;
+    }
+    return true;
+  };
+  for (std::uint32_t i = 0; i < 3 * per_channel; ++i) {
+    const std::size_t column = 11 + 3 * (i % per_channel + 1) + i / per_channel;
+    if (columns[column].offset != rest + (3 + i) * kFloat) return false;
+  }
+  const std::uint32_t opacity = rest + (3 + 3 * per_channel) * kFloat;
+  return run_at(0, 3, columns[0].offset) && run_at(11, 3, rest) && run_at(10, 1, opacity) &&
+         run_at(3, 7, opacity + kFloat);
+}
+
+Result<PlyFile> PlyFile::open(const std::string& path) {
+  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+  if (fd < 0) {
+    return fail(Errc::open_failed, Error::kNone, "cannot open for reading", Error::kNone, Error::kNone, errno);
+  }
+  auto ply = open(fd);
+  ::close(fd);
+  return ply;
+}
+
+Result<PlyFile> PlyFile::open(int fd) {
+  auto impl = std::make_unique<Impl>();
+  struct stat info {};
+  if (::fstat(fd, &info) != 0) {
+    return fail(Errc::open_failed, Error::kNone, "cannot read the file's size", Error::kNone, Error::kNone, errno);
+  }
+  const bool at_start = ::lseek(fd, 0, SEEK_CUR) == 0;
+  if (S_ISDIR(info.st_mode) || (S_ISREG(info.st_mode) && at_start)) {
+    auto mapped = MappedFile::map(fd);
+    if (!mapped) return tl::unexpected(mapped.error());
+    impl->file = std::move(*mapped);
+    impl->source = impl->file.bytes();
+  } else {
+    std::vector<std::byte> chunk(std::size_t{1} << 18);
+    while (true) {
+      const ssize_t got = ::read(fd, chunk.data(), chunk.size());
+      if (got < 0 && errno == EINTR) continue;
+      if (got < 0) {
+        return fail(Errc::read_failed, Error::kNone, "cannot read the input", Error::kNone, Error::kNone, errno);
+      }
+      if (got == 0) break;
+      if (auto ok = impl->pipe.append(std::span(chunk).first(static_cast<std::size_t>(got))); !ok) {
+        return tl::unexpected(ok.error());
+      }
+    }
+    if (auto ok = impl->pipe.finish(); !ok) return tl::unexpected(ok.error());
+    impl->source = impl->pipe.bytes();
+  }
+  if (auto ok = impl->parse(); !ok) return tl::unexpected(ok.error());
+  return PlyFile(std::move(impl));
+}
+
+Result<PlyFile> PlyFile::open(std::span<const std::byte> bytes) {
+  auto impl = std::make_unique<Impl>();
+  impl->source = bytes;
+  if (auto ok = impl->parse(); !ok) return tl::unexpected(ok.error());
+  return PlyFile(std::move(impl));
+}
+
+PlyFile::PlyFile(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+PlyFile::PlyFile(PlyFile&&) noexcept = default;
+PlyFile& PlyFile::operator=(PlyFile&&) noexcept = default;
+PlyFile::~PlyFile() = default;
+
+std::uint64_t PlyFile::size() const {
+  return impl_->n;
+}
+int PlyFile::sh_degree() const {
+  return impl_->sh_degree;
+}
+std::uint64_t PlyFile::bytes() const {
+  return impl_->source.size();
+}
+std::span<const std::byte> PlyFile::source() const {
+  return impl_->source;
+}
+
+std::uint64_t PlyFile::row_offset(std::uint64_t i) const {
+  const std::less<> before;
+  const auto bytes = source();
+  if (before(impl_->rows, bytes.data()) || !before(impl_->rows, bytes.data() + bytes.size())) return Error::kNone;
+  return static_cast<std::uint64_t>(impl_->rows - bytes.data()) + i * impl_->row_bytes;
+}
+
+void PlyFile::read(std::uint64_t first, std::span<Splat> out) const {
+  assert(first <= size() && out.size() <= size() - first);
+  impl_->with_decoder([&](auto decode) {
+    const std::byte* row = impl_->rows + first * impl_->row_bytes;
+    for (Splat& splat : out) {
+      decode(row, splat);
+      row += impl_->row_bytes;
+    }
+  });
+}
+
+void PlyFile::gather(std::span<const std::uint32_t> indices, std::span<Splat> out) const {
+  assert(indices.size() == out.size());
+  // One line a row. Measured with 778,812 random 248-byte rows on one core: 90 ms; prefetching all lines of a row,
+  // 206 ms; none, 204 ms. 6 and 12 ahead are alike.
+  constexpr std::size_t kAhead = 12;
+  const Impl& impl = *impl_;
+  const auto row = [&](std::size_t i) { return impl.rows + std::uint64_t{indices[i]} * impl.row_bytes; };
+  const auto touch = [&](std::size_t i) { __builtin_prefetch(row(i) + impl.used_first); };
+  impl.with_decoder([&](auto decode) {
+    for (std::size_t i = 0; i < std::min(kAhead, indices.size()); ++i) touch(i);
+    for (std::size_t i = 0; i < indices.size(); ++i) {
+      assert(indices[i] < size());
+      if (i + kAhead < indices.size()) touch(i + kAhead);
+      decode(row(i), out[i]);
+    }
+  });
+}
+
+void PlyFile::advise(MappedFile::Access access, std::uint64_t first, std::uint64_t count) const {
+  assert(first <= size() && count <= size() - first);
+  if (count == 0) return;
+  const Impl& impl = *impl_;
+  for (const MappedFile* file : {&impl.file, &impl.pipe.file(), &impl.converted.file()}) {
+    const auto bytes = file->bytes();
+    if (bytes.empty() || impl.rows < bytes.data() || impl.rows >= bytes.data() + bytes.size()) continue;
+    file->advise(access, static_cast<std::uint64_t>(impl.rows - bytes.data()) + first * impl.row_bytes,
+                 count * impl.row_bytes);
+  }
+}
+
+Result<SplatCloud> read_ply(const std::string& path) {
+  const auto ply = PlyFile::open(path);
+  if (!ply) return tl::unexpected(ply.error());
+  SplatCloud cloud;
+  cloud.resize(ply->size(), ply->sh_degree());
+  std::vector<Splat> batch(static_cast<std::size_t>(std::min<std::uint64_t>(ply->size(), 1024)));
+  for (std::uint64_t first = 0; first < ply->size(); first += batch.size()) {
+    const auto part = std::span(batch).first(std::min<std::uint64_t>(batch.size(), ply->size() - first));
+    ply->read(first, part);
+    for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
+  }
+  return cloud;
+}
+
+}  // namespace rgs

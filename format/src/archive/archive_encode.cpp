@@ -1,0 +1,496 @@
+// archive_encode.cpp - Gaussians to a file of Codec::archive, frames side by side on all threads.
+//
+// Order: Draco decides the order of each frame's means, everything else follows it.
+// Fit:   classes, steps, transforms from the whole scene.
+// Codes: each frame's attributes on the grids of their classes.
+// Tables and streams: distributions of all frames together, then each frame's bytes.
+// Rows:  what a reader will decode; from these come the scale sets, the chunk table and the bounds that are stated.
+// The finished file is decoded once more and compared with its source.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <numbers>
+#include <numeric>
+
+#include "archive/archive_codec.hpp"
+#include "archive/archive_errors.hpp"
+#include "archive/archive_fit.hpp"
+#include "file/workers.hpp"
+#include "packed/packed.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs {
+
+ArchiveOptions archive_high() {
+  return {};
+}
+
+ArchiveOptions archive_small() {
+  ArchiveOptions o;
+  o.mean_cells = 13;
+  o.sh_step = 0.24f;
+  o.dc_step = 0.30f;
+  o.rotation_step = 1.f / 28;
+  o.scale_step = 0.35f;
+  o.opacity_levels = 32;
+  return o;
+}
+
+namespace {
+
+using namespace detail;
+
+constexpr float kClassOctaves = 2;     // finer classes cost more than their finer steps gain: docs/PROFILES.md
+constexpr float kLargestSh = 0x1p30f;  // one beyond would carry the centre of all away with it
+
+struct Frame {
+  std::uint64_t first = 0, count = 0;
+  std::vector<std::byte> means, geometry, sh;  // streams
+  FrameCodes codes;
+  std::int32_t min_octaves = std::numeric_limits<std::int32_t>::max();
+  std::int32_t max_octaves = std::numeric_limits<std::int32_t>::min();
+};
+
+// Cell of a mean on one axis, counted from the centre: the inverse of grid_mean().
+std::int64_t grid_cell(const ArchiveParameters& p, std::size_t axis, float mean) {
+  const double t = (static_cast<double>(mean) - p.centre[axis]) / p.half_width[axis];
+  const double u = std::min(std::abs(t), 0x1p255);  // far beyond any grid, and still a number
+  const auto scaled = [&p](double x) {
+    return static_cast<std::int64_t>(std::floor(std::ldexp(x, static_cast<int>(p.mean_cells))));
+  };
+  std::int64_t n = 0;
+  if (u < 1) {
+    n = scaled(u);
+  } else {
+    int exponent = 0;
+    const double fraction = std::frexp(u, &exponent);
+    n = (static_cast<std::int64_t>(exponent) << p.mean_cells) + scaled(2 * fraction - 1);
+  }
+  return t < 0 ? -1 - n : n;
+}
+
+// A cell as the file has it.
+std::uint32_t grid_coordinate(const ArchiveParameters& p, std::size_t axis, float mean) {
+  return static_cast<std::uint32_t>(grid_cell(p, axis, mean) + (std::int64_t{1} << (p.mean_bits - 1)));
+}
+
+class Encoder {
+ public:
+  Encoder(const EncodePlan& plan, const SplatView& splats)
+      : plan_(plan), splats_(splats), degree_(plan.header.sh_degree), order_(splats.n), means_(3 * splats.n) {
+    std::iota(order_.begin(), order_.end(), 0u);
+    tables_.n_sh = archive_sh_count(degree_);
+    for (std::uint64_t first = 0; first < splats.n; first += plan.frame_rows()) {
+      Frame& f = frames_.emplace_back();
+      f.first = first;
+      f.count = std::min<std::uint64_t>(plan.frame_rows(), splats.n - first);
+    }
+  }
+
+  Result<std::vector<std::byte>> run(std::span<const std::uint32_t> source_index) {
+    if (const auto huge = std::ranges::find_if(splats_.sh, [](float x) { return !(std::abs(x) <= kLargestSh); });
+        huge != splats_.sh.end()) {
+      const auto value = static_cast<std::size_t>(huge - splats_.sh.begin());
+      return too_large(source_index[value / (3 + tables_.n_sh)]);
+    }
+    fit();
+    if (Status s = each_frame([this](Frame& f) { return order_frame(f); }); !s) return tl::unexpected(s.error());
+    if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
+      s.error().found = source_index[s.error().found];
+      return tl::unexpected(s.error());
+    }
+    fit_tables();
+    if (Status s = reconstruct(); !s) return tl::unexpected(s.error());
+    std::vector<std::byte> file = assemble(source_index);
+    if (Status s = verify_archive(file, splats_, order_, plan_.archive.threads); !s) return tl::unexpected(s.error());
+    return file;
+  }
+
+ private:
+  template <class Job>
+  Status each_frame(const Job& job) {
+    return run_jobs(frames_.size(), plan_.archive.threads, [&](unsigned, std::uint64_t i) { return job(frames_[i]); });
+  }
+
+  void fit() {
+    ArchiveParameters& p = tables_.parameters;
+    fit_grid(plan_.declarations.robust, plan_.declarations.full, p);
+    const std::vector<float> seen = importance(splats_, p);
+    classes_ = fit_classes(seen, kClassOctaves);
+    fit_steps(plan_.archive, splats_, classes_, kClassOctaves, p);
+    fit_transforms(splats_, seen, tables_);
+    std::uint64_t largest = 0;
+    for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
+      const std::int64_t cell = grid_cell(p, i % 3, splats_.mean[i]);
+      largest = std::max(largest, static_cast<std::uint64_t>(cell < 0 ? -1 - cell : cell));
+    }
+    p.mean_bits = static_cast<std::uint32_t>(std::bit_width(largest)) + 1;
+  }
+
+  // Draco's stream of the frame's means, and its order. Points in one cell keep the source's.
+  Status order_frame(Frame& f) {
+    const ArchiveParameters& p = tables_.parameters;
+    std::vector<GridPoint> points(f.count), decoded(f.count);
+    for (std::size_t i = 0; i < f.count; ++i) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        points[i][k] = grid_coordinate(p, k, splats_.mean[3 * (f.first + i) + k]);
+      }
+    }
+    auto stream = encode_points(points);
+    if (!stream) return tl::unexpected(stream.error());
+    f.means = std::move(*stream);
+    if (Status s = decode_points(f.means, 0, p.mean_bits, decoded); !s) {
+      return fail(Errc::internal, Error::kNone, "Draco does not decode what it has encoded");
+    }
+    const auto sorted = [](const std::vector<GridPoint>& values) {
+      std::vector<std::uint32_t> index(values.size());
+      std::iota(index.begin(), index.end(), 0u);
+      std::ranges::sort(index, [&values](std::uint32_t a, std::uint32_t b) {
+        return values[a] != values[b] ? values[a] < values[b] : a < b;
+      });
+      return index;
+    };
+    const std::vector<std::uint32_t> from = sorted(points), to = sorted(decoded);
+    for (std::size_t i = 0; i < f.count; ++i) {
+      if (points[from[i]] != decoded[to[i]]) {
+        return fail(Errc::internal, Error::kNone, "Draco decodes other points than it has encoded");
+      }
+      order_[f.first + to[i]] = static_cast<std::uint32_t>(f.first + from[i]);
+    }
+    return {};
+  }
+
+  // ---- codes -------------------------------------------------------------------------------------------------------
+
+  static tl::unexpected<Error> too_large(std::uint64_t index) {
+    return fail(Errc::bad_value, Error::kNone,
+                "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
+                Error::kNone, index);
+  }
+
+  // The nearest code, if there is one that fits.
+  static bool code_of(double value, std::int16_t& code) {
+    const double rounded = std::nearbyint(value);
+    if (!(std::abs(rounded) <= 32767)) return false;
+    code = static_cast<std::int16_t>(rounded);
+    return true;
+  }
+
+  Status quantise(Frame& f) {
+    FrameCodes& codes = f.codes;
+    codes.resize(f.count, tables_.n_sh);
+    std::int64_t dc_before[3][2] = {};
+    for (std::size_t i = 0; i < f.count; ++i) {
+      const std::uint32_t source = order_[f.first + i];
+      const Splat s = splats_.splat(source);
+      const std::size_t index = codes.classes[i] = classes_.of[source];
+      const ArchiveClass& c = tables_.parameters.classes[index];
+      if (!quantise_geometry(s, c, i, f) || !quantise_dc(s, c, i, dc_before, codes) || !quantise_sh(s, c, i, codes)) {
+        return too_large(source);
+      }
+    }
+    return {};
+  }
+
+  bool quantise_geometry(const Splat& s, const ArchiveClass& c, std::size_t i, Frame& f) {
+    FrameCodes& codes = f.codes;
+    const double opacity = 1 / (1 + std::exp(-static_cast<double>(s.opacity_logit)));
+    codes.opacity[i] = static_cast<std::uint16_t>(std::nearbyint(opacity * tables_.parameters.opacity_levels));
+    double q[4], squared = 0;
+    for (int k = 0; k < 4; ++k) squared += static_cast<double>(s.rotation[k]) * static_cast<double>(s.rotation[k]);
+    std::size_t largest = 0;
+    for (std::size_t k = 0; k < 4; ++k) {
+      q[k] = static_cast<double>(s.rotation[k]) / std::sqrt(squared);
+      if (std::abs(q[k]) > std::abs(q[largest])) largest = k;
+    }
+    codes.largest[i] = static_cast<std::uint8_t>(largest);
+    const double step = static_cast<double>(c.rotation_step) * (q[largest] < 0 ? -1 : 1);
+    for (std::size_t k = 0, j = 0; k < 4; ++k) {
+      if (k != largest && !code_of(q[k] / step, codes.rotation[j++ * f.count + i])) return false;
+    }
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double octaves = static_cast<double>(s.log_scale[k]) / std::log(2.0) * 65536;
+      std::int16_t& code = codes.scale[k * f.count + i];
+      if (!code_of((octaves - c.scale_base) / c.scale_step, code)) return false;
+      f.min_octaves = std::min(f.min_octaves, scale_octaves(c, code));
+      f.max_octaves = std::max(f.max_octaves, scale_octaves(c, code));
+    }
+    return true;
+  }
+
+  bool quantise_dc(const Splat& s, const ArchiveClass& c, std::size_t i, std::int64_t before[3][2], FrameCodes& codes) {
+    for (std::size_t m = 0; m < 3; ++m) {
+      double y = 0;
+      for (std::size_t j = 0; j < 3; ++j) {
+        y += tables_.dc_matrix[3 * j + m] * static_cast<double>(s.sh[j] - tables_.dc_centre[j]);
+      }
+      const double level = std::nearbyint(y * (65536 >> kMatrixBits) / c.dc_step);
+      if (!(std::abs(level) * c.dc_step < 0x1p30)) return false;
+      const std::int64_t expected = expected_dc(&tables_.dc_weights[2 * m], before[m][0], before[m][1], c.dc_step);
+      if (!code_of(level - static_cast<double>(expected), codes.dc[m * codes.n + i])) return false;
+      before[m][1] = before[m][0];
+      before[m][0] = static_cast<std::int64_t>(level) * c.dc_step;
+    }
+    return true;
+  }
+
+  bool quantise_sh(const Splat& s, const ArchiveClass& c, std::size_t i, FrameCodes& codes) {
+    const std::size_t n = tables_.n_sh;
+    float y[45] = {};
+    for (std::size_t q = 0; q < n; ++q) {
+      const float x = s.sh[3 + q] - tables_.sh_centre[q];
+      const std::int16_t* row = &tables_.sh_matrix[q * n];
+      for (std::size_t k = 0; k < n; ++k) y[k] += x * static_cast<float>(row[k]);
+    }
+    const float per_step = 0x1p-14f / c.sh_step;
+    double size = 0;
+    for (std::size_t k = 0; k < n; ++k) {
+      // No dead zone: what it saves costs more than a larger step would (docs/PROFILES.md).
+      const float level = std::floor(std::abs(y[k]) * per_step + 0.5f);
+      if (!(level <= 32767)) return false;
+      codes.sh[k * codes.n + i] = static_cast<std::int16_t>(y[k] < 0 ? -level : level);
+      size += static_cast<double>(level) * static_cast<double>(level);
+    }
+    // Rows of the matrix are nearly unit vectors: no sum of the inverse leaves 32 bits.
+    return size < 0x1p32;
+  }
+
+  // ---- tables and streams --------------------------------------------------------------------------------------------
+
+  void fit_tables() {
+    const unsigned n_workers = worker_count(frames_.size(), plan_.archive.threads);
+    std::vector<RansCounter> counters(n_workers, RansCounter(tables_.contexts().count));
+    std::vector<CodeSizes> sizes(n_workers);
+    static_cast<void>(run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
+      walk_geometry(frames_[i].codes, tables_, counters[worker]);
+      walk_sh(frames_[i].codes, tables_, sizes[worker], counters[worker]);
+      return {};
+    }));
+    std::vector<std::uint32_t>& counts = counters[0].counts();
+    for (unsigned w = 1; w < n_workers; ++w) {
+      std::ranges::transform(counts, counters[w].counts(), counts.begin(), std::plus<>());
+    }
+    fit_distributions(counts, tables_);
+    static_cast<void>(run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
+      RansWriter writer(tables_.frequencies, tables_.map);
+      walk_geometry(frames_[i].codes, tables_, writer);
+      frames_[i].geometry = writer.finish();
+      walk_sh(frames_[i].codes, tables_, sizes[worker], writer);
+      frames_[i].sh = writer.finish();
+      return {};
+    }));
+  }
+
+  // ---- rows --------------------------------------------------------------------------------------------------------
+
+  void choose_exponent() {
+    std::int32_t low = frames_[0].min_octaves, high = frames_[0].max_octaves;
+    for (const Frame& f : frames_) {
+      low = std::min(low, f.min_octaves);
+      high = std::max(high, f.max_octaves);
+    }
+    const auto scale = [](std::int32_t octaves) {
+      const OctaveScale s = scale_of_octaves(octaves);
+      return static_cast<float>(std::ldexp(static_cast<double>(s.significand), s.exponent));
+    };
+    plan_.header.scale_exponent = static_cast<std::int16_t>(choose_scale_exponent(scale(low), scale(high)));
+  }
+
+  Status reconstruct() {
+    choose_exponent();
+    const std::size_t n_classes = tables_.parameters.classes.size();
+    chunks_.resize(plan_.header.n_chunks);
+    scales_.resize(plan_.header.n_chunks);
+    const unsigned n_workers = worker_count(frames_.size(), plan_.archive.threads);
+    std::vector<ErrorMaxima> errors(n_workers, ErrorMaxima(n_classes));
+    std::vector<EncodeCounts> counts(n_workers);
+    const std::vector<std::int16_t> matrix = paired_matrix(tables_);
+    const Status done = run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) {
+      return reconstruct_frame(frames_[i], matrix, errors[worker], counts[worker]);
+    });
+    if (!done) return done;
+    for (unsigned w = 1; w < n_workers; ++w) {
+      errors[0].merge(errors[w]);
+      counts[0].add(counts[w]);
+    }
+    errors[0].state(tables_.parameters);
+    counts_ = counts[0];
+    if (!steps_explain_bounds()) {
+      return fail(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
+    }
+    return {};
+  }
+
+  // What is stated was measured: that it is no more than half steps can do is what keeps a mistake from being stated too.
+  bool steps_explain_bounds() const {
+    const ArchiveParameters& p = tables_.parameters;
+    float largest_sh = 1;
+    for (const float x : splats_.sh) largest_sh = std::max(largest_sh, std::abs(x));
+    const double rounding = static_cast<double>(largest_sh) * 0x1p-11;  // matrices have 14 bits
+    // Half a cell, and what rounding to f32 adds to it far from the origin or next to nothing from it. It adds no more than
+    // that again: the source's mean is an f32, and none is nearer to what was rounded than the one that it became.
+    const double half_cell = std::ldexp(0.501, -static_cast<int>(p.mean_cells));
+    double rounding_mean = 0;
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double relative = 1 + std::abs(p.centre[k]) / p.half_width[k];
+      rounding_mean = std::max(rounding_mean, relative * 0x1p-23 + 0x1p-149 / p.half_width[k]);
+    }
+    bool explained = p.bound_mean <= half_cell + std::min(half_cell, rounding_mean) &&
+                     p.bound_opacity <= 0.5 / p.opacity_levels + 0x1p-11;
+    for (const ArchiveClass& c : p.classes) {
+      const double side = std::sqrt(0.75), reached = side * (1 + static_cast<double>(c.rotation_step));
+      // Smaller components of a unit quaternion have at most the length `side`, where its angle changes fastest.
+      const double turned = reached < 1 ? 2 * (std::asin(reached) - std::asin(side)) : std::numbers::pi;
+      explained =
+          explained && c.bound_rotation <= turned + 0x1p-8 &&
+          c.bound_scale <= c.scale_step / 65536.0 * std::numbers::ln2 / 2 + 0x1p-10 &&
+          c.bound_dc <= c.dc_step / 65536.0 * side + rounding &&
+          c.bound_sh <= static_cast<double>(c.sh_step) / 2 * std::sqrt(static_cast<double>(tables_.n_sh)) + rounding;
+    }
+    return explained;
+  }
+
+  Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, EncodeCounts& counts) {
+    std::vector<GridPoint> points(f.count);
+    if (Status s = decode_points(f.means, 0, tables_.parameters.mean_bits, points); !s) return s;
+    std::vector<std::int32_t> dc;
+    dc_values(tables_, f.codes, dc);
+    const auto block = std::make_unique<ShBlock>();
+    std::vector<StoredSplat> stored(plan_.header.chunk_size);
+    for (std::uint64_t at = 0; at < f.count; at += plan_.header.chunk_size) {
+      const std::uint64_t count = std::min<std::uint64_t>(plan_.header.chunk_size, f.count - at);
+      for (std::size_t first = 0; first < count; first += kShLanes) {
+        const std::size_t lanes = std::min<std::size_t>(kShLanes, count - first);
+        sh_block(tables_, matrix, f.codes, dc, at + first, lanes, *block);
+        for (std::size_t i = 0; i < lanes; ++i) {
+          for (std::size_t k = 0; k < 3 + tables_.n_sh; ++k) stored[first + i].sh[k] = block->value[k][i];
+        }
+      }
+      for (std::size_t i = 0; i < count; ++i) {
+        for (std::size_t k = 0; k < 3; ++k) {
+          stored[i].mean[k] = grid_mean(tables_.parameters, k, points[at + i][k]);
+          means_[3 * (f.first + at + i) + k] = stored[i].mean[k];
+        }
+        geometry_row(tables_.parameters, f.codes, at + i, plan_.header.scale_exponent, stored[i].geometry);
+        errors.add(f.codes.classes[at + i], splat_errors(tables_.parameters, plan_.header.scale_exponent, degree_,
+                                                         splats_.splat(order_[f.first + at + i]), stored[i]));
+      }
+      describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), counts);
+    }
+    return {};
+  }
+
+  // Entry and SH steps of a chunk by its decoded Gaussians.
+  void describe_chunk(std::uint64_t index, std::span<const StoredSplat> splats, EncodeCounts& counts) {
+    ChunkEntry& entry = chunks_[index];
+    entry.count = static_cast<std::uint32_t>(splats.size());
+    std::ranges::copy(splats[0].mean, entry.means.min.begin());
+    entry.means.max = entry.means.min;
+    std::uint16_t scale = 0, opacity = 0;  // FP16 bits of non-negative numbers order as the numbers do
+    ShMagnitudes magnitudes;
+    for (const StoredSplat& s : splats) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        entry.means.min[k] = std::min(entry.means.min[k], s.mean[k]);
+        entry.means.max[k] = std::max(entry.means.max[k], s.mean[k]);
+        const std::uint16_t code = s.geometry[4 + k];
+        counts.scale_zero += code == 0;
+        counts.scale_subnormal += code != 0 && code < 0x0400;
+        scale = std::max(scale, code);
+      }
+      counts.opacity_zero += s.geometry[7] == 0;
+      counts.opacity_one += s.geometry[7] == 0x3C00;
+      opacity = std::max(opacity, s.geometry[7]);
+      magnitudes.add(s.sh, degree_);
+    }
+    entry.radius = 3.f * dequantize_scale(scale, plan_.header.scale_exponent);
+    entry.max_opacity = float_from_half(opacity);
+    scales_[index] = magnitudes.max_abs();
+  }
+
+  // Boxes of the decoded means, and steps of the largest magnitudes.
+  void describe_scene() {
+    Declarations& d = plan_.declarations;
+    d.full = chunks_[0].means;
+    for (const ChunkEntry& chunk : chunks_) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        d.full.min[k] = std::min(d.full.min[k], chunk.means.min[k]);
+        d.full.max[k] = std::max(d.full.max[k], chunk.means.max[k]);
+      }
+    }
+    SceneScan scan(0, {});
+    for (std::uint64_t i = 0; i < splats_.n; ++i) {
+      Splat splat;
+      std::copy_n(&means_[3 * i], 3, splat.mean);
+      scan.add(splat);
+    }
+    d.robust = scan.robust();
+    ScaleSet largest;
+    for (ScaleSet& set : scales_) {
+      for (std::size_t degree = 0; degree < 4; ++degree) {
+        for (std::size_t c = 0; c < 3; ++c) {
+          largest.step[degree][c] = std::max(largest.step[degree][c], set.step[degree][c]);
+          set.step[degree][c] = sh_step(set.step[degree][c]);
+        }
+      }
+    }
+    for (std::size_t degree = 0; degree < 4; ++degree) {
+      for (std::size_t c = 0; c < 3; ++c) plan_.file_scales.step[degree][c] = sh_step(largest.step[degree][c]);
+    }
+  }
+
+  std::vector<std::byte> assemble(std::span<const std::uint32_t> source_index) {
+    describe_scene();
+    FramedFile file;
+    for (const Frame& f : frames_) {
+      file.means.append(f.means);
+      file.geometry.append(f.geometry);
+      file.sh.append(f.sh);
+    }
+    std::vector<std::uint32_t> permutation;
+    if (plan_.keep_permutation) {
+      for (const std::uint32_t i : order_) permutation.push_back(source_index[i]);
+    }
+    const std::vector<std::byte> tables = write_archive_tables(tables_);
+    file.permutation = std::as_bytes(std::span(permutation));
+    file.tables = tables;
+    file.chunks = chunks_;
+    file.scales = scales_;
+    file.counts = counts_;
+    return assemble_frames(plan_, std::move(file));
+  }
+
+  EncodePlan plan_;
+  const SplatView& splats_;
+  int degree_;
+  ArchiveTables tables_;
+  Classes classes_;
+  std::vector<Frame> frames_;
+  std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
+  std::vector<float> means_;          // [n, 3] decoded, in the order of the file
+  std::vector<ChunkEntry> chunks_;
+  std::vector<ScaleSet> scales_;  // of each chunk; until describe_scene() the largest magnitudes
+  EncodeCounts counts_;
+};
+
+}  // namespace
+
+Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const SplatView& splats,
+                                              std::span<const std::uint32_t> source_index) {
+  assert(plan.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
+  assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
+  return Encoder(plan, splats).run(source_index);
+}
+
+std::array<float, 3> archive_mean(const ArchiveParameters& p, const float mean[3]) {
+  std::array<float, 3> decoded;
+  for (std::size_t k = 0; k < 3; ++k) {
+    decoded[k] = std::isfinite(mean[k]) ? grid_mean(p, k, grid_coordinate(p, k, mean[k])) : mean[k];
+  }
+  return decoded;
+}
+
+}  // namespace rgs

@@ -1,0 +1,334 @@
+// archive_fit.cpp - importance, Karhunen-Loeve transforms and clustered distributions. Sums run in one fixed order.
+// SPDX-License-Identifier: Apache-2.0
+#include "archive/archive_fit.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+namespace {
+
+constexpr double kMaxOctaves = 8;              // of importance on either side of the median
+constexpr std::size_t kSample = 1u << 17;      // Gaussians that transforms are fitted to
+constexpr std::size_t kMinForTransform = 512;  // fewer do not tell 45 directions apart
+
+double median(std::vector<double> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>((values.size() - 1) / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+// Eigenvectors of a symmetric matrix [n, n] by cyclic Jacobi rotations (Golub and Van Loan, 8.5), as columns in
+// descending order of eigenvalue. `a` is used up.
+std::vector<double> eigenvectors(std::vector<double>& a, std::size_t n) {
+  std::vector<double> v(n * n, 0.0);
+  for (std::size_t i = 0; i < n; ++i) v[i * n + i] = 1;
+  const auto rotate = [n](std::vector<double>& m, std::size_t p, std::size_t q, double c, double s, bool columns) {
+    for (std::size_t k = 0; k < n; ++k) {
+      double& x = columns ? m[k * n + p] : m[p * n + k];
+      double& y = columns ? m[k * n + q] : m[q * n + k];
+      const double old = x;
+      x = c * old - s * y;
+      y = s * old + c * y;
+    }
+  };
+  constexpr int kSweeps = 12;
+  for (int sweep = 0; sweep < kSweeps; ++sweep) {
+    for (std::size_t p = 0; p < n; ++p) {
+      for (std::size_t q = p + 1; q < n; ++q) {
+        const double off = a[p * n + q], scale = std::abs(a[p * n + p]) + std::abs(a[q * n + q]);
+        if (!(std::abs(off) > 1e-15 * scale)) continue;
+        const double theta = (a[q * n + q] - a[p * n + p]) / (2 * off);
+        const double t = (theta < 0 ? -1 : 1) / (std::abs(theta) + std::sqrt(theta * theta + 1));
+        const double c = 1 / std::sqrt(t * t + 1), s = t * c;
+        rotate(a, p, q, c, s, true);
+        rotate(a, p, q, c, s, false);
+        rotate(v, p, q, c, s, true);
+      }
+    }
+  }
+  std::vector<std::size_t> order(n);
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::ranges::stable_sort(order, [&](std::size_t x, std::size_t y) { return a[x * n + x] > a[y * n + y]; });
+  std::vector<double> sorted(n * n);
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t k = 0; k < n; ++k) sorted[i * n + k] = v[i * n + order[k]];
+  }
+  return sorted;
+}
+
+struct Transform {
+  std::vector<float> centre;         // [n]
+  std::vector<std::int16_t> matrix;  // [n, n], columns are directions, times 2^kMatrixBits
+};
+
+// Weighted transform of columns first .. first + n - 1 of SH.
+Transform fit_transform(const SplatView& splats, std::span<const double> weights, std::size_t stride, std::size_t first,
+                        std::size_t n) {
+  const std::size_t width = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
+  std::vector<double> centre(n), covariance(n * n), x(n);
+  double total = 0;
+  for (std::size_t i = 0, row = 0; row < splats.n; ++i, row += stride) {
+    for (std::size_t k = 0; k < n; ++k)
+      centre[k] += weights[i] * static_cast<double>(splats.sh[row * width + first + k]);
+    total += weights[i];
+  }
+  for (double& value : centre) value /= total;
+  for (std::size_t i = 0, row = 0; row < splats.n; ++i, row += stride) {
+    for (std::size_t k = 0; k < n; ++k) x[k] = static_cast<double>(splats.sh[row * width + first + k]) - centre[k];
+    for (std::size_t k = 0; k < n; ++k) {
+      const double wx = weights[i] * x[k];
+      for (std::size_t j = 0; j < n; ++j) covariance[k * n + j] += wx * x[j];
+    }
+  }
+  Transform t;
+  t.centre.assign(centre.begin(), centre.end());
+  t.matrix.assign(n * n, 0);
+  const bool enough = splats.n >= kMinForTransform;
+  const std::vector<double> vectors = enough ? eigenvectors(covariance, n) : std::vector<double>();
+  for (std::size_t k = 0; k < n * n; ++k) {
+    const double value = enough ? vectors[k] : (k / n == k % n ? 1.0 : 0.0);
+    t.matrix[k] = static_cast<std::int16_t>(std::nearbyint(value * (1 << kMatrixBits)));
+  }
+  return t;
+}
+
+// Least squares of each transformed DC value by the two before it in the source's order, which Draco's resembles.
+std::array<std::int16_t, 6> fit_dc_weights(const SplatView& splats, const ArchiveTables& t) {
+  const std::size_t width = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
+  std::array<std::int16_t, 6> weights{};
+  for (std::size_t m = 0; m < 3; ++m) {
+    double before = 0, before_that = 0, same = 0, lag1 = 0, lag2 = 0;
+    for (std::size_t i = 0; i < std::min<std::size_t>(splats.n, kSample); ++i) {
+      double y = 0;
+      for (std::size_t j = 0; j < 3; ++j) {
+        y += t.dc_matrix[3 * j + m] * static_cast<double>(splats.sh[i * width + j] - t.dc_centre[j]);
+      }
+      same += y * y;
+      lag1 += y * before;
+      lag2 += y * before_that;
+      before_that = before;
+      before = y;
+    }
+    const double determinant = same * same - lag1 * lag1;
+    if (!(determinant > 1e-6 * same * same)) continue;
+    const double a = lag1 * (same - lag2) / determinant, b = (same * lag2 - lag1 * lag1) / determinant;
+    weights[2 * m] = static_cast<std::int16_t>(std::nearbyint(256 * std::clamp(a, -1.0, 1.0)));
+    weights[2 * m + 1] = static_cast<std::int16_t>(std::nearbyint(256 * std::clamp(b, -1.0, 1.0)));
+  }
+  return weights;
+}
+
+using Counts = std::array<std::uint64_t, kRansTokens>;
+
+// Frequencies of sum kRansTotal, none 0 where there is a count.
+void normalise(const Counts& counts, std::uint16_t* frequencies) {
+  const std::uint64_t total = std::accumulate(counts.begin(), counts.end(), std::uint64_t{0});
+  std::uint32_t sum = 0;
+  for (std::size_t s = 0; s < kRansTokens; ++s) {
+    frequencies[s] = 0;
+    if (counts[s] != 0) {
+      frequencies[s] =
+          static_cast<std::uint16_t>(std::max<std::uint64_t>(1, (counts[s] * kRansTotal + total / 2) / total));
+    }
+    sum += frequencies[s];
+  }
+  while (sum != kRansTotal) {  // the rest to or from the largest: it loses least
+    std::uint16_t& largest = *std::max_element(frequencies, frequencies + kRansTokens);
+    if (sum < kRansTotal) {
+      largest = static_cast<std::uint16_t>(largest + (kRansTotal - sum));
+      sum = kRansTotal;
+    } else {
+      const std::uint32_t less = std::min<std::uint32_t>(sum - kRansTotal, largest / 2u);
+      largest = static_cast<std::uint16_t>(largest - less);
+      sum -= less;
+    }
+  }
+}
+
+// Lloyd's algorithm with code length as distance; all sums are integers.
+class Clusters {
+ public:
+  Clusters(std::span<const std::uint32_t> counts, std::size_t first, std::size_t end, std::size_t n)
+      : counts_(counts), sums_(n) {
+    std::vector<std::pair<double, std::size_t>> used;  // mean token and context
+    std::uint64_t total = 0;
+    for (std::size_t context = first; context < end; ++context) {
+      std::uint64_t size = 0, moment = 0;
+      for (std::size_t s = 0; s < kRansTokens; ++s) size += row(context)[s], moment += s * row(context)[s];
+      total += size;
+      if (size != 0) used.emplace_back(static_cast<double>(moment) / static_cast<double>(size), context);
+    }
+    std::ranges::sort(used);
+    std::uint64_t before = 0;
+    for (const auto& [mean, context] : used) {
+      contexts_.push_back(context);
+      cluster_.push_back(static_cast<std::size_t>(before * n / total));
+      before += std::accumulate(row(context), row(context) + kRansTokens, std::uint64_t{0});
+    }
+  }
+
+  void refine() {
+    sum();
+    std::vector<std::uint32_t> cost(sums_.size() * kRansTokens);  // 1/256 bits
+    for (std::size_t d = 0; d < sums_.size(); ++d) {
+      const double total = static_cast<double>(std::accumulate(sums_[d].begin(), sums_[d].end(), std::uint64_t{0}));
+      for (std::size_t s = 0; s < kRansTokens; ++s) {
+        const double share = static_cast<double>(sums_[d][s]) / std::max(total, 1.0);
+        cost[d * kRansTokens + s] = static_cast<std::uint32_t>(256 * std::min(20.0, -std::log2(std::max(share, 1e-9))));
+      }
+    }
+    for (std::size_t i = 0; i < contexts_.size(); ++i) {
+      std::uint64_t best = ~std::uint64_t{0};
+      for (std::size_t d = 0; d < sums_.size(); ++d) {
+        std::uint64_t bits = 0;
+        const std::uint32_t* lengths = &cost[d * kRansTokens];
+        for (std::size_t s = 0; s < kRansTokens; ++s) bits += std::uint64_t{row(contexts_[i])[s]} * lengths[s];
+        if (bits < best) best = bits, cluster_[i] = d;
+      }
+    }
+  }
+
+  // Appends what is used of the distributions.
+  void append_to(ArchiveTables& t) {
+    sum();
+    std::vector<std::uint8_t> index(sums_.size());
+    for (std::size_t d = 0; d < sums_.size(); ++d) {
+      if (std::accumulate(sums_[d].begin(), sums_[d].end(), std::uint64_t{0}) == 0) continue;
+      index[d] = static_cast<std::uint8_t>(t.n_distributions());
+      t.frequencies.resize(t.frequencies.size() + kRansTokens);
+      normalise(sums_[d], &t.frequencies[t.frequencies.size() - kRansTokens]);
+    }
+    for (std::size_t i = 0; i < contexts_.size(); ++i) t.map[contexts_[i]] = index[cluster_[i]];
+  }
+
+ private:
+  const std::uint32_t* row(std::size_t context) const { return &counts_[context * kRansTokens]; }
+  void sum() {
+    for (Counts& counts : sums_) counts.fill(0);
+    for (std::size_t i = 0; i < contexts_.size(); ++i) {
+      for (std::size_t s = 0; s < kRansTokens; ++s) sums_[cluster_[i]][s] += row(contexts_[i])[s];
+    }
+  }
+
+  std::span<const std::uint32_t> counts_;
+  std::vector<std::size_t> contexts_, cluster_;
+  std::vector<Counts> sums_;
+};
+
+}  // namespace
+
+void fit_grid(const Box& robust, const Box& full, ArchiveParameters& p) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double low = static_cast<double>(robust.min[k]), high = static_cast<double>(robust.max[k]);
+    p.centre[k] = (low + high) / 2;
+    const double reach =
+        std::max(static_cast<double>(full.max[k]) - p.centre[k], p.centre[k] - static_cast<double>(full.min[k]));
+    // At most 100 octaves outside, for which coordinates have room. Half a cell of the least is lost in any f32: an axis
+    // on which all means are equal decodes to what it was.
+    p.half_width[k] = std::max({(high - low) / 2, std::ldexp(reach, -100), 0x1p-200});
+  }
+}
+
+std::vector<float> importance(const SplatView& splats, const ArchiveParameters& p) {
+  std::vector<double> squared(splats.n);
+  for (std::size_t i = 0; i < splats.n; ++i) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      const double d = static_cast<double>(splats.mean[3 * i + k]) - p.centre[k];
+      squared[i] += d * d;
+    }
+  }
+  const double near = std::max(median(squared), 1e-60);
+  std::vector<double> values(splats.n);
+  for (std::size_t i = 0; i < splats.n; ++i) {
+    const float* s = &splats.log_scale[3 * i];
+    const double area = static_cast<double>(s[0] + s[1] + s[2] - std::min({s[0], s[1], s[2]})) / std::log(2.0);
+    const double opacity = std::max(1.0 / (1.0 + std::exp(-static_cast<double>(splats.opacity_logit[i]))), 1e-30);
+    values[i] = 2 * std::log2(opacity) + area - std::log2(std::max(squared[i], near));
+  }
+  const double middle = median(values);
+  std::vector<float> result(splats.n);
+  for (std::size_t i = 0; i < splats.n; ++i) {
+    result[i] = static_cast<float>(std::clamp(values[i] - middle, -kMaxOctaves, kMaxOctaves));
+  }
+  return result;
+}
+
+Classes fit_classes(std::span<const float> importance, float octaves) {
+  Classes classes;
+  classes.middle = static_cast<int>(std::lround(kMaxOctaves / static_cast<double>(octaves)));
+  classes.count = 2 * classes.middle + 1;
+  classes.of.reserve(importance.size());
+  for (const float value : importance) {
+    classes.of.push_back(static_cast<std::uint8_t>(std::lround(value / octaves) + classes.middle));
+  }
+  return classes;
+}
+
+void fit_steps(const ArchiveOptions& o, const SplatView& splats, const Classes& classes, float octaves,
+               ArchiveParameters& p) {
+  p.sh_step = o.sh_step;
+  p.dc_step = o.dc_step;
+  p.rotation_step = o.rotation_step;
+  p.scale_step = o.scale_step;
+  p.slope = o.slope;
+  p.class_octaves = octaves;
+  p.opacity_levels = static_cast<std::uint32_t>(o.opacity_levels);
+  p.mean_cells = static_cast<std::uint32_t>(o.mean_cells);
+  const auto n_classes = static_cast<std::size_t>(classes.count);
+  std::vector<double> sums(n_classes), counts(n_classes);
+  for (std::size_t i = 0; i < splats.n; ++i) {
+    for (std::size_t k = 0; k < 3; ++k) sums[classes.of[i]] += static_cast<double>(splats.log_scale[3 * i + k]);
+    counts[classes.of[i]] += 3;
+  }
+  p.classes.resize(n_classes);
+  for (std::size_t c = 0; c < n_classes; ++c) {
+    const double factor = std::exp2(-0.5 * static_cast<double>(o.slope) * static_cast<double>(octaves) *
+                                    (static_cast<double>(c) - classes.middle));
+    const auto fixed = [factor](double step) {
+      return static_cast<std::uint32_t>(std::max(1.0, std::nearbyint(step * factor * 65536)));
+    };
+    ArchiveClass& out = p.classes[c];
+    out.rotation_step = std::min(static_cast<float>(static_cast<double>(o.rotation_step) * factor), 2.f);
+    out.scale_step = fixed(static_cast<double>(o.scale_step) / std::log(2.0));
+    out.scale_base =
+        static_cast<std::int32_t>(std::nearbyint(sums[c] / std::max(counts[c], 1.0) / std::log(2.0) * 65536));
+    out.dc_step = fixed(static_cast<double>(o.dc_step));
+    out.sh_step = static_cast<float>(static_cast<double>(o.sh_step) * factor);
+  }
+}
+
+void fit_transforms(const SplatView& splats, std::span<const float> importance, ArchiveTables& t) {
+  const std::size_t stride = (splats.n + kSample - 1) / kSample;
+  std::vector<double> weights;
+  for (std::size_t i = 0; i < splats.n; i += stride)
+    weights.push_back(std::exp2(static_cast<double>(importance[i]) / 2));
+  const Transform dc = fit_transform(splats, weights, stride, 0, 3);
+  std::ranges::copy(dc.centre, t.dc_centre.begin());
+  std::ranges::copy(dc.matrix, t.dc_matrix.begin());
+  t.dc_weights = fit_dc_weights(splats, t);
+  if (t.n_sh == 0) return;
+  Transform sh = fit_transform(splats, weights, stride, 3, t.n_sh);
+  t.sh_centre = std::move(sh.centre);
+  t.sh_matrix = std::move(sh.matrix);
+}
+
+// GEOM and SHI8 have distributions of their own, so that the tables that one of them decodes with stay in the cache.
+void fit_distributions(std::span<const std::uint32_t> counts, ArchiveTables& t) {
+  constexpr std::size_t kGeometry = 96, kSh = 64, kRefinements = 6;
+  const ArchiveContexts at = t.contexts();
+  t.map.assign(at.count, 0);
+  t.frequencies.clear();
+  for (const auto& [first, end, n] : {std::array{std::size_t{0}, at.dc, kGeometry}, std::array{at.dc, at.count, kSh}}) {
+    Clusters clusters(counts, first, end, n);
+    for (std::size_t i = 0; i < kRefinements; ++i) clusters.refine();
+    clusters.append_to(t);
+  }
+}
+
+}  // namespace rgs::detail

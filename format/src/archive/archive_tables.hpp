@@ -1,0 +1,61 @@
+// archive_tables.hpp - section ARCH: parameters, transforms and distributions of Codec::archive; docs/ARCHIVE.md.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "archive/rans.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::detail {
+
+/// Where the contexts of each group of planes begin.
+struct ArchiveContexts {
+  explicit ArchiveContexts(std::size_t n_classes, std::size_t n_sh)
+      : opacity(n_classes),
+        largest(2 * n_classes),
+        rotation(largest + 1),
+        scale0(rotation + 12 * n_classes),
+        scale1(scale0 + 8 * n_classes),
+        scale2(scale1 + 128 * n_classes),
+        dc(scale2 + 256 * n_classes),
+        sh(dc + 24 * n_classes),
+        count(sh + 8 * n_sh * n_classes) {}
+  std::size_t opacity, largest, rotation, scale0, scale1, scale2, dc, sh, count;
+};
+
+inline constexpr int kMatrixBits = 14;  ///< matrices are times 2^14
+
+struct ArchiveTables {
+  ArchiveParameters parameters;
+  std::size_t n_sh = 0;  ///< coefficients above degree 0, all channels: 0, 9, 24, 45
+  std::array<float, 3> dc_centre{};
+  std::vector<float> sh_centre;              ///< [n_sh]
+  std::array<std::int16_t, 9> dc_matrix{};   ///< [3, 3]
+  std::array<std::int16_t, 6> dc_weights{};  ///< [3, 2], times 2^8
+  std::vector<std::int16_t> sh_matrix;       ///< [n_sh, n_sh]
+  std::vector<std::uint8_t> map;             ///< [contexts().count]
+  std::vector<std::uint16_t> frequencies;    ///< [n_distributions, kRansTokens]
+  RansTables rans;                           ///< of frequencies, once parsed
+
+  std::size_t n_distributions() const { return frequencies.size() / kRansTokens; }
+  ArchiveContexts contexts() const { return ArchiveContexts(parameters.classes.size(), n_sh); }
+};
+
+/// SH coefficients above degree 0, all channels.
+constexpr std::size_t archive_sh_count(int degree) {
+  return static_cast<std::size_t>(3 * (sh_coefficients(degree) - 1));
+}
+
+/// The section's bytes.
+std::vector<std::byte> write_archive_tables(const ArchiveTables& tables);
+/// `offset` is the section's place in the file. Safe on untrusted bytes. Errors: size_mismatch, reserved_bits, bad_value,
+/// corrupt_data.
+Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std::uint64_t offset, int sh_degree);
+
+}  // namespace rgs::detail

@@ -1,0 +1,179 @@
+// archive_verify.cpp - a file of Codec::archive against its source and the bounds that it states.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <cstring>
+#include <limits>
+
+#include "archive/archive_codec.hpp"
+#include "archive/archive_errors.hpp"
+#include "file/workers.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs {
+namespace detail {
+namespace {
+
+// Angle between two rotations, accurate for small ones: 2 asin of half the chord, for the nearer of q and -q.
+double rotation_angle(const double a[4], const double b[4]) {
+  double dot = 0, minus = 0, plus = 0;
+  for (int i = 0; i < 4; ++i) {
+    dot += a[i] * b[i];
+    minus += (a[i] - b[i]) * (a[i] - b[i]);
+    plus += (a[i] + b[i]) * (a[i] + b[i]);
+  }
+  return 4 * std::asin(std::min(1.0, std::sqrt(dot < 0 ? plus : minus) / 2));
+}
+
+template <class T>
+void unit(const T in[4], double out[4]) {
+  double length = 0;
+  for (int i = 0; i < 4; ++i) length += static_cast<double>(in[i]) * static_cast<double>(in[i]);
+  length = std::sqrt(length);
+  for (int i = 0; i < 4; ++i) out[i] = static_cast<double>(in[i]) / length;
+}
+
+float rounded_up(double value) {
+  const auto nearest = static_cast<float>(value);
+  return static_cast<double>(nearest) >= value ? nearest
+                                               : std::nextafter(nearest, std::numeric_limits<float>::infinity());
+}
+
+}  // namespace
+
+SplatErrors splat_errors(const ArchiveParameters& p, int scale_exponent, int sh_degree, const Splat& source,
+                         const StoredSplat& stored, const float* sh_slack) {
+  SplatErrors e;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double x = static_cast<double>(stored.mean[k]);
+    const double reach = std::max(p.half_width[k], std::abs(x - p.centre[k]));
+    e.mean = std::max(e.mean, std::abs(x - static_cast<double>(source.mean[k])) / reach);
+  }
+  const double opacity = 1 / (1 + std::exp(-static_cast<double>(source.opacity_logit)));
+  e.opacity = std::abs(static_cast<double>(float_from_half(stored.geometry[7])) - opacity);
+  float components[4];
+  for (int k = 0; k < 4; ++k) components[k] = float_from_half(stored.geometry[k]);
+  double a[4], b[4];
+  unit(source.rotation, a);
+  unit(components, b);
+  e.rotation = rotation_angle(a, b);
+  for (std::size_t k = 0; k < 3; ++k) {
+    const std::uint16_t code = stored.geometry[4 + k];
+    if (code < 0x0400) continue;  // not normal: the layout's own limit
+    const double scale = static_cast<double>(dequantize_scale(code, scale_exponent));
+    e.scale = std::max(e.scale, std::abs(std::log(scale) - static_cast<double>(source.log_scale[k])));
+  }
+  for (int k = 0; k < 3 * sh_coefficients(sh_degree); ++k) {
+    const double slack = sh_slack == nullptr ? 0 : static_cast<double>(sh_slack[k]);
+    const double error = std::abs(static_cast<double>(stored.sh[k]) - static_cast<double>(source.sh[k])) - slack;
+    double& largest = k < 3 ? e.dc : e.sh;
+    largest = std::max(largest, error);
+  }
+  return e;
+}
+
+void ErrorMaxima::add(std::size_t class_index, const SplatErrors& e) {
+  SplatErrors& c = by_class_[class_index];
+  mean_ = std::max(mean_, e.mean);
+  opacity_ = std::max(opacity_, e.opacity);
+  c.rotation = std::max(c.rotation, e.rotation);
+  c.scale = std::max(c.scale, e.scale);
+  c.dc = std::max(c.dc, e.dc);
+  c.sh = std::max(c.sh, e.sh);
+}
+
+void ErrorMaxima::merge(const ErrorMaxima& other) {
+  for (std::size_t c = 0; c < by_class_.size(); ++c) {
+    add(c, other.by_class_[c]);
+  }
+  mean_ = std::max(mean_, other.mean_);
+  opacity_ = std::max(opacity_, other.opacity_);
+}
+
+void ErrorMaxima::state(ArchiveParameters& p) const {
+  p.bound_mean = rounded_up(mean_);
+  p.bound_opacity = rounded_up(opacity_);
+  for (std::size_t c = 0; c < by_class_.size(); ++c) {
+    p.classes[c].bound_rotation = rounded_up(by_class_[c].rotation);
+    p.classes[c].bound_scale = rounded_up(by_class_[c].scale);
+    p.classes[c].bound_dc = rounded_up(by_class_[c].dc);
+    p.classes[c].bound_sh = rounded_up(by_class_[c].sh);
+  }
+}
+
+bool within_bounds(const ArchiveParameters& p, std::size_t class_index, const SplatErrors& e) {
+  const ArchiveClass& c = p.classes[class_index];
+  const auto holds = [](double error, float bound) { return error <= static_cast<double>(bound); };
+  return holds(e.mean, p.bound_mean) && holds(e.opacity, p.bound_opacity) && holds(e.rotation, c.bound_rotation) &&
+         holds(e.scale, c.bound_scale) && holds(e.dc, c.bound_dc) && holds(e.sh, c.bound_sh);
+}
+
+}  // namespace detail
+
+namespace {
+
+// Frame `index` of `data`, the whole file.
+Status verify_frame(const DirectData& data, const SplatView& splats, std::span<const std::uint32_t> order,
+                    std::uint64_t index, detail::ArchiveDecoder& decoder) {
+  const FileView& view = data.file();
+  const Header& h = view.header();
+  const FrameTable& frames = view.frames(SectionType::geometry);
+  const CodedFrame& frame = frames.frames[index];
+  const std::uint64_t first = index * frames.rows, end = std::min(h.n_gaussians, first + frames.rows);
+  const auto stored_bytes = view.bytes().subspan(frame.offset, frame.stored_bytes);
+  if (Status s = decoder.geometry_codes(stored_bytes, frame.offset, end - first); !s) return s;
+  float step[48] = {}, slack[48] = {};
+  std::uint64_t loaded = ~std::uint64_t{0};  // chunk whose steps these are
+  for (std::uint64_t i = first; i < end; ++i) {
+    if (i / h.chunk_size != loaded) {
+      loaded = i / h.chunk_size;
+      const auto steps = view.chunk_steps(loaded);
+      if (!steps) return tl::unexpected(steps.error());
+      for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) {
+        step[k] = steps->of_value(k);
+        // Half a step, rounding of the value that was coded, and values too small for any step.
+        slack[k] = step[k] * (0.5f + 0x1p-16f) + kShFlush;
+      }
+    }
+    detail::StoredSplat stored{};
+    std::memcpy(stored.mean, data.means().data() + i * kMeanBytes, kMeanBytes);
+    std::memcpy(stored.geometry, data.geometry().data() + i * kGeometryBytes, kGeometryBytes);
+    const auto* codes = reinterpret_cast<const std::int8_t*>(data.sh().data() + i * sh_bytes(h.sh_degree));
+    for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) stored.sh[k] = dequantize_sh(codes[k], step[k]);
+    const Splat source = splats.splat(order[i]);
+    const auto errors = detail::splat_errors(*view.archive(), h.scale_exponent, h.sh_degree, source, stored, slack);
+    if (!detail::within_bounds(*view.archive(), decoder.codes().classes[i - first], errors)) {
+      return fail(Errc::internal, i, "a decoded Gaussian is outside the bounds that its archive states");
+    }
+  }
+  return {};
+}
+
+}  // namespace
+
+Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
+                      unsigned threads) {
+  assert(order.size() == splats.n);
+  DecodeLimits limits;
+  limits.max_expansion = std::uint64_t{1} << 32;  // the caller's own file: a scene of equals may shrink to nothing
+  const auto view = open(file, limits);
+  if (!view) return tl::unexpected(view.error());
+  if (view->archive() == nullptr || view->header().n_gaussians != splats.n) {
+    return fail(Errc::internal, Error::kNone, "not an archive of these Gaussians");
+  }
+  const auto data = load_direct(*view, {.validate = true, .threads = threads});
+  if (!data) return tl::unexpected(data.error());
+  const std::uint64_t n_frames = view->frames(SectionType::geometry).frames.size();
+  std::vector<detail::ArchiveDecoder> decoders;
+  for (unsigned i = detail::worker_count(n_frames, threads); i > 0; --i) {
+    decoders.emplace_back(*detail::archive_tables(*view));
+  }
+  return detail::run_jobs(n_frames, threads, [&](unsigned worker, std::uint64_t index) {
+    return verify_frame(*data, splats, order, index, decoders[worker]);
+  });
+}
+
+}  // namespace rgs

@@ -1,0 +1,77 @@
+// rans.cpp - tables, ends and the backward pass of the entropy coder.
+// SPDX-License-Identifier: Apache-2.0
+#include "archive/rans.hpp"
+
+#include <algorithm>
+#include <cassert>
+#include <numeric>
+
+namespace rgs::detail {
+
+bool RansTables::assign(std::span<const std::uint16_t> frequencies) {
+  const std::size_t n = frequencies.size() / kRansTokens;
+  slots_.assign(n * kRansTotal, 0);
+  for (std::size_t d = 0; d < n; ++d) {
+    const auto row = frequencies.subspan(d * kRansTokens, kRansTokens);
+    if (std::accumulate(row.begin(), row.end(), 0u) != kRansTotal) return false;
+    std::uint32_t* slot = &slots_[d * kRansTotal];
+    for (std::uint32_t token = 0; token < kRansTokens; ++token) {
+      for (std::uint32_t bias = 0; bias < row[token]; ++bias) {
+        *slot++ = token | (static_cast<std::uint32_t>(row[token]) - 1) << 8 | bias << 20;
+      }
+    }
+  }
+  return true;
+}
+
+bool RansReader::begin(std::span<const std::byte> stream) {
+  if (stream.size() < sizeof states_ || stream.size() % 2 != 0) return false;
+  std::memcpy(states_.data(), stream.data(), sizeof states_);
+  at_ = stream.data() + sizeof states_;
+  end_ = stream.data() + stream.size();
+  return true;
+}
+
+bool RansReader::finished() const {
+  return at_ == end_ && std::ranges::all_of(states_, [](std::uint32_t x) { return x == kRansLow; });
+}
+
+RansWriter::RansWriter(std::span<const std::uint16_t> frequencies, std::span<const std::uint8_t> map)
+    : frequencies_(frequencies), map_(map), starts_(frequencies.size()) {
+  for (std::size_t row = 0; row < frequencies.size(); row += kRansTokens) {
+    std::exclusive_scan(&frequencies[row], &frequencies[row] + kRansTokens, &starts_[row], std::uint16_t{0});
+  }
+}
+
+// The decoder takes from each state what was put in last: numbers go in backwards, raw bits before their token.
+std::vector<std::byte> RansWriter::finish() {
+  std::array<std::uint32_t, kRansStates> x;
+  x.fill(kRansLow);
+  std::vector<std::uint16_t> words;
+  const auto make_room = [&words](std::uint32_t& state, std::uint64_t limit) {
+    if (state < limit) return;
+    words.push_back(static_cast<std::uint16_t>(state));
+    state >>= 16;
+  };
+  for (auto number = numbers_.rbegin(); number != numbers_.rend(); ++number) {
+    std::uint32_t& state = x[number->state];
+    const RansToken t = rans_token(number->z);
+    if (t.n_bits != 0) {
+      make_room(state, std::uint64_t{1} << (32 - t.n_bits));
+      state = state << t.n_bits | t.bits;
+    }
+    const std::size_t entry = number->distribution * std::size_t{kRansTokens} + t.token;
+    const std::uint32_t frequency = frequencies_[entry];
+    assert(frequency != 0);
+    make_room(state, std::uint64_t{frequency} << 20);
+    state = (state / frequency << 12) + state % frequency + starts_[entry];
+  }
+  numbers_.clear();
+  std::ranges::reverse(words);
+  std::vector<std::byte> out(sizeof x + 2 * words.size());
+  std::memcpy(out.data(), x.data(), sizeof x);
+  if (!words.empty()) std::memcpy(out.data() + sizeof x, words.data(), 2 * words.size());
+  return out;
+}
+
+}  // namespace rgs::detail

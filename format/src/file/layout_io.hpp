@@ -1,0 +1,39 @@
+// layout_io.hpp - header, section table and fixed records to bytes and back. Parsing checks single fields; what fields
+// say about each other is checked in open.cpp.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "file/byte_reader.hpp"
+#include "file/byte_writer.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::detail {
+
+/// Where entry `i` of the section table is in the file.
+constexpr std::uint64_t section_entry_offset(std::uint64_t i) {
+  return kHeaderBytes + i * kSectionEntryBytes;
+}
+
+/// Header, table and their checksum: kHeaderBytes + n * kSectionEntryBytes + kHeadChecksumBytes.
+std::vector<std::byte> write_head(const Header& header, std::span<const SectionEntry> sections);
+std::vector<std::byte> write_declarations(const Declarations& declarations);
+void write_chunk_entry(ByteWriter& out, const ChunkEntry& entry);
+void write_scale_set(ByteWriter& out, const ScaleSet& set);
+std::vector<std::byte> write_provenance(const Provenance& provenance);
+
+/// The first kHeaderBytes of a file.
+Result<Header> parse_header(std::span<const std::byte> bytes);
+Result<SectionEntry> parse_section_entry(std::span<const std::byte> bytes, std::uint64_t offset);
+/// `offset` is where the record lies in the file.
+Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset);
+Result<ChunkEntry> parse_chunk_entry(std::span<const std::byte> bytes, std::uint64_t offset);
+ScaleSet parse_scale_set(std::span<const std::byte> bytes);
+Result<Provenance> parse_provenance(std::span<const std::byte> bytes, std::uint64_t offset);
+
+}  // namespace rgs::detail

@@ -1,0 +1,208 @@
+// load_direct.cpp - chunks in the layout that a GPU reads: borrowed from the file, or decoded on all threads.
+// SPDX-License-Identifier: Apache-2.0
+#include <sys/mman.h>
+
+#include <algorithm>
+#include <array>
+#include <cassert>
+#include <cstdlib>
+#include <new>
+
+#include "archive/archive_codec.hpp"
+#include "file/checked.hpp"
+#include "file/value_checks.hpp"
+#include "file/workers.hpp"
+#include "packed/frame_codec.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/decode.hpp"
+
+namespace rgs {
+namespace {
+
+// Frames of one section that hold part of the range, and where their rows go.
+struct CodedPart {
+  SectionType type = SectionType::means;
+  const FrameTable* table = nullptr;
+  std::uint64_t row_bytes = 0;
+  std::uint64_t first_frame = 0, n_frames = 0;
+  std::uint64_t first = 0, end = 0;  // rows in these frames
+  std::byte* rows = nullptr;         // [end - first, row_bytes]
+};
+
+// Uninitialised, for vector loads. Large blocks ask for large pages: most of the time of touching memory for the first
+// time is spent on page faults.
+std::byte* allocate(std::uint64_t bytes) {
+  constexpr std::uint64_t kLargePage = std::uint64_t{2} << 20;
+  const std::uint64_t alignment = bytes >= 2 * kLargePage ? kLargePage : 64;
+  if (bytes > ~std::uint64_t{0} - alignment) throw std::bad_alloc();
+  const std::uint64_t size = detail::align_up(std::max<std::uint64_t>(bytes, 1), alignment);
+  void* memory = std::aligned_alloc(alignment, size);
+  if (memory == nullptr) throw std::bad_alloc();
+#ifdef MADV_HUGEPAGE
+  if (alignment == kLargePage) ::madvise(memory, size, MADV_HUGEPAGE);  // a hint
+#endif
+  return static_cast<std::byte*>(memory);
+}
+
+// SH steps of the chunks of a frame.
+Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                   std::vector<ScaleSet>& steps) {
+  steps.clear();
+  for (std::uint64_t i = first_chunk; i < first_chunk + n_chunks; ++i) {
+    const auto set = view.chunk_steps(i);
+    if (!set) return tl::unexpected(set.error());
+    steps.push_back(*set);
+  }
+  return {};
+}
+
+struct Worker {
+  detail::FrameDecoder decoder;
+  std::vector<ScaleSet> steps;
+};
+
+// Stored bytes of a frame, once their hash is right.
+Result<std::span<const std::byte>> frame_bytes(const FileView& view, const CodedFrame& frame) {
+  const auto stored = view.bytes().subspan(frame.offset, frame.stored_bytes);
+  if (const std::uint64_t hash = xxh3(stored); hash != frame.xxh3) {
+    return fail(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
+  }
+  return stored;
+}
+
+Status decode_frame(const FileView& view, const CodedPart& part, std::uint64_t index, Worker& worker) {
+  const CodedFrame& frame = part.table->frames[index];
+  const auto bytes = frame_bytes(view, frame);
+  if (!bytes) return tl::unexpected(bytes.error());
+  const auto stored = *bytes;
+  const std::uint64_t first = index * part.table->rows;
+  const auto count = static_cast<std::uint32_t>(std::min<std::uint64_t>(part.table->rows, part.end - first));
+  const std::span rows(part.rows + (first - part.first) * part.row_bytes, count * part.row_bytes);
+  switch (part.type) {
+    case SectionType::geometry: return worker.decoder.geometry(stored, frame.offset, count, rows);
+    case SectionType::sh: {
+      const std::uint32_t chunk_rows = view.header().chunk_size;
+      if (Status s = frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, worker.steps); !s)
+        return s;
+      return worker.decoder.sh(stored, frame.offset, count, {view.header().sh_degree, chunk_rows, worker.steps}, rows);
+    }
+    default: return worker.decoder.words(stored, frame.offset, count, part.row_bytes, rows);
+  }
+}
+
+// The frames of one index of all three sections, `parts` as read_chunks() lists them.
+Status decode_archive_frame(const FileView& view, std::span<const CodedPart> parts, std::uint64_t index,
+                            detail::ArchiveDecoder& decoder) {
+  const CodedPart &sh = parts[0], &geometry = parts[1], &means = parts[2];
+  const std::uint64_t first = index * sh.table->rows;
+  const std::size_t count = std::min<std::uint64_t>(sh.table->rows, sh.end - first);
+  const auto rows = [&](const CodedPart& part) {
+    return std::span(part.rows + (first - part.first) * part.row_bytes, count * part.row_bytes);
+  };
+  const CodedFrame& mean_frame = means.table->frames[index];
+  const auto mean_bytes = frame_bytes(view, mean_frame);
+  if (!mean_bytes) return tl::unexpected(mean_bytes.error());
+  if (Status s = decoder.means(*mean_bytes, mean_frame.offset, count, rows(means)); !s) return s;
+  const CodedFrame& geometry_frame = geometry.table->frames[index];
+  const auto geometry_bytes = frame_bytes(view, geometry_frame);
+  if (!geometry_bytes) return tl::unexpected(geometry_bytes.error());
+  if (Status s = decoder.geometry_codes(*geometry_bytes, geometry_frame.offset, count); !s) return s;
+  decoder.geometry(view.header().scale_exponent, rows(geometry));
+  const CodedFrame& sh_frame = sh.table->frames[index];
+  const auto sh_bytes = frame_bytes(view, sh_frame);
+  if (!sh_bytes) return tl::unexpected(sh_bytes.error());
+  if (Status s = decoder.sh_codes(*sh_bytes, sh_frame.offset); !s) return s;
+  const std::uint32_t chunk_rows = view.header().chunk_size;
+  std::vector<ScaleSet> steps;
+  if (Status s = frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, steps); !s) return s;
+  decoder.sh(view.header().sh_degree, chunk_rows, steps, rows(sh));
+  return {};
+}
+
+Status decode_parts(const FileView& view, std::span<const CodedPart> parts, unsigned threads) {
+  std::uint64_t n_jobs = 0;
+  for (const CodedPart& part : parts) n_jobs += part.n_frames;
+  std::vector<Worker> workers(detail::worker_count(n_jobs, threads));
+  return detail::run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) {
+    std::size_t k = 0;
+    while (job >= parts[k].n_frames) job -= parts[k++].n_frames;
+    return decode_frame(view, parts[k], parts[k].first_frame + job, workers[worker]);
+  });
+}
+
+Status decode_archive(const FileView& view, std::span<const CodedPart> parts, unsigned threads) {
+  const std::uint64_t n_jobs = parts[0].n_frames;
+  std::vector<detail::ArchiveDecoder> decoders;
+  for (unsigned i = detail::worker_count(n_jobs, threads); i > 0; --i) {
+    decoders.emplace_back(*detail::archive_tables(view));
+  }
+  return detail::run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) {
+    return decode_archive_frame(view, parts, parts[0].first_frame + job, decoders[worker]);
+  });
+}
+
+}  // namespace
+
+void DirectData::Free::operator()(std::byte* memory) const {
+  std::free(memory);
+}
+
+Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                               const LoadOptions& options) {
+  const Header& h = view.header();
+  assert(first_chunk <= h.n_chunks && n_chunks <= h.n_chunks - first_chunk);
+  DirectData data;
+  data.view_ = view;
+  data.first_chunk_ = first_chunk;
+  data.n_chunks_ = n_chunks;
+  data.first_ = std::min(first_chunk * h.chunk_size, h.n_gaussians);
+  data.n_ = std::min((first_chunk + n_chunks) * h.chunk_size, h.n_gaussians) - data.first_;
+
+  // Largest first: what takes longest must not begin last.
+  struct Section {
+    SectionType type;
+    std::uint64_t row_bytes;
+    std::span<const std::byte>* rows;
+  };
+  const std::array sections = {Section{SectionType::sh, sh_bytes(h.sh_degree), &data.sh_},
+                               Section{SectionType::geometry, kGeometryBytes, &data.geometry_},
+                               Section{SectionType::means, kMeanBytes, &data.means_}};
+  std::vector<CodedPart> parts;
+  for (const Section& s : sections) {
+    const FrameTable& table = view.frames(s.type);
+    if (table.rows == 0) {
+      *s.rows = view.stored(s.type).subspan(data.first_ * s.row_bytes, data.n_ * s.row_bytes);
+      continue;
+    }
+    if (data.n_ == 0) continue;
+    CodedPart part{s.type, &table, s.row_bytes, data.first_ / table.rows};
+    part.n_frames = (data.first_ + data.n_ - 1) / table.rows + 1 - part.first_frame;
+    part.first = part.first_frame * table.rows;
+    part.end = std::min((part.first_frame + part.n_frames) * table.rows, h.n_gaussians);
+    data.memory_.emplace_back(allocate((part.end - part.first) * s.row_bytes));
+    part.rows = data.memory_.back().get();
+    *s.rows = {part.rows + (data.first_ - part.first) * s.row_bytes, data.n_ * s.row_bytes};
+    parts.push_back(part);
+  }
+  if (!parts.empty()) {
+    const unsigned threads =
+        detail::threads_for(data.n_ * (kMeanBytes + kGeometryBytes + sh_bytes(h.sh_degree)), options.threads);
+    const Status decoded =
+        view.archive() != nullptr ? decode_archive(view, parts, threads) : decode_parts(view, parts, threads);
+    if (!decoded) return tl::unexpected(decoded.error());
+  }
+  if (options.validate) {
+    if (const Status s = detail::check_values(data, options.threads); !s) return tl::unexpected(s.error());
+  }
+  return data;
+}
+
+Result<DirectData> load_direct(const FileView& view, const LoadOptions& options) {
+  auto data = read_chunks(view, 0, view.header().n_chunks, {false, options.threads});
+  if (data && options.validate) {
+    if (const Status s = detail::check_file(*data, options.threads); !s) return tl::unexpected(s.error());
+  }
+  return data;
+}
+
+}  // namespace rgs

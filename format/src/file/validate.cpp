@@ -1,0 +1,298 @@
+// validate.cpp - the payload of a file against its specification.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+
+#include "file/value_checks.hpp"
+#include "file/workers.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs {
+namespace detail {
+
+// What the declarations state about all Gaussians, summed up in any order.
+struct ValueTotals {
+  EncodeCounts counts;
+  Box full;
+  bool empty = true;
+
+  void add(const ValueTotals& other) {
+    counts.add(other.counts);
+    for (std::size_t k = 0; k < 3 && !other.empty; ++k) {
+      full.min[k] = empty ? other.full.min[k] : std::min(full.min[k], other.full.min[k]);
+      full.max[k] = empty ? other.full.max[k] : std::max(full.max[k], other.full.max[k]);
+    }
+    empty = empty && other.empty;
+  }
+};
+
+}  // namespace detail
+
+namespace {
+
+using detail::run_jobs;
+using detail::threads_for;
+using detail::worker_count;
+using Totals = detail::ValueTotals;
+
+// Stored quaternions have a squared norm within 2^-8 of 1: twice what the encoder lets through unnormalised.
+constexpr double kNormTolerance = 0x1p-8;
+
+// `place` gives the offset in the file of a byte of the row.
+template <class Place>
+Status check_geometry(const std::uint16_t codes[8], const Place& place, EncodeCounts& counts,
+                      std::uint16_t& largest_scale, std::uint16_t& largest_opacity) {
+  double squared = 0;  // exact: squares of FP16 numbers and their sums fit into 53 bits
+  for (int i = 0; i < 4; ++i) {
+    const double component = static_cast<double>(float_from_half(codes[i]));
+    squared += component * component;
+  }
+  if (!(std::abs(squared - 1.0) <= kNormTolerance)) {
+    return fail(Errc::bad_value, place(0), "a rotation is not a unit quaternion");
+  }
+  if ((codes[0] & 0x8000u) != 0) return fail(Errc::bad_value, place(0), "a rotation's w has its sign bit set");
+  for (int i = 4; i < 7; ++i) {
+    if (codes[i] >= 0x7C00u) {
+      return fail(Errc::bad_value, place(2 * static_cast<std::uint64_t>(i)), "a scale is negative or not finite");
+    }
+    counts.scale_zero += codes[i] == 0;
+    counts.scale_subnormal += codes[i] != 0 && codes[i] < 0x0400;
+    largest_scale = std::max(largest_scale, codes[i]);
+  }
+  if (codes[7] > 0x3C00u) return fail(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
+  counts.opacity_zero += codes[7] == 0;
+  counts.opacity_one += codes[7] == 0x3C00u;
+  largest_opacity = std::max(largest_opacity, codes[7]);
+  return {};
+}
+
+// Which bits each byte of an SH row may have: all where the step is not 0, none elsewhere and in the padding.
+using ShMask = std::array<std::uint8_t, 48>;
+
+ShMask legal_bits(const ScaleSet& steps, int degree) {
+  ShMask mask{};
+  for (int i = 0; i < 3 * sh_coefficients(degree); ++i) {
+    mask[static_cast<std::size_t>(i)] = steps.of_value(i) != 0 ? 0xFF : 0;
+  }
+  return mask;
+}
+
+bool legal_row(const std::int8_t* codes, const ShMask& mask, std::size_t bytes) {
+  unsigned bad = 0;  // without a branch, so that it becomes vectors
+  for (std::size_t i = 0; i < bytes; ++i) {
+    const auto code = static_cast<std::uint8_t>(codes[i]);
+    bad |= static_cast<std::uint8_t>((code & ~mask[i]) | (code == 0x80 ? 1 : 0));
+  }
+  return bad == 0;
+}
+
+// Where and why a row is not legal.
+template <class Place>
+Status explain_sh(const std::int8_t* codes, const Place& place, const ScaleSet& steps, int degree) {
+  const int floats = 3 * sh_coefficients(degree);
+  for (int i = 0; i < floats; ++i) {
+    if (codes[i] == -128) {
+      return fail(Errc::bad_value, place(static_cast<std::uint64_t>(i)), "an SH code is -128, which is not used");
+    }
+    if (codes[i] != 0 && steps.of_value(i) == 0) {
+      return fail(Errc::bad_value, place(static_cast<std::uint64_t>(i)), "an SH code is not 0 though its step is 0");
+    }
+  }
+  for (int i = floats; i < static_cast<int>(sh_bytes(degree)); ++i) {
+    if (codes[i] != 0) {
+      return fail(Errc::reserved_bits, place(static_cast<std::uint64_t>(i)), "SH padding is not zero");
+    }
+  }
+  return {};
+}
+
+Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) {
+  const FileView& view = data.file();
+  const auto entry = view.chunk(index);
+  if (!entry) return tl::unexpected(entry.error());
+  const auto steps = view.scale_set(entry->scale_set);
+  if (!steps) return tl::unexpected(steps.error());
+
+  const Header& h = view.header();
+  const std::uint64_t first = index * h.chunk_size;
+  const ShMask mask = legal_bits(*steps, h.sh_degree);
+  Box box;
+  std::uint16_t largest_scale = 0, largest_opacity = 0;
+  for (std::uint64_t i = first; i < first + entry->count; ++i) {
+    const std::uint64_t row = i - data.first();
+    float mean[3];
+    std::memcpy(mean, data.means().data() + row * kMeanBytes, kMeanBytes);
+    for (std::size_t k = 0; k < 3; ++k) {
+      if (!std::isfinite(mean[k])) {
+        return fail(Errc::bad_value, view.place(SectionType::means, i, 4 * k), "a mean is not finite");
+      }
+      box.min[k] = i == first ? mean[k] : std::min(box.min[k], mean[k]);
+      box.max[k] = i == first ? mean[k] : std::max(box.max[k], mean[k]);
+    }
+    std::uint16_t codes[8];
+    std::memcpy(codes, data.geometry().data() + row * kGeometryBytes, kGeometryBytes);
+    const auto* sh = reinterpret_cast<const std::int8_t*>(data.sh().data() + row * sh_bytes(h.sh_degree));
+    const auto geometry_at = [&](std::uint64_t byte) { return view.place(SectionType::geometry, i, byte); };
+    const auto sh_at = [&](std::uint64_t byte) { return view.place(SectionType::sh, i, byte); };
+    if (Status s = check_geometry(codes, geometry_at, totals.counts, largest_scale, largest_opacity); !s) return s;
+    if (!legal_row(sh, mask, sh_bytes(h.sh_degree))) return explain_sh(sh, sh_at, *steps, h.sh_degree);
+  }
+
+  const auto at = [&](std::uint64_t byte) { return view.place(SectionType::chunks, index, byte); };
+  if (box.min != entry->means.min || box.max != entry->means.max) {
+    return fail(Errc::bad_value, at(0), "a chunk's box is not that of its means");
+  }
+  if (entry->radius != 3.f * dequantize_scale(largest_scale, h.scale_exponent)) {
+    return fail(Errc::bad_value, at(12), "a chunk's radius is not three times its largest scale");
+  }
+  if (entry->max_opacity != float_from_half(largest_opacity)) {
+    return fail(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
+  }
+  totals.add({{}, box, false});
+  return {};
+}
+
+// Every value of the range, a few thousand Gaussians at a time.
+Status check_chunks(const DirectData& data, unsigned threads, Totals& totals) {
+  const std::uint64_t chunks_a_job = std::max<std::uint64_t>(1, 8192 / data.header().chunk_size);
+  const std::uint64_t n_jobs = (data.n_chunks() + chunks_a_job - 1) / chunks_a_job;
+  threads = threads_for(data.size() * (kMeanBytes + kGeometryBytes + sh_bytes(data.header().sh_degree)), threads);
+  std::vector<Totals> parts(worker_count(n_jobs, threads));
+  const Status status = run_jobs(n_jobs, threads, [&](unsigned worker, std::uint64_t job) -> Status {
+    const std::uint64_t end = std::min(data.n_chunks(), (job + 1) * chunks_a_job);
+    for (std::uint64_t i = job * chunks_a_job; i < end; ++i) {
+      if (Status s = check_chunk(data, data.first_chunk() + i, parts[worker]); !s) return s;
+    }
+    return {};
+  });
+  for (const Totals& part : parts) totals.add(part);
+  return status;
+}
+
+Status check_scale_sets(const FileView& view) {
+  for (std::uint64_t i = 0; i < view.header().n_scale_sets; ++i) {
+    if (const auto set = view.scale_set(i); !set) return tl::unexpected(set.error());
+  }
+  return {};
+}
+
+Status check_declarations(const FileView& view, const Totals& totals) {
+  const Declarations& d = view.declarations();
+  const std::uint64_t at = view.find(SectionType::declarations)->offset;
+  if (d.full.min != totals.full.min || d.full.max != totals.full.max) {
+    return fail(Errc::bad_value, at + 44, "the declared full box is not that of the means");
+  }
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (d.robust.min[k] < totals.full.min[k] || d.robust.max[k] > totals.full.max[k]) {
+      return fail(Errc::bad_value, at + 68, "the declared robust box reaches beyond the full box");
+    }
+  }
+  const EncodeCounts& counts = totals.counts;
+  const std::uint64_t found[4] = {counts.scale_subnormal, counts.scale_zero, counts.opacity_zero, counts.opacity_one};
+  const std::uint64_t declared[4] = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
+  for (std::size_t i = 0; i < 4; ++i) {
+    if (declared[i] != found[i]) {
+      return fail(Errc::bad_value, at + 120 + 8 * i, "a declared count is not what the file holds", declared[i],
+                  found[i]);
+    }
+  }
+  return {};
+}
+
+Status check_permutation(const FileView& view) {
+  const SectionEntry* entry = view.find(SectionType::permutation);
+  if (entry == nullptr) return {};
+  const std::uint64_t n = view.header().n_gaussians;
+  std::vector<std::uint64_t> indices(n);
+  const std::uint64_t entry_bytes = n == 0 ? 0 : entry->stored_bytes / n;
+  const std::uint64_t n_source = view.declarations().n_source;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    indices[i] = view.source_index(i);
+    if (indices[i] >= n_source) {
+      return fail(Errc::bad_value, entry->offset + i * entry_bytes,
+                  "the permutation names a Gaussian beyond the source", n_source, indices[i]);
+    }
+  }
+  std::ranges::sort(indices);
+  if (std::ranges::adjacent_find(indices) != indices.end()) {
+    return fail(Errc::bad_value, entry->offset, "the permutation names a source Gaussian twice");
+  }
+  return {};
+}
+
+// Hashes of sections; of coded ones only if `coded`.
+Status check_sections(const FileView& view, unsigned threads, bool coded) {
+  threads = threads_for(view.bytes().size(), threads);
+  return run_jobs(view.sections().size(), threads, [&](unsigned, std::uint64_t i) -> Status {
+    const SectionEntry& s = view.sections()[i];
+    if (!coded && view.frames(static_cast<SectionType>(s.type)).rows != 0) return {};
+    const std::uint64_t hash = xxh3(view.stored(s));
+    if (hash == s.xxh3) return {};
+    return fail(Errc::checksum_mismatch, s.offset, "a section's checksum does not match", s.xxh3, hash);
+  });
+}
+
+}  // namespace
+
+namespace detail {
+
+Status check_values(const DirectData& data, unsigned threads) {
+  Totals totals;
+  return check_chunks(data, threads, totals);
+}
+
+Status check_file(const DirectData& data, unsigned threads) {
+  const FileView& view = data.file();
+  if (Status s = check_sections(view, threads, false); !s) return s;
+  if (Status s = check_scale_sets(view); !s) return s;
+  Totals totals;
+  if (Status s = check_chunks(data, threads, totals); !s) return s;
+  if (Status s = check_declarations(view, totals); !s) return s;
+  return check_permutation(view);
+}
+
+}  // namespace detail
+
+Validation::Validation(const FileView& view) : view_(&view), totals_(std::make_unique<detail::ValueTotals>()) {}
+Validation::Validation(Validation&&) noexcept = default;
+Validation& Validation::operator=(Validation&&) noexcept = default;
+Validation::~Validation() = default;
+
+Result<Validation> Validation::begin(const FileView& view) {
+  if (const Status s = check_sections(view, 0, true); !s) return tl::unexpected(s.error());
+  if (const Status s = check_scale_sets(view); !s) return tl::unexpected(s.error());
+  return Validation(view);
+}
+
+Status Validation::check(const DirectData& next) {
+  return check_chunks(next, 0, *totals_);
+}
+
+Status Validation::finish() const {
+  if (Status s = check_declarations(*view_, *totals_); !s) return s;
+  return check_permutation(*view_);
+}
+
+std::uint64_t Validation::chunks_at_a_time() const {
+  const Header& h = view_->header();
+  return std::max<std::uint64_t>(1, view_->coded() ? (1u << 19) / h.chunk_size : h.n_chunks);
+}
+
+Status validate(const FileView& view) {
+  auto validation = Validation::begin(view);
+  if (!validation) return tl::unexpected(validation.error());
+  const std::uint64_t n_chunks = view.header().n_chunks, piece = validation->chunks_at_a_time();
+  for (std::uint64_t first = 0; first < n_chunks; first += piece) {
+    const auto data = read_chunks(view, first, std::min(piece, n_chunks - first), {.validate = false});
+    if (!data) return tl::unexpected(data.error());
+    if (Status s = validation->check(*data); !s) return s;
+  }
+  return validation->finish();
+}
+
+}  // namespace rgs

@@ -1,0 +1,18 @@
+// codec_kernels.cpp - chooses the SH codec's loops for the machine.
+// SPDX-License-Identifier: Apache-2.0
+#include "packed/codec_kernels.hpp"
+
+namespace rgs::detail {
+
+const CodecKernels& codec_kernels() {
+#if defined(RGS_HAS_X86_KERNELS)
+  static const CodecKernels& chosen = __builtin_cpu_supports("avx512bw") ? kernels_avx512::kKernels
+                                      : __builtin_cpu_supports("avx2")   ? kernels_avx2::kKernels
+                                                                         : kernels_base::kKernels;
+  return chosen;
+#else
+  return kernels_base::kKernels;
+#endif
+}
+
+}  // namespace rgs::detail

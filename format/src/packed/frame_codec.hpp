@@ -1,0 +1,89 @@
+// frame_codec.hpp - rows of a section to one coded frame and back; docs/FORMAT.md "Coded sections".
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "packed/codec_kernels.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+
+struct ZSTD_CCtx_s;
+struct ZSTD_DCtx_s;
+
+namespace rgs::detail {
+
+/// What the SH codec has to know of the frame's chunks.
+struct ShFrame {
+  int degree = 0;
+  std::uint32_t chunk_rows = 0;           ///< Gaussians a chunk; a frame begins with a chunk
+  std::span<const ScaleSet> chunk_steps;  ///< of each chunk that the frame touches
+};
+
+/// Decodes frames, one at a time. Memory grows to that of the largest frame. Safe on untrusted bytes: whatever decodes
+/// without corrupt_data fills `out` with some rows. Errors: corrupt_data at `offset`, the frame's place in the file.
+class FrameDecoder {
+ public:
+  FrameDecoder();
+  /// Rows of 32-bit words. `out` [n_rows, row_bytes].
+  Status words(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows, std::uint64_t row_bytes,
+               std::span<std::byte> out);
+  /// GEOM. `out` [n_rows, 16].
+  Status geometry(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
+                  std::span<std::byte> out);
+  /// SHI8. `out` [n_rows, sh_bytes].
+  Status sh(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows, const ShFrame& frame,
+            std::span<std::byte> out);
+
+ private:
+  Status inflate(std::span<const std::byte> stored, std::uint64_t offset, std::size_t content_bytes);
+  struct Free {
+    void operator()(ZSTD_DCtx_s* context) const;
+  };
+  std::unique_ptr<ZSTD_DCtx_s, Free> context_;
+  std::unique_ptr<ShLanes> lanes_;
+  std::vector<std::uint8_t> content_;
+};
+
+/// Encodes frames, one at a time. Deterministic.
+class FrameEncoder {
+ public:
+  /// `level` 1 to kMaxLevel: 1 codes byte planes by entropy alone; above, matches of Zstandard's level are tried as
+  /// well and the smaller result is kept.
+  explicit FrameEncoder(int level);
+  std::vector<std::byte> words(std::span<const std::byte> rows, std::uint64_t row_bytes);
+  std::vector<std::byte> geometry(std::span<const std::byte> rows);
+  std::vector<std::byte> sh(std::span<const std::byte> rows, const ShFrame& frame);
+
+ private:
+  std::vector<std::byte> deflate(std::span<const std::size_t> plane_ends);
+  std::vector<std::byte> deflate(std::span<const std::size_t> plane_ends, bool matches);
+  struct Free {
+    void operator()(ZSTD_CCtx_s* context) const;
+  };
+  std::unique_ptr<ZSTD_CCtx_s, Free> context_;
+  std::unique_ptr<ShLanes> lanes_;
+  std::vector<std::uint8_t> content_;
+  int level_;
+};
+
+// ---- the SH predictor (codec_sh.cpp) ------------------------------------------------------------------------------
+
+/// Bytes of a frame's weights: n (n - 1) / 2 + n.
+constexpr std::size_t sh_weight_bytes(int n_codes) {
+  return static_cast<std::size_t>(n_codes * (n_codes + 1) / 2);
+}
+/// Weights that suit the frame, as its content begins with them.
+void fit_sh_weights(ShLanes& lanes, std::span<const std::byte> rows, const ShFrame& frame,
+                    std::span<std::uint8_t> weights);
+/// content: weights, then 3 (degree + 1)^2 planes of n_rows residuals.
+void decode_sh_planes(ShLanes& lanes, std::span<const std::uint8_t> content, std::uint32_t n_rows, const ShFrame& frame,
+                      std::span<std::byte> rows);
+void encode_sh_planes(ShLanes& lanes, std::span<const std::byte> rows, const ShFrame& frame,
+                      std::span<std::uint8_t> content);
+
+}  // namespace rgs::detail

@@ -1,0 +1,57 @@
+// cover.cuh - the tiles of one Gaussian, row by row, in a form that fits shared memory.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "common/frame.hpp"
+#include "rgs/math/coverage.hpp"
+#include "rgs/math/projection.hpp"
+
+namespace rgs::cuda {
+
+/// Tile rows first_row .. first_row + n_rows - 1 may list the Gaussian.
+template <math::Extent E>
+struct Cover;
+
+template <>
+struct Cover<math::Extent::square> {
+  math::TileRect rect;
+
+  __device__ static Cover of(const math::Projected<float>& p, float, math::TileGrid grid) {
+    return {math::square_extent(p.mean, p.footprint.cov, grid)};
+  }
+  __device__ int first_row() const { return rect.y0; }
+  __device__ std::uint32_t n_rows() const { return rect.empty() ? 0 : static_cast<std::uint32_t>(rect.y1 - rect.y0); }
+  __device__ math::TileSpan tiles(int, math::TileGrid) const { return {rect.x0, rect.x1}; }
+};
+
+template <>
+struct Cover<math::Extent::ellipse> {
+  math::Ellipse<float> ellipse;
+  int y0, y1;
+
+  __device__ static Cover of(const math::Projected<float>& p, float cutoff, math::TileGrid grid) {
+    const auto e = math::ellipse(p.mean, p.footprint, cutoff);
+    const auto rect = math::bounding_tiles(e, grid);
+    return {e, rect.y0, rect.empty() ? rect.y0 : rect.y1};
+  }
+  __device__ int first_row() const { return y0; }
+  __device__ std::uint32_t n_rows() const { return static_cast<std::uint32_t>(y1 - y0); }
+  __device__ math::TileSpan tiles(int row, math::TileGrid grid) const {
+    const auto span = math::tiles_in_row(ellipse, row, grid);
+    return {span.first, span.last > span.first ? span.last : span.first};
+  }
+};
+
+/// Depth's part of the key.
+__device__ inline std::uint32_t depth_key(const ViewParameters& v, float z) {
+  return v.key.quantized ? math::quantize_depth(v.quantizer, z) : math::depth_bits(z);
+}
+
+template <class Key>
+__device__ inline Key make_key(const ViewParameters& v, std::uint32_t tile, std::uint32_t depth) {
+  return static_cast<Key>(static_cast<std::uint64_t>(tile) << v.key.depth_bits | depth);
+}
+
+}  // namespace rgs::cuda

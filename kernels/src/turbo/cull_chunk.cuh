@@ -1,0 +1,82 @@
+// cull_chunk.cuh - whole chunks outside the view, found before an attribute is read.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+
+#include "common/attributes.hpp"
+#include "common/frame.hpp"
+#include "rgs/math/camera.hpp"
+
+namespace rgs::cuda {
+
+/// Planes that bound what the view can show. A box of means with centre c and half extents h, in world coordinates, is
+/// beyond a plane if normal . c + offset > extent . h + reach s + rounding |c|, with s three standard deviations of its
+/// largest Gaussian. The last term is room for the rounding of large coordinates.
+struct CullPlanes {
+  struct Plane {
+    math::Vec3<float> normal, extent;
+    float offset, reach, rounding;
+  };
+  Plane plane[6];
+};
+
+/// With s the largest standard deviation, a Gaussian's covariance on the image is at most (f/z)^2 (1 + slope^2) s^2 +
+/// low_pass along an axis, slope being clamped as in the projection, so it reaches at most 3.34 (f/z sqrt(1 + slope^2) s
+/// + sqrt(low_pass)) pixels from its mean. Times z/f this is a distance from the planes through the image's edges, moved
+/// outwards by the low-pass' share and a pixel.
+inline CullPlanes cull_planes(const ViewParameters& v) {
+  const math::View<float>& view = v.view;
+  const float* const w = view.rotation;
+  const float* const t = view.translation;
+  // Beyond it: x X + y Y + z Z > distance in camera coordinates.
+  const auto plane = [&](double x, double y, double z, double distance, float reach) {
+    constexpr double kRounding = 1e-5;
+    const auto along = [&](int axis) { return x * w[axis] + y * w[3 + axis] + z * w[6 + axis]; };
+    const auto extent = [&](int axis) { return static_cast<float>(1.0001 * std::fabs(along(axis))); };
+    const double size = std::fabs(x) + std::fabs(y) + std::fabs(z);
+    const double slack = kRounding * size * (std::fabs(t[0]) + std::fabs(t[1]) + std::fabs(t[2]));
+    return CullPlanes::Plane{{static_cast<float>(along(0)), static_cast<float>(along(1)), static_cast<float>(along(2))},
+                             {extent(0), extent(1), extent(2)},
+                             static_cast<float>(x * t[0] + y * t[1] + z * t[2] - distance - slack),
+                             reach / 3,
+                             static_cast<float>(kRounding * size)};
+  };
+  const auto reach = [](float low, float high) {
+    const float slope = std::fmax(std::fabs(low), std::fabs(high));
+    return 3.34F * std::sqrt(1 + slope * slope);
+  };
+  const float reach_x = reach(view.slope_low_x, view.slope_high_x),
+              reach_y = reach(view.slope_low_y, view.slope_high_y);
+  const float margin = 3.34F * std::sqrt(v.low_pass) + 1;
+  const float left = (view.cx + margin) / view.fx, top = (view.cy + margin) / view.fy;
+  const float right = (static_cast<float>(view.width) - view.cx + margin) / view.fx;
+  const float bottom = (static_cast<float>(view.height) - view.cy + margin) / view.fy;
+  return {{plane(0, 0, -1, -view.near_plane, 0), plane(0, 0, 1, view.far_plane, 0), plane(1, 0, -right, 0, reach_x),
+           plane(-1, 0, -left, 0, reach_x), plane(0, 1, -bottom, 0, reach_y), plane(0, -1, -top, 0, reach_y)}};
+}
+
+/// FP32 attributes have no chunks.
+__device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const CullPlanes&) {
+  return true;
+}
+
+/// False only if no Gaussian of the chunk of Gaussian i can be listed in a tile. All lanes of a warp call it, with
+/// Gaussians of one chunk: each asks one plane.
+__device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const CullPlanes& planes) {
+  const auto* const entry = reinterpret_cast<const float4*>(a.chunks + 12 * (i / a.chunk_size));
+  const float4 low = __ldg(entry);  // x, y, z; w: three standard deviations
+  const float4 high = __ldg(entry + 1);
+  const math::Vec3<float> center{0.5F * (low.x + high.x), 0.5F * (low.y + high.y), 0.5F * (low.z + high.z)};
+  const math::Vec3<float> half{0.5F * (high.x - low.x), 0.5F * (high.y - low.y), 0.5F * (high.z - low.z)};
+  const float size = fabsf(center.x) + fabsf(center.y) + fabsf(center.z);
+  const CullPlanes::Plane& p = planes.plane[math::min(threadIdx.x % 32, 5u)];
+  const float distance = fmaf(p.normal.x, center.x, fmaf(p.normal.y, center.y, fmaf(p.normal.z, center.z, p.offset)));
+  const float reach = fmaf(p.reach, low.w, p.rounding * size);
+  // The comparison with a box whose numbers overflow leaves it in view.
+  const bool beyond = distance > fmaf(p.extent.x, half.x, fmaf(p.extent.y, half.y, fmaf(p.extent.z, half.z, reach)));
+  return !__any_sync(0xFFFFFFFFu, beyond);
+}
+
+}  // namespace rgs::cuda

@@ -1,0 +1,242 @@
+// turbo_emit.cu - attributes to the entries of the tiles' lists, in runs of one tile each.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp
+// In/Out  attributes [n] -> splats [n], entries, runs, large
+// Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
+// Launch  256 threads, ceil(n / 256) blocks
+// Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
+//         words between counting and placing; 33 KiB
+// Order   of entries and runs: any. The lists' order is made later, by depth and index, so that the image is the same
+//         on every run. Compiled without contraction to FMA, see project.cu.
+//
+// Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
+// block sorts its entries by tile before they leave it, by counting. What their rows show is kept meanwhile, in a word for
+// each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted 1,024 at a time; most
+// blocks have fewer. A Gaussian of many tiles would keep its block long after the others: it waits for turbo_large.cu, as
+// does one for whose words there is no room.
+#include <cstdint>
+
+#include "common/atomic_add.cuh"
+#include "common/block_scan.cuh"
+#include "common/launch.cuh"
+#include "common/load_splat.cuh"
+#include "common/project_splat.cuh"
+#include "turbo/cull_chunk.cuh"
+#include "turbo/emit_runs.cuh"
+#include "turbo/turbo.hpp"
+
+namespace rgs::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+constexpr std::uint32_t kWindow = 4 * kThreads;  // tiles that are counted at a time
+constexpr std::uint32_t kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
+constexpr std::uint32_t kWords = 4096;           // tiles of bounding boxes that a block has room for
+constexpr std::uint32_t kBlockTiles = 1u << 16;  // that a word can tell apart
+
+// Tiles of a Gaussian's bounding box.
+struct Box {
+  std::uint16_t x, y;
+  std::uint16_t first;  // of its words
+  std::uint8_t columns, rows;
+};
+static_assert(kLargeTiles < 256 && kThreads * kLargeTiles < 1 << 15);
+
+struct Shared {
+  math::Ellipse<float> ellipse[kThreads];
+  Box box[kThreads];
+  std::uint32_t depth[kThreads];              // bits
+  std::uint16_t row_end[kThreads];            // inclusive sums of the Gaussians' rows after the first
+  std::uint8_t listed[kThreads];              // the Gaussian has an entry
+  alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of its next one
+  std::uint32_t words[kWords];  // tile of the block's bounding box << 16 | owner << 8 | cells; without cells: none
+  std::uint32_t n_words;
+  std::uint32_t bounds[4];  // of the block: largest 2^15 - x0, 2^15 - y0, x1, y1
+  RunPlaces<kThreads> places;
+};
+constexpr std::uint32_t kOrigin = 1u << 15;
+
+// Fills the words of the block's bounding boxes, and calls f(tile) for every entry among them. The first rows of the 256
+// Gaussians come first, a thread each, then all other rows side by side.
+template <class F>
+__device__ void fill_words(Shared& s, std::uint32_t n_rows, const math::TileRect& block, math::TileGrid grid,
+                           const F& f) {
+  for (std::uint32_t r = threadIdx.x; r < n_rows; r += kThreads) {
+    std::uint32_t owner = r, row = 0;
+    if (r >= kThreads) {
+      owner = owner_of<kThreads>(s.row_end, r - kThreads);
+      row = r - kThreads - (owner == 0 ? 0 : s.row_end[owner - 1]) + 1;
+    }
+    const Box box = s.box[owner];
+    if (row >= box.rows) continue;
+    const int y = box.y + static_cast<int>(row);
+    const auto cells = math::cell_rows(s.ellipse[owner], y);
+    std::uint32_t* const words = s.words + box.first + row * box.columns;
+    const auto first = static_cast<std::uint32_t>((y - block.y0) * (block.x1 - block.x0) + box.x - block.x0);
+    for (std::uint32_t k = 0; k < box.columns; k += 4) {
+      const std::uint32_t four = math::cells_of_four(cells, box.x + static_cast<int>(k));
+#pragma unroll
+      for (std::uint32_t j = 0; j < 4; ++j) {
+        if (k + j >= box.columns) break;
+        const std::uint32_t touched = math::cells_of_first(four >> (2 * j)), tile = first + k + j;
+        words[k + j] = tile << 16 | owner << 8 | touched;
+        if (touched != 0) f(tile);
+      }
+    }
+  }
+}
+
+// Entries and runs of the window's tiles get their places; counts become the places of the tiles' first entries.
+__device__ void place_window(Shared& s, std::uint32_t window, const math::TileRect& block, const TurboArrays& out,
+                             math::TileGrid grid) {
+  const auto width = static_cast<std::uint32_t>(block.x1 - block.x0);
+  const std::uint32_t n_tiles = width * static_cast<std::uint32_t>(block.y1 - block.y0);
+  for (std::uint32_t first = 0; first < kWindow && window + first < n_tiles; first += kThreads) {
+    std::uint32_t& count = s.counts[first + threadIdx.x];
+    const std::uint32_t n = count, in_block = window + first + threadIdx.x;
+    std::uint32_t tile = 0;
+    if (n > 0) {
+      const std::uint32_t row = in_block / width;
+      tile = (static_cast<std::uint32_t>(block.y0) + row) * static_cast<std::uint32_t>(grid.columns) +
+             static_cast<std::uint32_t>(block.x0) + in_block - row * width;
+    }
+    count = reserve_runs(s.places, n, tile, out);
+    __syncthreads();
+  }
+}
+
+// Leaves a Gaussian to turbo_large.cu.
+__device__ void set_aside(const TurboArrays& out, const math::Ellipse<float>& ellipse, const math::TileRect& rect,
+                          std::uint32_t depth, std::uint32_t i) {
+  const std::uint32_t at = atomicAdd(&out.state->n_large, 1u);
+  if (at >= out.large_capacity) return;
+  out.large[at] = {ellipse, depth, i, 0, {}};
+  out.large_boxes[at] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0),
+                         static_cast<std::uint16_t>(rect.x1), static_cast<std::uint16_t>(rect.y1)};
+}
+
+template <class A>
+__global__ void __launch_bounds__(kThreads)
+    turbo_emit_kernel(A attributes, const __grid_constant__ CullPlanes planes, TurboEmitArguments a) {
+  __shared__ Shared memory;
+  Shared& s = memory;
+  const ViewParameters& v = a.view;
+  const std::uint32_t first = blockIdx.x * kThreads;
+  const std::uint32_t i = first + threadIdx.x;
+  const auto clear_counts = [&s] {
+    static_assert(kWindow == 4 * kThreads);
+    reinterpret_cast<uint4*>(s.counts)[threadIdx.x] = {};
+  };
+  clear_counts();
+  s.listed[threadIdx.x] = 0;
+  if (threadIdx.x < 4) s.bounds[threadIdx.x] = 0;
+
+  math::TileRect rect{};
+  std::uint32_t n_columns = 0, n_rows = 0;
+  if (i - i % 32 < a.n && chunk_in_view(attributes, math::min(i, a.n - 1), planes) && i < a.n) {
+    const math::Vec3<float> mean = load_mean(attributes.mean, i);
+    // Geometry is not left until the depth is known: few of a chunk in view are out of range, and the loads overlap.
+    const Geometry g = load_geometry(attributes, i);
+    prefetch_color(attributes, i);
+    const auto p = math::project(v.view, mean, g.rotation, g.scale, g.opacity, v.low_pass, v.anti_aliasing);
+    if (p.footprint.valid) {
+      const float cutoff = math::power_cutoff(p.footprint.opacity);
+      const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
+      rect = math::bounding_tiles<kTurboTile>(ellipse, v.grid);
+      if (!rect.empty()) {
+        n_columns = static_cast<std::uint32_t>(rect.x1 - rect.x0);
+        n_rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
+        s.ellipse[threadIdx.x] = ellipse;
+        s.depth[threadIdx.x] = math::depth_bits(p.z);
+        a.splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
+      }
+    }
+  }
+  const auto leave = [&] {
+    set_aside(a.arrays, s.ellipse[threadIdx.x], rect, s.depth[threadIdx.x], i);
+    n_columns = n_rows = 0;
+  };
+  if (n_columns * n_rows > kLargeTiles) leave();
+  // Sums of rows and of words in one.
+  const std::uint32_t n_words = n_columns * n_rows;
+  const std::uint32_t sums =
+      inclusive_block_sum<kThreads>((n_rows > 0 ? n_rows - 1 : 0) | n_words << 16, s.places.warp_sums);
+  const std::uint32_t words_end = sums >> 16, words_begin = words_end - n_words;
+  s.row_end[threadIdx.x] = static_cast<std::uint16_t>(sums & 0xFFFFu);
+  // Of the Gaussians whose words find no room the first tells how many words there are.
+  if (words_end > kWords) {
+    if (words_begin <= kWords && n_words > 0) s.n_words = words_begin;
+    if (n_words > 0) leave();
+  } else if (threadIdx.x == kThreads - 1) {
+    s.n_words = words_end;
+  }
+  s.box[threadIdx.x] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0),
+                        static_cast<std::uint16_t>(words_begin), static_cast<std::uint8_t>(n_columns),
+                        static_cast<std::uint8_t>(n_rows)};
+  const bool listed = n_rows > 0;
+  const std::uint32_t bounds[4] = {warp_max(listed ? kOrigin - static_cast<std::uint32_t>(rect.x0) : 0),
+                                   warp_max(listed ? kOrigin - static_cast<std::uint32_t>(rect.y0) : 0),
+                                   warp_max(listed ? static_cast<std::uint32_t>(rect.x1) : 0),
+                                   warp_max(listed ? static_cast<std::uint32_t>(rect.y1) : 0)};
+  if (threadIdx.x % 32 == 0) {
+#pragma unroll
+    for (int k = 0; k < 4; ++k) atomicMax(s.bounds + k, bounds[k]);
+  }
+  __syncthreads();
+  const std::uint32_t n_all_words = s.n_words;
+  if (n_all_words == 0) return;
+  const math::TileRect block{static_cast<int>(kOrigin - s.bounds[0]), static_cast<int>(kOrigin - s.bounds[1]),
+                             static_cast<int>(s.bounds[2]), static_cast<int>(s.bounds[3])};
+  const auto n_tiles = static_cast<std::uint32_t>((block.x1 - block.x0) * (block.y1 - block.y0));
+  if (n_tiles > kBlockTiles) {
+    if (n_rows > 0) leave();
+    return;
+  }
+
+  fill_words(s, kThreads + s.row_end[kThreads - 1], block, v.grid, [&s](std::uint32_t tile) {
+    if (tile < kWindow) atomicAdd(s.counts + tile, 1u);
+  });
+  __syncthreads();
+  for (std::uint32_t window = 0;;) {
+    place_window(s, window, block, a.arrays, v.grid);
+    for (std::uint32_t k = threadIdx.x; k < n_all_words; k += kThreads) {
+      const std::uint32_t word = s.words[k], tile = (word >> 16) - window, owner = word >> 8 & 0xFFu;
+      if ((word & 0xFFu) == 0 || tile >= kWindow) continue;
+      s.listed[owner] = 1;
+      const std::uint32_t at = atomicAdd(s.counts + tile, 1u);
+      if (at < a.arrays.entry_capacity) a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, word & 0xFFu);
+    }
+    window += kWindow;
+    if (window >= n_tiles) break;
+    __syncthreads();
+    clear_counts();
+    __syncthreads();
+    for (std::uint32_t k = threadIdx.x; k < n_all_words; k += kThreads) {
+      const std::uint32_t word = s.words[k], tile = (word >> 16) - window;
+      if ((word & 0xFFu) != 0 && tile < kWindow) atomicAdd(s.counts + tile, 1u);
+    }
+    __syncthreads();
+  }
+  __syncthreads();
+  const int visible = __syncthreads_count(s.listed[threadIdx.x] != 0);
+  if (threadIdx.x == 0 && visible > 0) {
+    atomic_add(a.arrays.state->counters.visible, static_cast<std::uint64_t>(visible));
+  }
+}
+
+}  // namespace
+
+Status launch_turbo_emit(const TurboEmitArguments& a, Stream stream) {
+  if (a.n == 0) return {};
+  const CullPlanes planes = cull_planes(a.view);
+  std::visit(
+      [&](const auto& attributes) {
+        turbo_emit_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(attributes, planes, a);
+      },
+      a.attributes);
+  if (const auto ok = launched("the turbo front end could not be launched"); !ok) return ok;
+  return launch_turbo_large(a.arrays, a.view.grid, stream);
+}
+
+}  // namespace rgs::cuda

@@ -1,0 +1,114 @@
+// turbo_list.cuh - what kernels read of a tile's list: its entries, their depths, how many touch each cell.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "common/block_scan.cuh"
+#include "turbo/turbo.hpp"
+
+namespace rgs::cuda {
+
+__device__ inline std::uint32_t depth_of(TurboEntry entry) {
+  return static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
+}
+
+/// Head of a cell, among those of the tile of that rank.
+__device__ inline void put_head(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank, std::uint32_t tile,
+                                std::uint32_t cell, std::uint32_t begin, std::uint32_t n) {
+  const auto columns = static_cast<std::uint32_t>(grid.columns);
+  a.cells[kTurboCells * rank + cell] = {begin, n, tile % columns * kTurboTile + math::kCellWidth * (cell % 2),
+                                        tile / columns * kTurboTile + math::kCellHeight * (cell / 2)};
+}
+
+/// A tile's cells have their places. One thread calls it; the last tile tells the host.
+__device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
+  __threadfence();
+  if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
+    __threadfence();
+    seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
+    __threadfence_system();
+  }
+}
+
+/// Runs of entries.
+struct TurboRuns {
+  const TurboRun* runs;
+  const TurboEntry* entries;
+  std::uint32_t n_runs;
+
+  /// Shared memory of for_each().
+  template <int Threads>
+  struct Places {
+    std::uint32_t run_begin[Threads], run_end[Threads];  // of so many runs: first entry, inclusive sums of their sizes
+    std::uint32_t warp_sums[Threads / 32];
+  };
+
+  /// Calls f(entry, position) for every entry. All threads of the block call it. Four loads of a thread are on their way
+  /// at a time.
+  template <int Threads, class F>
+  __device__ void for_each(Places<Threads>& s, const F& f) const {
+    constexpr int kAhead = 4;
+    std::uint32_t done = 0;
+    for (std::uint32_t begin = 0; begin < n_runs; begin += Threads) {
+      const TurboRun run = begin + threadIdx.x < n_runs ? runs[begin + threadIdx.x] : TurboRun{0, 0};
+      s.run_end[threadIdx.x] = inclusive_block_sum<Threads>(run.n, s.warp_sums);
+      s.run_begin[threadIdx.x] = run.begin;
+      __syncthreads();
+      const std::uint32_t n = s.run_end[Threads - 1];
+      for (std::uint32_t first = threadIdx.x; first < n; first += kAhead * Threads) {
+        TurboEntry loaded[kAhead];
+#pragma unroll
+        for (int j = 0; j < kAhead; ++j) {
+          const std::uint32_t k = first + static_cast<std::uint32_t>(j * Threads);
+          if (k >= n) break;
+          const std::uint32_t owner = owner_of<Threads>(s.run_end, k);
+          const std::uint32_t before = owner == 0 ? 0 : s.run_end[owner - 1];
+          loaded[j] = entries[s.run_begin[owner] + (k - before)];
+        }
+#pragma unroll
+        for (int j = 0; j < kAhead; ++j) {
+          const std::uint32_t k = first + static_cast<std::uint32_t>(j * Threads);
+          if (k < n) f(loaded[j], done + k);
+        }
+      }
+      done += n;
+      __syncthreads();
+    }
+  }
+};
+
+/// Adds up, over the block, how many entries touch each cell. An entry's eight bits go to eight counters of 16 bits in
+/// two words, which are passed on before one can overflow.
+class CellCounter {
+ public:
+  /// `sums` [kTurboCells] in shared memory, zeroed before.
+  __device__ explicit CellCounter(std::uint32_t* sums) : sums_(sums) {}
+  __device__ void add(TurboEntry entry) {
+    constexpr std::uint64_t kSpread = 1 | 1u << 15 | 1u << 30 | std::uint64_t{1} << 45;
+    constexpr std::uint64_t kLowest = 0x0001000100010001;
+    low_ += (entry & 0xF) * kSpread & kLowest;
+    high_ += (entry >> 4 & 0xF) * kSpread & kLowest;
+    if (++n_ < 0xFFFF) return;
+    for (int c = 0; c < kTurboCells; ++c) atomicAdd(sums_ + c, of(c));
+    low_ = high_ = 0, n_ = 0;
+  }
+  /// All lanes of a warp call it, in the end.
+  __device__ void flush() const {
+    for (int c = 0; c < kTurboCells; ++c) {
+      const std::uint32_t sum = warp_sum(of(c));
+      if (threadIdx.x % 32 == 0) atomicAdd(sums_ + c, sum);
+    }
+  }
+
+ private:
+  __device__ std::uint32_t of(int cell) const {
+    return static_cast<std::uint32_t>((cell < 4 ? low_ : high_) >> (16 * (cell % 4))) & 0xFFFF;
+  }
+
+  std::uint32_t* sums_;
+  std::uint64_t low_ = 0, high_ = 0;
+  std::uint32_t n_ = 0;
+};
+
+}  // namespace rgs::cuda

@@ -1,0 +1,113 @@
+// turbo_lists.cu - runs of entries to the tiles that they belong to: a thread a tile, then a thread a run.
+// SPDX-License-Identifier: Apache-2.0
+//
+// In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes; long_lists and their slices, bins set to 0
+// Cost    16 B read, 16 B gathered and 8 B written anywhere a run; of a long list, 8 B read of the first and every 64th
+//         entry of each run
+// Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as keep the device busy, each
+//         taking runs in turn, because their number is known on the device alone
+// Order   of runs within a list, of lists and of tiles within a class: any
+#include <cstdint>
+
+#include "common/block_scan.cuh"
+#include "common/launch.cuh"
+#include "turbo/turbo.hpp"
+#include "turbo/turbo_list.cuh"
+
+namespace rgs::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+constexpr int kPlaceBlocks = 132 * 8;
+
+// Whether the front end could write all that it had.
+__device__ bool turbo_fits(const TurboArrays& a) {
+  const TurboState& state = *a.state;
+  return state.counters.instances <= a.entry_capacity && state.runs <= a.run_capacity &&
+         state.n_large <= a.large_capacity;
+}
+
+// Its number among the long lists.
+__device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std::uint32_t in_class, std::uint32_t n,
+                                  std::uint32_t n_runs) {
+  const std::uint32_t own = atomicAdd(&a.state->n_long, 1u);
+  TurboLong list{};
+  list.tile = tile;
+  list.in_class = in_class;
+  list.scratch = atomicAdd(&a.state->scratch, n);
+  list.n_slices = math::max((n + kTurboSlice - 1) / kTurboSlice, (n_runs + kTurboSliceRuns - 1) / kTurboSliceRuns);
+  list.first_slice = atomicAdd(&a.state->n_slices, list.n_slices);
+  list.nearest = ~0u;
+  a.long_lists[own] = list;
+  for (std::uint32_t k = 0; k < list.n_slices; ++k) a.slices[list.first_slice + k] = own;
+  return own;
+}
+
+// Takes the first and every 64th of a run's entries into the range of its list.
+__device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLong& list) {
+  std::uint32_t nearest = ~0u, farthest = 0;
+  for (std::uint32_t k = 0; k < run.n; k += 64) {
+    const std::uint32_t depth = depth_of(entries[run.begin + k]);
+    nearest = math::min(nearest, depth), farthest = math::max(farthest, depth);
+  }
+  // Mostly it is within the range by now: atomic operations on one word wait for each other.
+  if (nearest < *static_cast<volatile std::uint32_t*>(&list.nearest)) atomicMin(&list.nearest, nearest);
+  if (farthest > *static_cast<volatile std::uint32_t*>(&list.farthest)) atomicMax(&list.farthest, farthest);
+}
+
+__global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboState* seen) {
+  __shared__ std::uint32_t warp_sums[kThreads / 32];
+  __shared__ std::uint32_t base, class_size[kTurboClasses], class_base[kTurboClasses];
+  if (threadIdx.x < kTurboClasses) class_size[threadIdx.x] = 0;
+  TurboState& state = *a.state;
+  if (blockIdx.x == gridDim.x - 1) {  // a block of its own: what goes to the host takes longest
+    if (threadIdx.x == 0) {
+      *seen = state;
+      __threadfence_system();
+    }
+    return;
+  }
+  const bool fits = turbo_fits(a);
+  const auto* const counts = reinterpret_cast<const TurboCount*>(a.state + 1);
+  const std::uint32_t tile = blockIdx.x * kThreads + threadIdx.x;
+  const TurboCount count = tile < a.n_tiles && fits ? counts[tile] : 0;
+  const auto n = static_cast<std::uint32_t>(count), runs = static_cast<std::uint32_t>(count >> 32);
+  const std::uint32_t end = inclusive_block_sum<kThreads>(runs, warp_sums);
+  if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.placed, end);
+  const int length = turbo_class(n);
+  const std::uint32_t rank = tile < a.n_tiles ? atomicAdd(class_size + length, 1u) : 0;
+  __syncthreads();
+  if (threadIdx.x < kTurboClasses) {
+    class_base[threadIdx.x] = atomicAdd(state.class_size + threadIdx.x, class_size[threadIdx.x]);
+  }
+  __syncthreads();
+  if (tile >= a.n_tiles) return;
+  const std::uint32_t in_class = class_base[length] + rank;
+  a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + in_class] = tile;
+  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboEntries ? add_long(a, tile, in_class, n, runs) : 0};
+}
+
+__global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
+  const TurboState& state = *a.state;
+  if (!turbo_fits(a)) return;
+  const std::uint64_t n = state.runs, first = blockIdx.x * kThreads + threadIdx.x, step = gridDim.x * kThreads;
+  for (std::uint64_t k = first; k < n; k += step) {
+    const TurboTileRun run = a.runs[k];
+    const TurboList list = a.lists[run.tile];
+    a.tile_runs[list.begin + run.rank] = run.run;
+    if (list.n_entries >= kTurboEntries) add_sample(a.entries, run.run, a.long_lists[list.long_list]);
+  }
+  auto* const bins = reinterpret_cast<uint4*>(a.bins);
+  for (std::uint64_t k = first; k < state.n_long * std::uint64_t{kTurboBins / 4}; k += step) bins[k] = {0, 0, 0, 0};
+}
+
+}  // namespace
+
+Status launch_turbo_lists(const TurboArrays& a, TurboState* seen, Stream stream) {
+  plan_kernel<<<blocks_for(a.n_tiles, kThreads) + 1, kThreads, 0, stream>>>(a, seen);
+  if (const auto ok = launched("the kernel that plans the lists could not be launched"); !ok) return ok;
+  place_kernel<<<kPlaceBlocks, kThreads, 0, stream>>>(a);
+  return launched("the kernel that fills the lists could not be launched");
+}
+
+}  // namespace rgs::cuda

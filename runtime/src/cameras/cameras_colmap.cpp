@@ -1,0 +1,289 @@
+// cameras_colmap.cpp - COLMAP sparse models: cameras and images, binary and text (colmap.github.io/format.html).
+// SPDX-License-Identifier: Apache-2.0
+//
+// An image's pose is world to camera with OpenCV axes, a quaternion w x y z and a translation, as ours; the image plane
+// has its origin in the upper left corner of the first pixel, as ours. 2D points are skipped.
+#include <algorithm>
+#include <bit>
+#include <charconv>
+#include <cmath>
+#include <cstring>
+#include <map>
+#include <utility>
+
+#include "cameras/camera_records.hpp"
+
+namespace rgs {
+namespace {
+
+constexpr const char* kDistorted =
+    "a camera model with lens distortion; run colmap image_undistorter and use the model in its sparse folder";
+constexpr std::uint64_t kImageBytes = 4 + 7 * 8 + 4 + 1 + 8;  // smallest record: empty name, no points
+
+// Little-endian reader whose failure is sticky.
+class Cursor {
+ public:
+  explicit Cursor(std::span<const std::byte> bytes) : bytes_(bytes) {}
+  bool ok() const { return ok_; }
+  std::uint64_t offset() const { return offset_; }
+  std::uint64_t left() const { return bytes_.size() - offset_; }
+
+  template <class T>
+  T read() {
+    if (!ok_ || left() < sizeof(T)) {
+      ok_ = false;
+      return T{};
+    }
+    std::uint64_t bits = 0;
+    for (std::size_t i = 0; i < sizeof(T); ++i) bits |= std::to_integer<std::uint64_t>(bytes_[offset_ + i]) << (8 * i);
+    offset_ += sizeof(T);
+    if constexpr (std::is_same_v<T, double>) {
+      return std::bit_cast<double>(bits);
+    } else {
+      return static_cast<T>(bits);
+    }
+  }
+
+  // Text up to a zero byte, which is skipped.
+  std::string text() {
+    const auto rest = bytes_.subspan(offset_);
+    const auto end = std::find(rest.begin(), rest.end(), std::byte{0});
+    if (!ok_ || end == rest.end()) {
+      ok_ = false;
+      return {};
+    }
+    const auto length = static_cast<std::size_t>(end - rest.begin());
+    offset_ += length + 1;
+    return {reinterpret_cast<const char*>(rest.data()), length};
+  }
+
+  void skip(std::uint64_t n) {
+    ok_ = ok_ && n <= left();
+    if (ok_) offset_ += n;
+  }
+
+ private:
+  std::span<const std::byte> bytes_;
+  std::uint64_t offset_ = 0;
+  bool ok_ = true;
+};
+
+// Lens and image size of a COLMAP camera; the pose is filled in by its images.
+using Lenses = std::map<std::uint32_t, Camera>;
+
+bool set_lens(Camera& camera, std::uint64_t width, std::uint64_t height, std::span<const double> parameters) {
+  if (width > kMaxImageSide || height > kMaxImageSide) return false;
+  camera.width = static_cast<int>(width);
+  camera.height = static_cast<int>(height);
+  const std::size_t n_focal = parameters.size() - 2;
+  camera.fx = parameters[0];
+  camera.fy = parameters[n_focal - 1];
+  camera.cx = parameters[n_focal];
+  camera.cy = parameters[n_focal + 1];
+  return validate(camera).has_value();  // the pose is still the identity
+}
+
+void set_pose(Camera& camera, const double (&q)[4], const double (&t)[3]) {
+  // Division by the squared norm instead of normalising first; a zero or non-finite quaternion fails validation.
+  const double n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3], s = 2 / n;
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
+  detail::set_world_to_camera(camera,
+                              {1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),  //
+                               s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),  //
+                               s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)},
+                              t);
+}
+
+Result<CameraSet> finish(std::vector<Camera> cameras) {
+  if (cameras.empty()) return fail(Errc::bad_value, Error::kNone, "the COLMAP model has no images");
+  CameraSet set;
+  set.source = CameraSet::Source::colmap;
+  set.cameras = std::move(cameras);
+  std::stable_sort(set.cameras.begin(), set.cameras.end(),
+                   [](const Camera& a, const Camera& b) { return a.name < b.name; });
+  detail::split_by_name(set);
+  return set;
+}
+
+Result<Lenses> binary_lenses(std::span<const std::byte> bytes) {
+  constexpr std::uint64_t kSmallest = 4 + 4 + 8 + 8 + 3 * 8;
+  Cursor in(bytes);
+  const auto n = in.read<std::uint64_t>();
+  if (!in.ok()) return fail(Errc::truncated, bytes.size(), "cameras.bin: no count", 8, bytes.size());
+  if (n > in.left() / kSmallest)
+    return fail(Errc::truncated, 0, "cameras.bin: more cameras announced than the file can hold", n,
+                in.left() / kSmallest);
+  Lenses lenses;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    const std::uint64_t start = in.offset();
+    const auto id = in.read<std::uint32_t>(), model = in.read<std::uint32_t>();
+    const auto width = in.read<std::uint64_t>(), height = in.read<std::uint64_t>();
+    if (in.ok() && model > 1) return fail(Errc::unsupported_feature, start, kDistorted);
+    double parameters[4] = {};
+    const std::size_t n_parameters = model == 0 ? 3 : 4;
+    for (std::size_t k = 0; k < n_parameters; ++k) parameters[k] = in.read<double>();
+    if (!in.ok()) return fail(Errc::truncated, bytes.size(), "cameras.bin: ends inside a camera");
+    Camera camera;
+    if (!set_lens(camera, width, height, std::span(parameters).first(n_parameters)))
+      return fail(Errc::bad_value, start,
+                  "cameras.bin: the camera of this index has an impossible size or focal length", Error::kNone, i);
+    if (!lenses.emplace(id, camera).second)
+      return fail(Errc::bad_value, start, "cameras.bin: this camera id is used twice", Error::kNone, id);
+  }
+  if (in.left() != 0) return fail(Errc::trailing_bytes, in.offset(), "cameras.bin: bytes after the last camera");
+  return lenses;
+}
+
+// Text split into lines and these into words, with the byte offset of each.
+class Lines {
+ public:
+  explicit Lines(std::string_view text) : text_(text) {}
+  // The next line without its end; false at the end of the text.
+  bool next() {
+    if (end_ == text_.size() && (started_ || text_.empty())) return false;
+    begin_ = started_ ? end_ + 1 : 0;
+    started_ = true;
+    if (begin_ > text_.size()) return false;
+    end_ = std::min(text_.find('\n', begin_), text_.size());
+    word_ = begin_;
+    return true;
+  }
+  // The next line that is neither empty nor a comment.
+  bool next_record() {
+    while (next()) {
+      const std::size_t first = text_.substr(begin_, end_ - begin_).find_first_not_of(" \t\r");
+      if (first != std::string_view::npos && text_[begin_ + first] != '#') return true;
+    }
+    return false;
+  }
+  std::uint64_t line_offset() const { return begin_; }
+  std::uint64_t word_offset() const { return word_; }
+
+  std::string_view word() {
+    skip_spaces();
+    const std::size_t from = word_;
+    while (word_ < end_ && !is_space(text_[word_])) ++word_;
+    return text_.substr(from, word_ - from);
+  }
+  // What is left of the line, without spaces around it.
+  std::string_view rest() {
+    skip_spaces();
+    std::size_t last = end_;
+    while (last > word_ && is_space(text_[last - 1])) --last;
+    return text_.substr(word_, last - word_);
+  }
+  template <class T>
+  bool number(T& out) {
+    const std::string_view w = word();
+    const auto [end, error] = std::from_chars(w.data(), w.data() + w.size(), out);
+    return !w.empty() && error == std::errc() && end == w.data() + w.size();
+  }
+
+ private:
+  static bool is_space(char c) { return c == ' ' || c == '\t' || c == '\r'; }
+  void skip_spaces() {
+    while (word_ < end_ && is_space(text_[word_])) ++word_;
+  }
+  std::string_view text_;
+  std::size_t begin_ = 0, end_ = 0, word_ = 0;
+  bool started_ = false;
+};
+
+Result<Lenses> text_lenses(std::string_view text) {
+  Lenses lenses;
+  Lines in(text);
+  for (std::uint64_t i = 0; in.next_record(); ++i) {
+    std::uint32_t id = 0;
+    if (!in.number(id)) return fail(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected a camera id");
+    const std::string_view model = in.word();
+    if (model != "PINHOLE" && model != "SIMPLE_PINHOLE")
+      return fail(Errc::unsupported_feature, in.line_offset(),
+                  model.empty() ? "cameras.txt: a camera without a model" : kDistorted);
+    std::uint64_t width = 0, height = 0;
+    double parameters[4] = {};
+    const std::size_t n_parameters = model == "SIMPLE_PINHOLE" ? 3 : 4;
+    bool ok = in.number(width) && in.number(height);
+    for (std::size_t k = 0; k < n_parameters; ++k) ok = ok && in.number(parameters[k]);
+    if (!ok || !in.rest().empty())
+      return fail(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected WIDTH HEIGHT and the model's parameters");
+    Camera camera;
+    if (!set_lens(camera, width, height, std::span(parameters).first(n_parameters)))
+      return fail(Errc::bad_value, in.line_offset(),
+                  "cameras.txt: the camera of this index has an impossible size or focal length", Error::kNone, i);
+    if (!lenses.emplace(id, camera).second)
+      return fail(Errc::bad_value, in.line_offset(), "cameras.txt: this camera id is used twice", Error::kNone, id);
+  }
+  return lenses;
+}
+
+}  // namespace
+
+Result<CameraSet> parse_colmap_binary(std::span<const std::byte> cameras_bin, std::span<const std::byte> images_bin) {
+  const auto lenses = binary_lenses(cameras_bin);
+  if (!lenses) return tl::unexpected(lenses.error());
+  Cursor in(images_bin);
+  const auto n = in.read<std::uint64_t>();
+  if (!in.ok()) return fail(Errc::truncated, images_bin.size(), "images.bin: no count", 8, images_bin.size());
+  if (n > in.left() / kImageBytes)
+    return fail(Errc::truncated, 0, "images.bin: more images announced than the file can hold", n,
+                in.left() / kImageBytes);
+  std::vector<Camera> cameras;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    const std::uint64_t start = in.offset();
+    in.read<std::uint32_t>();  // image id
+    double q[4], t[3];
+    for (double& x : q) x = in.read<double>();
+    for (double& x : t) x = in.read<double>();
+    const auto id = in.read<std::uint32_t>();
+    std::string name = in.text();
+    const auto n_points = in.read<std::uint64_t>();
+    constexpr std::uint64_t kPointBytes = 24;
+    if (!in.ok() || n_points > in.left() / kPointBytes)
+      return fail(Errc::truncated, images_bin.size(), "images.bin: ends inside an image");
+    in.skip(n_points * kPointBytes);
+    const auto lens = lenses->find(id);
+    if (lens == lenses->end())
+      return fail(Errc::bad_value, start, "images.bin: an image of a camera that cameras.bin does not have",
+                  Error::kNone, id);
+    Camera camera = lens->second;
+    camera.name = std::move(name);
+    set_pose(camera, q, t);
+    if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
+    cameras.push_back(std::move(camera));
+  }
+  if (in.left() != 0) return fail(Errc::trailing_bytes, in.offset(), "images.bin: bytes after the last image");
+  return finish(std::move(cameras));
+}
+
+Result<CameraSet> parse_colmap_text(std::string_view cameras_txt, std::string_view images_txt) {
+  const auto lenses = text_lenses(cameras_txt);
+  if (!lenses) return tl::unexpected(lenses.error());
+  std::vector<Camera> cameras;
+  Lines in(images_txt);
+  for (std::uint64_t i = 0; in.next_record(); ++i) {
+    const std::uint64_t start = in.line_offset();
+    std::uint32_t image_id = 0, id = 0;
+    double q[4] = {}, t[3] = {};
+    bool ok = in.number(image_id);
+    for (double& x : q) ok = ok && in.number(x);
+    for (double& x : t) ok = ok && in.number(x);
+    ok = ok && in.number(id);
+    if (!ok)
+      return fail(Errc::bad_syntax, in.word_offset(),
+                  "images.txt: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
+    const std::string name(in.rest());
+    const auto lens = lenses->find(id);
+    if (lens == lenses->end())
+      return fail(Errc::bad_value, start, "images.txt: an image of a camera that cameras.txt does not have",
+                  Error::kNone, id);
+    Camera camera = lens->second;
+    camera.name = name;
+    set_pose(camera, q, t);
+    if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
+    cameras.push_back(std::move(camera));
+    in.next();  // 2D points of the image; the line is empty if there are none
+  }
+  return finish(std::move(cameras));
+}
+
+}  // namespace rgs

@@ -1,0 +1,90 @@
+// cameras_file.cpp - finds out what kind of camera file a path is and reads it.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
+#include <filesystem>
+#include <numeric>
+#include <string>
+#include <utility>
+
+#include "cameras/camera_records.hpp"
+#include "rgs/file.hpp"
+
+namespace rgs {
+namespace {
+
+constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{256} << 20;
+
+std::string_view text_of(const MappedFile& file) {
+  return {reinterpret_cast<const char*>(file.bytes().data()), file.bytes().size()};
+}
+
+Result<CameraSet> read_colmap(const std::filesystem::path& folder) {
+  std::error_code ignored;
+  for (const char* inside : {"", "sparse/0", "sparse"}) {
+    for (const bool binary : {true, false}) {
+      const std::string suffix = binary ? ".bin" : ".txt";
+      const auto cameras_path = folder / inside / ("cameras" + suffix),
+                 images_path = folder / inside / ("images" + suffix);
+      if (!std::filesystem::exists(cameras_path, ignored) || !std::filesystem::exists(images_path, ignored)) continue;
+      const auto cameras = MappedFile::open(cameras_path.string());
+      if (!cameras) return tl::unexpected(cameras.error());
+      const auto images = MappedFile::open(images_path.string());
+      if (!images) return tl::unexpected(images.error());
+      return binary ? parse_colmap_binary(cameras->bytes(), images->bytes())
+                    : parse_colmap_text(text_of(*cameras), text_of(*images));
+    }
+  }
+  return fail(Errc::open_failed, Error::kNone,
+              "the folder holds no COLMAP model: cameras and images, .bin or .txt, here, in sparse/0 or in sparse");
+}
+
+}  // namespace
+
+namespace detail {
+
+void set_world_to_camera(Camera& camera, const double (&r)[9], const double (&t)[3]) {
+  camera.world_to_camera = {r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], 0, 0, 0, 1};
+}
+
+void set_camera_to_world(Camera& camera, const double (&r)[9], const double (&p)[3]) {
+  set_world_to_camera(camera, {r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]},
+                      {-(r[0] * p[0] + r[3] * p[1] + r[6] * p[2]), -(r[1] * p[0] + r[4] * p[1] + r[7] * p[2]),
+                       -(r[2] * p[0] + r[5] * p[1] + r[8] * p[2])});
+}
+
+void split_by_name(CameraSet& set) {
+  std::vector<std::size_t> order(set.cameras.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t a, std::size_t b) { return set.cameras[a].name < set.cameras[b].name; });
+  set.split.assign(order.size(), Split::train);
+  for (std::size_t i = 0; i < order.size(); i += 8) set.split[order[i]] = Split::test;
+}
+
+}  // namespace detail
+
+Result<CameraSet> read_camera_set(const std::string& path) {
+  std::error_code ignored;
+  if (std::filesystem::is_directory(path, ignored)) return read_colmap(path);
+  const auto file = MappedFile::open(path);
+  if (!file) return tl::unexpected(file.error());
+  std::string_view text = text_of(*file);
+  const std::size_t mark = text.starts_with("\xef\xbb\xbf") ? 3 : 0;
+  const std::size_t first = text.find_first_not_of(" \t\r\n", mark);
+  if (first == std::string_view::npos)
+    return fail(Errc::truncated, text.size(), "an empty file; expected JSON with cameras");
+  if (text[first] != '[' && text[first] != '{')
+    return fail(Errc::bad_syntax, first, "not a camera file: expected JSON, or the folder of a COLMAP sparse model");
+  if (text.size() > kMaxJsonBytes)
+    return fail(Errc::limit_exceeded, Error::kNone, "too large for a camera file", kMaxJsonBytes, text.size());
+  return parse_camera_json(text);
+}
+
+Result<std::vector<Camera>> read_cameras(const std::string& path) {
+  auto set = read_camera_set(path);
+  if (!set) return tl::unexpected(set.error());
+  return std::move(set->cameras);
+}
+
+}  // namespace rgs

@@ -1,0 +1,439 @@
+// reference_renderer.cpp - the frame on the CPU: project, order, list, blend.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Gaussians are ordered by depth once, and a stable counting sort by tile then gives every tile its list in that order:
+// no (tile, depth) key exists. Equal depths keep the order of the scene. The image does not depend on the number of
+// threads: blocks only decide who does the work, never in which order anything is listed or summed.
+#include "cpu/reference_renderer.hpp"
+
+#include <hwy/cache_control.h>
+#include <tbb/info.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "cpu/tile_blend.hpp"
+#include "parallel.hpp"
+#include "render_options.hpp"
+#include "rgs/math/blend.hpp"
+#include "rgs/math/coverage.hpp"
+#include "rgs/math/projection.hpp"
+#include "rgs/math/sh.hpp"
+
+namespace rgs::detail {
+namespace {
+
+using math::TileGrid;
+
+// Gaussians per projection block: small enough to balance threads, large enough for its lists to be long.
+constexpr std::uint64_t kBlock = 8192;
+
+// (tile, Gaussian) pairs of a frame; 16 GiB of lists.
+constexpr std::uint64_t kMaxInstances = std::numeric_limits<std::uint32_t>::max();
+
+/// Depth key above, index of the splat below: sorting the upper half stably orders by depth, then by index.
+using SortItem = std::uint64_t;
+
+// 16 bits hold a tile coordinate: the largest image side is 65536 pixels.
+struct Span16 {
+  std::uint16_t first, last;
+};
+
+// Visible Gaussians of one projection block: splats first .. first + n - 1 of the frame's array.
+struct Block {
+  std::uint64_t n = 0;
+  std::uint64_t n_instances = 0;
+  std::vector<Span16> spans;  // row by row for each visible Gaussian
+};
+
+// Storage that only grows and whose pages are touched when written: sized for the worst case, resident for the actual.
+template <class T>
+class Scratch {
+ public:
+  T* at_least(std::uint64_t n) {
+    if (n > capacity_) {
+      capacity_ = std::max(n, capacity_ + capacity_ / 2);
+      data_.reset();
+      data_ = std::make_unique_for_overwrite<T[]>(capacity_);
+    }
+    return data_.get();
+  }
+  T* get() const { return data_.get(); }
+
+ private:
+  std::unique_ptr<T[]> data_;
+  std::uint64_t capacity_ = 0;
+};
+
+class Stopwatch {
+ public:
+  double lap_ms() {
+    const auto now = std::chrono::steady_clock::now();
+    const std::chrono::duration<double, std::milli> elapsed = now - start_;
+    start_ = now;
+    return elapsed.count();
+  }
+
+ private:
+  std::chrono::steady_clock::time_point start_ = std::chrono::steady_clock::now();
+};
+
+}  // namespace
+
+struct ReferenceRenderer::Workspace {
+  // Asking oneTBB for more threads than the machine has makes it print.
+  explicit Workspace(int threads)
+      : arena(threads > 0 ? std::min(threads, tbb::info::default_concurrency()) : tbb::task_arena::automatic) {}
+
+  void project(const SceneView& scene, const math::View<float>& view, const RenderOptions& options);
+  void sort_by_depth();
+  void list_by_tile();
+  template <class BlendTile>
+  void blend(const math::View<float>& view, const RenderTarget& target, const RenderOptions& options,
+             const BlendTile& blend_tile, FrameStats& stats);
+
+  // Parts of the visible Gaussians that a counting sort with `bins` bins works on in parallel: four a thread, so that
+  // one that starts late is no hindrance, and no more than 32 MiB of histograms.
+  std::uint64_t parts(std::uint64_t bins) const {
+    const std::uint64_t wanted = 4 * static_cast<std::uint64_t>(arena.max_concurrency());
+    return std::clamp<std::uint64_t>(std::min(n_visible / kBlock, (std::uint64_t{1} << 22) / bins), 1, wanted);
+  }
+  std::uint64_t n_tiles() const {
+    return static_cast<std::uint64_t>(grid.columns) * static_cast<std::uint64_t>(grid.rows);
+  }
+  std::span<const Span16> rows_of(std::uint32_t splat) const {
+    const ScreenSplat& s = splats.get()[splat];
+    return std::span(blocks[splat / kBlock].spans).subspan(s.spans, s.n_rows);
+  }
+
+  tbb::task_arena arena;
+  TileGrid grid{0, 0};
+  math::DepthQuantizer quantizer{};
+  bool quantized = false;
+  std::vector<Block> blocks;
+  Scratch<ScreenSplat> splats;            // [blocks * kBlock], the visible ones of a block at its start
+  Scratch<SortItem> order, spare;         // [n_visible]
+  std::vector<std::uint64_t> counts;      // histograms of the two sorts
+  std::vector<std::uint64_t> tile_begin;  // [n_tiles + 1] into `instances`
+  Scratch<std::uint32_t> instances;
+  std::uint64_t n_visible = 0, n_instances = 0;
+};
+
+namespace {
+
+// Tile rows that list a Gaussian, with their column ranges appended to `spans`; rows without a tile are trimmed.
+void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid grid,
+                  const math::Ellipse<float>& ellipse, std::vector<Span16>& spans, ScreenSplat& splat,
+                  std::uint64_t& n_instances) {
+  const auto push = [&](math::TileSpan span) {
+    spans.push_back({static_cast<std::uint16_t>(span.first), static_cast<std::uint16_t>(span.last)});
+    n_instances += static_cast<std::uint64_t>(span.last - span.first);
+  };
+  const math::TileRect rect = extent == math::Extent::square ? math::square_extent(p.mean, p.footprint.cov, grid)
+                                                             : math::bounding_tiles(ellipse, grid);
+  splat.spans = static_cast<std::uint32_t>(spans.size());
+  splat.first_row = static_cast<std::uint16_t>(rect.y0);
+  if (rect.empty()) {
+    splat.n_rows = 0;
+    return;
+  }
+  if (extent == math::Extent::square) {
+    for (int row = rect.y0; row < rect.y1; ++row) push({rect.x0, rect.x1});
+  } else {
+    bool any = false;
+    for (int row = rect.y0; row < rect.y1; ++row) {
+      math::TileSpan span = math::tiles_in_row(ellipse, row, grid);
+      if (span.first >= span.last) span = {0, 0};
+      any = any || span.first < span.last;
+      push(span);
+    }
+    if (!any) spans.resize(splat.spans);
+  }
+  splat.n_rows = static_cast<std::uint16_t>(spans.size() - splat.spans);
+}
+
+math::Vec3<float> color_of(const SceneView& scene, std::uint64_t i, const math::View<float>& view,
+                           const math::Vec3<float>& mean, int degree) {
+  const float* sh = &scene.sh[static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree)) * i];
+  return math::sh_color<float>(degree, math::sh_basis(degree, math::view_direction(view, mean)), [sh](int k) {
+    return math::Vec3<float>{sh[3 * k], sh[3 * k + 1], sh[3 * k + 2]};
+  });
+}
+
+}  // namespace
+
+void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::View<float>& view,
+                                           const RenderOptions& options) {
+  const std::uint64_t n_blocks = (scene.n + kBlock - 1) / kBlock;
+  blocks.resize(n_blocks);
+  ScreenSplat* const all = splats.at_least(n_blocks * kBlock);
+  const int degree = std::min(scene.sh_degree, options.sh_degree_limit);
+  constexpr std::uint64_t kAhead = 4;
+  const auto sh_floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree));
+  std::atomic<std::uint64_t> n_listed{0};
+  parallel_blocks(n_blocks, [&](std::uint64_t b) {
+    Block& block = blocks[b];
+    block.n = block.n_instances = 0;
+    block.spans.clear();
+    if (n_listed.load(std::memory_order_relaxed) > kMaxInstances) return;  // the frame is refused: spend no more on it
+    ScreenSplat* out = all + b * kBlock;
+    for (std::uint64_t i = b * kBlock; i < std::min(scene.n, (b + 1) * kBlock); ++i) {
+      // Harmonics are most of the bytes: they arrive while the geometry of the Gaussians before is computed.
+      if (const std::uint64_t next = (i + kAhead) * sh_floats; next + sh_floats <= scene.sh.size()) {
+        for (std::uint64_t k = 0; k < sh_floats; k += 16) hwy::Prefetch(&scene.sh[next + k]);
+      }
+      const float* m = &scene.mean[3 * i];
+      const float* r = &scene.rotation[4 * i];
+      const float* s = &scene.scale[3 * i];
+      const math::Vec3<float> mean{m[0], m[1], m[2]};
+      const auto p = math::project<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]}, scene.opacity[i],
+                                          options.low_pass, options.anti_aliasing);
+      if (!p.footprint.valid) continue;
+      const float cutoff = math::power_cutoff(p.footprint.opacity);
+      const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
+      append_spans(p, options.extent, grid, ellipse, block.spans, *out, block.n_instances);
+      if (out->n_rows == 0) continue;
+      out->mean = p.mean;
+      out->conic = p.footprint.conic;
+      out->opacity = p.footprint.opacity;
+      out->cutoff = cutoff;
+      out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
+      out->z = p.z;
+      out->color = color_of(scene, i, view, mean, degree);
+      out->gaussian = static_cast<std::uint32_t>(i);
+      ++out;
+      ++block.n;
+    }
+    n_listed.fetch_add(block.n_instances, std::memory_order_relaxed);
+  });
+  n_visible = n_instances = 0;
+  for (const Block& block : blocks) n_visible += block.n, n_instances += block.n_instances;
+}
+
+// Least-significant-digit radix sort of (depth key, splat), 11 bits a pass, parallel over contiguous parts; digits in
+// which all keys agree are skipped.
+void ReferenceRenderer::Workspace::sort_by_depth() {
+  constexpr int kDigitBits = 11;
+  constexpr std::uint64_t kDigits = std::uint64_t{1} << kDigitBits;
+  SortItem* from = order.at_least(n_visible);
+  SortItem* to = spare.at_least(n_visible);
+
+  std::vector<std::uint64_t> first(blocks.size() + 1, 0);
+  for (std::size_t b = 0; b < blocks.size(); ++b) first[b + 1] = first[b] + blocks[b].n;
+  parallel_blocks(blocks.size(), [&](std::uint64_t b) {
+    for (std::uint64_t i = 0; i < blocks[b].n; ++i) {
+      const std::uint64_t index = b * kBlock + i;
+      const float z = splats.get()[index].z;
+      const std::uint32_t key = quantized ? math::quantize_depth(quantizer, z) : math::depth_bits(z);
+      from[first[b] + i] = static_cast<SortItem>(key) << 32 | index;
+    }
+  });
+
+  const std::uint64_t n_parts = parts(kDigits);
+  const auto part_begin = [&](std::uint64_t part) { return n_visible * part / n_parts; };
+  for (int shift = 32; shift < 64; shift += kDigitBits) {
+    const auto digit = [shift](SortItem item) { return (item >> shift) & (kDigits - 1); };
+    counts.assign(n_parts * kDigits, 0);
+    parallel_blocks(n_parts, [&](std::uint64_t part) {
+      std::uint64_t* const histogram = &counts[part * kDigits];
+      for (std::uint64_t i = part_begin(part); i < part_begin(part + 1); ++i) ++histogram[digit(from[i])];
+    });
+    std::uint64_t sum = 0;
+    bool constant = false;
+    for (std::uint64_t d = 0; d < kDigits; ++d) {
+      const std::uint64_t before = sum;
+      for (std::uint64_t part = 0; part < n_parts; ++part) {
+        const std::uint64_t n = counts[part * kDigits + d];
+        counts[part * kDigits + d] = sum;
+        sum += n;
+      }
+      constant = constant || sum - before == n_visible;
+    }
+    if (constant) continue;
+    parallel_blocks(n_parts, [&](std::uint64_t part) {
+      std::uint64_t* const next = &counts[part * kDigits];
+      for (std::uint64_t i = part_begin(part); i < part_begin(part + 1); ++i) to[next[digit(from[i])]++] = from[i];
+    });
+    std::swap(from, to);
+  }
+  if (from != order.get()) std::swap(order, spare);
+}
+
+// Stable counting sort of all (tile, Gaussian) pairs by tile, from the depth order.
+void ReferenceRenderer::Workspace::list_by_tile() {
+  constexpr std::uint64_t kAhead = 12;
+  const std::uint64_t tiles = n_tiles();
+  const std::uint64_t n_parts = parts(tiles);
+  const auto part_begin = [&](std::uint64_t part) { return n_visible * part / n_parts; };
+  const auto for_each_tile = [&](std::uint64_t part, const auto& f) {
+    const std::uint64_t end = part_begin(part + 1);
+    for (std::uint64_t i = part_begin(part); i < end; ++i) {
+      // Depth order is no memory order: the splat, and after it its spans, are fetched ahead of their use.
+      if (i + 2 * kAhead < end) hwy::Prefetch(&splats.get()[static_cast<std::uint32_t>(order.get()[i + 2 * kAhead])]);
+      if (i + kAhead < end) hwy::Prefetch(rows_of(static_cast<std::uint32_t>(order.get()[i + kAhead])).data());
+      const auto index = static_cast<std::uint32_t>(order.get()[i]);
+      std::uint64_t row =
+          static_cast<std::uint64_t>(splats.get()[index].first_row) * static_cast<std::uint64_t>(grid.columns);
+      for (const Span16 span : rows_of(index)) {
+        for (std::uint64_t tile = row + span.first; tile < row + span.last; ++tile) f(tile, index);
+        row += static_cast<std::uint64_t>(grid.columns);
+      }
+    }
+  };
+  counts.assign(n_parts * tiles, 0);
+  parallel_blocks(n_parts, [&](std::uint64_t part) {
+    std::uint64_t* const histogram = &counts[part * tiles];
+    for_each_tile(part, [histogram](std::uint64_t tile, std::uint32_t) { ++histogram[tile]; });
+  });
+  tile_begin.resize(tiles + 1);
+  std::uint64_t sum = 0;
+  for (std::uint64_t tile = 0; tile < tiles; ++tile) {
+    tile_begin[tile] = sum;
+    for (std::uint64_t part = 0; part < n_parts; ++part) {
+      const std::uint64_t n = counts[part * tiles + tile];
+      counts[part * tiles + tile] = sum;
+      sum += n;
+    }
+  }
+  tile_begin[tiles] = sum;
+  std::uint32_t* const out = instances.at_least(n_instances);
+  parallel_blocks(n_parts, [&](std::uint64_t part) {
+    std::uint64_t* const next = &counts[part * tiles];
+    for_each_tile(part, [next, out](std::uint64_t tile, std::uint32_t index) { out[next[tile]++] = index; });
+  });
+}
+
+namespace {
+
+// Writes a tile's pixels to the outputs that are wanted.
+void store_tile(const TileJob& job, const TilePixels& pixels, int width, const math::Vec3<float>& background,
+                const RenderTarget& target) {
+  for (int y = 0; y < job.height; ++y) {
+    for (int x = 0; x < job.width; ++x) {
+      const auto i = static_cast<std::size_t>(y * math::kTileSize + x);
+      const auto o =
+          static_cast<std::size_t>(job.y + y) * static_cast<std::size_t>(width) + static_cast<std::size_t>(job.x + x);
+      const math::Pixel<float> pixel{pixels.r[i], pixels.g[i], pixels.b[i], pixels.depth[i], pixels.transmittance[i]};
+      if (!target.rgb.empty()) {
+        const auto c = math::resolve(pixel, background);
+        target.rgb[3 * o] = c.x, target.rgb[3 * o + 1] = c.y, target.rgb[3 * o + 2] = c.z;
+      }
+      if (!target.alpha.empty()) target.alpha[o] = 1 - pixel.transmittance;
+      if (!target.depth.empty()) target.depth[o] = math::expected_depth(pixel);
+      if (!target.evaluated.empty()) target.evaluated[o] = pixels.evaluated[i];
+      if (!target.blended.empty()) target.blended[o] = pixels.blended[i];
+    }
+  }
+}
+
+// Adds what a tile's list gave. Each weight is rounded to a multiple of the unit once, and integers add up to the same in any
+// order, as maxima do: threads may come in as they like.
+void add_contributions(const TileJob& job, std::span<Contribution> contributions) {
+  for (std::size_t k = 0; k < job.list.size(); ++k) {
+    const TileWeight& w = job.weights[k];
+    if (w.largest <= 0) continue;
+    Contribution& c = contributions[job.splats[job.list[k]].gaussian];
+    const auto units = static_cast<std::uint64_t>(std::llround(static_cast<double>(w.sum) / Contribution::kUnit));
+    std::atomic_ref(c.sum).fetch_add(units, std::memory_order_relaxed);
+    const std::atomic_ref largest(c.largest);
+    float seen = largest.load(std::memory_order_relaxed);
+    while (seen < w.largest && !largest.compare_exchange_weak(seen, w.largest, std::memory_order_relaxed)) {
+    }
+  }
+}
+
+}  // namespace
+
+template <class BlendTile>
+void ReferenceRenderer::Workspace::blend(const math::View<float>& view, const RenderTarget& target,
+                                         const RenderOptions& options, const BlendTile& blend_tile, FrameStats& stats) {
+  const math::Vec3<float> background{options.background[0], options.background[1], options.background[2]};
+  std::atomic<std::uint64_t> evaluated{0}, blended{0};
+  parallel_blocks(n_tiles(), [&](std::uint64_t tile) {
+    TileJob job;
+    job.list = {instances.get() + tile_begin[tile], static_cast<std::size_t>(tile_begin[tile + 1] - tile_begin[tile])};
+    job.splats = splats.get();
+    job.x = static_cast<int>(tile % static_cast<std::uint64_t>(grid.columns)) * math::kTileSize;
+    job.y = static_cast<int>(tile / static_cast<std::uint64_t>(grid.columns)) * math::kTileSize;
+    job.width = std::min(math::kTileSize, view.width - job.x);
+    job.height = std::min(math::kTileSize, view.height - job.y);
+    job.exponent = options.exponent;
+    job.exp = options.exp;
+    job.details = !target.depth.empty() || !target.blended.empty() || !target.contributions.empty();
+    std::vector<TileWeight> weights(target.contributions.empty() ? 0 : job.list.size());
+    job.weights = weights.empty() ? nullptr : weights.data();
+    TilePixels pixels;
+    const std::uint64_t tile_blended = blend_tile(job, pixels);
+    if (job.weights != nullptr) add_contributions(job, target.contributions);
+    store_tile(job, pixels, view.width, background, target);
+    std::uint64_t tile_evaluated = 0;
+    for (int y = 0; y < job.height; ++y) {
+      for (int x = 0; x < job.width; ++x) {
+        tile_evaluated += pixels.evaluated[y * math::kTileSize + x];
+      }
+    }
+    evaluated.fetch_add(tile_evaluated, std::memory_order_relaxed);
+    blended.fetch_add(tile_blended, std::memory_order_relaxed);
+  });
+  stats.evaluated = evaluated;
+  stats.blended = blended;
+}
+
+ReferenceRenderer::ReferenceRenderer(int threads, bool simd)
+    : workspace_(std::make_unique<Workspace>(threads)), simd_(simd) {}
+ReferenceRenderer::~ReferenceRenderer() = default;
+
+const char* ReferenceRenderer::name() const {
+  return simd_ ? simd_target_name() : "scalar";
+}
+
+Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
+                                             const RenderOptions& options) {
+  FrameStats stats;
+  Workspace& w = *workspace_;
+  w.grid = math::tile_grid(camera.width, camera.height);
+  const auto key = math::key_layout(options.depth_order, options.depth_bits, static_cast<std::uint32_t>(w.n_tiles()));
+  w.quantized = key.quantized;
+  if (w.quantized) {
+    stats.depth_bits = key.depth_bits;
+    w.quantizer = math::make_depth_quantizer(options.depth_mapping, stats.depth_bits, options.depth_range[0],
+                                             options.depth_range[1]);
+  }
+  const auto view = make_view(camera, options);
+  bool fits = true;
+  w.arena.execute([&] {
+    Stopwatch total, stage;
+    w.project(scene, view, options);
+    stats.project_ms = stage.lap_ms();
+    fits = w.n_instances <= kMaxInstances;
+    if (!fits) return;
+    w.sort_by_depth();
+    stats.sort_ms = stage.lap_ms();
+    w.list_by_tile();
+    stats.bin_ms = stage.lap_ms();
+    w.blend(view, target, options, simd_ ? blend_tile_simd : blend_tile_scalar, stats);
+    stats.blend_ms = stage.lap_ms();
+    stats.total_ms = total.lap_ms();
+  });
+  if (!fits) {
+    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxInstances,
+                w.n_instances);
+  }
+  stats.gaussians = scene.n;
+  stats.visible = w.n_visible;
+  stats.instances = w.n_instances;
+  stats.bytes = w.n_visible * (sizeof(ScreenSplat) + 2 * sizeof(SortItem)) + w.n_instances * sizeof(std::uint32_t) +
+                (w.counts.size() + w.tile_begin.size()) * sizeof(std::uint64_t);
+  for (const Block& block : w.blocks) stats.bytes += block.spans.size() * sizeof(Span16);
+  return stats;
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,93 @@
+// cuda_backend.cpp - frames in host memory by way of the CUDA renderer.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/cuda_backend.hpp"
+
+#include <cstdint>
+#include <span>
+#include <utility>
+
+#include "cuda/device_buffer.hpp"
+#include "rgs/cuda_renderer.hpp"
+#include "rgs/decode.hpp"
+
+namespace rgs::detail {
+namespace {
+
+// A file's attributes as they lie in it, a third of the others' size.
+Result<DeviceScene> upload(const Scene& scene) {
+  if (scene.file_bytes().empty()) return DeviceScene::upload(scene.view());
+  const auto file = open(scene.file_bytes());
+  if (!file) return tl::unexpected(file.error());
+  return DeviceScene::upload(*file);
+}
+
+}  // namespace
+
+struct CudaBackend::Impl {
+  explicit Impl(CudaRenderer r) : renderer(std::move(r)) {}
+  CudaRenderer renderer;
+  DeviceScene scene;
+  std::uint64_t scene_identity = 0;
+  DeviceBuffer rgb, alpha, depth, evaluated, blended;
+};
+
+CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+CudaBackend::CudaBackend(CudaBackend&&) noexcept = default;
+CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
+CudaBackend::~CudaBackend() = default;
+
+Result<CudaBackend> CudaBackend::create() {
+  auto renderer = CudaRenderer::create();
+  if (!renderer) return tl::unexpected(renderer.error());
+  return CudaBackend(std::make_unique<Impl>(std::move(*renderer)));
+}
+
+const char* CudaBackend::name() const {
+  return impl_->renderer.name();
+}
+
+Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                                       const RenderOptions& options) {
+  if (impl_->scene_identity != scene.identity()) {
+    impl_->scene = {};  // before the next one: both may not fit
+    impl_->scene_identity = 0;
+    auto uploaded = upload(scene);
+    if (!uploaded) return tl::unexpected(uploaded.error());
+    impl_->scene = std::move(*uploaded);
+    impl_->scene_identity = scene.identity();
+  }
+
+  DeviceTarget device;
+  Status ok;
+  const auto wanted = [&ok](DeviceBuffer& buffer, const auto& span, auto*& pointer) {
+    if (span.empty() || !ok) return;
+    ok = buffer.reserve(span.size_bytes());
+    pointer = buffer.as<std::remove_pointer_t<std::remove_reference_t<decltype(pointer)>>>();
+  };
+  wanted(impl_->rgb, target.rgb, device.rgb);
+  wanted(impl_->alpha, target.alpha, device.alpha);
+  wanted(impl_->depth, target.depth, device.depth);
+  wanted(impl_->evaluated, target.evaluated, device.evaluated);
+  wanted(impl_->blended, target.blended, device.blended);
+  if (!ok) return tl::unexpected(ok.error());
+
+  RenderOptions timed = options;
+  timed.cuda.timings = true;  // the copies below wait anyway
+  timed.cuda.asynchronous = false;
+  auto stats = impl_->renderer.render(impl_->scene, camera, device, timed);
+  if (!stats) return stats;
+  const auto fetch = [&ok](const auto& span, const void* pointer) {
+    if (span.empty() || !ok) return;
+    ok = device_status(cudaMemcpy(span.data(), pointer, span.size_bytes(), cudaMemcpyDeviceToHost),
+                       "a frame could not be copied from the device");
+  };
+  fetch(target.rgb, device.rgb);
+  fetch(target.alpha, device.alpha);
+  fetch(target.depth, device.depth);
+  fetch(target.evaluated, device.evaluated);
+  fetch(target.blended, device.blended);
+  if (!ok) return tl::unexpected(ok.error());
+  return stats;
+}
+
+}  // namespace rgs::detail

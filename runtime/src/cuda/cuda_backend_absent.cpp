@@ -1,0 +1,23 @@
+// cuda_backend_absent.cpp - stands for the CUDA backend in builds without CUDA.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/cuda_backend.hpp"
+
+namespace rgs::detail {
+
+struct CudaBackend::Impl {};
+CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+CudaBackend::CudaBackend(CudaBackend&&) noexcept = default;
+CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
+CudaBackend::~CudaBackend() = default;
+
+Result<CudaBackend> CudaBackend::create() {
+  return fail(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+}
+Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const RenderTarget&, const RenderOptions&) {
+  return fail(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+}
+const char* CudaBackend::name() const {
+  return "";
+}
+
+}  // namespace rgs::detail

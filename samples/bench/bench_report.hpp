@@ -1,0 +1,92 @@
+// bench_report.hpp - what a run of rgs-bench found, and how it is written down: tables, JSON, CSV.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "bench_cost.hpp"
+#include "bench_modes.hpp"
+#include "bench_quality.hpp"
+#include "orbit_motion.hpp"
+#include "probe.hpp"
+#include "rgs/renderer.hpp"
+
+namespace rgs::bench {
+
+/// What the CUDA runtime tells about the device; 0 where it does not.
+struct DeviceInfo {
+  std::string name;
+  int capability_major = 0, capability_minor = 0, multiprocessors = 0;
+  double clock_mhz = 0, memory_clock_mhz = 0;  ///< the highest, not the current ones
+  std::uint64_t memory_bytes = 0, l2_bytes = 0;
+  int driver_version = 0, runtime_version = 0;  ///< of CUDA: 13000 is 13.0
+};
+
+/// Means over the cameras; times are medians over the frames of each camera, by events on the stream, from the first
+/// kernel to the last, the read-back of the pair count included. The total is that of frames without events between the
+/// stages, so that the stages' times may add up to a little more.
+struct Timing {
+  FrameStats mean;
+  double fastest_ms = 0, slowest_ms = 0;  ///< medians of the fastest and the slowest camera
+  std::uint64_t peak_bytes = 0;           ///< device memory: scene, workspace and target
+};
+
+/// A mode at one size.
+struct Measurement {
+  Timing timing;
+  StageCosts costs;
+};
+
+struct SizeReport {
+  int width = 0, height = 0;
+  std::vector<Measurement> rows;  ///< one a mode, in the order of Report::modes; the first is the baseline
+};
+
+struct ModeReport {
+  Configuration configuration;
+  std::optional<Quality> quality;
+};
+
+/// Modes on an arc around what a camera looks at; steps between modes are left out.
+struct OrbitReport {
+  std::string camera;
+  int width = 0, height = 0, frames = 0;
+  double degrees = 0;          ///< from frame to frame
+  double distance = 0;         ///< to the point that the arc goes around
+  std::vector<OrbitRow> rows;  ///< the first is the baseline
+};
+
+struct Report {
+  std::string version, date;  ///< of the program; UTC, ISO 8601
+  std::string scene, source;  ///< file names
+  std::uint64_t gaussians = 0;
+  int sh_degree = 0;
+  std::size_t n_cameras = 0, n_quality_cameras = 0;
+  int frames = 0;  ///< measured per camera
+  DeviceInfo device;
+  std::optional<cuda::DeviceRates> rates;  ///< with --roofline
+  std::vector<ModeReport> modes;
+  std::vector<SizeReport> sizes;
+  std::optional<OrbitReport> orbit;  ///< with --orbit
+};
+
+double speedup(const SizeReport& size, std::size_t row);  ///< over the baseline; 0 where nothing was timed
+
+/// Schema "rgs-bench/1": docs/BENCH_JSON.md.
+std::string report_json(const Report& report);
+/// A line for each size and mode under a line of names; fields that were not measured are empty. docs/BENCH_JSON.md.
+std::string report_csv(const Report& report);
+
+/// Text tables, "\n" after each line. The ablation comes line by line, as rows are measured.
+std::string header_text(const Report& report);
+std::string size_text(const SizeReport& size, const Report& report);
+std::string row_text(const SizeReport& size, std::size_t row, const Report& report);
+/// Time, throughput, floor and time / floor of each stage; report.rates is there.
+std::string roofline_text(const SizeReport& size, const Report& report);
+/// What changes from frame to frame on the arc.
+std::string orbit_text(const OrbitReport& orbit);
+
+}  // namespace rgs::bench

@@ -1,0 +1,556 @@
+// turbo_stage_test.cpp - the turbo pipeline's lists on the device, against rgs::math on the host; and long lists.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+#include "device_fixture.hpp"
+#include "random_cloud.hpp"
+#include "rgs/cuda_renderer.hpp"
+#include "stage_reference.hpp"
+#include "turbo/turbo.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using cuda::ScreenSplat;
+using cuda::TurboEntry;
+using cuda::TurboState;
+
+namespace {
+
+/// Page-locked memory for the numbers that come back.
+class Seen {
+ public:
+  Seen() { require_cuda(cudaMallocHost(reinterpret_cast<void**>(&state_), sizeof(TurboState))); }
+  ~Seen() { cudaFreeHost(state_); }
+  Seen(const Seen&) = delete;
+  Seen& operator=(const Seen&) = delete;
+  TurboState* state() { return state_; }
+
+ private:
+  TurboState* state_ = nullptr;
+};
+
+struct Lists {
+  std::vector<ScreenSplat> splats;
+  std::vector<std::vector<TurboEntry>> tiles;  // in order
+  TurboState state;
+  std::uint32_t n_units = 0, n_shares = 0;  // of long lists; units that have a share of a bin
+};
+
+struct Room {
+  std::uint64_t entries = 0, runs = 0, large = 0;
+  std::uint64_t in_cells = 0;  // 0: for all
+};
+
+std::uint32_t depth_bits_of(TurboEntry entry) {
+  return static_cast<std::uint32_t>(entry >> (cuda::kTurboIndexBits + 8));
+}
+
+template <class T>
+std::vector<T> downloaded(const T* from, std::size_t n) {
+  std::vector<T> values(n);
+  if (n > 0) require_cuda(cudaMemcpy(values.data(), from, n * sizeof(T), cudaMemcpyDeviceToHost));
+  return values;
+}
+
+/// Units of a long list follow each other in depth, hold together what the list holds, and none has more to order than it
+/// can but for chance. `entries` are the list's in order. Returns how many there are.
+std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
+                          const std::vector<TurboEntry>& scratch, const std::vector<TurboEntry>& entries) {
+  std::array<std::uint32_t, cuda::kTurboCells> in_cells{};
+  for (const TurboEntry entry : entries) {
+    for (std::size_t c = 0; c < in_cells.size(); ++c) in_cells[c] += entry >> c & 1;
+  }
+  CHECK(std::equal(in_cells.begin(), in_cells.end(), std::begin(list.cell_n)));
+  const auto n = static_cast<std::uint32_t>(entries.size());
+  std::uint32_t unit = list.first_unit;
+  for (std::uint32_t begin = 0; begin < n;) {
+    REQUIRE(unit < units.size());
+    const std::uint32_t end = units[unit].end - list.scratch;
+    REQUIRE(end > begin);
+    REQUIRE(end <= n);
+    const std::uint32_t n_shares = cuda::turbo_shares(end - begin);
+    REQUIRE(unit + n_shares <= units.size());
+    for (std::uint32_t share = 0; share < n_shares; ++share, ++unit) {
+      CHECK(units[unit].begin == list.scratch + begin);
+      CHECK(units[unit].end == list.scratch + end);
+      CHECK(units[unit].long_list == own);
+      CHECK(units[unit].share == share);
+    }
+    std::vector<TurboEntry> part(scratch.begin() + list.scratch + begin, scratch.begin() + list.scratch + end);
+    std::sort(part.begin(), part.end());
+    CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
+    // It is too long for the sake of its last bin alone.
+    if (end - begin > 2 * cuda::kTurboUnit) {
+      const auto within = [&](TurboEntry e) { return std::clamp(depth_bits_of(e), list.nearest, list.farthest); };
+      CHECK(within(part.back()) - within(part[cuda::kTurboUnit]) <=
+            2 * (list.farthest - list.nearest) / cuda::kTurboBins);
+    }
+    begin = end;
+  }
+  return unit - list.first_unit;
+}
+
+/// Cells lie at the rank of their tile and show, in order, the entries of its list that touch them; or nothing, if there is
+/// no room. Returns how many entries they have in all, and how many cells were left empty.
+struct CellCount {
+  std::uint64_t total = 0, refused = 0;
+};
+CellCount check_cells(const std::vector<cuda::TurboCell>& cells, const std::vector<std::uint32_t>& gaussians,
+                      const std::vector<std::vector<TurboEntry>>& tiles, const std::vector<std::size_t>& rank_of,
+                      math::TileGrid grid) {
+  const auto columns = static_cast<std::size_t>(grid.columns);
+  CellCount count;
+  std::uint64_t n_wrong = 0;
+  for (std::size_t t = 0; t < tiles.size(); ++t) {
+    for (std::size_t c = 0; c < cuda::kTurboCells; ++c) {
+      const cuda::TurboCell& cell = cells[cuda::kTurboCells * rank_of[t] + c];
+      std::vector<std::uint32_t> expected;
+      for (const TurboEntry entry : tiles[t]) {
+        if ((entry >> c & 1) == 0) continue;
+        expected.push_back(static_cast<std::uint32_t>(entry >> 8) &
+                           static_cast<std::uint32_t>(cuda::kMaxTurboGaussians - 1));
+      }
+      count.total += expected.size();
+      if (cell.x != t % columns * 32 + c % 2 * 16 || cell.y != t / columns * 32 + c / 2 * 8) ++n_wrong;
+      if (cell.n == 0) {
+        count.refused += !expected.empty();
+        continue;
+      }
+      REQUIRE(std::uint64_t{cell.begin} + cell.n <= gaussians.size());
+      const auto begin = gaussians.begin() + cell.begin;
+      if (!std::equal(begin, begin + cell.n, expected.begin(), expected.end())) ++n_wrong;
+    }
+  }
+  CHECK_MESSAGE(n_wrong == 0, n_wrong, " cells show something else than the list of their tile says");
+  return count;
+}
+
+/// Emits, lists and orders with the given room; nothing may be written beyond it, and what does not fit leaves lists empty.
+Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewParameters& v, const Room& room) {
+  const auto n_tiles = static_cast<std::uint32_t>(v.grid.columns * v.grid.rows);
+  DeviceArray<std::byte> state(TurboState::bytes(n_tiles));
+  state.fill(0);
+  const DeviceArray<TurboEntry> entries(room.entries), scratch(room.entries);
+  const DeviceArray<cuda::TurboTileRun> runs(room.runs);
+  const DeviceArray<cuda::TurboRun> tile_runs(room.runs);
+  const DeviceArray<cuda::TurboLarge> large(room.large);
+  const DeviceArray<cuda::TurboBox> boxes(room.large);
+  const DeviceArray<cuda::TurboList> heads(n_tiles);
+  const DeviceArray<std::uint32_t> classes(std::size_t{n_tiles} * cuda::kTurboClasses);
+  const DeviceArray<ScreenSplat> splats(n);
+  cuda::TurboArrays arrays{};
+  arrays.state = reinterpret_cast<TurboState*>(state.data());
+  arrays.n_tiles = n_tiles;
+  arrays.entries = entries.data(), arrays.scratch = scratch.data();
+  arrays.runs = runs.data(), arrays.tile_runs = tile_runs.data();
+  arrays.large = large.data(), arrays.large_boxes = boxes.data();
+  arrays.lists = heads.data(), arrays.classes = classes.data();
+  arrays.entry_capacity = room.entries, arrays.run_capacity = room.runs, arrays.large_capacity = room.large;
+  arrays.cell_capacity = room.in_cells > 0 ? room.in_cells : cuda::kTurboCells * room.entries;
+  const DeviceArray<std::uint32_t> cell_gaussians(arrays.cell_capacity);
+  arrays.cell_gaussians = cell_gaussians.data();
+  const auto sizes = cuda::TurboLongSizes::of(room.entries, room.runs);
+  const DeviceArray<std::byte> long_lists(sizes.bytes());
+  sizes.lay_out(long_lists.data(), arrays);
+  const DeviceArray<cuda::TurboCell> cells(std::size_t{n_tiles} * cuda::kTurboCells);
+  arrays.cells = cells.data();
+  Seen seen;
+  require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
+  require_ok(cuda::launch_turbo_lists(arrays, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_long(arrays, v.grid, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_units(arrays, nullptr));
+  require_ok(cuda::launch_turbo_order(arrays, v.grid, seen.state(), nullptr));
+  synchronize();
+
+  Lists out;
+  out.state = *seen.state();
+  out.splats = splats.download();
+  const auto host_entries = entries.download();
+  const auto host_runs = tile_runs.download();
+  const auto host_heads = heads.download();
+  const auto host_classes = classes.download();
+  const auto host_state = state.download();
+  runs.check_guards();
+  large.check_guards();
+  boxes.check_guards();
+  scratch.check_guards();
+  long_lists.check_guards();
+  const bool fits =
+      out.state.counters.instances <= room.entries && out.state.runs <= room.runs && out.state.n_large <= room.large;
+  out.tiles.resize(n_tiles);
+  std::uint64_t n_listed = 0;
+  for (std::uint32_t t = 0; t < n_tiles; ++t) {
+    const auto& head = host_heads[t];
+    n_listed += head.n_entries;
+    if (!fits) continue;
+    for (std::uint64_t r = head.begin; r < std::uint64_t{head.begin} + head.n_runs; ++r) {
+      REQUIRE_MESSAGE(r < host_runs.size(), "tile ", t, " has run ", r, " of ", host_runs.size());
+      const auto& run = host_runs[r];
+      REQUIRE_MESSAGE(std::uint64_t{run.begin} + run.n <= host_entries.size(), "tile ", t, ", run ", r, ": entries ",
+                      run.begin, " + ", run.n, " of ", host_entries.size());
+      out.tiles[t].insert(out.tiles[t].end(), host_entries.begin() + run.begin,
+                          host_entries.begin() + run.begin + run.n);
+    }
+    CHECK_MESSAGE(out.tiles[t].size() == head.n_entries, "tile ", t, ": runs of ", out.tiles[t].size(), " entries, ",
+                  head.n_entries, " counted");
+    std::sort(out.tiles[t].begin(), out.tiles[t].end());
+  }
+  CHECK(n_listed == (fits ? out.state.counters.instances : 0));
+
+  TurboState final_state;
+  std::memcpy(&final_state, host_state.data(), sizeof final_state);
+  const auto host_scratch = scratch.download();
+  const auto host_longs = downloaded(arrays.long_lists, sizes.lists);
+  const auto host_units = downloaded(arrays.units, final_state.n_units);
+  REQUIRE(final_state.n_long <= sizes.lists);
+  REQUIRE(final_state.n_units <= sizes.units);
+  CHECK(final_state.n_slices <= sizes.slices);
+  std::vector<std::size_t> rank_of(n_tiles);
+  std::size_t n_ranked = 0;
+  for (std::size_t c = 0; c < cuda::kTurboClasses; ++c) {
+    for (std::size_t k = 0; k < std::min(final_state.class_size[c], n_tiles); ++k) {
+      REQUIRE(host_classes[c * n_tiles + k] < n_tiles);
+      rank_of[host_classes[c * n_tiles + k]] = n_ranked++;
+    }
+  }
+  const CellCount in_cells = check_cells(cells.download(), cell_gaussians.download(), out.tiles, rank_of, v.grid);
+  CHECK(out.state.in_cells == in_cells.total);
+  CHECK((in_cells.refused > 0) == (in_cells.total > arrays.cell_capacity));
+  if (in_cells.refused > 0) return out;  // lists that do not fit have no units
+  for (std::uint32_t t = 0; t < n_tiles && fits; ++t) {
+    if (out.tiles[t].size() < cuda::kTurboEntries) continue;
+    REQUIRE(host_heads[t].long_list < final_state.n_long);
+    const cuda::TurboLong& list = host_longs[host_heads[t].long_list];
+    CHECK(list.tile == t);
+    out.n_units += check_units(list, host_heads[t].long_list, host_units, host_scratch, out.tiles[t]);
+  }
+  CHECK(out.n_units == final_state.n_units);
+  out.n_shares = static_cast<std::uint32_t>(
+      std::count_if(host_units.begin(), host_units.end(), [](const auto& unit) { return unit.share > 0; }));
+
+  // Every tile is in one class, the longest lists first.
+  std::vector<int> seen_tiles(n_tiles, 0);
+  std::uint32_t shortest = ~0u, rising = 0;
+  for (std::uint32_t c = 0; c < static_cast<std::uint32_t>(cuda::kTurboClasses); ++c) {
+    std::uint32_t longest_here = 0, shortest_here = ~0u;
+    for (std::uint32_t k = 0; k < std::min(final_state.class_size[c], n_tiles); ++k) {
+      const std::uint32_t tile = host_classes[std::size_t{c} * n_tiles + k];
+      REQUIRE(tile < n_tiles);
+      ++seen_tiles[tile];
+      longest_here = std::max(longest_here, host_heads[tile].n_entries);
+      shortest_here = std::min(shortest_here, host_heads[tile].n_entries);
+    }
+    rising += longest_here > shortest;
+    shortest = std::min(shortest, shortest_here);
+  }
+  CHECK(std::all_of(seen_tiles.begin(), seen_tiles.end(), [](int count) { return count == 1; }));
+  CHECK_MESSAGE(rising == 0, rising, " classes hold longer lists than one before");
+  return out;
+}
+
+/// The region without what math::ellipse() adds for rounding, which chunk culling need not respect: it lists needles in
+/// tiles where no pixel of theirs reaches 1/255.
+math::Ellipse<float> without_slack(math::Ellipse<float> e, float cutoff) {
+  const float level = std::min(e.level, -2 * cutoff), shrink = std::sqrt(level / e.level);
+  e.level = level;
+  e.half_width *= shrink, e.half_height *= shrink, e.shear *= shrink;
+  return e;
+}
+
+/// Entries of one Gaussian, by tile.
+template <class F>
+void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>& ellipse, std::uint64_t i,
+                    math::TileGrid grid, const F& f) {
+  const auto rect = math::bounding_tiles<cuda::kTurboTile>(ellipse, grid);
+  if (rect.empty()) return;
+  for (int row = rect.y0; row < rect.y1; ++row) {
+    const auto cells = math::cell_rows(ellipse, row);
+    for (int column = rect.x0; column < rect.x1; ++column) {
+      const std::uint32_t touched = math::cells_of(cells, column);
+      if (touched == 0) continue;
+      f(static_cast<std::size_t>(row * grid.columns + column),
+        TurboEntry{math::depth_bits(p.z)} << (cuda::kTurboIndexBits + 8) | i << 8 | touched);
+    }
+  }
+}
+
+Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
+  auto v = view_parameters(camera, {}, scene.sh_degree);
+  v.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
+  const auto n = static_cast<std::uint32_t>(scene.n);
+  CAPTURE(n);
+  CAPTURE(camera.width);
+  CAPTURE(std::holds_alternative<cuda::CompactAttributes>(attributes));
+  // As the renderer finds its room: first the large Gaussians are counted, then all entries.
+  Room room;
+  room.large = run(attributes, n, v, room).state.n_large;
+  const TurboState counted = run(attributes, n, v, room).state;
+  room.entries = counted.counters.instances, room.runs = counted.runs;
+  if (room.entries > 0) (void)run(attributes, n, v, {room.entries - 1, room.runs, room.large});
+  if (room.runs > 0) (void)run(attributes, n, v, {room.entries, room.runs - 1, room.large});
+  // How large Gaussians share runs depends on their order, which atomic additions make.
+  room.runs *= 2;
+  Lists lists = run(attributes, n, v, room);
+  CHECK(lists.state.counters.instances == room.entries);
+  if (lists.state.in_cells > 1) {
+    (void)run(attributes, n, v, {room.entries, room.runs, room.large, lists.state.in_cells - 1});
+  }
+
+  Deviations deviations;
+  std::vector<std::vector<TurboEntry>> expected(lists.tiles.size());
+  std::uint64_t n_missing = 0, first_missing = 0, n_visible = 0;
+  for (std::uint64_t i = 0; i < scene.n; ++i) {
+    const auto p = project(scene, i, v);
+    const ScreenSplat& s = lists.splats[i];
+    if (untouched(s)) {
+      if (!p.footprint.valid) continue;
+      const float cutoff = tighter(math::power_cutoff(p.footprint.opacity));
+      if (cutoff >= 0) continue;
+      const auto region = without_slack(math::ellipse(p.mean, p.footprint, cutoff), cutoff);
+      // The last tiles reach beyond the image; what touches them there alone may be passed over too.
+      if (region.mean.u - region.half_width > static_cast<float>(camera.width - 1) ||
+          region.mean.v - region.half_height > static_cast<float>(camera.height - 1)) {
+        continue;
+      }
+      for_each_entry(p, region, i, v.grid, [&](std::size_t, TurboEntry) {
+        if (n_missing++ == 0) first_missing = i;
+      });
+      continue;
+    }
+    compare_splat(i, s, scene, v, deviations);
+    bool any = false;
+    const auto ellipse = math::ellipse(p.mean, p.footprint, s.cutoff);
+    for_each_entry(p, ellipse, i, v.grid, [&](std::size_t tile, TurboEntry entry) {
+      expected[tile].push_back(entry);
+      any = true;
+    });
+    n_visible += any;
+  }
+  CHECK_MESSAGE(deviations.first.empty(), deviations.first);
+  CHECK(lists.state.counters.visible == n_visible);
+  CHECK_MESSAGE(n_missing == 0, n_missing, " entries of the host belong to Gaussians that the device passed over, ",
+                "the first to ", first_missing);
+  std::uint64_t n_wrong = 0;
+  std::size_t wrong = 0;
+  for (std::size_t t = 0; t < expected.size(); ++t) {
+    std::sort(expected[t].begin(), expected[t].end());
+    if (lists.tiles[t] != expected[t] && n_wrong++ == 0) wrong = t;
+  }
+  CHECK_MESSAGE(n_wrong == 0, n_wrong, " of ", expected.size(), " lists differ; that of tile ", wrong, " has ",
+                lists.tiles[wrong].size(), " entries on the device, ", expected[wrong].size(), " on the host");
+  return lists;
+}
+
+}  // namespace
+
+TEST_CASE("turbo lists hold what the host lists, FP32 and compact, whatever the room") {
+  if (!device_answers()) return;
+  Random random(801);
+  for (const int n : {0, 1, 255, 256, 257, 3000, 30000}) {
+    if (small_sizes() && n > 300) continue;
+    const auto cloud = cloud_of(random_splats(static_cast<unsigned>(800 + n), n), 2);
+    const Scene scene = scene_of(cloud);
+    EncodeOptions options;
+    options.chunk_size = n % 2 == 0 ? 32 : 256;
+    const auto compact = CompactScene::of(cloud, options);
+    for (const int width : {33, 700}) {
+      const Camera camera = random_camera(random, width, 200);
+      check(DeviceAttributes(scene.view()).get(), scene.view(), camera);
+      check(DeviceAttributes(compact.file).get(), compact.scene.view(), camera);
+    }
+  }
+}
+
+TEST_CASE("chunks that are passed over hold nothing that the host lists") {
+  if (!device_answers()) return;
+  Random random(802);
+  const auto cloud = cloud_of(random_splats(803, small_sizes() ? 600 : 20000));
+  for (const std::uint32_t chunk_size : {32u, 256u}) {
+    EncodeOptions options;
+    options.chunk_size = chunk_size;
+    const auto compact = CompactScene::of(cloud, options);
+    const DeviceAttributes attributes(compact.file);
+    for (int turn = 0; turn < (small_sizes() ? 3 : 16); ++turn) {
+      // From within, in every direction and with narrow views, so that chunks lie across each edge of the image.
+      Camera camera = front_camera(160, 130);
+      camera.fx = camera.fy = random.log_uniform(60, 800);
+      camera.world_to_camera = rigid(random.rotation(), random.vector(-4, 4));
+      check(attributes.get(), compact.scene.view(), camera);
+    }
+  }
+  SplitMix wild(804);
+  for (int round = 0; round < (small_sizes() ? 2 : 12); ++round) {
+    const auto extreme = CompactScene::of(random_cloud(700, round % 4, wild));
+    check(DeviceAttributes(extreme.file).get(), extreme.scene.view(), random_camera(random, 130, 70));
+  }
+}
+
+namespace {
+
+// Gaussians of every shape, in front of front_camera(), that reach from a few tiles to all of the image.
+std::vector<Splat> large_splats(int n, Random& random) {
+  std::vector<Splat> splats;
+  for (int i = 0; i < n; ++i) {
+    const double z = random.uniform(2, 9), reach = i % 16 == 0 ? 4 : random.log_uniform(0.02, 1);
+    Splat s = splat_at(random.uniform(-0.7, 0.7) * z, random.uniform(-0.6, 0.6) * z, z, 0.3 * reach * z, 0.02,
+                       static_cast<float>(random.uniform(0, 1)));
+    if (i % 3 == 0) s.log_scale[0] -= 4;  // needles
+    if (i % 5 == 0) s.log_scale[1] -= 3;
+    splats.push_back(s);
+  }
+  return splats;
+}
+
+}  // namespace
+
+TEST_CASE("Gaussians of many tiles are listed part by part, up to all tiles at 4K") {
+  if (!device_answers()) return;
+  Random random(806);
+  for (const auto& [n, width, height] : {std::array{40, 3840, 2160}, std::array{600, 1920, 1080}}) {
+    if (small_sizes() && width > 2000) continue;
+    const auto cloud = cloud_of(large_splats(n, random));
+    const Scene scene = scene_of(cloud);
+    const auto compact = CompactScene::of(cloud);
+    const Camera camera = front_camera(width, height);
+    check(DeviceAttributes(scene.view()).get(), scene.view(), camera);
+    check(DeviceAttributes(compact.file).get(), compact.scene.view(), camera);
+  }
+}
+
+TEST_CASE("blocks leave to the tiles what they have no room for, or what lies too far apart") {
+  if (!device_answers()) return;
+  Random random(808);
+  std::vector<Splat> splats;
+  for (int i = 0; i < 700; ++i) {  // about 30 tiles each at 1080p, which a block has not in words
+    const double z = random.uniform(2, 9);
+    splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
+  }
+  const Scene wide = scene_of(cloud_of(splats));
+  check(DeviceAttributes(wide.view()).get(), wide.view(), front_camera(1920, 1080));
+  if (small_sizes()) return;
+  for (Splat& s : splats) {
+    for (float& log_scale : s.log_scale) log_scale -= 5;
+  }
+  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's words tell apart
+  check(DeviceAttributes(sparse.view()).get(), sparse.view(), front_camera(9000, 9000));
+}
+
+TEST_CASE("a frame of more entries than there is room for is made again, with room for large Gaussians' entries") {
+  if (!device_answers()) return;
+  Random random(807);
+  auto splats = large_splats(2000, random);
+  for (Splat& s : splats) s.log_scale[0] += 3, s.log_scale[1] += 3, s.log_scale[2] += 3;
+  const Scene scene = scene_of(cloud_of(splats));
+  const Camera camera = front_camera(1920, 1080);
+  FrameStats stats;
+  const auto draw = [&](const RenderOptions& options) {
+    return render(scene, camera, options, {.backend = Backend::cuda});
+  };
+  const Frame turbo = draw(turbo_options());
+  CHECK(turbo.stats.instances > 1u << 20);  // which the renderer has room for at first
+  RenderOptions paper = turbo_options();
+  paper.cuda.turbo = false;
+  CHECK(psnr(turbo.rgb, draw(paper).rgb) >= 60);
+}
+
+namespace {
+
+// Before front_camera() of any size, faint, so that no pixel stops early: half of them at one depth, the others at seven
+// more and anywhere; or, with `far`, close behind it, but for some so far away that one bin of depth has all the others.
+std::vector<Splat> crowd(int n, bool far) {
+  std::vector<Splat> splats;
+  Random random(805);
+  for (int i = 0; i < n; ++i) {
+    const double close = far ? random.uniform(4, 4.1) : i % 4 == 1 ? 2 + i % 7 : random.uniform(2, 9);
+    const double z = i % 2 == 0 ? 4 : far && i % 64 == 1 ? 1e12 : close;
+    Splat s = splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.02 * z, 0.03,
+                       static_cast<float>(random.uniform(0, 1)));
+    s.sh[1] = static_cast<float>(random.uniform(-1.7, 1.7));
+    splats.push_back(s);
+  }
+  return splats;
+}
+
+}  // namespace
+
+TEST_CASE("long lists are moved to scratch memory and ordered in units that follow each other in depth") {
+  if (!device_answers()) return;
+  for (const int n : {2047, 2048, 2049, 5000, small_sizes() ? 12000 : 200000}) {
+    for (const bool far : {false, true}) {
+      CAPTURE(n);
+      CAPTURE(far);
+      const Scene scene = scene_of(cloud_of(crowd(n, far)));
+      const Lists lists = check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32));
+      REQUIRE(lists.tiles.size() == 1);
+      CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboEntries));
+      if (n > 4000) CHECK(lists.n_units > 0);
+      if (n > 4000 && far) CHECK(lists.n_shares > 0);
+    }
+  }
+}
+
+TEST_CASE("a list of more entries of one depth than a sample can tell apart is ordered in rounds") {
+  if (!device_answers()) return;
+  if (small_sizes()) return;
+  Random random(811);
+  std::vector<Splat> splats;
+  for (int i = 0; i < 1200000; ++i) {  // 1,024 shares of two samples each
+    splats.push_back(splat_at(random.uniform(-2, 2), random.uniform(-2, 2), 4, 0.02, 0.03));
+  }
+  const Scene scene = scene_of(cloud_of(splats));
+  CHECK(check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32)).n_units > 1000);
+}
+
+TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {
+  if (!device_answers()) return;
+  for (const bool far : {false, true}) {
+    CAPTURE(far);
+    const auto splats = crowd(small_sizes() ? 5000 : 60000, far);
+    const int size = small_sizes() ? 32 : 64;
+    const auto render_with = [&](std::span<const Splat> list, const RenderOptions& options, Backend backend) {
+      return render(scene_of(cloud_of(list)), front_camera(size, size), options, {.backend = backend, .simd = false});
+    };
+    RenderOptions plain = turbo_options();
+    plain.cuda.turbo = false;
+    const Frame host = render_with(splats, plain, Backend::cpu);
+    const Frame device = render_with(splats, turbo_options(), Backend::cuda);
+    const double quality = psnr(device.rgb, host.rgb);
+    MESSAGE("long lists: ", quality, " dB, at most ", 255 * largest_difference(device.rgb, host.rgb),
+            "/255 off the CPU");
+    CHECK(quality >= 65);
+    CHECK(largest_difference(device.rgb, host.rgb) <= 2.0 / 255);
+    if (!far) CHECK(largest_difference(device.depth, host.depth) <= 0.01);
+    auto reversed = splats;
+    std::reverse(reversed.begin(), reversed.end());
+    CHECK(psnr(render_with(reversed, turbo_options(), Backend::cuda).rgb, device.rgb) < quality - 5);
+  }
+}
+
+TEST_CASE("a depth that FP32 does not hold is that of no pixel which its Gaussian does not touch") {
+  if (!device_answers()) return;
+  Random random(809);
+  auto splats = random_splats(810, 300);
+  for (Splat& s : splats) {
+    if (&s - splats.data() < 3) s.mean[0] = s.mean[1] = s.mean[2] = 3e38F;  // 5e38 in front of the camera
+  }
+  Camera camera = front_camera(64, 64);
+  const double a = 1 / std::sqrt(2.0), b = 1 / std::sqrt(3.0), c = 1 / std::sqrt(6.0);
+  camera.world_to_camera = {a, -a, 0, 0, c, c, -2 * c, 0, b, b, b, 4, 0, 0, 0, 1};
+  const Scene scene = scene_of(cloud_of(splats));
+  RenderOptions plain = turbo_options();
+  plain.cuda.turbo = false;
+  const Frame host = render(scene, camera, plain, {.backend = Backend::cpu, .simd = false});
+  const Frame device = render(scene, camera, turbo_options(), {.backend = Backend::cuda});
+  int n_infinite = 0, n_wrong = 0;
+  for (std::size_t k = 0; k < host.depth.size(); ++k) {
+    n_infinite += !std::isfinite(host.depth[k]);
+    n_wrong += std::isfinite(host.depth[k]) && !(std::abs(device.depth[k] - host.depth[k]) <= 0.01F);
+  }
+  CHECK(n_infinite > 0);
+  CHECK(n_infinite < 64 * 64 / 2);
+  CHECK(n_wrong == 0);
+}

@@ -1,0 +1,43 @@
+// workspace_growth_test.cpp - how workspaces grow, on memory of a given size.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/workspace_growth.hpp"
+
+#include <doctest/doctest.h>
+
+#include <vector>
+
+using namespace rgs;
+using rgs::detail::reserve_growing;
+using rgs::detail::with_room_to_grow;
+
+TEST_CASE("a workspace grows by half, by the need if that is more, and up to its limit") {
+  CHECK(with_room_to_grow(101, 100, 1000) == 150);
+  CHECK(with_room_to_grow(400, 100, 1000) == 400);
+  CHECK(with_room_to_grow(901, 900, 1000) == 1000);
+  CHECK(with_room_to_grow(1000, 900, 1000) == 1000);
+  CHECK(with_room_to_grow(7, 0, 1000) == 7);
+  CHECK(with_room_to_grow(2, 1, 1000) == 2);
+}
+
+TEST_CASE("where memory is short the workspace grows by the need alone, and other errors are final") {
+  // Two arrays of equal size in `memory` units, as a frame needs them: all or nothing.
+  std::vector<std::uint64_t> asked;
+  const auto grow = [&asked](std::uint64_t needed, std::uint64_t held, std::uint64_t memory, Errc refusal) {
+    asked.clear();
+    return reserve_growing([&](bool generous) -> Status {
+      asked.push_back(generous ? with_room_to_grow(needed, held, 1 << 20) : needed);
+      if (2 * asked.back() <= memory) return {};
+      return fail(refusal, Error::kNone, "no more", asked.back());
+    });
+  };
+  CHECK(grow(110, 100, 400, Errc::device_out_of_memory));
+  CHECK(asked == std::vector<std::uint64_t>{150});
+  CHECK(grow(110, 100, 299, Errc::device_out_of_memory));
+  CHECK(asked == std::vector<std::uint64_t>{150, 110});
+  const auto refused = grow(110, 100, 219, Errc::device_out_of_memory);
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().expected == 110);  // what the frame needs, not what was asked for first
+  CHECK(asked == std::vector<std::uint64_t>{150, 110});
+  CHECK_FALSE(grow(110, 100, 0, Errc::device_failed));
+  CHECK(asked == std::vector<std::uint64_t>{150});
+}
