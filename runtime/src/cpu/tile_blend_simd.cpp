@@ -10,7 +10,7 @@
 #define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_SSE4)
 
 #undef HWY_TARGET_INCLUDE
-#define HWY_TARGET_INCLUDE "tile_blend_simd.cpp"  // NOLINT
+#define HWY_TARGET_INCLUDE "cpu/tile_blend_simd.cpp"  // NOLINT
 #include <hwy/foreach_target.h>
 //
 #include <hwy/cache_control.h>
