@@ -26,7 +26,7 @@ struct Failure {
 template <class T>
 using Outcome = tl::expected<T, Failure>;
 
-inline tl::unexpected<Failure> fail(std::string subject, const Error& error) {
+inline tl::unexpected<Failure> make_error(std::string subject, const Error& error) {
   return tl::unexpected(Failure{std::move(subject), error});
 }
 
@@ -216,7 +216,7 @@ Verdict verdict(const Report& report);
 /// whether an earlier result still holds. Reads all inputs. Errors: open_failed, read_failed.
 Outcome<std::string> fingerprint(const Options& options);
 
-/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of PlyFile, open(), validate(), the
+/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of PlyFile, FileView::open(), validate(), the
 /// cameras and photographs; bad_value when no Gaussian of an .rgs asset is one of the source.
 Outcome<Report> run(const Options& options, tool::Progress& progress);
 

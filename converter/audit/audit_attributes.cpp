@@ -165,7 +165,7 @@ class Comparison {
         stored_floats_(3 * static_cast<std::size_t>(sh_coefficients(asset_degree_))),
         smallest_normal_(std::ldexp(kHalfMinNormal, -asset.header().scale_exponent)) {}
 
-  void set_steps(const ScaleSet& set) {
+  void set_steps(const ShStepSet& set) {
     for (std::size_t i = 0; i < floats_; ++i) {
       step_[i] = set.of_value(static_cast<int>(i));
       inverse_step_[i] = step_[i] > 0 ? 1 / step_[i] : 0;

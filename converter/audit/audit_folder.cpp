@@ -55,8 +55,8 @@ Outcome<void> collect(const std::string& folder, const char* extension, std::map
   for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed))
     if (it->path().extension() == extension) pairs[it->path().stem().string()].*side = it->path().string();
   if (!failed) return {};
-  return fail(folder, {Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
-                       failed.value()});
+  return make_error(folder, {Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
+                             failed.value()});
 }
 
 // A folder with something for each pair, or one thing for all.
@@ -117,12 +117,12 @@ class Folder {
     if (auto ok = collect(options_.audit.source, ".ply", pairs, &Pair::source); !ok) return tl::unexpected(ok.error());
     if (auto ok = collect(options_.audit.asset, ".rgs", pairs, &Pair::asset); !ok) return tl::unexpected(ok.error());
     if (pairs.empty())
-      return fail(options_.audit.source, {Errc::bad_argument, Error::kNone, "no .ply and no .rgs file to audit"});
+      return make_error(options_.audit.source, {Errc::bad_argument, Error::kNone, "no .ply and no .rgs file to audit"});
     std::error_code failed;
     fs::create_directories(out_, failed);
     if (failed)
-      return fail(options_.out, {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone,
-                                 Error::kNone, failed.value()});
+      return make_error(options_.out, {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone,
+                                       Error::kNone, failed.value()});
     for (const auto& pair : pairs) {
       rows_.push_back(audit(pair.first, pair.second));
       print(rows_.back(), pairs.size());
@@ -189,7 +189,7 @@ class Folder {
   Outcome<void> write_tables() const {
     for (const auto& [name, text] : {std::pair(out_ / "index.csv", csv()), std::pair(out_ / "index.json", json()),
                                      std::pair(out_ / "index.html", page())})
-      if (auto ok = write_text(name, text, true); !ok) return fail(name.string(), ok.error());
+      if (auto ok = write_text(name, text, true); !ok) return make_error(name.string(), ok.error());
     return {};
   }
 

@@ -137,8 +137,8 @@ Pairing pair_by_means(const PlyFile& source, const FileView& asset) {
 
 Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset) {
   if (source.size() >= kUnpaired || asset.header().n_gaussians >= kUnpaired)
-    return rgs::fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
-                     std::max(source.size(), asset.header().n_gaussians));
+    return rgs::make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
+                           std::max(source.size(), asset.header().n_gaussians));
   if (auto pairing = pair_by_permutation(source, asset)) return *std::move(pairing);
   if (auto pairing = pair_by_order(source, asset)) return *std::move(pairing);
   return pair_by_means(source, asset);

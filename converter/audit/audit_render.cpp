@@ -90,7 +90,7 @@ class PictureAudit {
     how.backend = options_.backend;
     how.threads = options_.threads;
     auto renderer = Renderer::create(how);
-    if (!renderer) return fail("", renderer.error());
+    if (!renderer) return make_error("", renderer.error());
     renderer_.emplace(std::move(*renderer));
     report_.backend = renderer_->backend_name();
     report_.automatic_views = options_.cameras.empty();
@@ -165,7 +165,7 @@ class PictureAudit {
 
   Done load_source() {
     auto source = source_scene(*inputs_.source);
-    if (!source) return fail(options_.source, source.error());
+    if (!source) return make_error(options_.source, source.error());
     scene_ = std::move(source->scene);
     bounds_ = source->bounds;
     report_.n_undrawable = source->n_left_out;
@@ -195,11 +195,11 @@ class PictureAudit {
   Done asset(std::size_t first, std::size_t end, const RenderOptions& exact) {
     if (inputs_.rgs != nullptr) {
       auto scene = Scene::load(*inputs_.rgs);
-      if (!scene) return fail(options_.asset, scene.error());
+      if (!scene) return make_error(options_.asset, scene.error());
       scene_ = std::move(*scene);
     } else {
       auto file = load_scene_file(options_.asset);
-      if (!file) return fail(options_.asset, file.error());
+      if (!file) return make_error(options_.asset, file.error());
       scene_ = std::move(file->scene);
     }
     for (std::size_t i = first; i < end; ++i) {
@@ -228,7 +228,7 @@ class PictureAudit {
                           {Mixture::source, "exp", with_exp(exact)},
                           {Mixture::source, "lists", with_lists(exact)},
                           {Mixture::file_scales, "file_scales", exact},
-                          {Mixture::chunk_scales, "chunk_scales", exact}};
+                          {Mixture::chunk_step_sets, "chunk_scales", exact}};
     std::optional<Mixture> loaded;
     for (const Step& step : steps) {
       Series* series = find(step.key);
@@ -236,7 +236,7 @@ class PictureAudit {
       if (loaded != step.mixture) {
         scene_ = Scene();  // before the next one is made
         auto scene = mixed_scene(*inputs_.source, *inputs_.rgs, *inputs_.pairing, step.mixture);
-        if (!scene) return fail(options_.source, scene.error());
+        if (!scene) return make_error(options_.source, scene.error());
         scene_ = std::move(*scene);
         loaded = step.mixture;
       }
@@ -262,7 +262,7 @@ class PictureAudit {
       if (!image) return tl::unexpected(image.error());
       const auto d = difference(references_[i - first], *image);
       const auto s = ssim(references_[i - first], *image);
-      if (!d || !s) return fail(other.path, d ? s.error() : d.error());
+      if (!d || !s) return make_error(other.path, d ? s.error() : d.error());
       sums.psnr.push_back(d->psnr);
       sums.ssim += *s;
       const auto loss = photo_loss(views_[i], references_[i - first], *image);
@@ -279,7 +279,7 @@ class PictureAudit {
     const Camera& camera = views_[view].camera;
     Image image = Image::make(camera.width, camera.height, 3);
     const auto stats = renderer_->render(scene_, camera, {.rgb = image.pixels}, how);
-    if (!stats) return fail("view " + camera.name, stats.error());
+    if (!stats) return make_error("view " + camera.name, stats.error());
     progress_.advance(1);
     return image;
   }
@@ -289,7 +289,7 @@ class PictureAudit {
       const auto image = render(i, how);
       if (!image) return tl::unexpected(image.error());
       const auto d = difference(references_[i - first], *image);
-      if (!d) return fail("view " + views_[i].camera.name, d.error());
+      if (!d) return make_error("view " + views_[i].camera.name, d.error());
       const auto loss = photo_loss(views_[i], references_[i - first], *image);
       if (!loss) return tl::unexpected(loss.error());
       series.add(d->psnr, d->mse, *loss);
@@ -301,7 +301,7 @@ class PictureAudit {
     const Camera& camera = views_[view].camera;
     const auto d = difference(reference, image);
     const auto s = ssim(reference, image);
-    if (!d || !s) return fail("view " + camera.name, d ? s.error() : d.error());
+    if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
     ViewResult result{camera.name, camera.width, camera.height, {d->mse, d->psnr, *s, d->largest, 0, 0}, {}};
     const auto pixel = static_cast<int>(d->largest_index / 3);
     result.score.x = pixel % camera.width;
@@ -327,7 +327,7 @@ class PictureAudit {
       const Image shown = clamped(of_source ? reference : image);
       const auto d = difference(*photo, shown);
       const auto s = ssim(*photo, shown);
-      if (!d || !s) return fail(view.photo, d ? s.error() : d.error());
+      if (!d || !s) return make_error(view.photo, d ? s.error() : d.error());
       (of_source ? score.source_psnr : score.asset_psnr) = d->psnr;
       (of_source ? score.source_ssim : score.asset_ssim) = *s;
     }
@@ -340,7 +340,7 @@ class PictureAudit {
     const auto photo = read_photo(view);
     if (!photo) return tl::unexpected(photo.error());
     const auto before = difference(*photo, clamped(reference)), after = difference(*photo, clamped(image));
-    if (!before || !after) return fail(view.photo, before ? after.error() : before.error());
+    if (!before || !after) return make_error(view.photo, before ? after.error() : before.error());
     return before->psnr == after->psnr ? 0 : before->psnr - after->psnr;
   }
 

@@ -48,7 +48,7 @@ void measure_sections(const FileView& view, SizeReport& size) {
     size.sections.push_back({tool::four_characters(s.type), tool::describe(type), s.stored_bytes, s.decoded_bytes});
     // What stays on the device while a scene is shown; the rest is for loading and for people.
     const bool resident = type == SectionType::means || type == SectionType::geometry || type == SectionType::sh ||
-                          type == SectionType::sh_scales || type == SectionType::chunks;
+                          type == SectionType::sh_steps || type == SectionType::chunks;
     if (resident) size.gpu_bytes += s.decoded_bytes;
   }
 }
@@ -57,7 +57,7 @@ Outcome<std::vector<AlsoReport>> measure_also(const Options& options) {
   std::vector<AlsoReport> out;
   for (const std::string& path : options.also) {
     const auto file = MappedFile::open(path);
-    if (!file) return fail(path, file.error());
+    if (!file) return make_error(path, file.error());
     AlsoReport report;
     report.path = path;
     report.bytes = file->bytes().size();
@@ -76,8 +76,8 @@ Outcome<std::uint64_t> hash_path(const std::string& path) {
     for (fs::recursive_directory_iterator it(path, failed), end; !failed && it != end; it.increment(failed))
       if (it->is_regular_file(failed)) files.push_back(it->path());
     if (failed)
-      return fail(path, {Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
-                         failed.value()});
+      return make_error(path, {Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
+                               failed.value()});
     std::sort(files.begin(), files.end());
   } else {
     files.emplace_back(path);
@@ -85,7 +85,7 @@ Outcome<std::uint64_t> hash_path(const std::string& path) {
   Hasher hasher;
   for (const fs::path& name : files) {
     const auto file = MappedFile::open(name.string());
-    if (!file) return fail(name.string(), file.error());
+    if (!file) return make_error(name.string(), file.error());
     const std::string text = fmt::format("{}:{}:", name.filename().string(), file->bytes().size());
     hasher.update(std::as_bytes(std::span(text)));
     hasher.update(file->bytes());
@@ -124,9 +124,9 @@ Outcome<std::string> fingerprint(const Options& o) {
 Outcome<Report> run(const Options& options, tool::Progress& progress) {
   const auto start = Clock::now();
   const auto source = PlyFile::open(options.source);
-  if (!source) return fail(options.source, source.error());
+  if (!source) return make_error(options.source, source.error());
   const auto file = MappedFile::open(options.asset);
-  if (!file) return fail(options.asset, file.error());
+  if (!file) return make_error(options.asset, file.error());
   auto also = measure_also(options);
   if (!also) return tl::unexpected(also.error());
 
@@ -135,8 +135,8 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.source_name = file_name(options.source);
   report.asset_name = file_name(options.asset);
   progress.begin("reading", source->bytes() + file->bytes().size(), "B");
-  Result<FileView> view = is_rgs(file->bytes()) ? open(file->bytes()) : Result<FileView>();
-  if (!view) return fail(options.asset, view.error());
+  Result<FileView> view = is_rgs(file->bytes()) ? FileView::open(file->bytes()) : Result<FileView>();
+  if (!view) return make_error(options.asset, view.error());
   const bool rgs_asset = is_rgs(file->bytes());
   Status valid;
   tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(source->source()); },
@@ -144,7 +144,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
                        [&] {
                          if (rgs_asset) valid = view->preload({.threads = static_cast<unsigned>(options.threads)});
                        });
-  if (!valid) return fail(options.asset, valid.error());
+  if (!valid) return make_error(options.asset, valid.error());
   progress.advance(source->bytes() + file->bytes().size());
   progress.finish();
 
@@ -166,17 +166,18 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
           provenance->source_xxh3 == report.source_xxh3 && provenance->source_bytes == size.source_bytes;
     const auto began = Clock::now();
     auto paired = pair_gaussians(*source, *view);
-    if (!paired) return fail(options.asset, paired.error());
+    if (!paired) return make_error(options.asset, paired.error());
     pairing = std::move(*paired);
     if (pairing.n_paired == 0 && size.n_asset != 0)
-      return fail(options.asset,
-                  {Errc::bad_value, Error::kNone,
-                   "none of its Gaussians is one of the source: was it converted from another file?", size.n_asset, 0});
+      return make_error(
+          options.asset,
+          {Errc::bad_value, Error::kNone,
+           "none of its Gaussians is one of the source: was it converted from another file?", size.n_asset, 0});
     report.attributes = compare_attributes(*source, *view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {
     const auto scene = load_scene_file(options.asset);
-    if (!scene) return fail(options.asset, scene.error());
+    if (!scene) return make_error(options.asset, scene.error());
     report.asset_format = format_name(scene->format);
     size.asset_bytes = scene->file_bytes;
     size.n_asset = scene->scene.size();

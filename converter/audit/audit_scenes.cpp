@@ -20,15 +20,15 @@ constexpr std::size_t kAtOnce = 64;
 constexpr std::uint64_t kChunk = 256;
 
 // SH steps from the largest magnitudes, as the encoder chooses them.
-ScaleSet steps_of(const ShMagnitudes& magnitudes) {
-  ScaleSet set = magnitudes.max_abs();
+ShStepSet steps_of(const ShMagnitudes& magnitudes) {
+  ShStepSet set = magnitudes.max_abs();
   for (auto& degree : set.step)
     for (float& step : degree) step = sh_step(step);
   return set;
 }
 
 // Codes and back, for Gaussians [first, end).
-void requantise(SplatCloud& cloud, std::uint64_t first, std::uint64_t end, const ScaleSet& set) {
+void requantise(SplatCloud& cloud, std::uint64_t first, std::uint64_t end, const ShStepSet& set) {
   const auto floats = 3 * static_cast<std::uint64_t>(sh_coefficients(cloud.sh_degree));
   for (std::uint64_t i = first * floats; i < end * floats; ++i) {
     const std::uint64_t k = i % floats;
@@ -52,7 +52,7 @@ void requantise(SplatCloud& cloud, bool by_chunk) {
     });
     return;
   }
-  const ScaleSet set = steps_of(magnitudes_of(cloud, 0, cloud.size()));
+  const ShStepSet set = steps_of(magnitudes_of(cloud, 0, cloud.size()));
   tbb::parallel_for(std::uint64_t{0}, n_chunks,
                     [&](std::uint64_t chunk) { requantise(cloud, chunk * kChunk, end(chunk), set); });
 }
@@ -84,7 +84,7 @@ Result<SourceScene> source_scene(const PlyFile& source) {
 
 Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pairing& pairing, Mixture mixture) {
   if (pairing.n_paired != pairing.source_of.size())
-    return rgs::fail(Errc::bad_argument, Error::kNone, "a Gaussian of the asset has no source");
+    return rgs::make_error(Errc::bad_argument, Error::kNone, "a Gaussian of the asset has no source");
   const std::uint64_t n = pairing.source_of.size();
   SplatCloud cloud;
   cloud.resize(n, std::max(source.sh_degree(), static_cast<int>(asset.header().sh_degree)));
@@ -108,8 +108,8 @@ Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pa
       }
     }
   });
-  if (mixture == Mixture::file_scales || mixture == Mixture::chunk_scales)
-    requantise(cloud, mixture == Mixture::chunk_scales);
+  if (mixture == Mixture::file_scales || mixture == Mixture::chunk_step_sets)
+    requantise(cloud, mixture == Mixture::chunk_step_sets);
   return Scene::load(std::move(cloud));
 }
 

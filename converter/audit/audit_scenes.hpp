@@ -27,7 +27,7 @@ enum class Mixture : std::uint8_t {
   stored_sh,        ///< SH of the asset, the rest of the source
   stored_geometry,  ///< means, rotations, scales and opacities of the asset, SH of the source
   file_scales,      ///< SH of the source quantised with one step set for the file, the rest of the source
-  chunk_scales,     ///< the same with one set per chunk of 256
+  chunk_step_sets,  ///< the same with one set per chunk of 256
 };
 /// Needs every Gaussian of the asset paired: bad_argument otherwise.
 Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pairing& pairing, Mixture mixture);

@@ -30,13 +30,14 @@ std::string listed(const std::vector<std::string>& names) {
 
 Outcome<std::vector<Camera>> cameras_of(const Options& options) {
   const auto set = read_camera_set(options.cameras);
-  if (!set) return fail(options.cameras, set.error());
+  if (!set) return make_error(options.cameras, set.error());
   const std::string split = !options.split.empty() ? options.split : set->cameras.size() > kAllOfFew ? "test" : "all";
   std::vector<Camera> chosen;
   for (std::size_t i = 0; i < set->cameras.size(); ++i)
     if (split == "all" || (set->split[i] == Split::test) == (split == "test")) chosen.push_back(set->cameras[i]);
   if (chosen.empty())
-    return fail(options.cameras, {Errc::bad_argument, Error::kNone, "no camera of the split that --split asks for"});
+    return make_error(options.cameras,
+                      {Errc::bad_argument, Error::kNone, "no camera of the split that --split asks for"});
   return chosen;
 }
 
@@ -59,8 +60,8 @@ Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& o
   std::error_code failed;
   const auto found = pictures_by_name(options.photos, failed);
   if (failed)
-    return fail(options.photos, {Errc::open_failed, Error::kNone, "the folder of photographs cannot be read",
-                                 Error::kNone, Error::kNone, failed.value()});
+    return make_error(options.photos, {Errc::open_failed, Error::kNone, "the folder of photographs cannot be read",
+                                       Error::kNone, Error::kNone, failed.value()});
   std::vector<std::string> missing, different;
   for (View& view : views) {
     const fs::path name(view.camera.name);
@@ -72,20 +73,20 @@ Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& o
     }
     view.photo = photo->second;
     const auto extent = read_image_extent(view.photo);
-    if (!extent) return fail(view.photo, extent.error());
+    if (!extent) return make_error(view.photo, extent.error());
     if (extent->width != view.camera.width || extent->height != view.camera.height)
       different.push_back(fmt::format("{} ({}x{}, its camera {}x{})", fs::path(view.photo).filename().string(),
                                       extent->width, extent->height, view.camera.width, view.camera.height));
   }
   if (!missing.empty())
-    return fail(
+    return make_error(
         fmt::format("{}: {}", options.photos, listed(missing)),
         {Errc::bad_argument, Error::kNone, "cameras without a photograph of their name (--split chooses cameras)",
          views.size(), views.size() - missing.size()});
   if (!different.empty())
-    return fail(fmt::format("{}: {}", options.photos, listed(different)),
-                {Errc::bad_argument, Error::kNone,
-                 "photographs of another size than their cameras; undistort and scale them as the cameras say"});
+    return make_error(fmt::format("{}: {}", options.photos, listed(different)),
+                      {Errc::bad_argument, Error::kNone,
+                       "photographs of another size than their cameras; undistort and scale them as the cameras say"});
   return views;
 }
 
@@ -114,7 +115,7 @@ Outcome<std::vector<View>> choose_views(const Options& options, const SceneBound
 
 Outcome<Image> read_photo(const View& view) {
   auto photo = read_image(view.photo);
-  if (!photo) return fail(view.photo, photo.error());
+  if (!photo) return make_error(view.photo, photo.error());
   if (photo->channels == 3) return *std::move(photo);
   Image rgb = Image::make(photo->width, photo->height, 3);
   const auto stride = static_cast<std::size_t>(photo->channels);

@@ -76,7 +76,7 @@ struct LoadedScene {
 /// A scene in memory to a file of any writable format, or .rgs. Its Gaussians must be in the axes that the format has,
 /// see format_axes(), or in options.encode.axes for .rgs. Damaged ones are treated as options.encode.on_bad says, but
 /// PLY keeps them.
-/// Errors: those of convert_to_rgs(), clean(), encode_splats() and AtomicFile.
+/// Errors: those of convert_to_rgs(), clean_splats(), encode_splats() and AtomicFile.
 Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, const std::string& output_path,
                                      const ConvertOptions& options, const StageObserver& observer = {});
 

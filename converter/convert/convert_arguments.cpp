@@ -34,7 +34,7 @@ std::vector<double> numbers(const std::string& text) {
 }
 
 tl::unexpected<Error> refuse(const char* what) {
-  return fail(Errc::bad_argument, Error::kNone, what);
+  return make_error(Errc::bad_argument, Error::kNone, what);
 }
 
 }  // namespace

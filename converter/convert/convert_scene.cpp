@@ -19,7 +19,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   strip_sh(scene.cloud, options.encode.sh_degree);
   clock.begin("encode", 0, "");
   if (format != SplatFormat::ply) {
-    const auto scan = clean(scene.cloud, options.encode);
+    const auto scan = clean_splats(scene.cloud, options.encode);
     if (!scan) return tl::unexpected(scan.error());
     summary.n_repaired = scan->n_repaired();
     for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan->defects(static_cast<Defect>(i));

@@ -78,7 +78,7 @@ std::string summary_text(const ConvertSummary& s) {
            per_gaussian(section.stored_bytes, s.n_written));
     }
     line("  chunks     {} of {}, {} SH scale set{}", format_count(s.header.n_chunks), s.header.chunk_size,
-         format_count(s.header.n_scale_sets), s.header.n_scale_sets == 1 ? "" : "s");
+         format_count(s.header.n_step_sets), s.header.n_step_sets == 1 ? "" : "s");
     line("  scale      {:.3g} to {:.3g}, stored times 2^{}", s.min_scale, s.max_scale, s.header.scale_exponent);
     line("  opacity    {:.3g} to {:.3g}", s.min_opacity, s.max_opacity);
     line("  depth key  {:.4g} to {:.4g}, {}, from {}", d.z_near, d.z_far, depth_mapping_name(d.depth_mapping),
@@ -129,7 +129,7 @@ std::string summary_json(const ConvertSummary& s) {
     json["profile"] = profile_name(s.header);
     json["sections"] = std::move(sections);
     json["chunks"] = {
-        {"size", s.header.chunk_size}, {"count", s.header.n_chunks}, {"scale_sets", s.header.n_scale_sets}};
+        {"size", s.header.chunk_size}, {"count", s.header.n_chunks}, {"scale_sets", s.header.n_step_sets}};
     json["scale"] = {{"min", s.min_scale},
                      {"max", s.max_scale},
                      {"exponent", s.header.scale_exponent},

@@ -130,8 +130,8 @@ void sort_morton(std::vector<std::uint32_t>& indices, std::vector<float>& means,
 struct Batch {
   std::uint64_t first_chunk = 0, n_chunks = 0, first = 0, count = 0;
   std::vector<std::byte> means, geometry, sh;
-  std::vector<ScaleSet> scales;  // of each chunk
-  PackedFrames frames;           // Profile::packed: the batch is one frame of each section
+  std::vector<ShStepSet> scales;  // of each chunk
+  PackedFrames frames;            // Profile::packed: the batch is one frame of each section
   std::array<std::uint64_t, 3> frame_hashes{};
   EncodeCounts counts;
 };
@@ -148,7 +148,7 @@ class ChunkStream {
               AtomicFile& file)
       : source_(source), plan_(plan), indices_(indices), repairing_(repairing), file_(file) {
     chunks_.resize(plan.header.n_chunks);
-    if (plan.chunk_scales) scales_.resize(chunks_.size());
+    if (plan.chunk_step_sets) scales_.resize(chunks_.size());
     if (plan.profile != Profile::packed) return;
     for (std::size_t k = 0; k < kLarge.size(); ++k) frames_end_[k] = plan.find(kLarge[k])->offset;
   }
@@ -223,7 +223,7 @@ class ChunkStream {
       out.sh = std::span(batch.sh).subspan(first * stride, count * stride);
       encode_chunk(plan_, part, out);
       chunks_[batch.first_chunk + c] = out.entry;
-      if (plan_.chunk_scales) scales_[batch.first_chunk + c] = out.scales;
+      if (plan_.chunk_step_sets) scales_[batch.first_chunk + c] = out.scales;
       batch.scales[c] = out.scales;
       batch.counts.add(out.counts);
     }
@@ -325,7 +325,7 @@ class ChunkStream {
   bool repairing_;
   AtomicFile& file_;
   std::vector<ChunkEntry> chunks_;
-  std::vector<ScaleSet> scales_;
+  std::vector<ShStepSet> scales_;
   EncodeCounts counts_;
   Hasher means_hash_, geometry_hash_, sh_hash_;
   PackedSections frames_;
@@ -358,7 +358,7 @@ Result<Finished> write_archive(const SplatSource& source, const EncodePlan& plan
   if (const Status s = file.write_at(0, *bytes); !s) return tl::unexpected(s.error());
   DecodeLimits limits;
   limits.max_expansion = std::uint64_t{1} << 32;  // as the encoder has opened it
-  const auto view = open(*bytes, limits);
+  const auto view = FileView::open(*bytes, limits);
   if (!view) return tl::unexpected(view.error());
   const Declarations& d = view->declarations();
   counts = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
@@ -370,8 +370,8 @@ Result<Finished> write_archive(const SplatSource& source, const EncodePlan& plan
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer) {
   if (source.size() > std::numeric_limits<std::uint32_t>::max()) {
-    return fail(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
-                std::numeric_limits<std::uint32_t>::max(), source.size());
+    return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
+                      std::numeric_limits<std::uint32_t>::max(), source.size());
   }
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
@@ -395,9 +395,9 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   clock.begin("scan", source.size(), "Gaussians");
   Scanned scanned = scan_source(source, encode, observer);
   if (encode.on_bad == BadPolicy::refuse && scanned.scan.n_kept() != scanned.scan.n_source()) {
-    return fail(Errc::bad_value, source.row_offset(first_damaged(source, scanned.scan.sh_degree())),
-                "a damaged Gaussian; --on-bad drop leaves such out, --on-bad repair mends them", 0,
-                scanned.scan.n_source() - scanned.scan.n_kept());
+    return make_error(Errc::bad_value, source.row_offset(first_damaged(source, scanned.scan.sh_degree())),
+                      "a damaged Gaussian; --on-bad drop leaves such out, --on-bad repair mends them", 0,
+                      scanned.scan.n_source() - scanned.scan.n_kept());
   }
   clock.begin("sort", 0, "");
   std::vector<std::uint32_t> indices = kept_indices(scanned);

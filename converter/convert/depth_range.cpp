@@ -39,7 +39,8 @@ Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std
     }
   }
   if (depths.empty()) {
-    return fail(Errc::bad_argument, Error::kNone, "no camera sees any Gaussian: do the cameras belong to this scene?");
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "no camera sees any Gaussian: do the cameras belong to this scene?");
   }
   const auto percentile = [&depths](std::size_t per_mille) {
     const auto at = depths.begin() + static_cast<std::ptrdiff_t>((depths.size() - 1) * per_mille / 1000);

@@ -110,8 +110,8 @@ class Input {
       const ssize_t n = ::read(STDIN_FILENO, buffer.data(), buffer.size());
       if (n < 0 && errno == EINTR) continue;
       if (n < 0) {
-        return rgs::fail(rgs::Errc::read_failed, rgs::Error::kNone, "cannot read standard input", rgs::Error::kNone,
-                         rgs::Error::kNone, errno);
+        return rgs::make_error(rgs::Errc::read_failed, rgs::Error::kNone, "cannot read standard input",
+                               rgs::Error::kNone, rgs::Error::kNone, errno);
       }
       if (n == 0) break;
       if (rgs::Status s = spool_.append(std::span(buffer).first(static_cast<std::size_t>(n))); !s) return s;
@@ -200,14 +200,14 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     rgs::convert_axes(file->cloud, file->axes, encode.axes);
     const auto similarity = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
                                                   of_input(arguments.scale, i));
-    rgs::transform(file->cloud, *similarity);
+    rgs::transform_splats(file->cloud, *similarity);
     if (i == 0) {
       scene.cloud = std::move(file->cloud);
     } else {
-      rgs::append(scene.cloud, file->cloud);
+      rgs::append_splats(scene.cloud, file->cloud);
     }
   }
-  rgs::filter(scene.cloud, arguments.filter);
+  rgs::filter_splats(scene.cloud, arguments.filter);
   scene.xxh3 = hash.digest();
   return scene;
 }
@@ -243,7 +243,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
     return outcome(rgs::convert_to_rgs(*ply, arguments.output(), arguments.convert, observer));
   }
   if (from == SplatFormat::rgs && to == SplatFormat::ply && !edits(arguments)) {
-    const auto view = rgs::open(first.bytes());
+    const auto view = rgs::FileView::open(first.bytes());
     if (!view) return failed(first.path(), view.error());
     const rgs::Axes& axes = view->declarations().axes;
     const bool as_is = axes == rgs::kAxes3dgs || axes[0] == rgs::Axis::undeclared;
@@ -350,7 +350,7 @@ int convert_main(Arguments& arguments) {
   rgs::EncodeOptions& encode = arguments.convert.encode;
   encode.axes = rgs::parse_axes(arguments.axes).value();
   encode.order = arguments.keep_order ? rgs::Order::input : rgs::Order::morton;
-  encode.chunk_scales = !arguments.file_scales;
+  encode.chunk_step_sets = !arguments.file_scales;
   encode.archive = archive_options(arguments);
   encode.archive.threads = static_cast<unsigned>(arguments.threads);
   if (arguments.explicit_policy) encode.max_bad_fraction = 1;

@@ -70,10 +70,11 @@ Result<Table> locate(const PlyHeader& header, const PlyElement& wanted, std::uin
   Table table;
   table.offset = header.bytes;
   for (const PlyElement& element : header.elements) {
-    if (element.has_lists) return fail(Errc::unsupported_feature, element.line, "a compressed PLY has list properties");
+    if (element.has_lists)
+      return make_error(Errc::unsupported_feature, element.line, "a compressed PLY has list properties");
     const std::uint64_t row = element.min_row_bytes, rest = file_bytes - table.offset;
     if (row != 0 && element.count > rest / row) {
-      return fail(Errc::truncated, file_bytes, "the file ends inside its data", element.count, rest / row);
+      return make_error(Errc::truncated, file_bytes, "the file ends inside its data", element.count, rest / row);
     }
     if (&element == &wanted) {
       table.row_bytes = row;
@@ -82,7 +83,7 @@ Result<Table> locate(const PlyHeader& header, const PlyElement& wanted, std::uin
     }
     table.offset += row * element.count;
   }
-  return fail(Errc::internal, Error::kNone, "an element is not in its header");
+  return make_error(Errc::internal, Error::kNone, "an element is not in its header");
 }
 
 std::vector<std::string> numbered(int count) {
@@ -102,11 +103,12 @@ Status locate_sh(const PlyHeader& header, std::uint64_t file_bytes, Tables& tabl
   tables.sh = *table;
   tables.sh.at = find_properties(*sh, numbered(3 * (sh_coefficients(degree) - 1)), PlyType::uint8);
   if (degree == 0 || tables.sh.at.empty()) {
-    return fail(Errc::unsupported_feature, sh->line, "the element sh is not 9, 24 or 45 properties uchar f_rest_*");
+    return make_error(Errc::unsupported_feature, sh->line,
+                      "the element sh is not 9, 24 or 45 properties uchar f_rest_*");
   }
   if (sh->count != tables.vertex.count) {
-    return fail(Errc::bad_header, sh->line, "the element sh has another count than vertex", tables.vertex.count,
-                sh->count);
+    return make_error(Errc::bad_header, sh->line, "the element sh has another count than vertex", tables.vertex.count,
+                      sh->count);
   }
   tables.sh_degree = degree;
   return {};
@@ -116,11 +118,11 @@ Result<Tables> locate_tables(std::span<const std::byte> bytes) {
   const auto header = parse_ply_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->encoding != PlyEncoding::little_endian) {
-    return fail(Errc::unsupported_feature, 0, "a compressed PLY that is not binary_little_endian");
+    return make_error(Errc::unsupported_feature, 0, "a compressed PLY that is not binary_little_endian");
   }
   const PlyElement *chunk = find_element(*header, "chunk"), *vertex = find_element(*header, "vertex");
   if (chunk == nullptr || vertex == nullptr) {
-    return fail(Errc::bad_header, header->bytes, "a compressed PLY has no element chunk or vertex");
+    return make_error(Errc::bad_header, header->bytes, "a compressed PLY has no element chunk or vertex");
   }
   Tables tables;
   for (const auto& [element, table] : {std::pair{chunk, &tables.chunk}, {vertex, &tables.vertex}}) {
@@ -134,17 +136,19 @@ Result<Tables> locate_tables(std::span<const std::byte> bytes) {
     tables.chunk.at = find_properties(*chunk, std::span(bounds).first(12), PlyType::float32);
   }
   if (tables.chunk.at.empty()) {
-    return fail(Errc::bad_header, chunk->line, "the element chunk lacks one of the bounds float min_x to max_scale_z");
+    return make_error(Errc::bad_header, chunk->line,
+                      "the element chunk lacks one of the bounds float min_x to max_scale_z");
   }
   tables.vertex.at =
       find_properties(*vertex, std::vector<std::string>(kVertexNames.begin(), kVertexNames.end()), PlyType::uint32);
   if (tables.vertex.at.empty()) {
-    return fail(Errc::bad_header, vertex->line, "the element vertex lacks one of the four properties uint packed_*");
+    return make_error(Errc::bad_header, vertex->line,
+                      "the element vertex lacks one of the four properties uint packed_*");
   }
   const std::uint64_t n_chunks = vertex->count / kChunk + (vertex->count % kChunk != 0 ? 1 : 0);
   if (chunk->count != n_chunks) {
-    return fail(Errc::bad_header, chunk->line, "the number of chunks is not that of vertices over 256", n_chunks,
-                chunk->count);
+    return make_error(Errc::bad_header, chunk->line, "the number of chunks is not that of vertices over 256", n_chunks,
+                      chunk->count);
   }
   if (const Status s = locate_sh(*header, bytes.size(), tables); !s) return tl::unexpected(s.error());
   return tables;
@@ -337,7 +341,7 @@ Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const 
   if (!tables) return tl::unexpected(tables.error());
   const std::uint64_t n = tables->vertex.count;
   if (n > limits.max_gaussians) {
-    return fail(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
   }
   SplatFile file;
   file.format = SplatFormat::compressed_ply;
@@ -363,7 +367,7 @@ Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const 
 
 Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, bool keep_order) {
   if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
-    return fail(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene");
+    return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene");
   }
   const std::string header = make_header(splats.n, splats.sh_degree);
   const auto per_channel = static_cast<std::size_t>(sh_coefficients(splats.sh_degree) - 1);

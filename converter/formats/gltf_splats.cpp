@@ -50,33 +50,36 @@ struct Glb {
 };
 
 tl::unexpected<Error> bad_gltf(const char* what) {
-  return fail(Errc::bad_syntax, kGlbHeaderBytes + kChunkHeaderBytes, what);
+  return make_error(Errc::bad_syntax, kGlbHeaderBytes + kChunkHeaderBytes, what);
 }
 
 Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
   if (bytes.size() < kGlbHeaderBytes + kChunkHeaderBytes) {
-    return fail(Errc::truncated, bytes.size(), "the file ends inside its header", kGlbHeaderBytes + kChunkHeaderBytes,
-                bytes.size());
+    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header",
+                      kGlbHeaderBytes + kChunkHeaderBytes, bytes.size());
   }
-  if (load<std::uint32_t>(bytes, 0) != kMagicGlb) return fail(Errc::bad_magic, 0, "is not a binary glTF file");
+  if (load<std::uint32_t>(bytes, 0) != kMagicGlb) return make_error(Errc::bad_magic, 0, "is not a binary glTF file");
   if (load<std::uint32_t>(bytes, 4) != 2) {
-    return fail(Errc::unsupported_version, 4, "a glTF version other than 2", 2, load<std::uint32_t>(bytes, 4));
+    return make_error(Errc::unsupported_version, 4, "a glTF version other than 2", 2, load<std::uint32_t>(bytes, 4));
   }
   const std::uint64_t length = load<std::uint32_t>(bytes, 8);
-  if (length > bytes.size()) return fail(Errc::truncated, 8, "the file is shorter than it says", length, bytes.size());
-  if (length < bytes.size()) return fail(Errc::trailing_bytes, length, "bytes after the end that the file states");
+  if (length > bytes.size())
+    return make_error(Errc::truncated, 8, "the file is shorter than it says", length, bytes.size());
+  if (length < bytes.size())
+    return make_error(Errc::trailing_bytes, length, "bytes after the end that the file states");
   Glb glb;
   bool first = true;
   for (std::uint64_t at = kGlbHeaderBytes; at < length;) {
-    if (length - at < kChunkHeaderBytes) return fail(Errc::truncated, at, "the file ends inside a chunk's header");
+    if (length - at < kChunkHeaderBytes)
+      return make_error(Errc::truncated, at, "the file ends inside a chunk's header");
     const std::uint64_t size = load<std::uint32_t>(bytes, at);
     const auto type = load<std::uint32_t>(bytes, at + 4);
     if (size > length - at - kChunkHeaderBytes) {
-      return fail(Errc::truncated, at, "a chunk ends behind the file", size, length - at - kChunkHeaderBytes);
+      return make_error(Errc::truncated, at, "a chunk ends behind the file", size, length - at - kChunkHeaderBytes);
     }
     const auto data = bytes.subspan(at + kChunkHeaderBytes, size);
     if (first) {
-      if (type != kChunkJson) return fail(Errc::bad_header, at + 4, "the first chunk is not JSON");
+      if (type != kChunkJson) return make_error(Errc::bad_header, at + 4, "the first chunk is not JSON");
       const char* text = reinterpret_cast<const char*>(data.data());
       glb.root = json::parse(text, text + data.size(), nullptr, false);
       if (!glb.root.is_object()) return bad_gltf("the glTF's JSON does not parse");
@@ -121,13 +124,13 @@ Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std
   const json* stated = json_member(*accessor, "type");
   if (whole(*accessor, "componentType", 0) != std::uint64_t{kComponentFloat} || stated == nullptr || *stated != type ||
       json_member(*accessor, "sparse") != nullptr) {
-    return fail(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                "an attribute is sparse, or not of the usual shape in 32-bit floats");
+    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
+                      "an attribute is sparse, or not of the usual shape in 32-bit floats");
   }
   const json* view = element(glb.root, "bufferViews", json_member(*accessor, "bufferView"));
   if (view == nullptr || whole(*view, "buffer", std::nullopt) != std::uint64_t{0}) {
-    return fail(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                "an attribute is compressed or outside the file's binary chunk");
+    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
+                      "an attribute is compressed or outside the file's binary chunk");
   }
   const auto count = whole(*accessor, "count", std::nullopt), offset = whole(*accessor, "byteOffset", 0),
              view_offset = whole(*view, "byteOffset", 0), view_bytes = whole(*view, "byteLength", std::nullopt),
@@ -136,13 +139,13 @@ Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std
     return bad_gltf("an accessor's or buffer view's numbers are missing or out of range");
   }
   if (*view_offset > glb.bin.size() || *view_bytes > glb.bin.size() - *view_offset) {
-    return fail(Errc::truncated, glb.bin_offset, "a buffer view ends behind the binary chunk",
-                *view_offset + *view_bytes, glb.bin.size());
+    return make_error(Errc::truncated, glb.bin_offset, "a buffer view ends behind the binary chunk",
+                      *view_offset + *view_bytes, glb.bin.size());
   }
   const std::uint64_t needed = *count == 0 ? 0 : (*count - 1) * *stride + 4 * components;  // below 2^64: 32-bit factors
   if (*offset > *view_bytes || needed > *view_bytes - *offset) {
-    return fail(Errc::truncated, glb.bin_offset + *view_offset, "an accessor ends behind its buffer view",
-                *offset + needed, *view_bytes);
+    return make_error(Errc::truncated, glb.bin_offset + *view_offset, "an accessor ends behind its buffer view",
+                      *offset + needed, *view_bytes);
   }
   return Accessor{glb.bin.subspan(*view_offset + *offset, needed), *count, *stride};
 }
@@ -179,8 +182,8 @@ Result<SplatCloud> read_primitive(const Glb& glb, const json& primitive, std::ui
   for (const Accessor& coefficient : sh) alike = alike && coefficient.count == n;
   if (!alike) return bad_gltf("the attributes of a splat primitive differ in count");
   if (n > max_n) {
-    return fail(Errc::limit_exceeded, glb.bin_offset, "more Gaussians than the caller or the file's size allows", max_n,
-                n);
+    return make_error(Errc::limit_exceeded, glb.bin_offset, "more Gaussians than the caller or the file's size allows",
+                      max_n, n);
   }
   SplatCloud cloud;
   cloud.resize(n, degree);
@@ -247,8 +250,8 @@ Result<Similarity> node_transform(const json& node) {
   const auto from_matrix = similarity_of(matrix);
   const double norm = xyzw[0] * xyzw[0] + xyzw[1] * xyzw[1] + xyzw[2] * xyzw[2] + xyzw[3] * xyzw[3];
   if (!from_matrix || !(norm > 0) || !(scale[0] > 0) || scale[1] != scale[0] || scale[2] != scale[0]) {
-    return fail(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
-                "a node shears, mirrors or scales unevenly, which Gaussians do not survive");
+    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
+                      "a node shears, mirrors or scales unevenly, which Gaussians do not survive");
   }
   Similarity parts;
   parts.rotation = rotation_from_quaternion({xyzw[3], xyzw[0], xyzw[1], xyzw[2]});
@@ -297,9 +300,9 @@ class SceneWalk {
       if (splats == nullptr) continue;
       auto part = read_primitive(glb_, primitive, max_n_ - cloud_.size());
       if (!part) return tl::unexpected(part.error());
-      transform(*part, similarity);
+      transform_splats(*part, similarity);
       if (found_) {
-        append(cloud_, *part);
+        append_splats(cloud_, *part);
       } else {
         cloud_ = std::move(*part);
       }
@@ -444,8 +447,8 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   SceneWalk walk(*glb, std::min(limits.max_gaussians, kMaxInstances * bytes.size() / kLeastBytes));
   if (const Status s = walk.visit(json_member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
   if (!walk.found()) {
-    return fail(Errc::not_gaussian_splats, kGlbHeaderBytes + kChunkHeaderBytes,
-                "the glTF's scene shows no primitive with KHR_gaussian_splatting");
+    return make_error(Errc::not_gaussian_splats, kGlbHeaderBytes + kChunkHeaderBytes,
+                      "the glTF's scene shows no primitive with KHR_gaussian_splatting");
   }
   SplatFile file;
   file.format = SplatFormat::glb;
@@ -460,8 +463,8 @@ Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace c
   const std::uint64_t each = 4 * (11 + 1 + 3 * static_cast<std::uint64_t>(sh_coefficients(splats.sh_degree)));
   constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // room for the JSON
   if (splats.n > kMostBytes / each) {
-    return fail(Errc::limit_exceeded, Error::kNone, "a .glb holds at most 4 GiB; strip harmonics or split the scene",
-                kMostBytes / each, splats.n);
+    return make_error(Errc::limit_exceeded, Error::kNone,
+                      "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostBytes / each, splats.n);
   }
   BufferBuilder buffer(splats.n);
   const std::string text = make_json(splats, colour_space, buffer);

@@ -46,7 +46,8 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
   const auto ply = PlyFile::open(bytes);
   if (!ply) return tl::unexpected(ply.error());
   if (ply->size() > limits.max_gaussians) {
-    return fail(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, ply->size());
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians,
+                      ply->size());
   }
   SplatFile file;
   file.cloud = read_rows(*ply);
@@ -54,7 +55,7 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
 }
 
 Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  const auto view = open(bytes, limits);
+  const auto view = FileView::open(bytes, limits);
   if (!view) return tl::unexpected(view.error());
   auto cloud = decode(bytes, limits);
   if (!cloud) return tl::unexpected(cloud.error());
@@ -78,7 +79,7 @@ Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat fo
     case SplatFormat::glb: return detail::decode_glb(bytes, limits);
     case SplatFormat::unknown: break;
   }
-  return fail(Errc::bad_magic, 0, "is none of .rgs, .ply, .spz, .splat, .ksplat, .sog and .glb");
+  return make_error(Errc::bad_magic, 0, "is none of .rgs, .ply, .spz, .splat, .ksplat, .sog and .glb");
 }
 
 Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64_t bytes, const ReadOptions& options) {
@@ -96,7 +97,7 @@ Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64
 Status check_sound(const SplatView& splats) {
   for (std::uint64_t i = 0; i < splats.n; ++i) {
     if (find_defects(splats.splat(i), splats.sh_degree) != 0) {
-      return fail(Errc::bad_value, i, "a damaged Gaussian; drop or repair such before writing this format");
+      return make_error(Errc::bad_value, i, "a damaged Gaussian; drop or repair such before writing this format");
     }
   }
   return {};
@@ -157,12 +158,13 @@ bool is_writable(SplatFormat format) {
 
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options) {
   if (bytes.size() > options.limits.max_file_bytes) {
-    return fail(Errc::limit_exceeded, 0, "the file is larger than the caller allows", options.limits.max_file_bytes,
-                bytes.size());
+    return make_error(Errc::limit_exceeded, 0, "the file is larger than the caller allows",
+                      options.limits.max_file_bytes, bytes.size());
   }
   const SplatFormat format = options.format != SplatFormat::unknown ? options.format : detect_format(bytes);
   if (format == SplatFormat::sog && detail::is_sog_meta(bytes)) {
-    return fail(Errc::unsupported_feature, 0, "a SOG's meta.json without its images: name the file, or zip the folder");
+    return make_error(Errc::unsupported_feature, 0,
+                      "a SOG's meta.json without its images: name the file, or zip the folder");
   }
   return finish(decode_format(bytes, format, options.limits), format, bytes.size(), options);
 }
@@ -179,11 +181,11 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
 }
 
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
-  if (!is_writable(format)) return fail(Errc::bad_argument, Error::kNone, "this format is not written");
-  if (!splats.consistent()) return fail(Errc::bad_argument, Error::kNone, "the sizes of the view disagree");
+  if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format is not written");
+  if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the sizes of the view disagree");
   if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
-    return fail(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
-                std::numeric_limits<std::uint32_t>::max(), splats.n);
+    return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
+                      std::numeric_limits<std::uint32_t>::max(), splats.n);
   }
   if (format == SplatFormat::ply) return encode_ply(splats);
   if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());

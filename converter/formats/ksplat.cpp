@@ -69,47 +69,49 @@ Result<Section> parse_section(std::span<const std::byte> bytes, std::uint64_t at
   s.n_partial = u32(36);
   const int degree = load<std::uint16_t>(bytes, at + 40);
   if (degree > kMaxShDegree) {
-    return fail(Errc::unsupported_feature, at + 40, "the SH degree is not 0 to 3", kMaxShDegree,
-                static_cast<std::uint64_t>(degree));
+    return make_error(Errc::unsupported_feature, at + 40, "the SH degree is not 0 to 3", kMaxShDegree,
+                      static_cast<std::uint64_t>(degree));
   }
   s.sh_degree = degree;
   if (s.n > s.room) {
-    return fail(Errc::bad_header, at, "a section has more Gaussians than it has room for", s.room, s.n);
+    return make_error(Errc::bad_header, at, "a section has more Gaussians than it has room for", s.room, s.n);
   }
   if (level == 0) {
     s.n_buckets = s.n_full = s.n_partial = s.bucket_bytes = 0;
   } else if (s.bucket_bytes < 12 || !std::isfinite(s.bucket_width)) {
-    return fail(Errc::bad_header, at + 16, "a section's buckets have no room for a centre, or no width");
+    return make_error(Errc::bad_header, at + 16, "a section's buckets have no room for a centre, or no width");
   } else if (s.n_full > s.n_buckets || s.n_partial > s.n_buckets - s.n_full || (s.n_full != 0 && s.bucket_size == 0)) {
-    return fail(Errc::bad_header, at + 32, "a section's numbers of buckets contradict each other", s.n_buckets,
-                s.n_full + s.n_partial);
+    return make_error(Errc::bad_header, at + 32, "a section's numbers of buckets contradict each other", s.n_buckets,
+                      s.n_full + s.n_partial);
   }
   s.start = start;
   s.centres = start + 4 * s.n_partial;  // all counts are below 2^32: no sum can wrap
   s.data = s.centres + s.bucket_bytes * s.n_buckets;
   const std::uint64_t end = s.data + splat_bytes(level, s.sh_degree) * s.room;
-  if (end > bytes.size()) return fail(Errc::truncated, at + 4, "a section ends behind the file", end, bytes.size());
+  if (end > bytes.size())
+    return make_error(Errc::truncated, at + 4, "a section ends behind the file", end, bytes.size());
   return s;
 }
 
 Result<KsplatHeader> parse_header(std::span<const std::byte> bytes) {
   if (bytes.size() < kHeaderSize) {
-    return fail(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderSize, bytes.size());
+    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderSize, bytes.size());
   }
   if (load_u8(bytes, 0) != 0 || load_u8(bytes, 1) < 1) {
-    return fail(Errc::unsupported_version, 0, "a .ksplat version before 0.1 or from 1 on");
+    return make_error(Errc::unsupported_version, 0, "a .ksplat version before 0.1 or from 1 on");
   }
   KsplatHeader header;
   header.level = load<std::uint16_t>(bytes, 20);
   if (header.level > 2) {
-    return fail(Errc::unsupported_feature, 20, "the compression level is not 0 to 2", 2,
-                static_cast<std::uint64_t>(header.level));
+    return make_error(Errc::unsupported_feature, 20, "the compression level is not 0 to 2", 2,
+                      static_cast<std::uint64_t>(header.level));
   }
   const std::uint64_t room = load<std::uint32_t>(bytes, 4), n_sections = load<std::uint32_t>(bytes, 8);
-  if (n_sections > room) return fail(Errc::bad_header, 8, "more sections than there is room for", room, n_sections);
+  if (n_sections > room)
+    return make_error(Errc::bad_header, 8, "more sections than there is room for", room, n_sections);
   if (room > (bytes.size() - kHeaderSize) / kSectionHeaderBytes) {
-    return fail(Errc::truncated, 4, "the file ends inside its section headers",
-                (bytes.size() - kHeaderSize) / kSectionHeaderBytes, room);
+    return make_error(Errc::truncated, 4, "the file ends inside its section headers",
+                      (bytes.size() - kHeaderSize) / kSectionHeaderBytes, room);
   }
   const float low = load<float>(bytes, 36), high = load<float>(bytes, 40);
   header.sh_low = static_cast<double>(low != 0 ? low : -kDefaultShBound);
@@ -134,7 +136,8 @@ class Buckets {
   Result<std::array<double, 3>> next() {
     while (left_ == 0) {
       if (bucket_ + 1 > section_.n_full + section_.n_partial) {
-        return fail(Errc::bad_header, section_.start, "a section's buckets hold fewer Gaussians than the section");
+        return make_error(Errc::bad_header, section_.start,
+                          "a section's buckets hold fewer Gaussians than the section");
       }
       left_ = bucket_ < section_.n_full ? section_.bucket_size
                                         : load<std::uint32_t>(bytes_, section_.start + 4 * (bucket_ - section_.n_full));
@@ -209,7 +212,8 @@ Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLi
   const auto header = parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->n > limits.max_gaussians) {
-    return fail(Errc::limit_exceeded, 16, "more Gaussians than the caller allows", limits.max_gaussians, header->n);
+    return make_error(Errc::limit_exceeded, 16, "more Gaussians than the caller allows", limits.max_gaussians,
+                      header->n);
   }
   int degree = 0;
   for (const Section& section : header->sections) degree = std::max(degree, section.sh_degree);

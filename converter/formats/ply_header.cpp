@@ -51,17 +51,17 @@ Result<PlyProperty> parse_property(const Words& words, std::uint64_t line) {
   property.line = line;
   property.is_list = words.n > 1 && words.word[1] == "list";
   if (words.n != (property.is_list ? 5U : 3U)) {
-    return fail(Errc::bad_syntax, line,
-                "a property line is not `property TYPE NAME` or `property list TYPE TYPE NAME`");
+    return make_error(Errc::bad_syntax, line,
+                      "a property line is not `property TYPE NAME` or `property list TYPE TYPE NAME`");
   }
   const auto type = type_named(words.word[words.n - 2]);
-  if (!type) return fail(Errc::bad_syntax, line, "a property has an unknown type");
+  if (!type) return make_error(Errc::bad_syntax, line, "a property has an unknown type");
   property.type = *type;
   property.name = words.word[words.n - 1];
   if (property.is_list) {
     const auto count_type = type_named(words.word[2]);
     if (!count_type || *count_type >= PlyType::float32) {
-      return fail(Errc::bad_syntax, line, "a list's length is not of an integer type");
+      return make_error(Errc::bad_syntax, line, "a list's length is not of an integer type");
     }
     property.count_type = *count_type;
   }
@@ -84,56 +84,57 @@ Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes) {
   bool has_format = false;
   std::unordered_set<std::string_view> elements, properties;  // of the file; of the last element
   if (!text.starts_with("ply") || (text.size() > 3 && text[3] != '\n' && text[3] != '\r')) {
-    return fail(Errc::bad_magic, 0, "is not a PLY file: the first line is not `ply`");
+    return make_error(Errc::bad_magic, 0, "is not a PLY file: the first line is not `ply`");
   }
   for (std::size_t line = 0;;) {
     const std::size_t end = text.find('\n', line);
     if (end == text.npos) {
       if (bytes.size() > kMaxPlyHeaderBytes) {
-        return fail(Errc::limit_exceeded, line, "the PLY header is longer than 1 MiB", kMaxPlyHeaderBytes);
+        return make_error(Errc::limit_exceeded, line, "the PLY header is longer than 1 MiB", kMaxPlyHeaderBytes);
       }
-      return fail(Errc::truncated, bytes.size(), "the file ends inside the PLY header");
+      return make_error(Errc::truncated, bytes.size(), "the file ends inside the PLY header");
     }
     const Words words = split(text.substr(line, end - line));
     const std::string_view keyword = words.n > 0 ? words.word[0] : std::string_view();
     if (line == 0) {
-      if (words.n != 1) return fail(Errc::bad_magic, 0, "is not a PLY file: the first line is not `ply`");
+      if (words.n != 1) return make_error(Errc::bad_magic, 0, "is not a PLY file: the first line is not `ply`");
     } else if (keyword == "comment" || keyword == "obj_info") {
     } else if (keyword == "format") {
       const auto encoding = words.n == 3 ? encoding_named(words.word[1]) : std::nullopt;
-      if (!encoding) return fail(Errc::bad_syntax, line, "the format line is not `format ENCODING 1.0`");
-      if (words.word[2] != "1.0") return fail(Errc::unsupported_version, line, "the PLY version is not 1.0");
-      if (has_format) return fail(Errc::bad_syntax, line, "there are two format lines");
+      if (!encoding) return make_error(Errc::bad_syntax, line, "the format line is not `format ENCODING 1.0`");
+      if (words.word[2] != "1.0") return make_error(Errc::unsupported_version, line, "the PLY version is not 1.0");
+      if (has_format) return make_error(Errc::bad_syntax, line, "there are two format lines");
       header.encoding = *encoding;
       has_format = true;
     } else if (keyword == "element") {
       PlyElement element;
       element.line = line;
-      if (words.n != 3) return fail(Errc::bad_syntax, line, "an element line is not `element NAME COUNT`");
+      if (words.n != 3) return make_error(Errc::bad_syntax, line, "an element line is not `element NAME COUNT`");
       element.name = words.word[1];
       if (!parse_decimal(words.word[2], element.count)) {
-        return fail(Errc::bad_syntax, line, "an element's count is not a number from 0 to 2^64 - 1");
+        return make_error(Errc::bad_syntax, line, "an element's count is not a number from 0 to 2^64 - 1");
       }
-      if (!elements.insert(element.name).second) return fail(Errc::bad_syntax, line, "an element is there twice");
+      if (!elements.insert(element.name).second) return make_error(Errc::bad_syntax, line, "an element is there twice");
       properties.clear();
       header.elements.push_back(std::move(element));
     } else if (keyword == "property") {
       auto property = parse_property(words, line);
       if (!property) return tl::unexpected(property.error());
-      if (header.elements.empty()) return fail(Errc::bad_syntax, line, "a property stands before the first element");
+      if (header.elements.empty())
+        return make_error(Errc::bad_syntax, line, "a property stands before the first element");
       if (!properties.insert(property->name).second) {
-        return fail(Errc::bad_syntax, line, "an element has two properties of the same name");
+        return make_error(Errc::bad_syntax, line, "an element has two properties of the same name");
       }
       PlyElement& element = header.elements.back();
       element.has_lists |= property->is_list;
       element.min_row_bytes += ply_type_bytes(property->is_list ? property->count_type : property->type);
       element.properties.push_back(*property);
     } else if (keyword == "end_header" && words.n == 1) {
-      if (!has_format) return fail(Errc::bad_syntax, line, "the header has no format line");
+      if (!has_format) return make_error(Errc::bad_syntax, line, "the header has no format line");
       header.bytes = end + 1;
       return header;
     } else {
-      return fail(Errc::bad_syntax, line, "a header line starts with none of the PLY keywords");
+      return make_error(Errc::bad_syntax, line, "a header line starts with none of the PLY keywords");
     }
     line = end + 1;
   }
@@ -166,7 +167,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
   const auto vertex = std::find_if(header.elements.begin(), header.elements.end(),
                                    [](const PlyElement& element) { return element.name == "vertex"; });
   if (vertex == header.elements.end()) {
-    return fail(Errc::not_gaussian_splats, header.bytes, "the PLY file has no element vertex");
+    return make_error(Errc::not_gaussian_splats, header.bytes, "the PLY file has no element vertex");
   }
   SplatProperties result;
   result.element = static_cast<std::size_t>(vertex - header.elements.begin());
@@ -184,16 +185,16 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
     }
   }
   if (const auto packed = index.find("packed_position"); packed != index.end()) {
-    return fail(Errc::unsupported_feature, vertex->properties[packed->second].line,
-                "a compressed PLY with packed_position (PlayCanvas, SuperSplat): read it as compressed.ply");
+    return make_error(Errc::unsupported_feature, vertex->properties[packed->second].line,
+                      "a compressed PLY with packed_position (PlayCanvas, SuperSplat): read it as compressed.ply");
   }
 
   for (std::size_t i = 0; i < kRequired.size(); ++i) {
     const auto found = index.find(kRequired[i].name);
     if (found == index.end()) {
       const bool two_scales = kRequired[i].name == "scale_2";
-      return fail(Errc::not_gaussian_splats, vertex->line, kRequired[i].missing, two_scales ? 3 : Error::kNone,
-                  two_scales ? 2 : Error::kNone);
+      return make_error(Errc::not_gaussian_splats, vertex->line, kRequired[i].missing, two_scales ? 3 : Error::kNone,
+                        two_scales ? 2 : Error::kNone);
     }
     result.splat_float[found->second] = kSplatFloat[i];
   }
@@ -203,16 +204,16 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
     ++degree;
   }
   if (degree > kMaxShDegree) {
-    return fail(Errc::unsupported_feature, vertex->line,
-                "the number of f_rest properties is not 0, 9, 24 or 45 (SH degree 0 to 3)", Error::kNone,
-                f_rest.size());
+    return make_error(Errc::unsupported_feature, vertex->line,
+                      "the number of f_rest properties is not 0, 9, 24 or 45 (SH degree 0 to 3)", Error::kNone,
+                      f_rest.size());
   }
   result.sh_degree = degree;
   std::sort(f_rest.begin(), f_rest.end());
   for (std::size_t i = 0; i < f_rest.size(); ++i) {
     if (f_rest[i].first != i) {
-      return fail(Errc::not_gaussian_splats, vertex->properties[f_rest[i].second].line,
-                  "the f_rest properties are not numbered from 0 without gaps", i, f_rest[i].first);
+      return make_error(Errc::not_gaussian_splats, vertex->properties[f_rest[i].second].line,
+                        "the f_rest properties are not numbered from 0 without gaps", i, f_rest[i].first);
     }
     // The file is channel-major (all R, all G, all B) over the coefficients 1 .. n - 1; a Splat is coefficient-major.
     const std::size_t per_channel = f_rest.size() / 3;
@@ -220,7 +221,8 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
   }
   for (std::size_t i = 0; i < vertex->properties.size(); ++i) {
     if (result.splat_float[i] >= 0 && vertex->properties[i].is_list) {
-      return fail(Errc::not_gaussian_splats, vertex->properties[i].line, "a 3DGS property is a list, not a number");
+      return make_error(Errc::not_gaussian_splats, vertex->properties[i].line,
+                        "a 3DGS property is a list, not a number");
     }
   }
   return result;

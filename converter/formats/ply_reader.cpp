@@ -100,8 +100,8 @@ struct Cursor {
   std::uint64_t remaining() const { return bytes.size() - at; }
   Status skip(std::uint64_t n) {
     if (n > remaining()) {
-      return fail(Errc::truncated, bytes.size(), "the file ends before its last vertex", saturating_sum(at, n),
-                  bytes.size());
+      return make_error(Errc::truncated, bytes.size(), "the file ends before its last vertex", saturating_sum(at, n),
+                        bytes.size());
     }
     at += n;
     return {};
@@ -121,7 +121,7 @@ Status walk_binary_row(Cursor& cursor, const PlyElement& element, bool swap, Val
       continue;
     }
     const auto items = load_as<std::int64_t>(type, cursor.bytes.data() + start, swap);
-    if (items < 0) return fail(Errc::bad_value, start, "a list has a negative length");
+    if (items < 0) return make_error(Errc::bad_value, start, "a list has a negative length");
     if (auto ok = cursor.skip(static_cast<std::uint64_t>(items) * ply_type_bytes(property.type)); !ok) return ok;
   }
   return {};
@@ -189,8 +189,8 @@ std::span<const std::byte> next_line(Cursor& cursor) {
 Status parse_ascii_row(std::span<const std::byte> line, std::uint64_t offset, const PlyElement& element,
                        const std::vector<std::int16_t>& splat_float, std::span<float> out) {
   const auto too_few = [&](std::size_t i) {
-    return fail(Errc::bad_syntax, offset, "a vertex line has fewer values than the header has properties",
-                element.properties.size(), i);
+    return make_error(Errc::bad_syntax, offset, "a vertex line has fewer values than the header has properties",
+                      element.properties.size(), i);
   };
   LineReader reader(line);
   for (std::size_t i = 0; i < element.properties.size(); ++i) {
@@ -200,19 +200,19 @@ Status parse_ascii_row(std::span<const std::byte> line, std::uint64_t offset, co
       std::uint64_t items = 0;
       const auto [end, error] = std::from_chars(token.data(), token.data() + token.size(), items);
       if (error != std::errc{} || end != token.data() + token.size()) {
-        return fail(Errc::bad_syntax, offset, "a list's length is not a count", Error::kNone, i);
+        return make_error(Errc::bad_syntax, offset, "a list's length is not a count", Error::kNone, i);
       }
       for (; items > 0; --items) {
         if (reader.done()) return too_few(i);
         reader.next();
       }
     } else if (splat_float[i] >= 0 && !parse_float(token, out[static_cast<std::size_t>(splat_float[i])])) {
-      return fail(Errc::bad_syntax, offset, "a value of a vertex line is not a number (found: which property)",
-                  Error::kNone, i);
+      return make_error(Errc::bad_syntax, offset, "a value of a vertex line is not a number (found: which property)",
+                        Error::kNone, i);
     }
   }
   if (!reader.done()) {
-    return fail(Errc::bad_syntax, offset, "a vertex line has more values than the header has properties");
+    return make_error(Errc::bad_syntax, offset, "a vertex line has more values than the header has properties");
   }
   return {};
 }
@@ -308,8 +308,8 @@ Status PlyFile::Impl::parse() {
   const std::uint64_t least = saturating_product(n, least_row);
   const std::uint64_t last_line_end = ascii && n > 0 ? 1 : 0;  // may be missing
   if (least > cursor.remaining() + last_line_end) {
-    return fail(Errc::truncated, source.size(), "the file is too short for the vertex count in its header",
-                saturating_sum(cursor.at, least - last_line_end), source.size());
+    return make_error(Errc::truncated, source.size(), "the file is too short for the vertex count in its header",
+                      saturating_sum(cursor.at, least - last_line_end), source.size());
   }
   if (ascii || vertex.has_lists) return convert(vertex, header->encoding, *properties, cursor);
 
@@ -332,7 +332,7 @@ Status PlyFile::Impl::skip_element(const PlyElement& element, PlyEncoding encodi
   if (encoding == PlyEncoding::ascii) {
     for (std::uint64_t i = 0; i < element.count; ++i) {
       if (next_line(cursor).empty()) {
-        return fail(Errc::truncated, source.size(), "the file ends before its last vertex line");
+        return make_error(Errc::truncated, source.size(), "the file ends before its last vertex line");
       }
     }
     return {};
@@ -354,8 +354,8 @@ Status PlyFile::Impl::convert(const PlyElement& element, PlyEncoding encoding, c
     if (encoding == PlyEncoding::ascii) {
       const auto line = next_line(cursor);
       if (line.empty()) {
-        return fail(Errc::truncated, source.size(), "the file ends before its last vertex line (counted in lines)", n,
-                    i);
+        return make_error(Errc::truncated, source.size(),
+                          "the file ends before its last vertex line (counted in lines)", n, i);
       }
       parsed = parse_ascii_row(line, static_cast<std::uint64_t>(line.data() - source.data()), element,
                                properties.splat_float, values);
@@ -417,7 +417,7 @@ bool PlyFile::Impl::is_standard() const {
 Result<PlyFile> PlyFile::open(const std::string& path) {
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
   if (fd < 0) {
-    return fail(Errc::open_failed, Error::kNone, "cannot open for reading", Error::kNone, Error::kNone, errno);
+    return make_error(Errc::open_failed, Error::kNone, "cannot open for reading", Error::kNone, Error::kNone, errno);
   }
   auto ply = open(fd);
   ::close(fd);
@@ -428,7 +428,8 @@ Result<PlyFile> PlyFile::open(int fd) {
   auto impl = std::make_unique<Impl>();
   struct stat info {};
   if (::fstat(fd, &info) != 0) {
-    return fail(Errc::open_failed, Error::kNone, "cannot read the file's size", Error::kNone, Error::kNone, errno);
+    return make_error(Errc::open_failed, Error::kNone, "cannot read the file's size", Error::kNone, Error::kNone,
+                      errno);
   }
   const bool at_start = ::lseek(fd, 0, SEEK_CUR) == 0;
   if (S_ISDIR(info.st_mode) || (S_ISREG(info.st_mode) && at_start)) {
@@ -442,7 +443,7 @@ Result<PlyFile> PlyFile::open(int fd) {
       const ssize_t got = ::read(fd, chunk.data(), chunk.size());
       if (got < 0 && errno == EINTR) continue;
       if (got < 0) {
-        return fail(Errc::read_failed, Error::kNone, "cannot read the input", Error::kNone, Error::kNone, errno);
+        return make_error(Errc::read_failed, Error::kNone, "cannot read the input", Error::kNone, Error::kNone, errno);
       }
       if (got == 0) break;
       if (auto ok = impl->pipe.append(std::span(chunk).first(static_cast<std::size_t>(got))); !ok) {

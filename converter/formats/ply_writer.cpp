@@ -73,12 +73,12 @@ void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std
 Result<PlyWriter> PlyWriter::create(const std::string& path, std::uint64_t n, int sh_degree,
                                     const AtomicFile::Options& options) {
   if (sh_degree < 0 || sh_degree > kMaxShDegree) {
-    return fail(Errc::bad_argument, Error::kNone, "the SH degree is not 0 to 3");
+    return make_error(Errc::bad_argument, Error::kNone, "the SH degree is not 0 to 3");
   }
   const std::string header = ply_header(n, sh_degree);
   constexpr auto kMaxFile = static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max());
   if (n > (kMaxFile - header.size()) / ply_row_bytes(sh_degree)) {
-    return fail(Errc::bad_argument, Error::kNone, "too many Gaussians for one file", Error::kNone, n);
+    return make_error(Errc::bad_argument, Error::kNone, "too many Gaussians for one file", Error::kNone, n);
   }
   auto file = AtomicFile::create(path, options);
   if (!file) return tl::unexpected(file.error());

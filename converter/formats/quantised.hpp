@@ -86,8 +86,8 @@ inline void from_smallest_three(const SmallestThree& s, float (&q)[4]) {
 inline Status check_expansion(std::uint64_t decoded, std::uint64_t stored, std::uint64_t offset) {
   const std::uint64_t limit = stored > (std::uint64_t{1} << 50) ? Error::kNone - 1 : stored * 1032 + (1u << 20);
   if (decoded <= limit) return {};
-  return fail(Errc::limit_exceeded, offset, "the header promises more Gaussians than a file of this size can hold",
-              limit, decoded);
+  return make_error(Errc::limit_exceeded, offset,
+                    "the header promises more Gaussians than a file of this size can hold", limit, decoded);
 }
 
 }  // namespace rgs::detail

@@ -39,7 +39,7 @@ constexpr std::uint64_t kMaxPalette = 65536;
 // ---- meta.json ------------------------------------------------------------------------------------------------------
 
 tl::unexpected<Error> bad_meta(const char* what) {
-  return fail(Errc::bad_syntax, 0, what);
+  return make_error(Errc::bad_syntax, 0, what);
 }
 
 // `count` finite numbers, or nothing.
@@ -141,7 +141,7 @@ Status parse_shn(const json& shn, int version, Meta& meta) {
 }
 
 Result<Meta> parse_meta(std::span<const std::byte> bytes) {
-  if (bytes.size() > kMaxMetaBytes) return fail(Errc::limit_exceeded, 0, "meta.json is longer than 16 MiB");
+  if (bytes.size() > kMaxMetaBytes) return make_error(Errc::limit_exceeded, 0, "meta.json is longer than 16 MiB");
   const char* text = reinterpret_cast<const char*>(bytes.data());
   const json root = json::parse(text, text + bytes.size(), nullptr, false);
   if (!root.is_object()) return bad_meta("meta.json is not a JSON object");
@@ -149,7 +149,7 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes) {
   int version = 1;
   if (const json* stated = json_member(root, "version")) {
     if (whole(stated) != std::uint64_t{1} && whole(stated) != std::uint64_t{2}) {
-      return fail(Errc::unsupported_version, 0, "meta.json: the version is not 1 or 2");
+      return make_error(Errc::unsupported_version, 0, "meta.json: the version is not 1 or 2");
     }
     version = static_cast<int>(stated->get<std::uint64_t>());
   }
@@ -196,25 +196,27 @@ Result<Image> decode_image(const Bytes& file, std::uint64_t min_pixels, std::uin
   WebPBitstreamFeatures features;
   const auto* data = reinterpret_cast<const std::uint8_t*>(file.data());
   if (WebPGetFeatures(data, file.size(), &features) != VP8_STATUS_OK) {
-    return fail(Errc::bad_value, 0, "an image of the SOG is not a WebP");
+    return make_error(Errc::bad_value, 0, "an image of the SOG is not a WebP");
   }
   constexpr int kLossless = 2;
   if (features.format != kLossless || features.has_animation != 0) {
-    return fail(Errc::unsupported_feature, 0, "an image of the SOG is not a lossless still WebP: its numbers are lost");
+    return make_error(Errc::unsupported_feature, 0,
+                      "an image of the SOG is not a lossless still WebP: its numbers are lost");
   }
   Image image;
   image.width = static_cast<std::uint64_t>(features.width);
   image.height = static_cast<std::uint64_t>(features.height);
   const std::uint64_t pixels = image.width * image.height;  // WebP's sides have 14 bits
   if (pixels < min_pixels) {
-    return fail(Errc::size_mismatch, 0, "an image of the SOG has too few pixels", min_pixels, pixels);
+    return make_error(Errc::size_mismatch, 0, "an image of the SOG has too few pixels", min_pixels, pixels);
   }
   if (pixels > max_pixels) {
-    return fail(Errc::limit_exceeded, 0, "an image of the SOG is much larger than its Gaussians", max_pixels, pixels);
+    return make_error(Errc::limit_exceeded, 0, "an image of the SOG is much larger than its Gaussians", max_pixels,
+                      pixels);
   }
   image.rgba.resize(4 * pixels);
   if (WebPDecodeRGBAInto(data, file.size(), image.rgba.data(), image.rgba.size(), 4 * features.width) == nullptr) {
-    return fail(Errc::bad_value, 0, "an image of the SOG is damaged");
+    return make_error(Errc::bad_value, 0, "an image of the SOG is damaged");
   }
   return image;
 }
@@ -233,7 +235,8 @@ Status measure_palette(const Image& centroids, Meta& meta) {
   const auto wanted = static_cast<std::uint64_t>(sh_coefficients(meta.sh_degree) - 1);
   if (coefficients != wanted || centroids.width % kEntriesPerRow != 0 ||
       kEntriesPerRow * centroids.height < meta.palette) {
-    return fail(Errc::size_mismatch, 0, "the palette's image is not 64 entries wide or too low", wanted, coefficients);
+    return make_error(Errc::size_mismatch, 0, "the palette's image is not 64 entries wide or too low", wanted,
+                      coefficients);
   }
   return {};
 }
@@ -279,7 +282,7 @@ float unfold_mean(double folded) {
 
 Status decode_rotation(const std::uint8_t* pixel, std::uint64_t i, float (&rotation)[4]) {
   constexpr std::uint8_t kTag = 252;
-  if (pixel[3] < kTag) return fail(Errc::bad_value, 4 * i + 3, "quats: alpha is not 252 to 255", kTag, pixel[3]);
+  if (pixel[3] < kTag) return make_error(Errc::bad_value, 4 * i + 3, "quats: alpha is not 252 to 255", kTag, pixel[3]);
   SmallestThree s;
   s.largest = pixel[3] - kTag;
   for (int k = 0; k < 3; ++k) s.rest[k] = (pixel[k] / 255.0 * 2 - 1) * kRootHalf;
@@ -291,7 +294,7 @@ Status decode_harmonics(const Meta& meta, const Images& images, std::uint64_t i,
   const std::uint8_t* code = images.labels.pixel(i);
   const std::uint64_t label = code[0] | static_cast<std::uint64_t>(code[1]) << 8;
   if (label >= meta.palette) {
-    return fail(Errc::bad_value, 4 * i, "a label of shN is beyond the palette", meta.palette, label);
+    return make_error(Errc::bad_value, 4 * i, "a label of shN is beyond the palette", meta.palette, label);
   }
   const auto coefficients = static_cast<std::uint64_t>(sh_coefficients(meta.sh_degree) - 1);
   const std::uint64_t first = label / kEntriesPerRow * images.centroids.width + label % kEntriesPerRow * coefficients;
@@ -326,8 +329,8 @@ Result<SplatFile> decode_scene(std::span<const std::byte> meta_bytes, const Fetc
   auto meta = parse_meta(meta_bytes);
   if (!meta) return tl::unexpected(meta.error());
   if (meta->n > std::min<std::uint64_t>(limits.max_gaussians, std::uint64_t{1} << 28)) {  // WebP's largest image
-    return fail(Errc::limit_exceeded, 0, "meta.json: more Gaussians than the caller or an image allows",
-                std::min<std::uint64_t>(limits.max_gaussians, std::uint64_t{1} << 28), meta->n);
+    return make_error(Errc::limit_exceeded, 0, "meta.json: more Gaussians than the caller or an image allows",
+                      std::min<std::uint64_t>(limits.max_gaussians, std::uint64_t{1} << 28), meta->n);
   }
   Images images;
   if (const Status s = fetch_images(fetch, *meta, images); !s) return tl::unexpected(s.error());
@@ -355,7 +358,7 @@ struct CloseEntry {
 Result<Bytes> read_entry(zip_t* archive, const std::string& name, std::uint64_t file_bytes) {
   zip_stat_t info;
   if (zip_stat(archive, name.c_str(), 0, &info) != 0 || (info.valid & ZIP_STAT_SIZE) == 0) {
-    return fail(Errc::missing_section, Error::kNone, "the SOG lacks meta.json or a file that meta.json names");
+    return make_error(Errc::missing_section, Error::kNone, "the SOG lacks meta.json or a file that meta.json names");
   }
   if (const Status s = check_expansion(info.size, file_bytes, 0); !s) return tl::unexpected(s.error());
   const std::unique_ptr<zip_file_t, CloseEntry> entry(zip_fopen(archive, name.c_str(), 0));
@@ -364,7 +367,7 @@ Result<Bytes> read_entry(zip_t* archive, const std::string& name, std::uint64_t 
   std::byte extra{};
   // One byte more: only at the end of the entry does libzip compare its checksum.
   if (got < 0 || static_cast<std::uint64_t>(got) != info.size || zip_fread(entry.get(), &extra, 1) != 0) {
-    return fail(Errc::checksum_mismatch, Error::kNone, "a file in the SOG is damaged");
+    return make_error(Errc::checksum_mismatch, Error::kNone, "a file in the SOG is damaged");
   }
   return bytes;
 }
@@ -395,7 +398,7 @@ Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimit
   if (archive == nullptr) {
     zip_source_free(source);
     zip_error_fini(&error);
-    return fail(Errc::bad_header, Error::kNone, "the zip archive's directory is damaged or missing");
+    return make_error(Errc::bad_header, Error::kNone, "the zip archive's directory is damaged or missing");
   }
   const FetchFile fetch = [&](const std::string& name) { return read_entry(archive.get(), name, bytes.size()); };
   const auto meta = fetch("meta.json");

@@ -154,7 +154,7 @@ Similarity compose(const Similarity& outer, const Similarity& inner) {
   return both;
 }
 
-void transform(SplatCloud& cloud, const Similarity& similarity) {
+void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
   const bool turns = similarity.rotation != kIdentity;
   const std::array<double, 4> turn = quaternion_of(similarity.rotation);
   const auto log_factor = static_cast<float>(std::log(similarity.scale));
@@ -208,7 +208,7 @@ void strip_sh(SplatCloud& cloud, int degree) {
   cloud.sh_degree = degree;
 }
 
-void append(SplatCloud& cloud, const SplatCloud& other) {
+void append_splats(SplatCloud& cloud, const SplatCloud& other) {
   const int degree = std::max(cloud.sh_degree, other.sh_degree);
   const auto wide = static_cast<std::uint64_t>(3 * sh_coefficients(degree));
   const std::uint64_t n = cloud.size();
@@ -230,7 +230,7 @@ void append(SplatCloud& cloud, const SplatCloud& other) {
   add(cloud.opacity_logit, other.opacity_logit);
 }
 
-void keep(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
+void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   const auto pack = [&indices](std::vector<float>& values, std::uint64_t each) {
     for (std::uint64_t k = 0; k < indices.size(); ++k) {
       // k <= indices[k]: never over what is to come.
@@ -246,7 +246,7 @@ void keep(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   pack(cloud.sh, static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree)));
 }
 
-void filter(SplatCloud& cloud, const SplatFilter& filter) {
+void filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
   std::vector<std::uint64_t> kept;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
     if (filter.crop && !inside(*filter.crop, &cloud.mean[3 * i])) continue;
@@ -263,23 +263,24 @@ void filter(SplatCloud& cloud, const SplatFilter& filter) {
     std::for_each(ranked.begin(), end, [&kept](const auto& entry) { kept.push_back(entry.second); });
     std::ranges::sort(kept);
   }
-  keep(cloud, kept);
+  keep_splats(cloud, kept);
 }
 
-Result<SceneScan> clean(SplatCloud& cloud, const EncodeOptions& options) {
+Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) {
   SceneScan scan(cloud.sh_degree, options);
   std::vector<std::uint64_t> kept;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
     Splat s = cloud.view().splat(i);
     const std::uint64_t sound = scan.n_kept() - scan.n_repaired();
     const bool keeps = scan.add(s);
-    if (options.on_bad == BadPolicy::refuse && !keeps) return fail(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
+    if (options.on_bad == BadPolicy::refuse && !keeps)
+      return make_error(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
     if (!keeps) continue;
     if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
     kept.push_back(i);
   }
   if (const auto plan = make_plan(scan, options); !plan) return tl::unexpected(plan.error());
-  keep(cloud, kept);
+  keep_splats(cloud, kept);
   return scan;
 }
 

@@ -60,11 +60,11 @@ bool looks_like_splat_records(std::span<const std::byte> bytes) {
 Result<SplatFile> decode_splat_records(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const std::uint64_t n = bytes.size() / kRecordBytes;
   if (bytes.size() % kRecordBytes != 0) {
-    return fail(Errc::truncated, n * kRecordBytes, "the last record of the .splat file is cut off", kRecordBytes,
-                bytes.size() % kRecordBytes);
+    return make_error(Errc::truncated, n * kRecordBytes, "the last record of the .splat file is cut off", kRecordBytes,
+                      bytes.size() % kRecordBytes);
   }
   if (n > limits.max_gaussians) {
-    return fail(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
+    return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians, n);
   }
   SplatFile file;
   file.format = SplatFormat::splat;

@@ -49,8 +49,9 @@ Status SpoolFile::flush() {
   if (fd_ < 0) {
     fd_ = open_unlinked();
     if (fd_ < 0) {
-      return fail(Errc::open_failed, Error::kNone, "cannot create a temporary file; set TMPDIR to a writable folder",
-                  Error::kNone, Error::kNone, errno);
+      return make_error(Errc::open_failed, Error::kNone,
+                        "cannot create a temporary file; set TMPDIR to a writable folder", Error::kNone, Error::kNone,
+                        errno);
     }
     spilled_ = true;
   }
@@ -58,9 +59,9 @@ Status SpoolFile::flush() {
     const ssize_t n = ::pwrite(fd_, rest.data(), rest.size(), static_cast<off_t>(written_));
     if (n < 0 && errno == EINTR) continue;
     if (n <= 0) {
-      return fail(Errc::write_failed, Error::kNone,
-                  "cannot write the temporary file; set TMPDIR to a folder with more room", Error::kNone, Error::kNone,
-                  n == 0 ? ENOSPC : errno);
+      return make_error(Errc::write_failed, Error::kNone,
+                        "cannot write the temporary file; set TMPDIR to a folder with more room", Error::kNone,
+                        Error::kNone, n == 0 ? ENOSPC : errno);
     }
     rest = rest.subspan(static_cast<std::size_t>(n));
     written_ += static_cast<std::uint64_t>(n);

@@ -55,7 +55,7 @@ using Streams = std::array<std::span<const std::byte>, kStreams>;
 
 // The 16 bytes that all versions share. Offsets are those of the unpacked header.
 Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLimits& limits, std::uint64_t file_bytes) {
-  if (load<std::uint32_t>(bytes, 0) != kMagicSpz) return fail(Errc::bad_magic, 0, "is not an SPZ file");
+  if (load<std::uint32_t>(bytes, 0) != kMagicSpz) return make_error(Errc::bad_magic, 0, "is not an SPZ file");
   SpzHeader h;
   h.version = load<std::uint32_t>(bytes, 4);
   h.n = load<std::uint32_t>(bytes, 8);
@@ -63,17 +63,18 @@ Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLim
   h.fractional_bits = load_u8(bytes, 13);
   h.flags = load_u8(bytes, 14);
   if (h.version < 2 || h.version > 4) {
-    return fail(Errc::unsupported_version, 4, "an SPZ version other than 2, 3 and 4", Error::kNone, h.version);
+    return make_error(Errc::unsupported_version, 4, "an SPZ version other than 2, 3 and 4", Error::kNone, h.version);
   }
   if (h.sh_degree > kMaxShDegree) {
-    return fail(Errc::unsupported_feature, 12, "the SH degree is not 0 to 3", kMaxShDegree, h.sh_degree);
+    return make_error(Errc::unsupported_feature, 12, "the SH degree is not 0 to 3", kMaxShDegree, h.sh_degree);
   }
-  if (h.fractional_bits > 24) return fail(Errc::bad_header, 13, "more than 24 fractional bits", 24, h.fractional_bits);
+  if (h.fractional_bits > 24)
+    return make_error(Errc::bad_header, 13, "more than 24 fractional bits", 24, h.fractional_bits);
   if ((h.flags & ~(kFlagAntialiased | kFlagExtensions)) != 0) {
-    return fail(Errc::reserved_bits, 14, "an unknown flag is set", 0, h.flags);
+    return make_error(Errc::reserved_bits, 14, "an unknown flag is set", 0, h.flags);
   }
   if (h.n > limits.max_gaussians) {
-    return fail(Errc::limit_exceeded, 8, "more Gaussians than the caller allows", limits.max_gaussians, h.n);
+    return make_error(Errc::limit_exceeded, 8, "more Gaussians than the caller allows", limits.max_gaussians, h.n);
   }
   if (const Status s = check_expansion(h.decoded_bytes(), file_bytes, 8); !s) return tl::unexpected(s.error());
   return h;
@@ -102,7 +103,7 @@ class Inflater {
     while (!out.empty()) {
       const auto got = some(out);
       if (!got) return tl::unexpected(got.error());
-      if (*got == 0) return fail(Errc::truncated, consumed_, "the compressed data end early");
+      if (*got == 0) return make_error(Errc::truncated, consumed_, "the compressed data end early");
       out = out.subspan(*got);
     }
     return {};
@@ -112,8 +113,10 @@ class Inflater {
     std::byte extra{};
     const auto got = some({&extra, 1});
     if (!got) return tl::unexpected(got.error());
-    if (*got != 0) return fail(Errc::trailing_bytes, consumed_, "the compressed data hold more than the header says");
-    if (consumed_ != bytes_.size()) return fail(Errc::trailing_bytes, consumed_, "bytes after the compressed data");
+    if (*got != 0)
+      return make_error(Errc::trailing_bytes, consumed_, "the compressed data hold more than the header says");
+    if (consumed_ != bytes_.size())
+      return make_error(Errc::trailing_bytes, consumed_, "bytes after the compressed data");
     return {};
   }
 
@@ -135,14 +138,14 @@ class Inflater {
       if (code == Z_MEM_ERROR) throw std::bad_alloc();
       if (code != Z_OK && code != Z_STREAM_END && code != Z_BUF_ERROR) {
         const bool sum = stream_->msg != nullptr && std::strstr(stream_->msg, "data check") != nullptr;
-        if (sum) return fail(Errc::checksum_mismatch, consumed_, "the compressed data fail their checksum");
-        return fail(Errc::bad_value, consumed_, "the compressed data are damaged");
+        if (sum) return make_error(Errc::checksum_mismatch, consumed_, "the compressed data fail their checksum");
+        return make_error(Errc::bad_value, consumed_, "the compressed data are damaged");
       }
       if (stream_->avail_out != had_out) return had_out - stream_->avail_out;
       if (!ended_ && consumed_ == bytes_.size()) break;
     }
     if (ended_) return 0;
-    return fail(Errc::truncated, consumed_, "the compressed data end early");
+    return make_error(Errc::truncated, consumed_, "the compressed data end early");
   }
 
   std::unique_ptr<z_stream> stream_;  // zlib keeps a pointer back to it
@@ -164,9 +167,9 @@ Result<SpzHeader> unpack_gzip(std::span<const std::byte> bytes, const DecodeLimi
   const auto header = parse_header(head, limits, bytes.size());
   if (!header) return header;
   if (header->version > 3) {
-    return fail(Errc::bad_header, 4, "SPZ of version 4 inside a gzip stream", 3, header->version);
+    return make_error(Errc::bad_header, 4, "SPZ of version 4 inside a gzip stream", 3, header->version);
   }
-  if (head[15] != std::byte{0}) return fail(Errc::reserved_bits, 15, "a reserved byte is not zero");
+  if (head[15] != std::byte{0}) return make_error(Errc::reserved_bits, 15, "a reserved byte is not zero");
   body.resize(header->decoded_bytes());
   if (const Status s = inflater->read(body); !s) return tl::unexpected(s.error());
   if ((header->flags & kFlagExtensions) != 0) return header;  // vendors' records follow; none of them is for us
@@ -179,25 +182,27 @@ Result<SpzHeader> unpack_gzip(std::span<const std::byte> bytes, const DecodeLimi
 Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimits& limits,
                               std::vector<std::byte>& body) {
   if (bytes.size() < kHeaderBytesV4) {
-    return fail(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderBytesV4, bytes.size());
+    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderBytesV4, bytes.size());
   }
   const auto header = parse_header(bytes, limits, bytes.size());
   if (!header) return header;
-  if (header->version < 4) return fail(Errc::bad_header, 4, "SPZ below version 4 without gzip", 4, header->version);
+  if (header->version < 4)
+    return make_error(Errc::bad_header, 4, "SPZ below version 4 without gzip", 4, header->version);
   const std::uint64_t n_streams = header->n_streams();
   if (load_u8(bytes, 15) != n_streams) {
-    return fail(Errc::bad_header, 15, "the number of streams is not that of its SH degree", n_streams,
-                load_u8(bytes, 15));
+    return make_error(Errc::bad_header, 15, "the number of streams is not that of its SH degree", n_streams,
+                      load_u8(bytes, 15));
   }
   if (std::ranges::any_of(bytes.subspan(20, 12), [](std::byte b) { return b != std::byte{0}; })) {
-    return fail(Errc::reserved_bits, 20, "reserved bytes are not zero");
+    return make_error(Errc::reserved_bits, 20, "reserved bytes are not zero");
   }
   const std::uint64_t table = load<std::uint32_t>(bytes, 16);
   if (table < kHeaderBytesV4 || table > bytes.size() || bytes.size() - table < 16 * n_streams) {
-    return fail(Errc::bad_header, 16, "the stream table lies outside the file", Error::kNone, table);
+    return make_error(Errc::bad_header, 16, "the stream table lies outside the file", Error::kNone, table);
   }
   if (table != kHeaderBytesV4 && (header->flags & kFlagExtensions) == 0) {
-    return fail(Errc::section_gap, kHeaderBytesV4, "bytes between header and stream table", kHeaderBytesV4, table);
+    return make_error(Errc::section_gap, kHeaderBytesV4, "bytes between header and stream table", kHeaderBytesV4,
+                      table);
   }
   body.resize(header->decoded_bytes());
   const auto sizes = header->sizes();
@@ -206,21 +211,21 @@ Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimi
     const std::uint64_t entry = table + 16 * i;
     const auto stored = load<std::uint64_t>(bytes, entry), decoded = load<std::uint64_t>(bytes, entry + 8);
     if (decoded != sizes[i]) {
-      return fail(Errc::size_mismatch, entry + 8, "a stream's size contradicts the number of Gaussians", sizes[i],
-                  decoded);
+      return make_error(Errc::size_mismatch, entry + 8, "a stream's size contradicts the number of Gaussians", sizes[i],
+                        decoded);
     }
     if (stored > bytes.size() - at) {
-      return fail(Errc::truncated, entry, "a stream ends behind the file", bytes.size() - at, stored);
+      return make_error(Errc::truncated, entry, "a stream ends behind the file", bytes.size() - at, stored);
     }
     const std::size_t got = decoded == 0 ? 0 : ZSTD_decompress(body.data() + to, decoded, bytes.data() + at, stored);
     if (ZSTD_isError(got) != 0 || got != decoded) {
-      return fail(Errc::bad_value, at, "a zstd stream is damaged", decoded,
-                  ZSTD_isError(got) != 0 ? Error::kNone : static_cast<std::uint64_t>(got));
+      return make_error(Errc::bad_value, at, "a zstd stream is damaged", decoded,
+                        ZSTD_isError(got) != 0 ? Error::kNone : static_cast<std::uint64_t>(got));
     }
     at += stored;
     to += decoded;
   }
-  if (at != bytes.size()) return fail(Errc::trailing_bytes, at, "bytes after the last stream");
+  if (at != bytes.size()) return make_error(Errc::trailing_bytes, at, "bytes after the last stream");
   return header;
 }
 
@@ -350,7 +355,7 @@ Result<int> choose_fractional_bits(const SplatView& splats) {
   for (std::uint64_t i = 0; i < splats.mean.size(); ++i) {
     const double magnitude = std::abs(static_cast<double>(splats.mean[i]));
     while (bits >= 0 && std::floor(std::ldexp(magnitude, bits) + 0.5) > 8388607) --bits;
-    if (bits < 0) return fail(Errc::bad_value, i / 3, "a mean is beyond SPZ's range of 2^23 units");
+    if (bits < 0) return make_error(Errc::bad_value, i / 3, "a mean is beyond SPZ's range of 2^23 units");
   }
   return bits;
 }

@@ -51,7 +51,7 @@ Json json(const Header& h) {
           {"sh_degree", h.sh_degree},
           {"chunk_size", h.chunk_size},
           {"n_chunks", h.n_chunks},
-          {"n_scale_sets", h.n_scale_sets},
+          {"n_scale_sets", h.n_step_sets},
           {"n_sections", h.n_sections},
           {"scale_exponent", h.scale_exponent}};
 }
@@ -160,7 +160,7 @@ Json size(const InfoReport& report) {
 
 Json json(const StepSpreads& steps, const Header& h) {
   Json degrees = Json::array();
-  for (std::size_t degree = 0; degree <= h.sh_degree && h.n_scale_sets != 0; ++degree) {
+  for (std::size_t degree = 0; degree <= h.sh_degree && h.n_step_sets != 0; ++degree) {
     Json channels = Json::array();
     for (const Spread& s : steps[degree]) channels.push_back(json(s));
     degrees.push_back(std::move(channels));
@@ -199,11 +199,11 @@ Json json(const ChunkReport& c, const FileView& view) {
           {"box", json(c.entry.means)},
           {"radius", number(c.entry.radius)},
           {"max_opacity", number(c.entry.max_opacity)},
-          {"scale_set", c.entry.scale_set},
+          {"scale_set", c.entry.step_set},
           {"sh_steps", steps},
           {"stored",
            {{"CHNK", place(SectionType::chunks, c.index, 1, kChunkEntryBytes)},
-            {"SHSC", place(SectionType::sh_scales, c.entry.scale_set, 1, kScaleSetBytes)},
+            {"SHSC", place(SectionType::sh_steps, c.entry.step_set, 1, kStepSetBytes)},
             {"MEAN", place(SectionType::means, c.first, c.entry.count, kMeanBytes)},
             {"GEOM", place(SectionType::geometry, c.first, c.entry.count, kGeometryBytes)},
             {"SHI8", place(SectionType::sh, c.first, c.entry.count, sh_bytes(h.sh_degree))}}}};

@@ -61,7 +61,7 @@ class CodeCounter {
   Status add_chunk(const DirectData& data, std::uint64_t index) {
     const auto entry = view_.chunk(index);
     if (!entry) return tl::unexpected(entry.error());
-    const auto steps = view_.scale_set(entry->scale_set);
+    const auto steps = view_.step_set(entry->step_set);
     if (!steps) return tl::unexpected(steps.error());
     const std::uint64_t row = index * view_.header().chunk_size - data.first();
     add_geometry(data.geometry().data() + row * kGeometryBytes, entry->count);
@@ -105,7 +105,7 @@ class CodeCounter {
     }
   }
 
-  void add_sh(const std::int8_t* row, std::uint64_t count, const ScaleSet& steps) {
+  void add_sh(const std::int8_t* row, std::uint64_t count, const ShStepSet& steps) {
     const std::uint64_t stride = sh_bytes(view_.header().sh_degree);
     std::array<std::int8_t, 48> low, high;
     low.fill(kShCodeMax);
@@ -182,12 +182,12 @@ Result<ValueStatistics> value_statistics(const FileView& view, std::uint64_t fir
 Result<StepSpreads> step_spreads(const FileView& view) {
   const Header& h = view.header();
   StepSpreads spreads{};
-  std::vector<float> steps(h.n_scale_sets);
+  std::vector<float> steps(h.n_step_sets);
   if (steps.empty()) return spreads;
   for (std::size_t degree = 0; degree <= h.sh_degree; ++degree) {
     for (std::size_t c = 0; c < 3; ++c) {
-      for (std::uint64_t i = 0; i < h.n_scale_sets; ++i) {
-        const auto set = view.scale_set(i);
+      for (std::uint64_t i = 0; i < h.n_step_sets; ++i) {
+        const auto set = view.step_set(i);
         if (!set) return tl::unexpected(set.error());
         steps[i] = set->step[degree][c];
       }
@@ -229,12 +229,12 @@ Result<ChunkStatistics> chunk_statistics(const FileView& view) {
 Result<ChunkReport> chunk_report(const FileView& view, std::uint64_t index) {
   const Header& h = view.header();
   if (index >= h.n_chunks) {
-    return fail(Errc::bad_argument, Error::kNone, "the file has no such chunk; --chunk counts from 0", Error::kNone,
-                index);
+    return make_error(Errc::bad_argument, Error::kNone, "the file has no such chunk; --chunk counts from 0",
+                      Error::kNone, index);
   }
   const auto entry = view.chunk(index);
   if (!entry) return tl::unexpected(entry.error());
-  const auto steps = view.scale_set(entry->scale_set);
+  const auto steps = view.step_set(entry->step_set);
   if (!steps) return tl::unexpected(steps.error());
   return ChunkReport{index, index * h.chunk_size, *entry, *steps};
 }
@@ -247,8 +247,8 @@ Status verify(const FileView& view, std::vector<std::uint64_t>& hashes) {
     if (damaged == nullptr && hashes.back() != s.xxh3) damaged = &s;
   }
   if (damaged == nullptr) return validate(view);
-  return fail(Errc::checksum_mismatch, damaged->offset, "a section's checksum does not match", damaged->xxh3,
-              hashes[static_cast<std::size_t>(damaged - view.sections().data())]);
+  return make_error(Errc::checksum_mismatch, damaged->offset, "a section's checksum does not match", damaged->xxh3,
+                    hashes[static_cast<std::size_t>(damaged - view.sections().data())]);
 }
 
 }  // namespace
@@ -269,7 +269,7 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
     }
   };
 
-  keep(open(bytes), report.view);
+  keep(FileView::open(bytes), report.view);
   if (!report.view) return report;
   const FileView& view = *report.view;
   const std::uint64_t n_chunks = view.header().n_chunks;
@@ -423,7 +423,7 @@ double dc_step(const ArchiveClass& c) {
 const char* describe(SectionType type) {
   switch (type) {
     case SectionType::declarations: return "declarations";
-    case SectionType::sh_scales: return "SH steps";
+    case SectionType::sh_steps: return "SH steps";
     case SectionType::chunks: return "chunk table";
     case SectionType::means: return "means";
     case SectionType::geometry: return "rotation, scale, opacity";

@@ -63,7 +63,7 @@ struct ChunkStatistics {
 struct ChunkReport {
   std::uint64_t index = 0, first = 0;  ///< position in the table; first Gaussian
   ChunkEntry entry;
-  ScaleSet steps;
+  ShStepSet steps;
 };
 
 using StepSpreads = std::array<std::array<Spread, 3>, 4>;  ///< by degree and channel

@@ -45,11 +45,11 @@ class TextReport : private TextLines {
     line("");
     line("{:<6}{:>16}{:>14}{:>10}", "bytes", "offset", "stored", view_.coded() ? "frame" : "");
     bytes(SectionType::chunks, c.index, 1, kChunkEntryBytes);
-    bytes(SectionType::sh_scales, c.entry.scale_set, 1, kScaleSetBytes);
+    bytes(SectionType::sh_steps, c.entry.step_set, 1, kStepSetBytes);
     bytes(SectionType::means, c.first, c.entry.count, kMeanBytes);
     bytes(SectionType::geometry, c.first, c.entry.count, kGeometryBytes);
     bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
-    step_table(fmt::format("SH steps, set {}", format_count(c.entry.scale_set)), c.steps);
+    step_table(fmt::format("SH steps, set {}", format_count(c.entry.step_set)), c.steps);
     values();
     return take();
   }
@@ -180,12 +180,12 @@ class TextReport : private TextLines {
   }
 
   void steps() {
-    if (header_.n_scale_sets == 0) return;
-    if (header_.n_scale_sets == 1) {
-      step_table("SH steps, one set", view_.scale_set(0).value());
+    if (header_.n_step_sets == 0) return;
+    if (header_.n_step_sets == 1) {
+      step_table("SH steps, one set", view_.step_set(0).value());
       return;
     }
-    line("\n{:<20}{:^30}{:^30}{:^30}", fmt::format("SH steps, {} sets", format_count(header_.n_scale_sets)),
+    line("\n{:<20}{:^30}{:^30}{:^30}", fmt::format("SH steps, {} sets", format_count(header_.n_step_sets)),
          kChannels[0], kChannels[1], kChannels[2]);
     line("{0:<20}{1:>10}{2:>10}{3:>10}{1:>10}{2:>10}{3:>10}{1:>10}{2:>10}{3:>10}", "", "min", "median", "max");
     for (std::size_t degree = 0; degree <= header_.sh_degree; ++degree) {
@@ -197,7 +197,7 @@ class TextReport : private TextLines {
     }
   }
 
-  void step_table(const std::string& name, const ScaleSet& set) {
+  void step_table(const std::string& name, const ShStepSet& set) {
     line("\n{:<20}{:>12}{:>12}{:>12}", name, kChannels[0], kChannels[1], kChannels[2]);
     for (std::size_t degree = 0; degree <= header_.sh_degree; ++degree) {
       const auto& s = set.step[degree];

@@ -26,7 +26,8 @@ struct Arguments {
 Status print(const std::string& text) {
   errno = 0;
   if ((std::fwrite(text.data(), 1, text.size(), stdout) != text.size() || std::fflush(stdout) != 0) && errno != EPIPE) {
-    return fail(Errc::write_failed, Error::kNone, "cannot write to standard output", Error::kNone, Error::kNone, errno);
+    return make_error(Errc::write_failed, Error::kNone, "cannot write to standard output", Error::kNone, Error::kNone,
+                      errno);
   }
   return {};
 }

@@ -35,7 +35,7 @@ Result<Keep> parse_keep(std::string_view text) {
   double percent = 0;
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), percent);
   if (error != std::errc() || end != text.data() + text.size() || !(percent >= 0 && percent <= 100)) {
-    return fail(Errc::bad_argument, Error::kNone, "not a percentage from 0% to 100%");
+    return make_error(Errc::bad_argument, Error::kNone, "not a percentage from 0% to 100%");
   }
   return Keep{percent / 100, std::nullopt};
 }

@@ -229,7 +229,7 @@ int prune(const Options& o) {
   const auto kept = o.min_contribution ? rgs::prune::at_least(*contributions, o.score, *o.min_contribution)
                                        : rgs::prune::highest(*contributions, o.score, o.keep.of(summary.n_source));
   summary.outcome = rgs::prune::outcome(*contributions, o.score, kept);
-  rgs::keep(file->cloud, kept);
+  rgs::keep_splats(file->cloud, kept);
   if (!o.scores.empty()) {
     if (const auto written = write_scores(o, *contributions); !written) return written.error();
   }

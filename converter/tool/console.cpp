@@ -115,7 +115,7 @@ std::string format_seconds(double seconds) {
 }
 
 Result<std::uint64_t> parse_count(std::string_view text) {
-  const auto refused = fail(Errc::bad_argument, Error::kNone, "not a count such as 250000, 200k or 1.5M");
+  const auto refused = make_error(Errc::bad_argument, Error::kNone, "not a count such as 250000, 200k or 1.5M");
   // Decimal digits are shifted exactly, so that no count is rounded on its way through floating point.
   int shift = 0;
   if (!text.empty()) {
@@ -155,7 +155,7 @@ Result<ImageSize> parse_size(std::string_view text) {
         size.width <= kMaxSide && size.height <= kMaxSide)
       return size;
   }
-  return fail(Errc::bad_argument, Error::kNone, "not an image size such as 1920x1080 (sides 1 to 65536)");
+  return make_error(Errc::bad_argument, Error::kNone, "not an image size such as 1920x1080 (sides 1 to 65536)");
 }
 
 Progress::Progress(Mode mode) : quiet_(mode == Mode::quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}

@@ -99,7 +99,7 @@ Result<std::unique_ptr<OIIO::ImageInput>> open_image(const std::string& path) {
   auto input = OIIO::ImageInput::open(path);
   if (input) return input;
   (void)OIIO::geterror();
-  return fail(Errc::bad_syntax, Error::kNone, "not a picture in a format that OpenImageIO reads");
+  return make_error(Errc::bad_syntax, Error::kNone, "not a picture in a format that OpenImageIO reads");
 }
 
 const char* extension(ImageFormat format) {
@@ -114,15 +114,15 @@ const char* extension(ImageFormat format) {
 
 Status check(const Image& image, ImageFormat format, const ImageFileOptions& options) {
   if (image.channels != 1 && (options.depth || (image.channels != 3 && image.channels != 4)))
-    return fail(Errc::bad_argument, Error::kNone, "a picture has 1, 3 or 4 channels, and depth has 1");
+    return make_error(Errc::bad_argument, Error::kNone, "a picture has 1, 3 or 4 channels, and depth has 1");
   if (options.depth && (format == ImageFormat::png || format == ImageFormat::jpeg))
-    return fail(Errc::bad_argument, Error::kNone, "depth needs floating point: name the file .exr or .tif");
+    return make_error(Errc::bad_argument, Error::kNone, "depth needs floating point: name the file .exr or .tif");
   if (image.channels == 4 && format == ImageFormat::jpeg)
-    return fail(Errc::bad_argument, Error::kNone, "JPEG has no alpha: name the file .png, .tif or .exr");
+    return make_error(Errc::bad_argument, Error::kNone, "JPEG has no alpha: name the file .png, .tif or .exr");
   constexpr int kMaxJpegSide = 65500;
   if (format == ImageFormat::jpeg && std::max(image.width, image.height) > kMaxJpegSide)
-    return fail(Errc::bad_argument, Error::kNone,
-                "JPEG ends at 65,500 pixels a side: name the file .png, .tif or .exr");
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "JPEG ends at 65,500 pixels a side: name the file .png, .tif or .exr");
   return {};
 }
 
@@ -130,7 +130,8 @@ Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, co
   const std::string name = extension(format);
   const auto output = OIIO::ImageOutput::create(name);
   if (!output)
-    return fail(Errc::write_failed, Error::kNone, "this build of OpenImageIO does not write the picture's format");
+    return make_error(Errc::write_failed, Error::kNone,
+                      "this build of OpenImageIO does not write the picture's format");
   MemoryFile memory;
   bool written = output->set_ioproxy(&memory) && output->open("picture." + name, specification(image, format, options));
   if (written && format != ImageFormat::exr && !options.depth) {
@@ -146,7 +147,7 @@ Result<std::vector<std::byte>> encode(const Image& image, ImageFormat format, co
   written = output->close() && written;
   if (!written) {
     (void)output->geterror();  // fetched, or the library prints it when the object goes
-    return fail(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
+    return make_error(Errc::write_failed, Error::kNone, "the picture cannot be encoded");
   }
   return std::move(memory).bytes();
 }
@@ -165,7 +166,7 @@ Result<ImageFormat> image_format(const std::string& path) {
                                                                        {".exr", ImageFormat::exr}}};
   for (const auto& [name, format] : kNames)
     if (extension == name) return format;
-  return fail(Errc::bad_argument, Error::kNone, "a picture's name must end in .png, .jpg, .tif or .exr");
+  return make_error(Errc::bad_argument, Error::kNone, "a picture's name must end in .png, .jpg, .tif or .exr");
 }
 
 std::uint8_t to_8bit(float value) {
@@ -188,7 +189,7 @@ Status write_image(const std::string& path, const Image& image, const ImageFileO
 
 Result<std::vector<std::byte>> encode_image(const Image& image, ImageFormat format, const ImageFileOptions& options) {
   if (format != ImageFormat::png && format != ImageFormat::jpeg)
-    return fail(Errc::bad_argument, Error::kNone, "pictures in memory are PNG or JPEG");
+    return make_error(Errc::bad_argument, Error::kNone, "pictures in memory are PNG or JPEG");
   ImageFileOptions colour = options;
   colour.depth = false;
   if (const Status s = check(image, format, colour); !s) return tl::unexpected(s.error());
@@ -209,7 +210,7 @@ Result<Image> read_image(const std::string& path) {
   Image image = Image::make(spec.width, spec.height, spec.nchannels);
   if (!(*input)->read_image(0, 0, 0, spec.nchannels, OIIO::TypeDesc::FLOAT, image.pixels.data())) {
     (void)(*input)->geterror();
-    return fail(Errc::bad_syntax, Error::kNone, "the picture is damaged");
+    return make_error(Errc::bad_syntax, Error::kNone, "the picture is damaged");
   }
   return image;
 }

@@ -16,8 +16,9 @@ Result<std::string> sibling_program(const std::string& name) {
   const auto self = std::filesystem::read_symlink("/proc/self/exe", failed);
   const std::string path = (self.parent_path() / name).string();
   if (failed || ::access(path.c_str(), X_OK) != 0)
-    return fail(Errc::open_failed, Error::kNone, "the program is not beside this one; install both into one folder",
-                Error::kNone, Error::kNone, failed ? failed.value() : errno);
+    return make_error(Errc::open_failed, Error::kNone,
+                      "the program is not beside this one; install both into one folder", Error::kNone, Error::kNone,
+                      failed ? failed.value() : errno);
   return path;
 }
 
@@ -27,11 +28,12 @@ Result<int> run_program_and_wait(const std::string& path, const std::vector<std:
   argv.push_back(nullptr);
   pid_t id = 0;
   if (const int error = ::posix_spawn(&id, path.c_str(), nullptr, nullptr, argv.data(), environ); error != 0)
-    return fail(Errc::internal, Error::kNone, "the program cannot be started", Error::kNone, Error::kNone, error);
+    return make_error(Errc::internal, Error::kNone, "the program cannot be started", Error::kNone, Error::kNone, error);
   int status = 0;
   while (::waitpid(id, &status, 0) < 0) {
     if (errno != EINTR)
-      return fail(Errc::internal, Error::kNone, "the program cannot be waited for", Error::kNone, Error::kNone, errno);
+      return make_error(Errc::internal, Error::kNone, "the program cannot be waited for", Error::kNone, Error::kNone,
+                        errno);
   }
   return WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
 }

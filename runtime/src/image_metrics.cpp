@@ -25,19 +25,19 @@ std::size_t row_length(const Image& image) {
 
 Status check(const Image& a, const Image& b) {
   if (a.width != b.width || a.height != b.height || a.channels != b.channels)
-    return fail(Errc::bad_argument, Error::kNone, "pictures of different sizes cannot be compared");
+    return make_error(Errc::bad_argument, Error::kNone, "pictures of different sizes cannot be compared");
   if (a.width < 1 || a.height < 1 || a.channels < 1)
-    return fail(Errc::bad_argument, Error::kNone, "a picture without pixels cannot be compared");
+    return make_error(Errc::bad_argument, Error::kNone, "a picture without pixels cannot be compared");
   const std::size_t size = row_length(a) * static_cast<std::size_t>(a.height);
   if (a.pixels.size() != size || b.pixels.size() != size)
-    return fail(Errc::bad_argument, Error::kNone, "a picture's pixel array does not fit its size", size);
+    return make_error(Errc::bad_argument, Error::kNone, "a picture's pixel array does not fit its size", size);
   return {};
 }
 
 tl::unexpected<Error> not_finite(const Image& a, const Image& b) {
   std::size_t i = 0;
   while (i + 1 < a.pixels.size() && std::isfinite(a.pixels[i]) && std::isfinite(b.pixels[i])) ++i;
-  return fail(Errc::bad_value, i, "a pixel of a picture is not finite");
+  return make_error(Errc::bad_value, i, "a pixel of a picture is not finite");
 }
 
 // ---- SSIM

@@ -38,7 +38,7 @@ RenderOptions turbo_options() {
 namespace detail {
 
 Status validate(const RenderOptions& o) {
-  const auto refuse = [](const char* what) { return fail(Errc::bad_argument, Error::kNone, what); };
+  const auto refuse = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
   if (!std::all_of(o.background.begin(), o.background.end(), [](float v) { return std::isfinite(v); })) {
     return refuse("the background is not finite");
   }
@@ -71,7 +71,7 @@ Status validate(const RenderTarget& t, const Camera& camera) {
   const auto fits = [n](std::size_t size, std::size_t channels) { return size == 0 || size == n * channels; };
   if (!fits(t.rgb.size(), 3) || !fits(t.alpha.size(), 1) || !fits(t.depth.size(), 1) || !fits(t.evaluated.size(), 1) ||
       !fits(t.blended.size(), 1)) {
-    return fail(Errc::bad_argument, Error::kNone, "a target's size is not that of the camera's image", n);
+    return make_error(Errc::bad_argument, Error::kNone, "a target's size is not that of the camera's image", n);
   }
   return {};
 }

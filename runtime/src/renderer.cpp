@@ -24,7 +24,7 @@ Renderer& Renderer::operator=(Renderer&&) noexcept = default;
 Renderer::~Renderer() = default;
 
 Result<Renderer> Renderer::create(const RendererOptions& options) {
-  if (options.threads < 0) return fail(Errc::bad_argument, Error::kNone, "the number of threads is negative");
+  if (options.threads < 0) return make_error(Errc::bad_argument, Error::kNone, "the number of threads is negative");
   auto impl = std::make_unique<Impl>();
   if (options.backend != Backend::cpu) {
     auto cuda = detail::CudaBackend::create();
@@ -47,10 +47,10 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
   if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
   if (!target.contributions.empty()) {
     if (impl_->cuda)
-      return fail(Errc::bad_argument, Error::kNone, "contributions are counted by the CPU renderer only");
+      return make_error(Errc::bad_argument, Error::kNone, "contributions are counted by the CPU renderer only");
     if (target.contributions.size() != scene.size())
-      return fail(Errc::bad_argument, Error::kNone, "the contributions' size is not that of the scene", scene.size(),
-                  target.contributions.size());
+      return make_error(Errc::bad_argument, Error::kNone, "the contributions' size is not that of the scene",
+                        scene.size(), target.contributions.size());
   }
   if (impl_->cuda) return impl_->cuda->render(scene, camera, target, options);
   return impl_->reference->render(scene.view(), camera, target, options);

@@ -25,9 +25,10 @@ bool all_finite(const float* values, std::uint64_t n) {
 
 Status check(const SplatView& s) {
   if (!s.consistent())
-    return fail(Errc::bad_argument, Error::kNone, "the sizes of the attributes contradict each other");
+    return make_error(Errc::bad_argument, Error::kNone, "the sizes of the attributes contradict each other");
   if (s.n >= kMaxGaussians) {
-    return fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1, s.n);
+    return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
+                      s.n);
   }
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(s.sh_degree));
   std::atomic<std::uint64_t> first_bad{s.n};
@@ -44,8 +45,8 @@ Status check(const SplatView& s) {
     }
   });
   if (first_bad < s.n) {
-    return fail(Errc::bad_value, first_bad,
-                "a Gaussian has a non-finite attribute; convert with a repair policy first");
+    return make_error(Errc::bad_value, first_bad,
+                      "a Gaussian has a non-finite attribute; convert with a repair policy first");
   }
   return {};
 }
@@ -105,7 +106,8 @@ Scene Scene::adopt(SplatCloud splats) {
 Result<Scene> Scene::load(const FileView& file) {
   const std::uint64_t n = file.header().n_gaussians;
   if (n >= kMaxGaussians) {
-    return fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1, n);
+    return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
+                      n);
   }
   const auto data = load_direct(file);
   if (!data) return tl::unexpected(data.error());
@@ -140,7 +142,7 @@ Result<Scene> Scene::load(const FileView& file) {
 }
 
 Result<Scene> Scene::load(std::span<const std::byte> bytes) {
-  const auto file = open(bytes);
+  const auto file = FileView::open(bytes);
   if (!file) return tl::unexpected(file.error());
   return load(*file);
 }

@@ -19,8 +19,8 @@ using DeviceFloats = std::unique_ptr<float, FreeDevice>;
 Result<DeviceFloats> device_floats(std::size_t n) {
   float* memory = nullptr;
   if (cudaMalloc(reinterpret_cast<void**>(&memory), n * sizeof(float)) != cudaSuccess) {
-    return fail(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left",
-                n * sizeof(float));
+    return make_error(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left",
+                      n * sizeof(float));
   }
   return DeviceFloats(memory);
 }
@@ -32,7 +32,7 @@ std::size_t floats_of(const Camera& camera) {
 Result<std::vector<float>> downloaded(const DeviceFloats& memory, std::size_t n) {
   std::vector<float> values(n);
   if (cudaMemcpy(values.data(), memory.get(), n * sizeof(float), cudaMemcpyDeviceToHost) != cudaSuccess) {
-    return fail(Errc::device_failed, Error::kNone, "a frame could not be copied from the device");
+    return make_error(Errc::device_failed, Error::kNone, "a frame could not be copied from the device");
   }
   return values;
 }
@@ -200,7 +200,7 @@ Result<DeviceInfo> device_info() {
   int device = 0;
   cudaDeviceProp properties{};
   if (cudaGetDevice(&device) != cudaSuccess || cudaGetDeviceProperties(&properties, device) != cudaSuccess) {
-    return fail(Errc::unavailable, Error::kNone, "no CUDA device answers");
+    return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers");
   }
   const auto kilohertz = [device](cudaDeviceAttr attribute) {
     int value = 0;

@@ -28,7 +28,7 @@ bool skip_space(std::string_view text, std::size_t& at) {
 
 Result<Image> parse_ppm(std::span<const std::byte> bytes) {
   const std::string_view text(reinterpret_cast<const char*>(bytes.data()), bytes.size());
-  if (!text.starts_with("P6")) return fail(Errc::bad_magic, 0, "not a binary PPM picture (P6)");
+  if (!text.starts_with("P6")) return make_error(Errc::bad_magic, 0, "not a binary PPM picture (P6)");
   constexpr int kMaxSide = 65536, kMaxCode = 255;
   int numbers[3];  // width, height, largest code
   std::size_t at = 2;
@@ -36,21 +36,21 @@ Result<Image> parse_ppm(std::span<const std::byte> bytes) {
     const bool separated = skip_space(text, at);
     const auto [end, error] = std::from_chars(text.data() + at, text.data() + text.size(), number);
     if (!separated || error != std::errc() || number < 1 || number > kMaxSide) {
-      return fail(Errc::bad_syntax, at, "a PPM header is P6, width, height and 255 (sides 1 to 65536)");
+      return make_error(Errc::bad_syntax, at, "a PPM header is P6, width, height and 255 (sides 1 to 65536)");
     }
     at = static_cast<std::size_t>(end - text.data());
   }
   const auto [width, height, largest] = numbers;
   if (largest != kMaxCode) {
-    return fail(Errc::unsupported_feature, at, "only PPM pictures with 8 bits a channel are read", kMaxCode,
-                static_cast<std::uint64_t>(largest));
+    return make_error(Errc::unsupported_feature, at, "only PPM pictures with 8 bits a channel are read", kMaxCode,
+                      static_cast<std::uint64_t>(largest));
   }
-  if (at == text.size() || !is_space(text[at])) return fail(Errc::bad_syntax, at, "one space ends a PPM header");
+  if (at == text.size() || !is_space(text[at])) return make_error(Errc::bad_syntax, at, "one space ends a PPM header");
   ++at;
   const std::size_t size = 3 * static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
   if (text.size() - at < size)
-    return fail(Errc::truncated, text.size(), "the pixels end early", size, text.size() - at);
-  if (text.size() - at > size) return fail(Errc::trailing_bytes, at + size, "bytes after the last pixel");
+    return make_error(Errc::truncated, text.size(), "the pixels end early", size, text.size() - at);
+  if (text.size() - at > size) return make_error(Errc::trailing_bytes, at + size, "bytes after the last pixel");
   Image image = Image::make(width, height, 3);
   for (std::size_t i = 0; i < size; ++i) {
     image.pixels[i] = static_cast<float>(std::to_integer<int>(bytes[at + i])) / static_cast<float>(kMaxCode);

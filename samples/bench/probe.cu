@@ -188,7 +188,8 @@ Result<double> copy_rate() {
     best = std::max(best, 2 * static_cast<double>(bytes) / std::min(*kernel, *copy));
     if (mebibytes == 256) break;  // smaller ones would stay in a large L2, and count only where nothing else fits
   }
-  if (best == 0) return fail(Errc::device_out_of_memory, Error::kNone, "the copy probe wants 64 MiB twice", 128u << 20);
+  if (best == 0)
+    return make_error(Errc::device_out_of_memory, Error::kNone, "the copy probe wants 64 MiB twice", 128u << 20);
   return best;
 }
 
@@ -196,7 +197,7 @@ Result<double> l2_rate(unsigned blocks, std::uint64_t l2_bytes, std::uint32_t* n
   const std::uint64_t largest = std::bit_floor(std::max(l2_bytes / 2, std::uint64_t{1} << 20));
   const DeviceMemory memory = allocate(largest);
   if (memory == nullptr) {
-    return fail(Errc::device_out_of_memory, Error::kNone, "the L2 probe wants half the size of L2", largest);
+    return make_error(Errc::device_out_of_memory, Error::kNone, "the L2 probe wants half the size of L2", largest);
   }
   if (const auto ok = checked(cudaMemset(memory.get(), 0, largest), "the L2 probe could not be filled"); !ok) {
     return tl::unexpected(ok.error());
@@ -235,7 +236,7 @@ Result<DeviceRates> measure_rates() {
   const auto blocks = static_cast<unsigned>(*processors * (*threads / kThreads));
   const double lanes = static_cast<double>(blocks) * kThreads;
   const DeviceMemory never = allocate(sizeof(float));
-  if (never == nullptr) return fail(Errc::device_out_of_memory, Error::kNone, "the probes want four bytes", 4);
+  if (never == nullptr) return make_error(Errc::device_out_of_memory, Error::kNone, "the probes want four bytes", 4);
   auto* const words = static_cast<std::uint32_t*>(never.get());
   auto* const floats = static_cast<float*>(never.get());
 

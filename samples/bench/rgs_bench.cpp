@@ -75,7 +75,7 @@ tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report
   rgs::bench::DeviceScenes scenes;
   const auto file = rgs::MappedFile::open(o.scene);
   if (!file) return failed(o.scene, file.error());
-  const auto view = rgs::open(file->bytes());
+  const auto view = rgs::FileView::open(file->bytes());
   if (!view) return failed(o.scene, view.error());
   auto compact = rgs::DeviceScene::upload(*view);
   if (!compact) return failed(o.scene, compact.error());
@@ -112,7 +112,8 @@ tl::expected<Views, int> load_views(const Options& o) {
     const std::string path = rgs::bench::photo_path(o.photos, camera);
     auto photo = rgs::bench::read_ppm(path);
     if (photo && (photo->width != camera.width || photo->height != camera.height)) {
-      photo = rgs::fail(rgs::Errc::size_mismatch, rgs::Error::kNone, "the photograph is not of its camera's size");
+      photo =
+          rgs::make_error(rgs::Errc::size_mismatch, rgs::Error::kNone, "the photograph is not of its camera's size");
     }
     if (!photo) return failed(path, photo.error());
     views.photos.push_back(std::move(*photo));

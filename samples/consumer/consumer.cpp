@@ -8,7 +8,7 @@
 
 namespace {
 
-int fail(const rgs::Error& error) {
+int make_error(const rgs::Error& error) {
   std::fprintf(stderr, "%s: %s\n", rgs::errc_name(error.code), error.what);
   return rgs::exit_code(error.code);
 }
@@ -28,16 +28,16 @@ int main(int argc, char** argv) {
   cloud.set(1, splat);
 
   const auto bytes = rgs::encode(cloud.view());
-  if (!bytes) return fail(bytes.error());
+  if (!bytes) return make_error(bytes.error());
   auto out = rgs::AtomicFile::create(argv[1], {.overwrite = true});
-  if (!out) return fail(out.error());
-  if (const auto written = out->write_at(0, *bytes); !written) return fail(written.error());
-  if (const auto committed = out->commit(); !committed) return fail(committed.error());
+  if (!out) return make_error(out.error());
+  if (const auto written = out->write_at(0, *bytes); !written) return make_error(written.error());
+  if (const auto committed = out->commit(); !committed) return make_error(committed.error());
 
   const auto file = rgs::MappedFile::open(argv[1]);
-  if (!file) return fail(file.error());
+  if (!file) return make_error(file.error());
   const auto back = rgs::decode(file->bytes());
-  if (!back) return fail(back.error());
+  if (!back) return make_error(back.error());
   if (back->size() != 2) {
     std::fprintf(stderr, "the file does not hold what was put in\n");
     return 1;

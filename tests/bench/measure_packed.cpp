@@ -51,7 +51,7 @@ void print_row(const char* name, const rgs::FileView& view) {
     std::printf(" %.3f |", static_cast<double>(view.stored(type).size()) / n);
   }
   const double tables =
-      static_cast<double>(view.stored(rgs::SectionType::sh_scales).size() +
+      static_cast<double>(view.stored(rgs::SectionType::sh_steps).size() +
                           view.stored(rgs::SectionType::chunks).size() + view.stored(rgs::SectionType::archive).size());
   std::printf(" %.3f | **%.3f** |", tables / n, static_cast<double>(view.bytes().size()) / n);
 }
@@ -61,7 +61,7 @@ int measure_level(const rgs::SplatCloud& source, rgs::EncodeOptions options, con
   const auto bytes = rgs::encode(source.view(), options);
   const double encode_cpu = cpu_seconds() - began;
   if (!bytes) return failed("encode", bytes.error());
-  const auto view = rgs::open(*bytes);
+  const auto view = rgs::FileView::open(*bytes);
   if (!view) return failed("open", view.error());
   print_row(name, *view);
   const auto load = [&](bool validate, unsigned threads) {

@@ -21,7 +21,7 @@ using namespace rgs;
 static_assert(std::endian::native == std::endian::little);
 constexpr std::uint64_t kSplatFloats = 3 + 4 + 3 + 1 + 48;
 static_assert(sizeof(ActivatedSplat) == 4 * kSplatFloats && sizeof(Splat) == 4 * kSplatFloats);
-static_assert(sizeof(ScaleSet) == 48 && sizeof(Box) == 24);
+static_assert(sizeof(ShStepSet) == 48 && sizeof(Box) == 24);
 
 int report(const Error& error) {
   std::printf("error %s %" PRIu64 "\n", errc_name(error.code), error.offset);
@@ -43,7 +43,7 @@ void put_head(const FileView& view) {
       h.version_minor,
       static_cast<std::int64_t>(h.file_bytes),
       static_cast<std::int64_t>(h.n_gaussians),
-      static_cast<std::int64_t>(h.n_scale_sets),
+      static_cast<std::int64_t>(h.n_step_sets),
       h.chunk_size,
       h.sh_degree,
       h.scale_exponent,
@@ -98,18 +98,18 @@ Status put_payload(const FileView& view) {
     chunk_floats.insert(chunk_floats.end(), c->means.min.begin(), c->means.min.end());
     chunk_floats.insert(chunk_floats.end(), c->means.max.begin(), c->means.max.end());
     chunk_floats.insert(chunk_floats.end(), {c->radius, c->max_opacity});
-    chunk_integers.insert(chunk_integers.end(), {c->scale_set, c->count});
+    chunk_integers.insert(chunk_integers.end(), {c->step_set, c->count});
   }
   put<float>("chunk_floats", "f4", 8, chunk_floats);
   put<std::uint64_t>("chunk_integers", "u8", 2, chunk_integers);
 
-  std::vector<ScaleSet> sets;
-  for (std::uint64_t i = 0; i < view.header().n_scale_sets; ++i) {
-    const auto set = view.scale_set(i);
+  std::vector<ShStepSet> sets;
+  for (std::uint64_t i = 0; i < view.header().n_step_sets; ++i) {
+    const auto set = view.step_set(i);
     if (!set) return tl::unexpected(set.error());
     sets.push_back(*set);
   }
-  put<ScaleSet>("steps", "f4", 12, sets);
+  put<ShStepSet>("steps", "f4", 12, sets);
 
   std::vector<std::uint64_t> source_index(n);
   for (std::uint64_t i = 0; i < n; ++i) source_index[i] = view.source_index(i);
@@ -126,7 +126,7 @@ int main(int argc, char** argv) {
   }
   const auto file = MappedFile::open(argv[1]);
   if (!file) return report(file.error());
-  const auto view = open(file->bytes());
+  const auto view = FileView::open(file->bytes());
   if (!view) return report(view.error());
   if (auto ok = validate(*view); !ok) return report(ok.error());
   put_head(*view);

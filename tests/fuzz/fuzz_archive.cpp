@@ -64,7 +64,7 @@ void decode_streams(std::span<const std::byte> bytes) {
   std::vector<std::byte> rows(48 * n);
   decoder->geometry(10, std::span(rows).first(16 * n));
   static_cast<void>(decoder->sh_codes(bytes.subspan(4), 0));
-  rgs::ScaleSet set;
+  rgs::ShStepSet set;
   for (auto& steps : set.step) std::ranges::fill(steps, 0.25f);
   decoder->sh(degree, 1u << 16, {&set, 1}, std::span(rows).first(rgs::sh_bytes(degree) * n));
 }

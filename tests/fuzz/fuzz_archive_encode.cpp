@@ -16,7 +16,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   options.profile = rgs::Profile::archive;
   options.on_bad = rgs::BadPolicy::repair;
   options.chunk_size = 32u * (1u + data[1] % 8u);
-  options.chunk_scales = (data[2] & 1) != 0;
+  options.chunk_step_sets = (data[2] & 1) != 0;
   options.archive = (data[2] & 2) != 0 ? rgs::archive_small() : rgs::archive_high();
   options.archive.threads = 1;
   const auto floats = static_cast<std::size_t>(11 + 3 * rgs::sh_coefficients(degree));

@@ -21,7 +21,7 @@ void require(bool condition) {
 void check_writer(rgs::SplatCloud cloud) {
   rgs::EncodeOptions options;
   options.max_bad_fraction = 1;
-  require(rgs::clean(cloud, options).has_value());
+  require(rgs::clean_splats(cloud, options).has_value());
   const auto bytes = rgs::encode_splats(cloud.view(), kFormat);
   if (!bytes) {
     require(kFormat == rgs::SplatFormat::spz && bytes.error().code == rgs::Errc::bad_value);  // a mean out of range

@@ -1,4 +1,4 @@
-// fuzz_reader.cpp - any bytes as an .rgs file: open, validate, and read all that open() lets through.
+// fuzz_reader.cpp - any bytes as an .rgs file: open, validate, and read all that FileView::open() lets through.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdlib>
@@ -23,12 +23,12 @@ bool read_attributes(const rgs::DirectData& data) {
 }
 
 void read_all(std::span<const std::byte> bytes) {
-  const auto view = rgs::open(bytes);
+  const auto view = rgs::FileView::open(bytes);
   if (!view) return;
   const bool valid = rgs::validate(*view).has_value();
   const std::uint64_t n = view->header().n_gaussians, n_chunks = view->header().n_chunks;
   for (std::uint64_t i = 0; i < n_chunks; ++i) static_cast<void>(view->chunk(i));
-  for (std::uint64_t i = 0; i < view->header().n_scale_sets; ++i) static_cast<void>(view->scale_set(i));
+  for (std::uint64_t i = 0; i < view->header().n_step_sets; ++i) static_cast<void>(view->step_set(i));
   for (std::uint64_t i = 0; i < n; ++i) static_cast<void>(view->source_index(i));
   const auto data = rgs::load_direct(*view, {.validate = false, .threads = 1});
   const bool read = data && read_attributes(*data);

@@ -21,7 +21,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   if (size < 5) return 0;
   const int degree = data[0] & 3;
   rgs::EncodeOptions options;
-  options.chunk_scales = (data[0] & 4) != 0;
+  options.chunk_step_sets = (data[0] & 4) != 0;
   options.order = (data[0] & 8) != 0 ? rgs::Order::input : rgs::Order::morton;
   options.keep_permutation = (data[0] & 16) != 0;
   options.profile = (data[0] & 32) != 0 ? rgs::Profile::packed : rgs::Profile::direct;
@@ -61,7 +61,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   options.profile = options.profile == rgs::Profile::packed ? rgs::Profile::direct : rgs::Profile::packed;
   const auto other = rgs::encode(again->view(), options);
   require(other.has_value());
-  const auto a = rgs::open(*first), b = rgs::open(*second), c = rgs::open(*other);
+  const auto a = rgs::FileView::open(*first), b = rgs::FileView::open(*second), c = rgs::FileView::open(*other);
   require(a && b && c);
   const auto x = rgs::load_direct(*a), y = rgs::load_direct(*b), z = rgs::load_direct(*c);
   require(x && y && z);
@@ -70,7 +70,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     require(std::ranges::equal(x->geometry(), data_of->geometry()));
     require(std::ranges::equal(x->sh(), data_of->sh()));
     require(std::ranges::equal(x->chunk_table(), data_of->chunk_table()));
-    require(std::ranges::equal(x->scale_table(), data_of->scale_table()));
+    require(std::ranges::equal(x->step_table(), data_of->step_table()));
   }
   return 0;
 }

@@ -166,7 +166,7 @@ TEST_CASE("backends: automatic is CUDA if a device answers and the CPU if not") 
 TEST_CASE("damaged files are refused before anything is uploaded") {
   const auto sound = CompactScene::of(golden_cloud(300, 2, 5));
   const auto code = [](std::vector<std::byte> bytes) {
-    const auto file = open(bytes);
+    const auto file = FileView::open(bytes);
     if (!file) return file.error().code;
     const auto scene = DeviceScene::upload(*file);
     return scene ? Errc::internal : scene.error().code;

@@ -117,7 +117,7 @@ class DeviceAttributes {
   explicit DeviceAttributes(const FileView& file) : DeviceAttributes(load_direct(file).value()) {}
   explicit DeviceAttributes(const DirectData& file)
       : attributes_(cuda::CompactAttributes{copy<float>(file.means()), copy<std::uint16_t>(file.geometry()),
-                                            copy<std::uint32_t>(file.sh()), copy<float>(file.scale_table()),
+                                            copy<std::uint32_t>(file.sh()), copy<float>(file.step_table()),
                                             copy<std::uint32_t>(file.chunk_table()), file.header().chunk_size,
                                             std::ldexp(1.0F, -file.header().scale_exponent), file.header().sh_degree}) {
   }
@@ -145,7 +145,7 @@ struct CompactScene {
     auto bytes = encode(cloud.view(), options);
     require_ok(bytes);
     c.bytes = *std::move(bytes);
-    auto file = open(c.bytes);
+    auto file = FileView::open(c.bytes);
     require_ok(file);
     c.file = *std::move(file);
     auto scene = Scene::load(c.file);

@@ -356,7 +356,7 @@ TEST_CASE("trap 8: with steps per chunk an outlier's SH does not coarsen the res
   double quality[2];
   for (const bool per_chunk : {false, true}) {
     EncodeOptions options;
-    options.chunk_scales = per_chunk;
+    options.chunk_step_sets = per_chunk;
     const auto compact = CompactScene::of(cloud, options);
     quality[per_chunk] = psnr(draw(upload(compact.file), camera, {}).rgb, exact.rgb);
   }

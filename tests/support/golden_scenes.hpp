@@ -106,7 +106,7 @@ inline std::vector<GoldenScene> golden_scenes() {
   scenes.back().options.chunk_size = 32;
   scenes.push_back({"global", golden_cloud(40, 1, 14), golden_options()});
   scenes.back().options.chunk_size = 32;
-  scenes.back().options.chunk_scales = false;
+  scenes.back().options.chunk_step_sets = false;
   scenes.push_back({"optional", golden_cloud(6, 0, 15), golden_options()});
   scenes.back().options.keep_permutation = true;
   scenes.back().options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};

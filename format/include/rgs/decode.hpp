@@ -49,6 +49,13 @@ const ArchiveTables* archive_tables(const FileView& view);
 /// An opened file: its parsed head over the caller's bytes, which must outlive the view. Reading is thread-safe.
 class FileView {
  public:
+  /// Parses and checks the head of a file: everything but the payload of the large sections, which is not touched, so
+  /// that opening a mapped file costs a few pages. Safe on untrusted bytes. Errors: truncated, bad_magic,
+  /// unsupported_version, reserved_bits, bad_header, bad_section, section_overlap, section_gap, trailing_bytes,
+  /// checksum_mismatch, missing_section, duplicate_section, unknown_required, unsupported_codec, size_mismatch,
+  /// limit_exceeded, bad_value; the offset says where.
+  static Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
+
   const Header& header() const { return header_; }
   const Declarations& declarations() const { return declarations_; }
   const std::optional<Provenance>& provenance() const { return provenance_; }
@@ -69,23 +76,23 @@ class FileView {
   bool coded() const;
   /// Where byte `byte` of row `row` of a section is in the file: itself if the section is stored as is, else its frame.
   std::uint64_t place(SectionType type, std::uint64_t row, std::uint64_t byte = 0) const;
-  /// Decoded bytes of the chunk table [n_chunks, 48] or the scale sets [n_scale_sets, 48].
+  /// Decoded bytes of the chunk table [n_chunks, 48] or the scale sets [n_step_sets, 48].
   std::span<const std::byte> chunk_table() const { return table(SectionType::chunks); }
-  std::span<const std::byte> scale_table() const { return table(SectionType::sh_scales); }
+  std::span<const std::byte> step_table() const { return table(SectionType::sh_steps); }
 
   /// Entry of chunk `i` < n_chunks. Errors: reserved_bits, bad_value, with the offset in the file.
   Result<ChunkEntry> chunk(std::uint64_t i) const;
-  /// SH steps `i` < n_scale_sets. Errors: bad_value.
-  Result<ScaleSet> scale_set(std::uint64_t i) const;
-  /// SH steps of the Gaussians of chunk `i` < n_chunks. Errors: those of chunk() and scale_set().
-  Result<ScaleSet> chunk_steps(std::uint64_t i) const;
+  /// SH steps `i` < n_step_sets. Errors: bad_value.
+  Result<ShStepSet> step_set(std::uint64_t i) const;
+  /// SH steps of the Gaussians of chunk `i` < n_chunks. Errors: those of chunk() and step_set().
+  Result<ShStepSet> chunk_steps(std::uint64_t i) const;
   /// Position in the source of Gaussian `i`; `i` itself if the file keeps no permutation.
   std::uint64_t source_index(std::uint64_t i) const;
 
   /// Gaussians first .. first + out.size() - 1 in the parameters of training. Stored opacities of 0 and 1 and scales of
   /// 0 get finite logits and logarithms that encode to the same codes again. In a coded file this decodes every frame
   /// that has some of them: read a frame at a time, or from load_direct().
-  /// Errors: those of chunk(), scale_set() and read_chunks(); values are not checked otherwise, see validate().
+  /// Errors: those of chunk(), step_set() and read_chunks(); values are not checked otherwise, see validate().
   Status read(std::uint64_t first, std::span<Splat> out) const;
   Status read(std::uint64_t first, std::span<ActivatedSplat> out) const;
   /// Decodes what is coded into memory that this view shares with copies made from now on, for readers of single
@@ -93,7 +100,6 @@ class FileView {
   Status preload(const LoadOptions& options = {});
 
  private:
-  friend Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits);
   friend const detail::ArchiveTables* detail::archive_tables(const FileView& view);
   std::span<const std::byte> table(SectionType type) const;
   Status open_coded(const DecodeLimits& limits);
@@ -113,13 +119,6 @@ class FileView {
   std::shared_ptr<const DirectData> preloaded_;  // all attributes, after preload()
 };
 
-/// Parses and checks the head of a file: everything but the payload of the large sections, which is not touched, so
-/// that opening a mapped file costs a few pages. Safe on untrusted bytes. Errors: truncated, bad_magic,
-/// unsupported_version, reserved_bits, bad_header, bad_section, section_overlap, section_gap, trailing_bytes,
-/// checksum_mismatch, missing_section, duplicate_section, unknown_required, unsupported_codec, size_mismatch,
-/// limit_exceeded, bad_value; the offset says where.
-Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
-
 /// Attributes of consecutive chunks in the layout that a GPU reads, whatever the profile of the file: spans over the
 /// file's bytes where a section is stored as is, over memory of this object where it had to be decoded. Move-only; the
 /// file's bytes must outlive it. Reading is thread-safe.
@@ -135,9 +134,9 @@ class DirectData {
   std::span<const std::byte> means() const { return means_; }        ///< FP32 [size, 3]
   std::span<const std::byte> geometry() const { return geometry_; }  ///< FP16 [size, 8], 16-byte aligned
   std::span<const std::byte> sh() const { return sh_; }              ///< INT8 [size, sh_bytes], 16-byte aligned
-  /// Chunk table and scale sets of the whole file: [n_chunks, 48], [n_scale_sets, 48] bytes.
+  /// Chunk table and scale sets of the whole file: [n_chunks, 48], [n_step_sets, 48] bytes.
   std::span<const std::byte> chunk_table() const { return view_.chunk_table(); }
-  std::span<const std::byte> scale_table() const { return view_.scale_table(); }
+  std::span<const std::byte> step_table() const { return view_.step_table(); }
 
   /// As FileView::read(), `first` counted in the file; the range must lie within this one.
   Status read(std::uint64_t first, std::span<Splat> out) const;
@@ -158,7 +157,7 @@ class DirectData {
 /// Chunks first_chunk .. first_chunk + n_chunks - 1 <= n_chunks of the file. Only frames that hold some of them are
 /// read, on all threads. Every frame's checksum is checked, nothing else of sections that are stored as is; with
 /// LoadOptions::validate also the values of these Gaussians. Errors: checksum_mismatch, corrupt_data (the offset is the
-/// frame's), those of FileView::chunk() and scale_set(), bad_value.
+/// frame's), those of FileView::chunk() and step_set(), bad_value.
 Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
                                const LoadOptions& options = {});
 
@@ -196,7 +195,7 @@ class Validation {
   std::unique_ptr<detail::ValueTotals> totals_;
 };
 
-/// open(), validate() and all Gaussians in memory.
+/// FileView::open(), validate() and all Gaussians in memory.
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
 }  // namespace rgs

@@ -80,7 +80,7 @@ struct EncodeOptions {
   ArchiveOptions archive;
   int level = 1;                   ///< packed: effort, 1 to kMaxLevel; see docs/PROFILES.md
   std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16]
-  bool chunk_scales = true;        ///< SH steps per chunk; false: one set for the file (the paper's scheme)
+  bool chunk_step_sets = true;     ///< SH steps per chunk; false: one set for the file (the paper's scheme)
   Order order = Order::morton;
   bool keep_permutation = false;  ///< store each Gaussian's position in the source
   int sh_degree = kMaxShDegree;   ///< higher degrees are stripped
@@ -117,7 +117,7 @@ class ShMagnitudes {
   void add(const float* sh, int sh_degree);  ///< sh: [16, 3] as in Splat
   void merge(const ShMagnitudes& other);
   /// Largest |SH| per degree and channel.
-  ScaleSet max_abs() const;
+  ShStepSet max_abs() const;
 
  private:
   std::array<std::int32_t, 48> bits_{};  // magnitudes as integers, which order alike and vectorise on any x86-64
@@ -168,8 +168,8 @@ struct EncodePlan {
   Header header;
   Declarations declarations;
   std::optional<Provenance> provenance;
-  ScaleSet file_scales;  ///< used if n_scale_sets is 1 for the file
-  bool chunk_scales = true;
+  ShStepSet file_scales;  ///< used if n_step_sets is 1 for the file
+  bool chunk_step_sets = true;
   bool keep_permutation = false;
   std::uint64_t permutation_entry_bytes = 0;  ///< 4 or 8, 0 without permutation
   std::vector<SectionEntry> sections;         ///< hashes still 0
@@ -192,8 +192,8 @@ struct EncodeCounts {
 /// Outputs: means [count * 12], geometry [count * 16], sh [count * sh_bytes].
 struct ChunkOutput {
   std::span<std::byte> means, geometry, sh;
-  ChunkEntry entry;  // scale_set is set by finish()
-  ScaleSet scales;   // of this chunk; the file's set if the plan has one
+  ChunkEntry entry;  // step_set is set by finish()
+  ShStepSet scales;  // of this chunk; the file's set if the plan has one
   EncodeCounts counts;
 };
 void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOutput& out);
@@ -211,7 +211,7 @@ struct FilePiece {
 
 /// Head and small sections. `chunks` and `scales` in chunk order ([n_chunks]; scales ignored for one set per file).
 std::vector<FilePiece> finish(const EncodePlan& plan, std::span<const ChunkEntry> chunks,
-                              std::span<const ScaleSet> scales, const EncodeCounts& counts,
+                              std::span<const ShStepSet> scales, const EncodeCounts& counts,
                               const SectionHashes& hashes);
 
 // ---- Profile::packed
@@ -231,7 +231,7 @@ class PackedEncoder {
   /// The chunks of one frame (frame_rows() Gaussians, fewer in the last), as encode_chunk() gave them; `scales` of each
   /// chunk.
   PackedFrames encode(std::span<const std::byte> means, std::span<const std::byte> geometry,
-                      std::span<const std::byte> sh, std::span<const ScaleSet> scales);
+                      std::span<const std::byte> sh, std::span<const ShStepSet> scales);
 
  private:
   struct State;
@@ -256,8 +256,8 @@ struct PackedLayout {
   /// The head, once the hashes are there.
   FilePiece head() const;
 };
-PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> chunks, std::span<const ScaleSet> scales,
-                           const EncodeCounts& counts, const PackedSections& frames);
+PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> chunks,
+                           std::span<const ShStepSet> scales, const EncodeCounts& counts, const PackedSections& frames);
 
 // ---- Profile::archive ----------------------------------------------------------------------------------------------
 
@@ -272,7 +272,7 @@ Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const Spla
 
 /// Opens and decodes `file`, a file of Profile::archive, and compares Gaussian i with Gaussian order[i] of `splats`
 /// against the bounds that the file states. Errors: internal (a bound does not hold; the offset is the Gaussian's index
-/// in the file), those of open() and load_direct().
+/// in the file), those of FileView::open() and load_direct().
 Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
                       unsigned threads = 0);
 

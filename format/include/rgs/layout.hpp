@@ -26,7 +26,7 @@ inline constexpr std::uint32_t kMaxSections = 1024;
 
 inline constexpr std::uint64_t kMeanBytes = 12;      ///< FP32 x, y, z
 inline constexpr std::uint64_t kGeometryBytes = 16;  ///< FP16 w, x, y, z, sx, sy, sz, opacity: one 128-bit load
-inline constexpr std::uint64_t kScaleSetBytes = 48;  ///< FP32 [4, 3]: degree, channel
+inline constexpr std::uint64_t kStepSetBytes = 48;   ///< FP32 [4, 3]: degree, channel
 inline constexpr std::uint64_t kChunkEntryBytes = 48;
 inline constexpr std::uint64_t kDeclarationBytes = 256;
 
@@ -51,7 +51,7 @@ constexpr std::uint32_t four_cc(const char (&name)[5]) {
 
 enum class SectionType : std::uint32_t {
   declarations = four_cc("DECL"),  ///< 256 bytes, see Declarations
-  sh_scales = four_cc("SHSC"),     ///< FP32 [n_scale_sets, 4, 3]
+  sh_steps = four_cc("SHSC"),      ///< FP32 [n_step_sets, 4, 3]
   chunks = four_cc("CHNK"),        ///< ChunkEntry [n_chunks]
   means = four_cc("MEAN"),         ///< FP32 [n, 3]
   geometry = four_cc("GEOM"),      ///< FP16 [n, 8]
@@ -69,7 +69,7 @@ enum class Codec : std::uint32_t {
 
 /// Section types that may have Codec::planes.
 constexpr bool coded_type(SectionType type) {
-  return type == SectionType::sh_scales || type == SectionType::chunks || type == SectionType::means ||
+  return type == SectionType::sh_steps || type == SectionType::chunks || type == SectionType::means ||
          type == SectionType::geometry || type == SectionType::sh;
 }
 
@@ -113,7 +113,7 @@ struct Header {
   std::uint64_t file_bytes = 0;
   std::uint64_t n_gaussians = 0;
   std::uint64_t n_chunks = 0;
-  std::uint64_t n_scale_sets = 0;
+  std::uint64_t n_step_sets = 0;
   std::uint32_t chunk_size = 0;
   std::uint32_t n_sections = 0;
   std::uint8_t sh_degree = 0;
@@ -169,15 +169,15 @@ struct Declarations {
 
 /// One entry of the chunk table: what can be asked of a chunk without reading its Gaussians.
 struct ChunkEntry {
-  Box means;                    ///< exact bounds of the means
-  float radius = 0;             ///< largest 3-sigma extent of a Gaussian of the chunk, world units
-  float max_opacity = 0;        ///< largest stored opacity
-  std::uint64_t scale_set = 0;  ///< index into the SHSC section
-  std::uint32_t count = 0;      ///< Gaussians in the chunk: chunk_size, fewer only in the last
+  Box means;                   ///< exact bounds of the means
+  float radius = 0;            ///< largest 3-sigma extent of a Gaussian of the chunk, world units
+  float max_opacity = 0;       ///< largest stored opacity
+  std::uint64_t step_set = 0;  ///< index into the SHSC section
+  std::uint32_t count = 0;     ///< Gaussians in the chunk: chunk_size, fewer only in the last
 };
 
 /// Step sizes of the SH codes. value = step[degree][channel] * code.
-struct ScaleSet {
+struct ShStepSet {
   float step[4][3] = {};
   /// Step of value i of a Gaussian's SH: coefficient i div 3, channel i mod 3.
   constexpr float of_value(int i) const { return step[sh_degree_of(i / 3)][i % 3]; }

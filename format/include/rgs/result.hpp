@@ -72,9 +72,9 @@ template <class T>
 using Result = tl::expected<T, Error>;
 using Status = tl::expected<void, Error>;
 
-inline tl::unexpected<Error> fail(Errc code, std::uint64_t offset, const char* what,
-                                  std::uint64_t expected = Error::kNone, std::uint64_t found = Error::kNone,
-                                  int system = 0) {
+inline tl::unexpected<Error> make_error(Errc code, std::uint64_t offset, const char* what,
+                                        std::uint64_t expected = Error::kNone, std::uint64_t found = Error::kNone,
+                                        int system = 0) {
   return tl::unexpected<Error>(Error{code, offset, what, expected, found, system});
 }
 

@@ -131,7 +131,7 @@ class ArchiveDecoder {
   /// Codes of SHI8.
   Status sh_codes(std::span<const std::byte> stored, std::uint64_t offset);
   /// Rows [n, sh_bytes] of SHI8; steps of each chunk of chunk_rows that the frame touches.
-  void sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ScaleSet> chunk_steps, std::span<std::byte> out);
+  void sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps, std::span<std::byte> out);
 
   /// The same for codes that are there already.
   FrameCodes& codes() { return codes_; }

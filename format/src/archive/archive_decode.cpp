@@ -177,10 +177,10 @@ Status ArchiveDecoder::means(std::span<const std::byte> stored, std::uint64_t of
 Status ArchiveDecoder::geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n) {
   codes_.resize(n, tables_.n_sh);
   RansReader reader(tables_.rans, tables_.map);
-  if (!reader.begin(stored)) return fail(Errc::corrupt_data, offset, "a frame of geometry has no whole stream");
+  if (!reader.begin(stored)) return make_error(Errc::corrupt_data, offset, "a frame of geometry has no whole stream");
   walk_geometry(codes_, tables_, reader);
   if (!reader.ok() || !reader.finished())
-    return fail(Errc::corrupt_data, offset, "a frame of geometry does not decode");
+    return make_error(Errc::corrupt_data, offset, "a frame of geometry does not decode");
   return {};
 }
 
@@ -194,13 +194,14 @@ void ArchiveDecoder::geometry(int scale_exponent, std::span<std::byte> out) cons
 
 Status ArchiveDecoder::sh_codes(std::span<const std::byte> stored, std::uint64_t offset) {
   RansReader reader(tables_.rans, tables_.map);
-  if (!reader.begin(stored)) return fail(Errc::corrupt_data, offset, "a frame of SH has no whole stream");
+  if (!reader.begin(stored)) return make_error(Errc::corrupt_data, offset, "a frame of SH has no whole stream");
   walk_sh(codes_, tables_, sizes_, reader);
-  if (!reader.ok() || !reader.finished()) return fail(Errc::corrupt_data, offset, "a frame of SH does not decode");
+  if (!reader.ok() || !reader.finished())
+    return make_error(Errc::corrupt_data, offset, "a frame of SH does not decode");
   return {};
 }
 
-void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ScaleSet> chunk_steps,
+void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps,
                         std::span<std::byte> out) {
   constexpr std::size_t kPart = kMinChunkSize;  // of one chunk: chunks begin at its multiples
   static_assert(kShLanes % kPart == 0);
@@ -211,7 +212,7 @@ void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const
     const std::size_t count = std::min<std::size_t>(kShLanes, codes_.n - first);
     sh_block(tables_, matrix_, codes_, dc_, first, count, block_);
     for (std::size_t part = 0; part < count; part += kPart) {
-      const ScaleSet& set = chunk_steps[(first + part) / chunk_rows];
+      const ShStepSet& set = chunk_steps[(first + part) / chunk_rows];
       for (std::size_t k = 0; k < n_values; ++k) {
         const float step = set.of_value(static_cast<int>(k));
         for (std::size_t i = part; i < part + kPart; ++i) {

@@ -144,7 +144,7 @@ class Encoder {
     if (!stream) return tl::unexpected(stream.error());
     f.means = std::move(*stream);
     if (Status s = decode_points(f.means, 0, p.mean_bits, decoded); !s) {
-      return fail(Errc::internal, Error::kNone, "Draco does not decode what it has encoded");
+      return make_error(Errc::internal, Error::kNone, "Draco does not decode what it has encoded");
     }
     const auto sorted = [](const std::vector<GridPoint>& values) {
       std::vector<std::uint32_t> index(values.size());
@@ -157,7 +157,7 @@ class Encoder {
     const std::vector<std::uint32_t> from = sorted(points), to = sorted(decoded);
     for (std::size_t i = 0; i < f.count; ++i) {
       if (points[from[i]] != decoded[to[i]]) {
-        return fail(Errc::internal, Error::kNone, "Draco decodes other points than it has encoded");
+        return make_error(Errc::internal, Error::kNone, "Draco decodes other points than it has encoded");
       }
       order_[f.first + to[i]] = static_cast<std::uint32_t>(f.first + from[i]);
     }
@@ -167,9 +167,10 @@ class Encoder {
   // ---- codes -------------------------------------------------------------------------------------------------------
 
   static tl::unexpected<Error> too_large(std::uint64_t index) {
-    return fail(Errc::bad_value, Error::kNone,
-                "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
-                Error::kNone, index);
+    return make_error(
+        Errc::bad_value, Error::kNone,
+        "a Gaussian's scale or SH is too large for archive: use larger steps, --profile packed, or drop it",
+        Error::kNone, index);
   }
 
   // The nearest code, if there is one that fits.
@@ -320,7 +321,7 @@ class Encoder {
     errors[0].state(tables_.parameters);
     counts_ = counts[0];
     if (!steps_explain_bounds()) {
-      return fail(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
+      return make_error(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
     }
     return {};
   }
@@ -428,8 +429,8 @@ class Encoder {
       scan.add(splat);
     }
     d.robust = scan.robust();
-    ScaleSet largest;
-    for (ScaleSet& set : scales_) {
+    ShStepSet largest;
+    for (ShStepSet& set : scales_) {
       for (std::size_t degree = 0; degree < 4; ++degree) {
         for (std::size_t c = 0; c < 3; ++c) {
           largest.step[degree][c] = std::max(largest.step[degree][c], set.step[degree][c]);
@@ -472,7 +473,7 @@ class Encoder {
   std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
   std::vector<float> means_;          // [n, 3] decoded, in the order of the file
   std::vector<ChunkEntry> chunks_;
-  std::vector<ScaleSet> scales_;  // of each chunk; until describe_scene() the largest magnitudes
+  std::vector<ShStepSet> scales_;  // of each chunk; until describe_scene() the largest magnitudes
   EncodeCounts counts_;
 };
 

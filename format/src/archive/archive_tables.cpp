@@ -74,13 +74,13 @@ class Fields {
   float bound() { return number(0, 3.4028235e38f, "a bound in ARCH is negative or not finite"); }
   void reserved(std::uint64_t bytes) {
     const std::uint64_t at = in_.offset();
-    if (!in_.zeros(bytes) && status_) status_ = fail(Errc::reserved_bits, at, "a reserved field of ARCH is set");
+    if (!in_.zeros(bytes) && status_) status_ = make_error(Errc::reserved_bits, at, "a reserved field of ARCH is set");
   }
   const Status& status() const { return status_; }
 
  private:
   void check(bool legal, std::uint64_t bytes, const char* what) {
-    if (!legal && status_) status_ = fail(Errc::bad_value, in_.offset() - bytes, what);
+    if (!legal && status_) status_ = make_error(Errc::bad_value, in_.offset() - bytes, what);
   }
   ByteReader& in_;
   Status status_;
@@ -121,12 +121,12 @@ Status parse_content(std::span<const std::byte> content, std::uint64_t offset, s
   std::ranges::generate(t.map, [&] { return in.u8(); });
   t.frequencies.resize(n_distributions * kRansTokens);
   std::ranges::generate(t.frequencies, [&] { return in.u16(); });
-  if (!legal) return fail(Errc::bad_value, offset, "a centre of SH in ARCH is not finite or too large");
+  if (!legal) return make_error(Errc::bad_value, offset, "a centre of SH in ARCH is not finite or too large");
   if (std::ranges::any_of(t.map, [&](std::uint8_t d) { return d >= n_distributions; })) {
-    return fail(Errc::bad_value, offset, "a context in ARCH has a distribution that does not exist");
+    return make_error(Errc::bad_value, offset, "a context in ARCH has a distribution that does not exist");
   }
   if (!t.rans.assign(t.frequencies)) {
-    return fail(Errc::bad_value, offset, "the frequencies of a distribution in ARCH do not sum to 4096");
+    return make_error(Errc::bad_value, offset, "the frequencies of a distribution in ARCH do not sum to 4096");
   }
   return {};
 }
@@ -168,7 +168,7 @@ std::vector<std::byte> write_archive_tables(const ArchiveTables& t) {
 }
 
 Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std::uint64_t offset, int sh_degree) {
-  const auto too_short = [&] { return fail(Errc::size_mismatch, offset, "section ARCH ends before its tables"); };
+  const auto too_short = [&] { return make_error(Errc::size_mismatch, offset, "section ARCH ends before its tables"); };
   if (bytes.size() < kFixedBytes) return too_short();
   ByteReader reader(bytes, offset);
   Fields in(reader);
@@ -206,11 +206,11 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
   constexpr std::uint32_t kFrameMagic = 0xFD2FB528u;
   const bool one_frame = ByteReader(frame).u32() == kFrameMagic &&
                          ZSTD_findFrameCompressedSize(frame.data(), frame.size()) == frame.size();
-  if (!one_frame) return fail(Errc::corrupt_data, at, "the tables of ARCH are not one Zstandard frame");
+  if (!one_frame) return make_error(Errc::corrupt_data, at, "the tables of ARCH are not one Zstandard frame");
   const std::size_t found = ZSTD_decompress(content.data(), content.size(), frame.data(), frame.size());
-  if (ZSTD_isError(found) != 0) return fail(Errc::corrupt_data, at, "the tables of ARCH cannot be decompressed");
+  if (ZSTD_isError(found) != 0) return make_error(Errc::corrupt_data, at, "the tables of ARCH cannot be decompressed");
   if (found != content.size()) {
-    return fail(Errc::corrupt_data, at, "the tables of ARCH have the wrong size", content.size(), found);
+    return make_error(Errc::corrupt_data, at, "the tables of ARCH have the wrong size", content.size(), found);
   }
   if (const Status s = parse_content(content, at, n_distributions, t); !s) return tl::unexpected(s.error());
   return t;

@@ -146,7 +146,7 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
     const Splat source = splats.splat(order[i]);
     const auto errors = detail::splat_errors(*view.archive(), h.scale_exponent, h.sh_degree, source, stored, slack);
     if (!detail::within_bounds(*view.archive(), decoder.codes().classes[i - first], errors)) {
-      return fail(Errc::internal, i, "a decoded Gaussian is outside the bounds that its archive states");
+      return make_error(Errc::internal, i, "a decoded Gaussian is outside the bounds that its archive states");
     }
   }
   return {};
@@ -159,10 +159,10 @@ Status verify_archive(std::span<const std::byte> file, const SplatView& splats, 
   assert(order.size() == splats.n);
   DecodeLimits limits;
   limits.max_expansion = std::uint64_t{1} << 32;  // the caller's own file: a scene of equals may shrink to nothing
-  const auto view = open(file, limits);
+  const auto view = FileView::open(file, limits);
   if (!view) return tl::unexpected(view.error());
   if (view->archive() == nullptr || view->header().n_gaussians != splats.n) {
-    return fail(Errc::internal, Error::kNone, "not an archive of these Gaussians");
+    return make_error(Errc::internal, Error::kNone, "not an archive of these Gaussians");
   }
   const auto data = load_direct(*view, {.validate = true, .threads = threads});
   if (!data) return tl::unexpected(data.error());

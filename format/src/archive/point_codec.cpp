@@ -47,10 +47,12 @@ Result<std::vector<std::byte>> encode_points(std::span<const GridPoint> points) 
   encoder.SetEncodingMethod(draco::POINT_CLOUD_KD_TREE_ENCODING);
   encoder.SetSpeedOptions(0, 0);
   draco::EncoderBuffer buffer;
-  if (!encoder.EncodeToBuffer(&buffer).ok()) return fail(Errc::internal, Error::kNone, "Draco cannot encode the means");
+  if (!encoder.EncodeToBuffer(&buffer).ok())
+    return make_error(Errc::internal, Error::kNone, "Draco cannot encode the means");
   const auto bytes = std::as_bytes(std::span(buffer.data(), buffer.size()));
   if (!legal_head(bytes, n, 32)) {
-    return fail(Errc::internal, Error::kNone, "this version of Draco writes another stream than the format prescribes");
+    return make_error(Errc::internal, Error::kNone,
+                      "this version of Draco writes another stream than the format prescribes");
   }
   return std::vector<std::byte>(bytes.begin(), bytes.end());
 }
@@ -59,7 +61,8 @@ Status decode_points(std::span<const std::byte> stream, std::uint64_t offset, st
                      std::span<GridPoint> points) {
   const auto n = static_cast<std::uint32_t>(points.size());
   if (!legal_head(stream, n, max_bits)) {
-    return fail(Errc::corrupt_data, offset, "a frame of means is not the Draco stream that the format prescribes");
+    return make_error(Errc::corrupt_data, offset,
+                      "a frame of means is not the Draco stream that the format prescribes");
   }
   draco::DecoderBuffer buffer;
   buffer.Init(reinterpret_cast<const char*>(stream.data()), stream.size());
@@ -77,10 +80,10 @@ Status decode_points(std::span<const std::byte> stream, std::uint64_t offset, st
   } catch (const std::exception&) {  // of a damaged stream: its head allows no allocation that is out of proportion
     decoded = false;
   }
-  if (!decoded) return fail(Errc::corrupt_data, offset, "a frame of means is not accepted by Draco");
+  if (!decoded) return make_error(Errc::corrupt_data, offset, "a frame of means is not accepted by Draco");
   const bool in_range =
       std::ranges::all_of(points, [max_bits](const GridPoint& p) { return ((p[0] | p[1] | p[2]) >> max_bits) == 0; });
-  if (!in_range) return fail(Errc::corrupt_data, offset, "a mean's coordinate is outside the grid");
+  if (!in_range) return make_error(Errc::corrupt_data, offset, "a mean's coordinate is outside the grid");
   return {};
 }
 

@@ -106,19 +106,19 @@ Result<ChunkEntry> FileView::chunk(std::uint64_t i) const {
   const std::uint64_t expected =
       std::min<std::uint64_t>(header_.chunk_size, header_.n_gaussians - i * header_.chunk_size);
   if (entry->count != expected) {
-    return fail(Errc::bad_value, place(SectionType::chunks, i, 40), "a chunk's count contradicts the header", expected,
-                entry->count);
+    return make_error(Errc::bad_value, place(SectionType::chunks, i, 40), "a chunk's count contradicts the header",
+                      expected, entry->count);
   }
-  if (entry->scale_set >= header_.n_scale_sets) {
-    return fail(Errc::bad_value, place(SectionType::chunks, i, 32), "a chunk's scale set does not exist",
-                header_.n_scale_sets, entry->scale_set);
+  if (entry->step_set >= header_.n_step_sets) {
+    return make_error(Errc::bad_value, place(SectionType::chunks, i, 32), "a chunk's scale set does not exist",
+                      header_.n_step_sets, entry->step_set);
   }
   return entry;
 }
 
-Result<ScaleSet> FileView::scale_set(std::uint64_t i) const {
-  assert(i < header_.n_scale_sets);
-  const ScaleSet set = detail::parse_scale_set(scale_table().subspan(i * kScaleSetBytes, kScaleSetBytes));
+Result<ShStepSet> FileView::step_set(std::uint64_t i) const {
+  assert(i < header_.n_step_sets);
+  const ShStepSet set = detail::parse_step_set(step_table().subspan(i * kStepSetBytes, kStepSetBytes));
   for (std::size_t degree = 0; degree < 4; ++degree) {
     for (std::size_t c = 0; c < 3; ++c) {
       const float step = set.step[degree][c];
@@ -127,16 +127,17 @@ Result<ScaleSet> FileView::scale_set(std::uint64_t i) const {
                              ? !std::signbit(step)
                              : used && step >= kShStepMin && step <= kShStepMax && (detail::bits_of(step) & 0x7Fu) == 0;
       if (!legal) {
-        return fail(Errc::bad_value, place(SectionType::sh_scales, i, (degree * 3 + c) * 4),
-                    "an SH step is out of range, has more than 17 significant bits, or belongs to an absent degree");
+        return make_error(
+            Errc::bad_value, place(SectionType::sh_steps, i, (degree * 3 + c) * 4),
+            "an SH step is out of range, has more than 17 significant bits, or belongs to an absent degree");
       }
     }
   }
   return set;
 }
 
-Result<ScaleSet> FileView::chunk_steps(std::uint64_t i) const {
-  return chunk(i).and_then([this](const ChunkEntry& entry) { return scale_set(entry.scale_set); });
+Result<ShStepSet> FileView::chunk_steps(std::uint64_t i) const {
+  return chunk(i).and_then([this](const ChunkEntry& entry) { return step_set(entry.step_set); });
 }
 
 std::uint64_t FileView::source_index(std::uint64_t i) const {
@@ -172,7 +173,7 @@ Status DirectData::read(std::uint64_t first, std::span<ActivatedSplat> out) cons
 }
 
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  const auto view = open(bytes, limits);
+  const auto view = FileView::open(bytes, limits);
   if (!view) return tl::unexpected(view.error());
   const auto data = load_direct(*view);
   if (!data) return tl::unexpected(data.error());

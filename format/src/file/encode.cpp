@@ -21,7 +21,7 @@ namespace rgs {
 namespace {
 
 Status check_options(const EncodeOptions& o) {
-  const auto bad = [](const char* what) { return fail(Errc::bad_argument, Error::kNone, what); };
+  const auto bad = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
   if (o.chunk_size < kMinChunkSize || o.chunk_size > kMaxChunkSize || o.chunk_size % 32 != 0) {
     return bad("the chunk size must be a multiple of 32 from 32 to 65536");
   }
@@ -81,7 +81,7 @@ SectionEntry section(SectionType type, std::uint64_t bytes, std::uint32_t flags 
 struct Encoded {
   std::span<const std::byte> means, geometry, sh, permutation;
   std::span<const ChunkEntry> chunks;
-  std::span<const ScaleSet> scales;  // of each chunk
+  std::span<const ShStepSet> scales;  // of each chunk
   EncodeCounts counts;
 };
 
@@ -149,14 +149,15 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   if (const Status status = check_options(options); !status) return tl::unexpected(status.error());
   const std::uint64_t damaged = scan.n_source() - scan.n_kept() + scan.n_repaired();
   if (options.on_bad == BadPolicy::refuse && damaged != 0) {
-    return fail(Errc::bad_value, Error::kNone, "the scene has damaged Gaussians; allow dropping or repairing them", 0,
-                damaged);
+    return make_error(Errc::bad_value, Error::kNone,
+                      "the scene has damaged Gaussians; allow dropping or repairing them", 0, damaged);
   }
   if (options.on_bad == BadPolicy::drop &&
       static_cast<double>(damaged) > options.max_bad_fraction * static_cast<double>(scan.n_source())) {
-    return fail(Errc::too_many_bad, Error::kNone,
-                "more damaged Gaussians than may be dropped without being told to; choose a policy explicitly",
-                static_cast<std::uint64_t>(options.max_bad_fraction * static_cast<double>(scan.n_source())), damaged);
+    return make_error(Errc::too_many_bad, Error::kNone,
+                      "more damaged Gaussians than may be dropped without being told to; choose a policy explicitly",
+                      static_cast<std::uint64_t>(options.max_bad_fraction * static_cast<double>(scan.n_source())),
+                      damaged);
   }
 
   EncodePlan plan;
@@ -165,7 +166,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   h.n_gaussians = n;
   h.chunk_size = options.chunk_size;
   h.n_chunks = n / h.chunk_size + (n % h.chunk_size != 0 ? 1 : 0);
-  h.n_scale_sets = options.chunk_scales ? h.n_chunks : std::min<std::uint64_t>(h.n_chunks, 1);
+  h.n_step_sets = options.chunk_step_sets ? h.n_chunks : std::min<std::uint64_t>(h.n_chunks, 1);
   h.sh_degree = static_cast<std::uint8_t>(scan.sh_degree());
   h.scale_exponent = n == 0 ? std::int16_t{0}
                             : static_cast<std::int16_t>(choose_scale_exponent(scale_from_log(scan.min_log_scale()),
@@ -189,7 +190,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   d.n_repaired = scan.n_repaired();
   // What the reader would refuse is not written: axes that do not span space, numbers that are no enumerators.
   if (const auto legal = detail::parse_declarations(detail::write_declarations(d), 0); !legal) {
-    return fail(Errc::bad_argument, Error::kNone, legal.error().what);
+    return make_error(Errc::bad_argument, Error::kNone, legal.error().what);
   }
 
   // A scene of nothing has nothing to fit steps to.
@@ -197,17 +198,17 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   plan.archive = options.archive;
   plan.level = options.level;
   plan.provenance = options.provenance;
-  plan.chunk_scales = options.chunk_scales;
+  plan.chunk_step_sets = options.chunk_step_sets;
   plan.keep_permutation = options.keep_permutation;
   plan.permutation_entry_bytes = !options.keep_permutation ? 0 : (scan.n_source() >> 32) != 0 ? 8 : 4;
-  const ScaleSet max_abs = scan.sh_magnitudes().max_abs();
+  const ShStepSet max_abs = scan.sh_magnitudes().max_abs();
   for (std::size_t degree = 0; degree < 4; ++degree) {
     for (std::size_t c = 0; c < 3; ++c) plan.file_scales.step[degree][c] = sh_step(max_abs.step[degree][c]);
   }
 
   // Small sections first: a client that fetches by chunk needs them before it can ask for anything else.
   plan.sections = {section(SectionType::declarations, kDeclarationBytes),
-                   section(SectionType::sh_scales, h.n_scale_sets * kScaleSetBytes),
+                   section(SectionType::sh_steps, h.n_step_sets * kStepSetBytes),
                    section(SectionType::chunks, h.n_chunks * kChunkEntryBytes),
                    section(SectionType::means, n * kMeanBytes),
                    section(SectionType::geometry, n * kGeometryBytes),
@@ -250,7 +251,7 @@ void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOu
          out.sh.size() == splats.size() * stride);
 
   out.scales = plan.file_scales;
-  if (plan.chunk_scales) {
+  if (plan.chunk_step_sets) {
     ShMagnitudes magnitudes;
     for (const Splat& s : splats) magnitudes.add(s.sh, degree);
     out.scales = magnitudes.max_abs();
@@ -303,8 +304,8 @@ void encode_chunk(const EncodePlan& plan, std::span<const Splat> splats, ChunkOu
 namespace detail {
 
 std::vector<std::byte> small_section(const EncodePlan& plan, SectionType type, std::span<const ChunkEntry> chunks,
-                                     std::span<const ScaleSet> scales, const EncodeCounts& counts) {
-  assert(chunks.size() == plan.header.n_chunks && (!plan.chunk_scales || scales.size() == chunks.size()));
+                                     std::span<const ShStepSet> scales, const EncodeCounts& counts) {
+  assert(chunks.size() == plan.header.n_chunks && (!plan.chunk_step_sets || scales.size() == chunks.size()));
   ByteWriter out;
   switch (type) {
     case SectionType::declarations: {
@@ -315,17 +316,17 @@ std::vector<std::byte> small_section(const EncodePlan& plan, SectionType type, s
       d.n_opacity_one = counts.opacity_one;
       return write_declarations(d);
     }
-    case SectionType::sh_scales:
-      if (plan.chunk_scales) {
-        for (const ScaleSet& set : scales) write_scale_set(out, set);
+    case SectionType::sh_steps:
+      if (plan.chunk_step_sets) {
+        for (const ShStepSet& set : scales) write_step_set(out, set);
       } else if (!chunks.empty()) {
-        write_scale_set(out, plan.file_scales);
+        write_step_set(out, plan.file_scales);
       }
       return out.take();
     case SectionType::chunks:
       for (std::size_t i = 0; i < chunks.size(); ++i) {
         ChunkEntry chunk = chunks[i];
-        chunk.scale_set = plan.chunk_scales ? i : 0;
+        chunk.step_set = plan.chunk_step_sets ? i : 0;
         write_chunk_entry(out, chunk);
       }
       return out.take();
@@ -337,7 +338,7 @@ std::vector<std::byte> small_section(const EncodePlan& plan, SectionType type, s
 }  // namespace detail
 
 std::vector<FilePiece> finish(const EncodePlan& plan, std::span<const ChunkEntry> chunks,
-                              std::span<const ScaleSet> scales, const EncodeCounts& counts,
+                              std::span<const ShStepSet> scales, const EncodeCounts& counts,
                               const SectionHashes& hashes) {
   assert(plan.profile == Profile::direct);
   std::vector<SectionEntry> sections = plan.sections;
@@ -361,9 +362,10 @@ std::vector<FilePiece> finish(const EncodePlan& plan, std::span<const ChunkEntry
 }
 
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options) {
-  if (!splats.consistent()) return fail(Errc::bad_argument, Error::kNone, "the sizes of the splat arrays disagree");
+  if (!splats.consistent())
+    return make_error(Errc::bad_argument, Error::kNone, "the sizes of the splat arrays disagree");
   if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
-    return fail(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians in one call");
+    return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians in one call");
   }
   SceneScan scan(splats.sh_degree, options);
   std::vector<std::uint32_t> indices;
@@ -373,7 +375,7 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
     if (scan.add(s)) {
       indices.push_back(static_cast<std::uint32_t>(i));
     } else if (options.on_bad == BadPolicy::refuse) {
-      return fail(Errc::bad_value, i, "a damaged Gaussian at this index; allow dropping or repairing");
+      return make_error(Errc::bad_value, i, "a damaged Gaussian at this index; allow dropping or repairing");
     }
   }
   const auto plan = make_plan(scan, options);
@@ -400,7 +402,7 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
   const std::uint64_t n = plan->header.n_gaussians, stride = sh_bytes(plan->header.sh_degree);
   std::vector<std::byte> means(n * kMeanBytes), geometry(n * kGeometryBytes), sh(n * stride);
   std::vector<ChunkEntry> chunks(plan->header.n_chunks);
-  std::vector<ScaleSet> scales(chunks.size());
+  std::vector<ShStepSet> scales(chunks.size());
   std::vector<Splat> buffer(std::min<std::uint64_t>(plan->header.chunk_size, n));
   EncodeCounts counts;
   for (std::size_t c = 0; c < chunks.size(); ++c) {

@@ -23,7 +23,7 @@ namespace rgs {
 namespace {
 
 tl::unexpected<Error> system_error(Errc code, const char* what) {
-  return fail(code, Error::kNone, what, Error::kNone, Error::kNone, errno);
+  return make_error(code, Error::kNone, what, Error::kNone, Error::kNone, errno);
 }
 
 const char* const kStdout = "-";
@@ -109,8 +109,8 @@ Result<MappedFile> MappedFile::open(const std::string& path) {
 Result<MappedFile> MappedFile::map(int fd) {
   struct stat info {};
   if (::fstat(fd, &info) != 0) return system_error(Errc::open_failed, "cannot read the file's size");
-  if (S_ISDIR(info.st_mode)) return fail(Errc::open_failed, Error::kNone, "is a directory, not a file");
-  if (!S_ISREG(info.st_mode)) return fail(Errc::open_failed, Error::kNone, "is not a regular file");
+  if (S_ISDIR(info.st_mode)) return make_error(Errc::open_failed, Error::kNone, "is a directory, not a file");
+  if (!S_ISREG(info.st_mode)) return make_error(Errc::open_failed, Error::kNone, "is not a regular file");
   MappedFile file;
   file.fd_ = ::fcntl(fd, F_DUPFD_CLOEXEC, 0);
   if (file.fd_ < 0) return system_error(Errc::open_failed, "cannot keep the file open");
@@ -145,8 +145,8 @@ Status MappedFile::check_size() const {
   if (::fstat(fd_, &info) != 0) return system_error(Errc::read_failed, "cannot read the file's size");
   const auto now = static_cast<std::uint64_t>(info.st_size);
   if (now == size_) return {};
-  return fail(Errc::read_failed, std::min<std::uint64_t>(now, size_), "the file changed its size while it was read",
-              size_, now);
+  return make_error(Errc::read_failed, std::min<std::uint64_t>(now, size_),
+                    "the file changed its size while it was read", size_, now);
 }
 
 void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t length) const {
@@ -168,10 +168,11 @@ void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t lengt
 Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& options) {
   struct stat info {};
   if (path != kStdout && ::stat(path.c_str(), &info) == 0) {
-    if (S_ISDIR(info.st_mode)) return fail(Errc::output_unusable, Error::kNone, "the output is a directory");
-    if (!S_ISREG(info.st_mode)) return fail(Errc::output_unusable, Error::kNone, "the output is not a regular file");
+    if (S_ISDIR(info.st_mode)) return make_error(Errc::output_unusable, Error::kNone, "the output is a directory");
+    if (!S_ISREG(info.st_mode))
+      return make_error(Errc::output_unusable, Error::kNone, "the output is not a regular file");
     if (!options.overwrite) {
-      return fail(Errc::output_exists, Error::kNone, "the output exists already; pass --overwrite to replace it");
+      return make_error(Errc::output_exists, Error::kNone, "the output exists already; pass --overwrite to replace it");
     }
   }
   AtomicFile file;
@@ -233,7 +234,7 @@ Status AtomicFile::reserve(std::uint64_t size) {
   if (size == 0) return {};
   const int error = ::posix_fallocate(fd_, 0, static_cast<off_t>(size));
   if (error == 0 || error == EOPNOTSUPP || error == EINVAL) return {};  // no reservation here: writes will tell
-  return fail(Errc::write_failed, Error::kNone, "cannot reserve space for the output", size, Error::kNone, error);
+  return make_error(Errc::write_failed, Error::kNone, "cannot reserve space for the output", size, Error::kNone, error);
 }
 
 Status AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> bytes) {
@@ -241,8 +242,8 @@ Status AtomicFile::write_at(std::uint64_t offset, std::span<const std::byte> byt
     const ssize_t written = ::pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
     if (written < 0 && errno == EINTR) continue;
     if (written <= 0) {
-      return fail(Errc::write_failed, offset, "cannot write the output", Error::kNone, Error::kNone,
-                  written == 0 ? ENOSPC : errno);
+      return make_error(Errc::write_failed, offset, "cannot write the output", Error::kNone, Error::kNone,
+                        written == 0 ? ENOSPC : errno);
     }
     bytes = bytes.subspan(static_cast<std::size_t>(written));
     offset += static_cast<std::uint64_t>(written);
@@ -255,8 +256,8 @@ Status AtomicFile::read_at(std::uint64_t offset, std::span<std::byte> bytes) con
     const ssize_t n = ::pread(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
     if (n < 0 && errno == EINTR) continue;
     if (n <= 0) {
-      return fail(Errc::read_failed, offset, "cannot read the output back", Error::kNone, Error::kNone,
-                  n == 0 ? 0 : errno);
+      return make_error(Errc::read_failed, offset, "cannot read the output back", Error::kNone, Error::kNone,
+                        n == 0 ? 0 : errno);
     }
     bytes = bytes.subspan(static_cast<std::size_t>(n));
     offset += static_cast<std::uint64_t>(n);
@@ -312,7 +313,8 @@ Result<double> AtomicFile::commit() {
     }
   } else if (::renameat2(AT_FDCWD, temporary_.c_str(), AT_FDCWD, path_.c_str(), RENAME_NOREPLACE) != 0) {
     if (errno == EEXIST) {
-      return fail(Errc::output_exists, Error::kNone, "the output appeared meanwhile; pass --overwrite to replace it");
+      return make_error(Errc::output_exists, Error::kNone,
+                        "the output appeared meanwhile; pass --overwrite to replace it");
     }
     // File systems without RENAME_NOREPLACE: a hard link refuses an existing name just as well.
     if (errno != EINVAL && errno != ENOSYS)

@@ -21,7 +21,7 @@ std::vector<std::byte> write_head(const Header& header, std::span<const SectionE
   out.u64(header.file_bytes);
   out.u64(header.n_gaussians);
   out.u64(header.n_chunks);
-  out.u64(header.n_scale_sets);
+  out.u64(header.n_step_sets);
   out.u32(header.chunk_size);
   out.u32(static_cast<std::uint32_t>(sections.size()));
   out.u8(header.sh_degree);
@@ -77,12 +77,12 @@ void write_chunk_entry(ByteWriter& out, const ChunkEntry& entry) {
   out.f32(entry.radius);
   for (const float value : entry.means.max) out.f32(value);
   out.f32(entry.max_opacity);
-  out.u64(entry.scale_set);
+  out.u64(entry.step_set);
   out.u32(entry.count);
   out.u32(0);
 }
 
-void write_scale_set(ByteWriter& out, const ScaleSet& set) {
+void write_step_set(ByteWriter& out, const ShStepSet& set) {
   for (const auto& degree : set.step) {
     for (const float step : degree) out.f32(step);
   }
@@ -104,56 +104,59 @@ Result<Header> parse_header(std::span<const std::byte> bytes) {
   // A prefix of the magic is a truncated file; anything else is another format.
   const std::size_t n = std::min(bytes.size(), kMagic.size());
   for (std::size_t i = 0; i < n; ++i) {
-    if (bytes[i] != std::byte{kMagic[i]}) return fail(Errc::bad_magic, i, "not an .rgs file (wrong magic bytes)");
+    if (bytes[i] != std::byte{kMagic[i]}) return make_error(Errc::bad_magic, i, "not an .rgs file (wrong magic bytes)");
   }
   if (bytes.size() < kHeaderBytes) {
-    return fail(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderBytes, bytes.size());
+    return make_error(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderBytes, bytes.size());
   }
   in.zeros(8);
   Header h;
   h.version_major = in.u16();
   h.version_minor = in.u16();
   if (h.version_major != kVersionMajor) {
-    return fail(Errc::unsupported_version, 8, "major version not known to this program; update it", kVersionMajor,
-                h.version_major);
+    return make_error(Errc::unsupported_version, 8, "major version not known to this program; update it", kVersionMajor,
+                      h.version_major);
   }
-  if (in.u32() != 0) return fail(Errc::reserved_bits, 12, "reserved header flags are set");
+  if (in.u32() != 0) return make_error(Errc::reserved_bits, 12, "reserved header flags are set");
   h.file_bytes = in.u64();
   h.n_gaussians = in.u64();
   h.n_chunks = in.u64();
-  h.n_scale_sets = in.u64();
+  h.n_step_sets = in.u64();
   h.chunk_size = in.u32();
   h.n_sections = in.u32();
   h.sh_degree = in.u8();
   const std::uint8_t stored_sh_bytes = in.u8();
   h.scale_exponent = in.i16();
-  if (!in.zeros(kHeaderBytes - 60)) return fail(Errc::reserved_bits, 60, "reserved header bytes are not zero");
+  if (!in.zeros(kHeaderBytes - 60)) return make_error(Errc::reserved_bits, 60, "reserved header bytes are not zero");
 
   if (h.chunk_size < kMinChunkSize || h.chunk_size > kMaxChunkSize || h.chunk_size % 32 != 0) {
-    return fail(Errc::bad_header, 48, "chunk size is not a multiple of 32 from 32 to 2^16", Error::kNone, h.chunk_size);
+    return make_error(Errc::bad_header, 48, "chunk size is not a multiple of 32 from 32 to 2^16", Error::kNone,
+                      h.chunk_size);
   }
   const std::uint64_t n_chunks = h.n_gaussians / h.chunk_size + (h.n_gaussians % h.chunk_size != 0 ? 1 : 0);
   if (h.n_chunks != n_chunks) {
-    return fail(Errc::bad_header, 32, "chunk count contradicts Gaussian count and chunk size", n_chunks, h.n_chunks);
+    return make_error(Errc::bad_header, 32, "chunk count contradicts Gaussian count and chunk size", n_chunks,
+                      h.n_chunks);
   }
-  if (h.n_scale_sets > h.n_chunks || (h.n_scale_sets == 0) != (h.n_chunks == 0)) {
-    return fail(Errc::bad_header, 40, "number of SH scale sets is not between 1 and the number of chunks", h.n_chunks,
-                h.n_scale_sets);
+  if (h.n_step_sets > h.n_chunks || (h.n_step_sets == 0) != (h.n_chunks == 0)) {
+    return make_error(Errc::bad_header, 40, "number of SH scale sets is not between 1 and the number of chunks",
+                      h.n_chunks, h.n_step_sets);
   }
   if (h.n_sections == 0 || h.n_sections > kMaxSections) {
-    return fail(Errc::bad_header, 52, "section count is not between 1 and 1024", Error::kNone, h.n_sections);
+    return make_error(Errc::bad_header, 52, "section count is not between 1 and 1024", Error::kNone, h.n_sections);
   }
   const std::uint64_t head_bytes = kHeaderBytes + h.n_sections * kSectionEntryBytes + kHeadChecksumBytes;
   if (h.file_bytes < head_bytes) {
-    return fail(Errc::bad_header, 52, "the section table does not fit into the file", h.file_bytes, head_bytes);
+    return make_error(Errc::bad_header, 52, "the section table does not fit into the file", h.file_bytes, head_bytes);
   }
-  if (h.sh_degree > kMaxShDegree) return fail(Errc::bad_header, 56, "SH degree above 3", kMaxShDegree, h.sh_degree);
+  if (h.sh_degree > kMaxShDegree)
+    return make_error(Errc::bad_header, 56, "SH degree above 3", kMaxShDegree, h.sh_degree);
   if (stored_sh_bytes != sh_bytes(h.sh_degree)) {
-    return fail(Errc::bad_header, 57, "SH bytes per Gaussian contradict the SH degree", sh_bytes(h.sh_degree),
-                stored_sh_bytes);
+    return make_error(Errc::bad_header, 57, "SH bytes per Gaussian contradict the SH degree", sh_bytes(h.sh_degree),
+                      stored_sh_bytes);
   }
   if (h.scale_exponent < -kMaxScaleExponent || h.scale_exponent > kMaxScaleExponent) {
-    return fail(Errc::bad_header, 58, "scale exponent is not between -110 and 110");
+    return make_error(Errc::bad_header, 58, "scale exponent is not between -110 and 110");
   }
   return h;
 }
@@ -170,12 +173,12 @@ Result<SectionEntry> parse_section_entry(std::span<const std::byte> bytes, std::
   s.decoded_bytes = in.u64();
   s.xxh3 = in.u64();
   const bool zero = in.zeros(16);
-  if (!in.ok()) return fail(Errc::truncated, offset, "the file ends inside its section table");
+  if (!in.ok()) return make_error(Errc::truncated, offset, "the file ends inside its section table");
   if ((s.flags & ~kSectionMustUnderstand) != 0) {
-    return fail(Errc::reserved_bits, offset + 4, "reserved section flags are set");
+    return make_error(Errc::reserved_bits, offset + 4, "reserved section flags are set");
   }
-  if (reserved != 0) return fail(Errc::reserved_bits, offset + 12, "a reserved section field is not zero");
-  if (!zero) return fail(Errc::reserved_bits, offset + 48, "reserved section bytes are not zero");
+  if (reserved != 0) return make_error(Errc::reserved_bits, offset + 12, "a reserved section field is not zero");
+  if (!zero) return make_error(Errc::reserved_bits, offset + 48, "reserved section bytes are not zero");
   return s;
 }
 
@@ -200,12 +203,12 @@ bool ordered(const Box& box) {
 
 Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset) {
   if (bytes.size() != kDeclarationBytes) {
-    return fail(Errc::size_mismatch, offset, "declarations have the wrong size", kDeclarationBytes, bytes.size());
+    return make_error(Errc::size_mismatch, offset, "declarations have the wrong size", kDeclarationBytes, bytes.size());
   }
   ByteReader in(bytes, offset);
   Declarations d;
   const auto bad = [&in](std::uint64_t back, const char* what) {
-    return fail(Errc::bad_value, in.offset() - back, what);
+    return make_error(Errc::bad_value, in.offset() - back, what);
   };
   for (Axis& axis : d.axes) {
     if (!read_enum(in, axis, 0, 6)) return bad(1, "axis direction is not 0 to 6");
@@ -226,14 +229,14 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
   if (!read_enum(in, d.depth_mapping, 1, 2)) return bad(1, "depth mapping is not 1 or 2");
   if (!read_enum(in, d.depth_source, 1, 3)) return bad(1, "depth source is not 1 to 3");
   if (!read_enum(in, d.order, 1, 2)) return bad(1, "order is not 1 or 2");
-  if (in.u8() != 0) return fail(Errc::reserved_bits, in.offset() - 1, "a reserved declaration byte is not zero");
+  if (in.u8() != 0) return make_error(Errc::reserved_bits, in.offset() - 1, "a reserved declaration byte is not zero");
   for (float* value : {&d.z_near, &d.z_far, &d.metres_per_unit, &d.cutoff_sigma, &d.alpha_threshold, &d.alpha_max,
                        &d.low_pass_px2, &d.transmittance_min}) {
     *value = in.f32();
     if (!std::isfinite(*value) || *value < 0) return bad(4, "a declared constant is negative or not finite");
   }
   if (!(d.z_near > 0 && d.z_near < d.z_far)) {
-    return fail(Errc::bad_value, offset + 12, "depth range is not 0 < near < far");
+    return make_error(Errc::bad_value, offset + 12, "depth range is not 0 < near < far");
   }
   for (Box* box : {&d.full, &d.robust}) {
     for (float& value : box->min) value = in.f32();
@@ -247,7 +250,8 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
     *value = in.u64();
   }
   const std::uint64_t reserved = in.offset();
-  if (!in.zeros(in.remaining())) return fail(Errc::reserved_bits, reserved, "reserved declaration bytes are not zero");
+  if (!in.zeros(in.remaining()))
+    return make_error(Errc::reserved_bits, reserved, "reserved declaration bytes are not zero");
   return d;
 }
 
@@ -258,24 +262,24 @@ Result<ChunkEntry> parse_chunk_entry(std::span<const std::byte> bytes, std::uint
   e.radius = in.f32();
   for (float& value : e.means.max) value = in.f32();
   e.max_opacity = in.f32();
-  e.scale_set = in.u64();
+  e.step_set = in.u64();
   e.count = in.u32();
   const std::uint32_t reserved = in.u32();
-  if (!in.ok()) return fail(Errc::truncated, offset, "the chunk table ends inside an entry");
-  if (reserved != 0) return fail(Errc::reserved_bits, offset + 44, "a reserved chunk field is not zero");
-  if (!ordered(e.means)) return fail(Errc::bad_value, offset, "a chunk's box is not finite or has min > max");
+  if (!in.ok()) return make_error(Errc::truncated, offset, "the chunk table ends inside an entry");
+  if (reserved != 0) return make_error(Errc::reserved_bits, offset + 44, "a reserved chunk field is not zero");
+  if (!ordered(e.means)) return make_error(Errc::bad_value, offset, "a chunk's box is not finite or has min > max");
   if (!std::isfinite(e.radius) || e.radius < 0) {
-    return fail(Errc::bad_value, offset + 12, "a chunk's radius is negative or not finite");
+    return make_error(Errc::bad_value, offset + 12, "a chunk's radius is negative or not finite");
   }
   if (!(e.max_opacity >= 0 && e.max_opacity <= 1)) {
-    return fail(Errc::bad_value, offset + 28, "a chunk's largest opacity is not between 0 and 1");
+    return make_error(Errc::bad_value, offset + 28, "a chunk's largest opacity is not between 0 and 1");
   }
   return e;
 }
 
-ScaleSet parse_scale_set(std::span<const std::byte> bytes) {
+ShStepSet parse_step_set(std::span<const std::byte> bytes) {
   ByteReader in(bytes);
-  ScaleSet set;
+  ShStepSet set;
   for (auto& degree : set.step) {
     for (float& step : degree) step = in.f32();
   }
@@ -289,13 +293,15 @@ Result<Provenance> parse_provenance(std::span<const std::byte> bytes, std::uint6
   p.source_xxh3 = in.u64();
   const std::uint32_t name = in.u32();
   const std::uint32_t tool = in.u32();
-  if (!in.ok()) return fail(Errc::size_mismatch, offset, "provenance is shorter than its fixed part", 24, bytes.size());
+  if (!in.ok())
+    return make_error(Errc::size_mismatch, offset, "provenance is shorter than its fixed part", 24, bytes.size());
   if (name > kMaxProvenanceText)
-    return fail(Errc::limit_exceeded, offset + 16, "source name is longer than 4096 bytes");
-  if (tool > kMaxProvenanceText) return fail(Errc::limit_exceeded, offset + 20, "tool name is longer than 4096 bytes");
+    return make_error(Errc::limit_exceeded, offset + 16, "source name is longer than 4096 bytes");
+  if (tool > kMaxProvenanceText)
+    return make_error(Errc::limit_exceeded, offset + 20, "tool name is longer than 4096 bytes");
   if (in.remaining() != std::uint64_t{name} + tool) {
-    return fail(Errc::size_mismatch, offset, "provenance size contradicts its text lengths",
-                24 + std::uint64_t{name} + tool, bytes.size());
+    return make_error(Errc::size_mismatch, offset, "provenance size contradicts its text lengths",
+                      24 + std::uint64_t{name} + tool, bytes.size());
   }
   p.source_name = in.text(name);
   p.tool = in.text(tool);

@@ -24,7 +24,7 @@ constexpr std::uint64_t section_entry_offset(std::uint64_t i) {
 std::vector<std::byte> write_head(const Header& header, std::span<const SectionEntry> sections);
 std::vector<std::byte> write_declarations(const Declarations& declarations);
 void write_chunk_entry(ByteWriter& out, const ChunkEntry& entry);
-void write_scale_set(ByteWriter& out, const ScaleSet& set);
+void write_step_set(ByteWriter& out, const ShStepSet& set);
 std::vector<std::byte> write_provenance(const Provenance& provenance);
 
 /// The first kHeaderBytes of a file.
@@ -33,7 +33,7 @@ Result<SectionEntry> parse_section_entry(std::span<const std::byte> bytes, std::
 /// `offset` is where the record lies in the file.
 Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset);
 Result<ChunkEntry> parse_chunk_entry(std::span<const std::byte> bytes, std::uint64_t offset);
-ScaleSet parse_scale_set(std::span<const std::byte> bytes);
+ShStepSet parse_step_set(std::span<const std::byte> bytes);
 Result<Provenance> parse_provenance(std::span<const std::byte> bytes, std::uint64_t offset);
 
 }  // namespace rgs::detail

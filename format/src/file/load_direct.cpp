@@ -46,7 +46,7 @@ std::byte* allocate(std::uint64_t bytes) {
 
 // SH steps of the chunks of a frame.
 Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
-                   std::vector<ScaleSet>& steps) {
+                   std::vector<ShStepSet>& steps) {
   steps.clear();
   for (std::uint64_t i = first_chunk; i < first_chunk + n_chunks; ++i) {
     const auto set = view.chunk_steps(i);
@@ -58,14 +58,14 @@ Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_
 
 struct Worker {
   detail::FrameDecoder decoder;
-  std::vector<ScaleSet> steps;
+  std::vector<ShStepSet> steps;
 };
 
 // Stored bytes of a frame, once their hash is right.
 Result<std::span<const std::byte>> frame_bytes(const FileView& view, const CodedFrame& frame) {
   const auto stored = view.bytes().subspan(frame.offset, frame.stored_bytes);
   if (const std::uint64_t hash = xxh3(stored); hash != frame.xxh3) {
-    return fail(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
+    return make_error(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
   }
   return stored;
 }
@@ -113,7 +113,7 @@ Status decode_archive_frame(const FileView& view, std::span<const CodedPart> par
   if (!sh_bytes) return tl::unexpected(sh_bytes.error());
   if (Status s = decoder.sh_codes(*sh_bytes, sh_frame.offset); !s) return s;
   const std::uint32_t chunk_rows = view.header().chunk_size;
-  std::vector<ScaleSet> steps;
+  std::vector<ShStepSet> steps;
   if (Status s = frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, steps); !s) return s;
   decoder.sh(view.header().sh_degree, chunk_rows, steps, rows(sh));
   return {};

@@ -12,7 +12,7 @@
 namespace rgs {
 namespace {
 
-constexpr std::array kKnown = {SectionType::declarations, SectionType::sh_scales, SectionType::chunks,
+constexpr std::array kKnown = {SectionType::declarations, SectionType::sh_steps,  SectionType::chunks,
                                SectionType::means,        SectionType::geometry,  SectionType::sh,
                                SectionType::permutation,  SectionType::provenance};
 constexpr std::size_t kRequired = 6;  // the first six of kKnown
@@ -41,25 +41,25 @@ Status check_placement(std::span<const std::byte> bytes, std::span<const Section
     const std::uint64_t at = detail::section_entry_offset(i);
     const std::uint64_t start = detail::align_up(end, kSectionAlignment);
     if (s.offset % kSectionAlignment != 0) {
-      return fail(Errc::bad_section, at + 16, "a section does not start at a multiple of 256", start, s.offset);
+      return make_error(Errc::bad_section, at + 16, "a section does not start at a multiple of 256", start, s.offset);
     }
     if (s.offset < end) {
-      return fail(Errc::section_overlap, at + 16, "a section overlaps what is before it", start, s.offset);
+      return make_error(Errc::section_overlap, at + 16, "a section overlaps what is before it", start, s.offset);
     }
     if (s.offset > start) {
-      return fail(Errc::section_gap, at + 16, "bytes before a section belong to nothing", start, s.offset);
+      return make_error(Errc::section_gap, at + 16, "bytes before a section belong to nothing", start, s.offset);
     }
     if (s.offset > bytes.size() || s.stored_bytes > bytes.size() - s.offset) {
-      return fail(Errc::bad_section, at + 24, "a section reaches beyond the end of the file", bytes.size(),
-                  s.stored_bytes);
+      return make_error(Errc::bad_section, at + 24, "a section reaches beyond the end of the file", bytes.size(),
+                        s.stored_bytes);
     }
     for (std::uint64_t p = end; p < s.offset; ++p) {
-      if (bytes[p] != std::byte{0}) return fail(Errc::section_gap, p, "padding before a section is not zero");
+      if (bytes[p] != std::byte{0}) return make_error(Errc::section_gap, p, "padding before a section is not zero");
     }
     end = s.offset + s.stored_bytes;
   }
   if (end != bytes.size()) {
-    return fail(Errc::section_gap, end, "bytes after the last section belong to nothing", bytes.size(), end);
+    return make_error(Errc::section_gap, end, "bytes after the last section belong to nothing", bytes.size(), end);
   }
   return {};
 }
@@ -70,27 +70,27 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
     const std::uint64_t at = detail::section_entry_offset(i);
     if (!known(s.type, minor)) {
       if ((s.flags & kSectionMustUnderstand) != 0) {
-        return fail(Errc::unknown_required, at, "a section that must be understood is not known to this program",
-                    Error::kNone, s.type);
+        return make_error(Errc::unknown_required, at, "a section that must be understood is not known to this program",
+                          Error::kNone, s.type);
       }
       continue;
     }
     if (std::ranges::count(sections.first(i), s.type, &SectionEntry::type) != 0) {
-      return fail(Errc::duplicate_section, at, "a section is there twice", Error::kNone, s.type);
+      return make_error(Errc::duplicate_section, at, "a section is there twice", Error::kNone, s.type);
     }
     if (!known_codec(s, minor)) {
-      return fail(Errc::unsupported_codec, at + 8, "a section's codec is not known to this program", Error::kNone,
-                  s.codec);
+      return make_error(Errc::unsupported_codec, at + 8, "a section's codec is not known to this program", Error::kNone,
+                        s.codec);
     }
     if (s.codec == static_cast<std::uint32_t>(Codec::none) && s.stored_bytes != s.decoded_bytes) {
-      return fail(Errc::size_mismatch, at + 32, "stored and decoded size of an uncoded section differ", s.stored_bytes,
-                  s.decoded_bytes);
+      return make_error(Errc::size_mismatch, at + 32, "stored and decoded size of an uncoded section differ",
+                        s.stored_bytes, s.decoded_bytes);
     }
   }
   for (std::size_t k = 0; k < kRequired; ++k) {
     if (std::ranges::count(sections, static_cast<std::uint32_t>(kKnown[k]), &SectionEntry::type) == 0) {
-      return fail(Errc::missing_section, kHeaderBytes, "a required section is missing",
-                  static_cast<std::uint64_t>(kKnown[k]));
+      return make_error(Errc::missing_section, kHeaderBytes, "a required section is missing",
+                        static_cast<std::uint64_t>(kKnown[k]));
     }
   }
   return {};
@@ -108,16 +108,16 @@ Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor
     const std::uint64_t at = detail::section_entry_offset(i);
     const auto type = static_cast<SectionType>(sections[i].type);
     if (archive && archive_type(type) && sections[i].codec != kArchive) {
-      return fail(Errc::unsupported_codec, at + 8, "MEAN, GEOM and SHI8 do not have the same codec", kArchive,
-                  sections[i].codec);
+      return make_error(Errc::unsupported_codec, at + 8, "MEAN, GEOM and SHI8 do not have the same codec", kArchive,
+                        sections[i].codec);
     }
     if (type != SectionType::archive || minor < 2) continue;
     tables = true;
-    if (!archive) return fail(Errc::bad_section, at, "section ARCH belongs to no section of its codec");
+    if (!archive) return make_error(Errc::bad_section, at, "section ARCH belongs to no section of its codec");
   }
   if (archive && !tables) {
-    return fail(Errc::missing_section, kHeaderBytes, "a required section is missing",
-                static_cast<std::uint64_t>(SectionType::archive));
+    return make_error(Errc::missing_section, kHeaderBytes, "a required section is missing",
+                      static_cast<std::uint64_t>(SectionType::archive));
   }
   return {};
 }
@@ -126,13 +126,13 @@ Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor
 Status check_size(const FileView& view, std::size_t index, std::uint64_t count, std::uint64_t bytes) {
   std::uint64_t size = 0;
   if (!detail::multiply(count, bytes, size)) {
-    return fail(Errc::size_mismatch, detail::section_entry_offset(index) + 32,
-                "the header's counts imply a section larger than 2^64 bytes", Error::kNone, count);
+    return make_error(Errc::size_mismatch, detail::section_entry_offset(index) + 32,
+                      "the header's counts imply a section larger than 2^64 bytes", Error::kNone, count);
   }
   const std::uint64_t found = view.sections()[index].decoded_bytes;
   if (size != found) {
-    return fail(Errc::size_mismatch, detail::section_entry_offset(index) + 32,
-                "a section's size contradicts the header's counts", size, found);
+    return make_error(Errc::size_mismatch, detail::section_entry_offset(index) + 32,
+                      "a section's size contradicts the header's counts", size, found);
   }
   return {};
 }
@@ -144,7 +144,7 @@ Status check_sizes(const FileView& view) {
     std::uint64_t count = h.n_gaussians, bytes = 0;
     switch (static_cast<SectionType>(view.sections()[i].type)) {
       case SectionType::declarations: count = 1, bytes = kDeclarationBytes; break;
-      case SectionType::sh_scales: count = h.n_scale_sets, bytes = kScaleSetBytes; break;
+      case SectionType::sh_steps: count = h.n_step_sets, bytes = kStepSetBytes; break;
       case SectionType::chunks: count = h.n_chunks, bytes = kChunkEntryBytes; break;
       case SectionType::means: bytes = kMeanBytes; break;
       case SectionType::geometry: bytes = kGeometryBytes; break;
@@ -159,7 +159,7 @@ Status check_sizes(const FileView& view) {
 Status check_hash(const FileView& view, const SectionEntry& s) {
   const std::uint64_t hash = xxh3(view.stored(s));
   if (hash != s.xxh3)
-    return fail(Errc::checksum_mismatch, s.offset, "a section's checksum does not match", s.xxh3, hash);
+    return make_error(Errc::checksum_mismatch, s.offset, "a section's checksum does not match", s.xxh3, hash);
   return {};
 }
 
@@ -177,32 +177,32 @@ std::span<const std::byte> FileView::stored(SectionType type) const {
   return entry == nullptr ? std::span<const std::byte>() : stored(*entry);
 }
 
-Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+Result<FileView> FileView::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto header = detail::parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->file_bytes > limits.max_file_bytes) {
-    return fail(Errc::limit_exceeded, 16, "the file is larger than the caller allows", limits.max_file_bytes,
-                header->file_bytes);
+    return make_error(Errc::limit_exceeded, 16, "the file is larger than the caller allows", limits.max_file_bytes,
+                      header->file_bytes);
   }
   if (header->n_gaussians > limits.max_gaussians) {
-    return fail(Errc::limit_exceeded, 24, "more Gaussians than the caller allows", limits.max_gaussians,
-                header->n_gaussians);
+    return make_error(Errc::limit_exceeded, 24, "more Gaussians than the caller allows", limits.max_gaussians,
+                      header->n_gaussians);
   }
   if (bytes.size() < header->file_bytes) {
-    return fail(Errc::truncated, bytes.size(), "the file is shorter than its header says", header->file_bytes,
-                bytes.size());
+    return make_error(Errc::truncated, bytes.size(), "the file is shorter than its header says", header->file_bytes,
+                      bytes.size());
   }
   if (bytes.size() > header->file_bytes) {
-    return fail(Errc::trailing_bytes, header->file_bytes, "the file is longer than its header says", header->file_bytes,
-                bytes.size());
+    return make_error(Errc::trailing_bytes, header->file_bytes, "the file is longer than its header says",
+                      header->file_bytes, bytes.size());
   }
   const std::uint64_t table_end = detail::section_entry_offset(header->n_sections);
   const std::uint64_t head_bytes = table_end + kHeadChecksumBytes;
   const std::uint64_t stored_hash = detail::ByteReader(bytes.subspan(table_end)).u64();
   const std::uint64_t hash = xxh3(bytes.first(table_end));
   if (stored_hash != hash) {
-    return fail(Errc::checksum_mismatch, table_end, "the checksum of header and section table does not match",
-                stored_hash, hash);
+    return make_error(Errc::checksum_mismatch, table_end, "the checksum of header and section table does not match",
+                      stored_hash, hash);
   }
 
   FileView view;
@@ -227,9 +227,9 @@ Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limi
   view.declarations_ = *declarations;
   if (declarations->n_dropped > declarations->n_source ||
       declarations->n_source - declarations->n_dropped != header->n_gaussians) {
-    return fail(Errc::bad_value, declarations_entry.offset + 96,
-                "source count less dropped count is not the number of Gaussians", header->n_gaussians,
-                declarations->n_source);
+    return make_error(Errc::bad_value, declarations_entry.offset + 96,
+                      "source count less dropped count is not the number of Gaussians", header->n_gaussians,
+                      declarations->n_source);
   }
   if (const SectionEntry* entry = view.find(SectionType::permutation)) {
     const auto index = static_cast<std::size_t>(entry - view.sections_.data());

@@ -39,8 +39,8 @@ void ShMagnitudes::merge(const ShMagnitudes& other) {
   for (std::size_t i = 0; i < bits_.size(); ++i) bits_[i] = std::max(bits_[i], other.bits_[i]);
 }
 
-ScaleSet ShMagnitudes::max_abs() const {
-  ScaleSet set;
+ShStepSet ShMagnitudes::max_abs() const {
+  ShStepSet set;
   for (std::size_t i = 0; i < bits_.size(); ++i) {
     float& value = set.step[sh_degree_of(static_cast<int>(i / 3))][i % 3];
     value = std::max(value, detail::float_of(static_cast<std::uint32_t>(bits_[i])));

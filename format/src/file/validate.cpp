@@ -53,18 +53,18 @@ Status check_geometry(const std::uint16_t codes[8], const Place& place, EncodeCo
     squared += component * component;
   }
   if (!(std::abs(squared - 1.0) <= kNormTolerance)) {
-    return fail(Errc::bad_value, place(0), "a rotation is not a unit quaternion");
+    return make_error(Errc::bad_value, place(0), "a rotation is not a unit quaternion");
   }
-  if ((codes[0] & 0x8000u) != 0) return fail(Errc::bad_value, place(0), "a rotation's w has its sign bit set");
+  if ((codes[0] & 0x8000u) != 0) return make_error(Errc::bad_value, place(0), "a rotation's w has its sign bit set");
   for (int i = 4; i < 7; ++i) {
     if (codes[i] >= 0x7C00u) {
-      return fail(Errc::bad_value, place(2 * static_cast<std::uint64_t>(i)), "a scale is negative or not finite");
+      return make_error(Errc::bad_value, place(2 * static_cast<std::uint64_t>(i)), "a scale is negative or not finite");
     }
     counts.scale_zero += codes[i] == 0;
     counts.scale_subnormal += codes[i] != 0 && codes[i] < 0x0400;
     largest_scale = std::max(largest_scale, codes[i]);
   }
-  if (codes[7] > 0x3C00u) return fail(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
+  if (codes[7] > 0x3C00u) return make_error(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
   counts.opacity_zero += codes[7] == 0;
   counts.opacity_one += codes[7] == 0x3C00u;
   largest_opacity = std::max(largest_opacity, codes[7]);
@@ -74,7 +74,7 @@ Status check_geometry(const std::uint16_t codes[8], const Place& place, EncodeCo
 // Which bits each byte of an SH row may have: all where the step is not 0, none elsewhere and in the padding.
 using ShMask = std::array<std::uint8_t, 48>;
 
-ShMask legal_bits(const ScaleSet& steps, int degree) {
+ShMask legal_bits(const ShStepSet& steps, int degree) {
   ShMask mask{};
   for (int i = 0; i < 3 * sh_coefficients(degree); ++i) {
     mask[static_cast<std::size_t>(i)] = steps.of_value(i) != 0 ? 0xFF : 0;
@@ -93,19 +93,20 @@ bool legal_row(const std::int8_t* codes, const ShMask& mask, std::size_t bytes) 
 
 // Where and why a row is not legal.
 template <class Place>
-Status explain_sh(const std::int8_t* codes, const Place& place, const ScaleSet& steps, int degree) {
+Status explain_sh(const std::int8_t* codes, const Place& place, const ShStepSet& steps, int degree) {
   const int floats = 3 * sh_coefficients(degree);
   for (int i = 0; i < floats; ++i) {
     if (codes[i] == -128) {
-      return fail(Errc::bad_value, place(static_cast<std::uint64_t>(i)), "an SH code is -128, which is not used");
+      return make_error(Errc::bad_value, place(static_cast<std::uint64_t>(i)), "an SH code is -128, which is not used");
     }
     if (codes[i] != 0 && steps.of_value(i) == 0) {
-      return fail(Errc::bad_value, place(static_cast<std::uint64_t>(i)), "an SH code is not 0 though its step is 0");
+      return make_error(Errc::bad_value, place(static_cast<std::uint64_t>(i)),
+                        "an SH code is not 0 though its step is 0");
     }
   }
   for (int i = floats; i < static_cast<int>(sh_bytes(degree)); ++i) {
     if (codes[i] != 0) {
-      return fail(Errc::reserved_bits, place(static_cast<std::uint64_t>(i)), "SH padding is not zero");
+      return make_error(Errc::reserved_bits, place(static_cast<std::uint64_t>(i)), "SH padding is not zero");
     }
   }
   return {};
@@ -115,7 +116,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
   const FileView& view = data.file();
   const auto entry = view.chunk(index);
   if (!entry) return tl::unexpected(entry.error());
-  const auto steps = view.scale_set(entry->scale_set);
+  const auto steps = view.step_set(entry->step_set);
   if (!steps) return tl::unexpected(steps.error());
 
   const Header& h = view.header();
@@ -129,7 +130,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
     std::memcpy(mean, data.means().data() + row * kMeanBytes, kMeanBytes);
     for (std::size_t k = 0; k < 3; ++k) {
       if (!std::isfinite(mean[k])) {
-        return fail(Errc::bad_value, view.place(SectionType::means, i, 4 * k), "a mean is not finite");
+        return make_error(Errc::bad_value, view.place(SectionType::means, i, 4 * k), "a mean is not finite");
       }
       box.min[k] = i == first ? mean[k] : std::min(box.min[k], mean[k]);
       box.max[k] = i == first ? mean[k] : std::max(box.max[k], mean[k]);
@@ -145,13 +146,13 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
 
   const auto at = [&](std::uint64_t byte) { return view.place(SectionType::chunks, index, byte); };
   if (box.min != entry->means.min || box.max != entry->means.max) {
-    return fail(Errc::bad_value, at(0), "a chunk's box is not that of its means");
+    return make_error(Errc::bad_value, at(0), "a chunk's box is not that of its means");
   }
   if (entry->radius != 3.f * dequantize_scale(largest_scale, h.scale_exponent)) {
-    return fail(Errc::bad_value, at(12), "a chunk's radius is not three times its largest scale");
+    return make_error(Errc::bad_value, at(12), "a chunk's radius is not three times its largest scale");
   }
   if (entry->max_opacity != float_from_half(largest_opacity)) {
-    return fail(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
+    return make_error(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
   }
   totals.add({{}, box, false});
   return {};
@@ -174,9 +175,9 @@ Status check_chunks(const DirectData& data, unsigned threads, Totals& totals) {
   return status;
 }
 
-Status check_scale_sets(const FileView& view) {
-  for (std::uint64_t i = 0; i < view.header().n_scale_sets; ++i) {
-    if (const auto set = view.scale_set(i); !set) return tl::unexpected(set.error());
+Status check_step_sets(const FileView& view) {
+  for (std::uint64_t i = 0; i < view.header().n_step_sets; ++i) {
+    if (const auto set = view.step_set(i); !set) return tl::unexpected(set.error());
   }
   return {};
 }
@@ -185,11 +186,11 @@ Status check_declarations(const FileView& view, const Totals& totals) {
   const Declarations& d = view.declarations();
   const std::uint64_t at = view.find(SectionType::declarations)->offset;
   if (d.full.min != totals.full.min || d.full.max != totals.full.max) {
-    return fail(Errc::bad_value, at + 44, "the declared full box is not that of the means");
+    return make_error(Errc::bad_value, at + 44, "the declared full box is not that of the means");
   }
   for (std::size_t k = 0; k < 3; ++k) {
     if (d.robust.min[k] < totals.full.min[k] || d.robust.max[k] > totals.full.max[k]) {
-      return fail(Errc::bad_value, at + 68, "the declared robust box reaches beyond the full box");
+      return make_error(Errc::bad_value, at + 68, "the declared robust box reaches beyond the full box");
     }
   }
   const EncodeCounts& counts = totals.counts;
@@ -197,8 +198,8 @@ Status check_declarations(const FileView& view, const Totals& totals) {
   const std::uint64_t declared[4] = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
   for (std::size_t i = 0; i < 4; ++i) {
     if (declared[i] != found[i]) {
-      return fail(Errc::bad_value, at + 120 + 8 * i, "a declared count is not what the file holds", declared[i],
-                  found[i]);
+      return make_error(Errc::bad_value, at + 120 + 8 * i, "a declared count is not what the file holds", declared[i],
+                        found[i]);
     }
   }
   return {};
@@ -214,13 +215,13 @@ Status check_permutation(const FileView& view) {
   for (std::uint64_t i = 0; i < n; ++i) {
     indices[i] = view.source_index(i);
     if (indices[i] >= n_source) {
-      return fail(Errc::bad_value, entry->offset + i * entry_bytes,
-                  "the permutation names a Gaussian beyond the source", n_source, indices[i]);
+      return make_error(Errc::bad_value, entry->offset + i * entry_bytes,
+                        "the permutation names a Gaussian beyond the source", n_source, indices[i]);
     }
   }
   std::ranges::sort(indices);
   if (std::ranges::adjacent_find(indices) != indices.end()) {
-    return fail(Errc::bad_value, entry->offset, "the permutation names a source Gaussian twice");
+    return make_error(Errc::bad_value, entry->offset, "the permutation names a source Gaussian twice");
   }
   return {};
 }
@@ -233,7 +234,7 @@ Status check_sections(const FileView& view, unsigned threads, bool coded) {
     if (!coded && view.frames(static_cast<SectionType>(s.type)).rows != 0) return {};
     const std::uint64_t hash = xxh3(view.stored(s));
     if (hash == s.xxh3) return {};
-    return fail(Errc::checksum_mismatch, s.offset, "a section's checksum does not match", s.xxh3, hash);
+    return make_error(Errc::checksum_mismatch, s.offset, "a section's checksum does not match", s.xxh3, hash);
   });
 }
 
@@ -249,7 +250,7 @@ Status check_values(const DirectData& data, unsigned threads) {
 Status check_file(const DirectData& data, unsigned threads) {
   const FileView& view = data.file();
   if (Status s = check_sections(view, threads, false); !s) return s;
-  if (Status s = check_scale_sets(view); !s) return s;
+  if (Status s = check_step_sets(view); !s) return s;
   Totals totals;
   if (Status s = check_chunks(data, threads, totals); !s) return s;
   if (Status s = check_declarations(view, totals); !s) return s;
@@ -265,7 +266,7 @@ Validation::~Validation() = default;
 
 Result<Validation> Validation::begin(const FileView& view) {
   if (const Status s = check_sections(view, 0, true); !s) return tl::unexpected(s.error());
-  if (const Status s = check_scale_sets(view); !s) return tl::unexpected(s.error());
+  if (const Status s = check_step_sets(view); !s) return tl::unexpected(s.error());
   return Validation(view);
 }
 

@@ -72,12 +72,12 @@ Status FrameDecoder::inflate(std::span<const std::byte> stored, std::uint64_t of
   const bool one_frame = stored.size() >= kMagicBytes.size() &&  // no skippable or legacy frame
                          std::ranges::equal(stored.first(kMagicBytes.size()), kMagicBytes) &&
                          ZSTD_findFrameCompressedSize(stored.data(), stored.size()) == stored.size();
-  if (!one_frame) return fail(Errc::corrupt_data, offset, "a frame is not one Zstandard frame");
+  if (!one_frame) return make_error(Errc::corrupt_data, offset, "a frame is not one Zstandard frame");
   const std::size_t found =
       ZSTD_decompressDCtx(context_.get(), content_.data(), content_bytes, stored.data(), stored.size());
-  if (ZSTD_isError(found) != 0) return fail(Errc::corrupt_data, offset, "a frame cannot be decompressed");
+  if (ZSTD_isError(found) != 0) return make_error(Errc::corrupt_data, offset, "a frame cannot be decompressed");
   if (found != content_bytes) {
-    return fail(Errc::corrupt_data, offset, "a frame's content has the wrong size", content_bytes, found);
+    return make_error(Errc::corrupt_data, offset, "a frame's content has the wrong size", content_bytes, found);
   }
   return {};
 }

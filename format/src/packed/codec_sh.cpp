@@ -26,7 +26,7 @@ std::vector<ChunkSteps> relative_steps(const ShFrame& frame) {
   std::vector<ChunkSteps> all(frame.chunk_steps.size());
   for (std::size_t degree = 0; degree < 4; ++degree) {
     float largest = 0;
-    for (const ScaleSet& set : frame.chunk_steps)
+    for (const ShStepSet& set : frame.chunk_steps)
       largest = std::max({largest, set.step[degree][0], set.step[degree][1], set.step[degree][2]});
     for (std::size_t chunk = 0; chunk < all.size(); ++chunk) {
       for (std::size_t c = 0; c < 3; ++c) {

@@ -20,8 +20,8 @@ namespace rgs::detail {
 /// What the SH codec has to know of the frame's chunks.
 struct ShFrame {
   int degree = 0;
-  std::uint32_t chunk_rows = 0;           ///< Gaussians a chunk; a frame begins with a chunk
-  std::span<const ScaleSet> chunk_steps;  ///< of each chunk that the frame touches
+  std::uint32_t chunk_rows = 0;            ///< Gaussians a chunk; a frame begins with a chunk
+  std::span<const ShStepSet> chunk_steps;  ///< of each chunk that the frame touches
 };
 
 /// Decodes frames, one at a time. Memory grows to that of the largest frame. Safe on untrusted bytes: whatever decodes

@@ -1,4 +1,4 @@
-// frames.cpp - frame tables of coded sections, and the small sections that open() decodes.
+// frames.cpp - frame tables of coded sections, and the small sections that FileView::open() decodes.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cassert>
@@ -15,7 +15,7 @@ namespace {
 
 std::uint64_t row_bytes(SectionType type, int sh_degree) {
   switch (type) {
-    case SectionType::sh_scales: return kScaleSetBytes;
+    case SectionType::sh_steps: return kStepSetBytes;
     case SectionType::chunks: return kChunkEntryBytes;
     case SectionType::means: return kMeanBytes;
     case SectionType::geometry: return kGeometryBytes;
@@ -31,17 +31,18 @@ Result<FrameTable> parse_frame_table(std::span<const std::byte> bytes, const Sec
   FrameTable table;
   table.rows = in.u32();
   const std::uint32_t n_frames = in.u32();
-  if (!in.ok()) return fail(Errc::size_mismatch, s.offset, "a coded section ends inside its frame table");
+  if (!in.ok()) return make_error(Errc::size_mismatch, s.offset, "a coded section ends inside its frame table");
   if (table.rows == 0 || table.rows > kMaxFrameRows || table.rows % rows_multiple != 0) {
-    return fail(Errc::bad_value, s.offset, "rows a frame are not whole chunks from 1 to 65536 rows", rows_multiple,
-                table.rows);
+    return make_error(Errc::bad_value, s.offset, "rows a frame are not whole chunks from 1 to 65536 rows",
+                      rows_multiple, table.rows);
   }
   const std::uint64_t expected = n / table.rows + (n % table.rows != 0 ? 1 : 0);
   if (n_frames != expected) {
-    return fail(Errc::bad_value, s.offset + 4, "the number of frames contradicts that of rows", expected, n_frames);
+    return make_error(Errc::bad_value, s.offset + 4, "the number of frames contradicts that of rows", expected,
+                      n_frames);
   }
   if (in.remaining() < n_frames * kFrameEntryBytes + kHeadChecksumBytes) {
-    return fail(Errc::size_mismatch, s.offset, "a coded section ends inside its frame table");
+    return make_error(Errc::size_mismatch, s.offset, "a coded section ends inside its frame table");
   }
   const std::uint64_t table_bytes = kFrameTableBytes + n_frames * kFrameEntryBytes;
   std::uint64_t at = s.offset + table_bytes + kHeadChecksumBytes;
@@ -52,20 +53,21 @@ Result<FrameTable> parse_frame_table(std::span<const std::byte> bytes, const Sec
     frame.offset = at;
     frame.xxh3 = in.u64();
     frame.stored_bytes = in.u32();
-    if (in.u32() != 0) return fail(Errc::reserved_bits, in.offset() - 4, "a reserved field of a frame entry is set");
+    if (in.u32() != 0)
+      return make_error(Errc::reserved_bits, in.offset() - 4, "a reserved field of a frame entry is set");
     if (frame.stored_bytes > end - at) {
-      return fail(Errc::size_mismatch, in.offset() - 8, "a frame reaches beyond its section", end - at,
-                  frame.stored_bytes);
+      return make_error(Errc::size_mismatch, in.offset() - 8, "a frame reaches beyond its section", end - at,
+                        frame.stored_bytes);
     }
     at += frame.stored_bytes;
     table.frames.push_back(frame);
   }
   const std::uint64_t stored = in.u64(), hash = xxh3(bytes.first(table_bytes));
   if (stored != hash) {
-    return fail(Errc::checksum_mismatch, s.offset + table_bytes, "the checksum of a frame table does not match", stored,
-                hash);
+    return make_error(Errc::checksum_mismatch, s.offset + table_bytes, "the checksum of a frame table does not match",
+                      stored, hash);
   }
-  if (at != end) return fail(Errc::size_mismatch, at, "bytes after the last frame of a section", end, at);
+  if (at != end) return make_error(Errc::size_mismatch, at, "bytes after the last frame of a section", end, at);
   return table;
 }
 
@@ -79,7 +81,7 @@ Result<std::vector<std::byte>> decode_table(const FileView& view, SectionType ty
     const CodedFrame& frame = table.frames[i];
     const auto stored = view.bytes().subspan(frame.offset, frame.stored_bytes);
     if (const std::uint64_t hash = xxh3(stored); hash != frame.xxh3) {
-      return fail(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
+      return make_error(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
     }
     const std::uint64_t first = i * std::uint64_t{table.rows}, count = std::min<std::uint64_t>(table.rows, n - first);
     if (const Status ok = decoder.words(stored, frame.offset, static_cast<std::uint32_t>(count), bytes,
@@ -132,13 +134,13 @@ Status FileView::open_archive() {
   const std::uint32_t rows = frames(SectionType::means).rows;
   for (const SectionType type : {SectionType::geometry, SectionType::sh}) {
     if (frames(type).rows != rows) {
-      return fail(Errc::bad_value, find(type)->offset, "frames of MEAN, GEOM and SHI8 differ in rows", rows,
-                  frames(type).rows);
+      return make_error(Errc::bad_value, find(type)->offset, "frames of MEAN, GEOM and SHI8 differ in rows", rows,
+                        frames(type).rows);
     }
   }
   const auto bytes = stored(*entry);
   if (const std::uint64_t hash = xxh3(bytes); hash != entry->xxh3) {
-    return fail(Errc::checksum_mismatch, entry->offset, "a section's checksum does not match", entry->xxh3, hash);
+    return make_error(Errc::checksum_mismatch, entry->offset, "a section's checksum does not match", entry->xxh3, hash);
   }
   auto parsed = detail::parse_archive_tables(bytes, entry->offset, header_.sh_degree);
   if (!parsed) return tl::unexpected(parsed.error());
@@ -156,16 +158,16 @@ Status FileView::open_coded(const DecodeLimits& limits) {
     const SectionEntry& s = sections_[i];
     const auto type = static_cast<SectionType>(s.type);
     if (!coded_type(type) || s.codec == static_cast<std::uint32_t>(Codec::none)) continue;
-    const bool of_gaussians = type != SectionType::sh_scales && type != SectionType::chunks;
+    const bool of_gaussians = type != SectionType::sh_steps && type != SectionType::chunks;
     auto table = parse_frame_table(stored(s), s, s.decoded_bytes / row_bytes(type, header_.sh_degree),
                                    of_gaussians ? header_.chunk_size : 1);
     if (!table) return tl::unexpected(table.error());
     tables[i] = std::move(*table);
     frames_.resize(sections_.size());
     if (s.decoded_bytes > budget) {
-      return fail(Errc::limit_exceeded, detail::section_entry_offset(i) + 32,
-                  "coded sections decode to more than the caller allows for a file of this size", budget,
-                  s.decoded_bytes);
+      return make_error(Errc::limit_exceeded, detail::section_entry_offset(i) + 32,
+                        "coded sections decode to more than the caller allows for a file of this size", budget,
+                        s.decoded_bytes);
     }
     budget -= s.decoded_bytes;
   }
@@ -174,7 +176,7 @@ Status FileView::open_coded(const DecodeLimits& limits) {
   if (Status s = open_archive(); !s) return s;
   auto decoded_tables = std::make_shared<Tables>();
   for (const auto& [type, place] :
-       {std::pair(SectionType::chunks, &Tables::chunks), std::pair(SectionType::sh_scales, &Tables::scales)}) {
+       {std::pair(SectionType::chunks, &Tables::chunks), std::pair(SectionType::sh_steps, &Tables::scales)}) {
     if (frames(type).rows == 0) continue;
     auto bytes = decode_table(*this, type);
     if (!bytes) return tl::unexpected(bytes.error());

@@ -35,7 +35,7 @@ std::uint64_t total_bytes(std::span<const CodedFrame> frames) {
 
 // A table of 48-byte records as a coded section, unless that is no smaller.
 std::vector<std::byte> code_table(std::vector<std::byte> records, int level, SectionEntry& entry) {
-  static_assert(kChunkEntryBytes == kScaleSetBytes);
+  static_assert(kChunkEntryBytes == kStepSetBytes);
   constexpr std::uint32_t kRows = 16384;
   detail::FrameEncoder encoder(level);
   std::vector<CodedFrame> frames;
@@ -66,7 +66,7 @@ PackedEncoder::PackedEncoder(PackedEncoder&& other) noexcept = default;
 PackedEncoder::~PackedEncoder() = default;
 
 PackedFrames PackedEncoder::encode(std::span<const std::byte> means, std::span<const std::byte> geometry,
-                                   std::span<const std::byte> sh, std::span<const ScaleSet> scales) {
+                                   std::span<const std::byte> sh, std::span<const ShStepSet> scales) {
   const Header& h = state_->plan->header;
   assert(means.size() <= state_->plan->frame_rows() * kMeanBytes);
   return {state_->frames.words(means, kMeanBytes), state_->frames.geometry(geometry),
@@ -88,8 +88,9 @@ FilePiece PackedLayout::head() const {
   return {0, detail::write_head(header, sections)};
 }
 
-PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> chunks, std::span<const ScaleSet> scales,
-                           const EncodeCounts& counts, const PackedSections& frames) {
+PackedLayout finish_packed(const EncodePlan& plan, std::span<const ChunkEntry> chunks,
+                           std::span<const ShStepSet> scales, const EncodeCounts& counts,
+                           const PackedSections& frames) {
   assert(plan.profile != Profile::direct);
   const bool archive = plan.profile == Profile::archive;
   PackedLayout layout;

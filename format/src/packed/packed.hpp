@@ -13,7 +13,7 @@ namespace rgs::detail {
 
 /// Decoded bytes of DECL, SHSC, CHNK or PROV.
 std::vector<std::byte> small_section(const EncodePlan& plan, SectionType type, std::span<const ChunkEntry> chunks,
-                                     std::span<const ScaleSet> scales, const EncodeCounts& counts);
+                                     std::span<const ShStepSet> scales, const EncodeCounts& counts);
 
 /// Frames of a large section, one behind the other.
 struct FrameBytes {
@@ -27,7 +27,7 @@ struct FramedFile {
   FrameBytes means, geometry, sh;
   std::span<const std::byte> permutation, tables;
   std::span<const ChunkEntry> chunks;
-  std::span<const ScaleSet> scales;
+  std::span<const ShStepSet> scales;
   EncodeCounts counts;
 };
 std::vector<std::byte> assemble_frames(const EncodePlan& plan, FramedFile file);

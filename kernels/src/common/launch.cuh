@@ -11,7 +11,7 @@ namespace rgs::cuda {
 inline Status checked(cudaError_t error, const char* what) {
   if (error == cudaSuccess) return {};
   cudaGetLastError();  // it is none of later calls
-  return fail(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
+  return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 inline Status launched(const char* what) {
   return checked(cudaGetLastError(), what);

@@ -42,7 +42,7 @@ class Scene {
   static Result<Scene> load(const SplatCloud& splats) { return load(splats.view()); }
   /// The same in place, without a copy of the attributes.
   static Result<Scene> load(SplatCloud&& splats);
-  /// An .rgs file: opened, validated (see validate()) and decoded on all threads. Errors: those of open(), validate()
+  /// An .rgs file: opened, validated (see validate()) and decoded on all threads. Errors: those of FileView::open(), validate()
   /// and MappedFile::open(), limit_exceeded.
   static Result<Scene> load(const FileView& file);
   static Result<Scene> load(std::span<const std::byte> bytes);

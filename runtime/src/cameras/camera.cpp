@@ -150,13 +150,13 @@ Defect defect(const Camera& camera) {
 Status validate(const Camera& camera) {
   const Defect found = defect(camera);
   if (found == Defect::none) return {};
-  return fail(Errc::bad_camera, Error::kNone, kDefectText[static_cast<std::size_t>(found)]);
+  return make_error(Errc::bad_camera, Error::kNone, kDefectText[static_cast<std::size_t>(found)]);
 }
 
 Status detail::validate_record(const Camera& camera, std::uint64_t offset, std::uint64_t index) {
   const Defect found = defect(camera);
   if (found == Defect::none) return {};
-  return fail(Errc::bad_value, offset, kRecordDefectText[static_cast<std::size_t>(found)], Error::kNone, index);
+  return make_error(Errc::bad_value, offset, kRecordDefectText[static_cast<std::size_t>(found)], Error::kNone, index);
 }
 
 Camera resized(const Camera& camera, int width, int height) {

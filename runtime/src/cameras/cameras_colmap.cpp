@@ -95,7 +95,7 @@ void set_pose(Camera& camera, const double (&q)[4], const double (&t)[3]) {
 }
 
 Result<CameraSet> finish(std::vector<Camera> cameras) {
-  if (cameras.empty()) return fail(Errc::bad_value, Error::kNone, "the COLMAP model has no images");
+  if (cameras.empty()) return make_error(Errc::bad_value, Error::kNone, "the COLMAP model has no images");
   CameraSet set;
   set.source = CameraSet::Source::colmap;
   set.cameras = std::move(cameras);
@@ -109,28 +109,29 @@ Result<Lenses> binary_lenses(std::span<const std::byte> bytes) {
   constexpr std::uint64_t kSmallest = 4 + 4 + 8 + 8 + 3 * 8;
   Cursor in(bytes);
   const auto n = in.read<std::uint64_t>();
-  if (!in.ok()) return fail(Errc::truncated, bytes.size(), "cameras.bin: no count", 8, bytes.size());
+  if (!in.ok()) return make_error(Errc::truncated, bytes.size(), "cameras.bin: no count", 8, bytes.size());
   if (n > in.left() / kSmallest)
-    return fail(Errc::truncated, 0, "cameras.bin: more cameras announced than the file can hold", n,
-                in.left() / kSmallest);
+    return make_error(Errc::truncated, 0, "cameras.bin: more cameras announced than the file can hold", n,
+                      in.left() / kSmallest);
   Lenses lenses;
   for (std::uint64_t i = 0; i < n; ++i) {
     const std::uint64_t start = in.offset();
     const auto id = in.read<std::uint32_t>(), model = in.read<std::uint32_t>();
     const auto width = in.read<std::uint64_t>(), height = in.read<std::uint64_t>();
-    if (in.ok() && model > 1) return fail(Errc::unsupported_feature, start, kDistorted);
+    if (in.ok() && model > 1) return make_error(Errc::unsupported_feature, start, kDistorted);
     double parameters[4] = {};
     const std::size_t n_parameters = model == 0 ? 3 : 4;
     for (std::size_t k = 0; k < n_parameters; ++k) parameters[k] = in.read<double>();
-    if (!in.ok()) return fail(Errc::truncated, bytes.size(), "cameras.bin: ends inside a camera");
+    if (!in.ok()) return make_error(Errc::truncated, bytes.size(), "cameras.bin: ends inside a camera");
     Camera camera;
     if (!set_lens(camera, width, height, std::span(parameters).first(n_parameters)))
-      return fail(Errc::bad_value, start,
-                  "cameras.bin: the camera of this index has an impossible size or focal length", Error::kNone, i);
+      return make_error(Errc::bad_value, start,
+                        "cameras.bin: the camera of this index has an impossible size or focal length", Error::kNone,
+                        i);
     if (!lenses.emplace(id, camera).second)
-      return fail(Errc::bad_value, start, "cameras.bin: this camera id is used twice", Error::kNone, id);
+      return make_error(Errc::bad_value, start, "cameras.bin: this camera id is used twice", Error::kNone, id);
   }
-  if (in.left() != 0) return fail(Errc::trailing_bytes, in.offset(), "cameras.bin: bytes after the last camera");
+  if (in.left() != 0) return make_error(Errc::trailing_bytes, in.offset(), "cameras.bin: bytes after the last camera");
   return lenses;
 }
 
@@ -194,24 +195,27 @@ Result<Lenses> text_lenses(std::string_view text) {
   Lines in(text);
   for (std::uint64_t i = 0; in.next_record(); ++i) {
     std::uint32_t id = 0;
-    if (!in.number(id)) return fail(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected a camera id");
+    if (!in.number(id)) return make_error(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected a camera id");
     const std::string_view model = in.word();
     if (model != "PINHOLE" && model != "SIMPLE_PINHOLE")
-      return fail(Errc::unsupported_feature, in.line_offset(),
-                  model.empty() ? "cameras.txt: a camera without a model" : kDistorted);
+      return make_error(Errc::unsupported_feature, in.line_offset(),
+                        model.empty() ? "cameras.txt: a camera without a model" : kDistorted);
     std::uint64_t width = 0, height = 0;
     double parameters[4] = {};
     const std::size_t n_parameters = model == "SIMPLE_PINHOLE" ? 3 : 4;
     bool ok = in.number(width) && in.number(height);
     for (std::size_t k = 0; k < n_parameters; ++k) ok = ok && in.number(parameters[k]);
     if (!ok || !in.rest().empty())
-      return fail(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected WIDTH HEIGHT and the model's parameters");
+      return make_error(Errc::bad_syntax, in.word_offset(),
+                        "cameras.txt: expected WIDTH HEIGHT and the model's parameters");
     Camera camera;
     if (!set_lens(camera, width, height, std::span(parameters).first(n_parameters)))
-      return fail(Errc::bad_value, in.line_offset(),
-                  "cameras.txt: the camera of this index has an impossible size or focal length", Error::kNone, i);
+      return make_error(Errc::bad_value, in.line_offset(),
+                        "cameras.txt: the camera of this index has an impossible size or focal length", Error::kNone,
+                        i);
     if (!lenses.emplace(id, camera).second)
-      return fail(Errc::bad_value, in.line_offset(), "cameras.txt: this camera id is used twice", Error::kNone, id);
+      return make_error(Errc::bad_value, in.line_offset(), "cameras.txt: this camera id is used twice", Error::kNone,
+                        id);
   }
   return lenses;
 }
@@ -223,10 +227,10 @@ Result<CameraSet> parse_colmap_binary(std::span<const std::byte> cameras_bin, st
   if (!lenses) return tl::unexpected(lenses.error());
   Cursor in(images_bin);
   const auto n = in.read<std::uint64_t>();
-  if (!in.ok()) return fail(Errc::truncated, images_bin.size(), "images.bin: no count", 8, images_bin.size());
+  if (!in.ok()) return make_error(Errc::truncated, images_bin.size(), "images.bin: no count", 8, images_bin.size());
   if (n > in.left() / kImageBytes)
-    return fail(Errc::truncated, 0, "images.bin: more images announced than the file can hold", n,
-                in.left() / kImageBytes);
+    return make_error(Errc::truncated, 0, "images.bin: more images announced than the file can hold", n,
+                      in.left() / kImageBytes);
   std::vector<Camera> cameras;
   for (std::uint64_t i = 0; i < n; ++i) {
     const std::uint64_t start = in.offset();
@@ -239,19 +243,19 @@ Result<CameraSet> parse_colmap_binary(std::span<const std::byte> cameras_bin, st
     const auto n_points = in.read<std::uint64_t>();
     constexpr std::uint64_t kPointBytes = 24;
     if (!in.ok() || n_points > in.left() / kPointBytes)
-      return fail(Errc::truncated, images_bin.size(), "images.bin: ends inside an image");
+      return make_error(Errc::truncated, images_bin.size(), "images.bin: ends inside an image");
     in.skip(n_points * kPointBytes);
     const auto lens = lenses->find(id);
     if (lens == lenses->end())
-      return fail(Errc::bad_value, start, "images.bin: an image of a camera that cameras.bin does not have",
-                  Error::kNone, id);
+      return make_error(Errc::bad_value, start, "images.bin: an image of a camera that cameras.bin does not have",
+                        Error::kNone, id);
     Camera camera = lens->second;
     camera.name = std::move(name);
     set_pose(camera, q, t);
     if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
     cameras.push_back(std::move(camera));
   }
-  if (in.left() != 0) return fail(Errc::trailing_bytes, in.offset(), "images.bin: bytes after the last image");
+  if (in.left() != 0) return make_error(Errc::trailing_bytes, in.offset(), "images.bin: bytes after the last image");
   return finish(std::move(cameras));
 }
 
@@ -269,13 +273,13 @@ Result<CameraSet> parse_colmap_text(std::string_view cameras_txt, std::string_vi
     for (double& x : t) ok = ok && in.number(x);
     ok = ok && in.number(id);
     if (!ok)
-      return fail(Errc::bad_syntax, in.word_offset(),
-                  "images.txt: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
+      return make_error(Errc::bad_syntax, in.word_offset(),
+                        "images.txt: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
     const std::string name(in.rest());
     const auto lens = lenses->find(id);
     if (lens == lenses->end())
-      return fail(Errc::bad_value, start, "images.txt: an image of a camera that cameras.txt does not have",
-                  Error::kNone, id);
+      return make_error(Errc::bad_value, start, "images.txt: an image of a camera that cameras.txt does not have",
+                        Error::kNone, id);
     Camera camera = lens->second;
     camera.name = name;
     set_pose(camera, q, t);

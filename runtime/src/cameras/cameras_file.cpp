@@ -35,8 +35,9 @@ Result<CameraSet> read_colmap(const std::filesystem::path& folder) {
                     : parse_colmap_text(text_of(*cameras), text_of(*images));
     }
   }
-  return fail(Errc::open_failed, Error::kNone,
-              "the folder holds no COLMAP model: cameras and images, .bin or .txt, here, in sparse/0 or in sparse");
+  return make_error(
+      Errc::open_failed, Error::kNone,
+      "the folder holds no COLMAP model: cameras and images, .bin or .txt, here, in sparse/0 or in sparse");
 }
 
 }  // namespace
@@ -73,11 +74,12 @@ Result<CameraSet> read_camera_set(const std::string& path) {
   const std::size_t mark = text.starts_with("\xef\xbb\xbf") ? 3 : 0;
   const std::size_t first = text.find_first_not_of(" \t\r\n", mark);
   if (first == std::string_view::npos)
-    return fail(Errc::truncated, text.size(), "an empty file; expected JSON with cameras");
+    return make_error(Errc::truncated, text.size(), "an empty file; expected JSON with cameras");
   if (text[first] != '[' && text[first] != '{')
-    return fail(Errc::bad_syntax, first, "not a camera file: expected JSON, or the folder of a COLMAP sparse model");
+    return make_error(Errc::bad_syntax, first,
+                      "not a camera file: expected JSON, or the folder of a COLMAP sparse model");
   if (text.size() > kMaxJsonBytes)
-    return fail(Errc::limit_exceeded, Error::kNone, "too large for a camera file", kMaxJsonBytes, text.size());
+    return make_error(Errc::limit_exceeded, Error::kNone, "too large for a camera file", kMaxJsonBytes, text.size());
   return parse_camera_json(text);
 }
 

@@ -223,16 +223,16 @@ Result<CameraSet> read_all(std::string_view text, const json& root) {
     key = "frames";
     const auto frames = root.find("frames");
     if (frames == root.end())
-      return fail(Errc::bad_syntax, 0, "JSON without cameras: expected a list, or an object with \"frames\"");
+      return make_error(Errc::bad_syntax, 0, "JSON without cameras: expected a list, or an object with \"frames\"");
     list = &*frames;
     set.source = CameraSet::Source::transforms;
   }
-  if (!list->is_array()) return fail(Errc::bad_syntax, 0, "JSON without cameras: expected a list of them");
-  if (list->empty()) return fail(Errc::bad_value, 0, "the list of cameras is empty");
+  if (!list->is_array()) return make_error(Errc::bad_syntax, 0, "JSON without cameras: expected a list of them");
+  if (list->empty()) return make_error(Errc::bad_value, 0, "the list of cameras is empty");
   if (root.is_array() && list->front().is_object() && !list->front().contains("world_to_camera")) {
     if (!list->front().contains("rotation") || !list->front().contains("position"))
-      return fail(Errc::bad_syntax, element_offset(text, key, 0),
-                  "cameras need world_to_camera, or position and rotation as 3DGS training writes them");
+      return make_error(Errc::bad_syntax, element_offset(text, key, 0),
+                        "cameras need world_to_camera, or position and rotation as 3DGS training writes them");
     set.source = CameraSet::Source::training;
   }
 
@@ -248,7 +248,7 @@ Result<CameraSet> read_all(std::string_view text, const json& root) {
         default: read_transforms_entry(fields, camera); break;
       }
     }
-    if (!fields.ok()) return fail(fields.code(), element_offset(text, key, i), fields.what(), Error::kNone, i);
+    if (!fields.ok()) return make_error(fields.code(), element_offset(text, key, i), fields.what(), Error::kNone, i);
     if (!validate(camera))
       return tl::unexpected(detail::validate_record(camera, element_offset(text, key, i), i).error());
     if (split) ++n_declared;
@@ -269,10 +269,10 @@ Result<CameraSet> parse_camera_json(std::string_view text) {
   } catch (const json::parse_error& error) {
     // The library counts bytes from 1 and names the last one it read.
     const std::uint64_t offset = error.byte > 0 ? error.byte - 1 : 0;
-    if (offset >= text.size()) return fail(Errc::truncated, text.size(), "the JSON text ends early");
-    return fail(Errc::bad_syntax, offset, "the JSON text cannot be parsed here");
+    if (offset >= text.size()) return make_error(Errc::truncated, text.size(), "the JSON text ends early");
+    return make_error(Errc::bad_syntax, offset, "the JSON text cannot be parsed here");
   } catch (const json::exception&) {
-    return fail(Errc::bad_value, Error::kNone, "the JSON text has a number that is too large");
+    return make_error(Errc::bad_value, Error::kNone, "the JSON text has a number that is too large");
   }
   return read_all(text, root);
 }

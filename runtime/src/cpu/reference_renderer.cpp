@@ -424,8 +424,8 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     stats.total_ms = total.lap_ms();
   });
   if (!fits) {
-    return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxInstances,
-                w.n_instances);
+    return make_error(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxInstances,
+                      w.n_instances);
   }
   stats.gaussians = scene.n;
   stats.visible = w.n_visible;

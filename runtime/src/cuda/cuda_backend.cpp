@@ -16,7 +16,7 @@ namespace {
 // A file's attributes as they lie in it, a third of the others' size.
 Result<DeviceScene> upload(const Scene& scene) {
   if (scene.file_bytes().empty()) return DeviceScene::upload(scene.view());
-  const auto file = open(scene.file_bytes());
+  const auto file = FileView::open(scene.file_bytes());
   if (!file) return tl::unexpected(file.error());
   return DeviceScene::upload(*file);
 }

@@ -11,10 +11,10 @@ CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
 CudaBackend::~CudaBackend() = default;
 
 Result<CudaBackend> CudaBackend::create() {
-  return fail(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+  return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
 Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const RenderTarget&, const RenderOptions&) {
-  return fail(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+  return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
 const char* CudaBackend::name() const {
   return "";

@@ -44,7 +44,7 @@ cuda::PixelArrays arrays_of(const DeviceTarget& target) {
 }
 
 Status check(const DeviceTarget& target) {
-  const auto refuse = [](const char* what) { return fail(Errc::bad_argument, Error::kNone, what); };
+  const auto refuse = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
   if (target.packed == nullptr) return {};
   if (target.format > math::PixelFormat::rgba16f) return refuse("a pixel format has no such value");
   if (reinterpret_cast<std::uintptr_t>(target.packed) % math::pixel_bytes(target.format) != 0) {
@@ -57,7 +57,8 @@ Status check(const DeviceTarget& target) {
 constexpr float kTensorLowPass = 0.1F;
 
 tl::unexpected<Error> too_many(std::uint64_t pairs) {
-  return fail(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs, pairs);
+  return make_error(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxPairs,
+                    pairs);
 }
 
 bool draws_turbo(const RenderOptions& options, std::uint64_t n_gaussians) {
@@ -155,7 +156,7 @@ Result<CudaRenderer> CudaRenderer::create() {
   int device = 0, n_devices = 0;
   if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0 || cudaGetDevice(&device) != cudaSuccess) {
     cudaGetLastError();
-    return fail(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
+    return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
   }
   cudaDeviceProp properties{};
   if (const auto ok =

@@ -15,7 +15,7 @@ namespace rgs::detail {
 inline Status device_status(cudaError_t error, const char* what) {
   if (error == cudaSuccess) return {};
   cudaGetLastError();
-  return fail(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
+  return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 
 class DeviceBuffer {
@@ -41,7 +41,7 @@ class DeviceBuffer {
       data_ = nullptr;
       cudaGetLastError();  // it is no error of later calls
       if (error != cudaErrorMemoryAllocation) return device_status(error, "device memory cannot be allocated");
-      return fail(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left", bytes);
+      return make_error(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left", bytes);
     }
     bytes_ = bytes;
     return {};

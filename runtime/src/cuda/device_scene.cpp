@@ -15,7 +15,8 @@ constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
 
 Status check_size(std::uint64_t n) {
   if (n < kMaxGaussians) return {};
-  return fail(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1, n);
+  return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
+                    n);
 }
 
 // Copies from pageable memory may still be on their way when they return, and streams of the caller do not wait for them.
@@ -81,7 +82,7 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file) {
   storage->sh_degree = header.sh_degree;
   storage->declarations = file.declarations();
   Uploader uploader;
-  const std::span<const std::byte> sections[] = {data->means(), data->geometry(), data->sh(), data->scale_table(),
+  const std::span<const std::byte> sections[] = {data->means(), data->geometry(), data->sh(), data->step_table(),
                                                  data->chunk_table()};
   for (const auto& section : sections) uploader.add(section);
   Status ok = uploader.allocate(storage->memory);

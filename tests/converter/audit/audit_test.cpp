@@ -39,7 +39,7 @@ struct Files {
   Files(const SplatCloud& source_cloud, const SplatCloud& asset_cloud, const EncodeOptions& options = {})
       : source(PlyFile::open(write_ply(folder.file("a.ply"), source_cloud)).value()),
         file(MappedFile::open(write_rgs(folder.file("a.rgs"), asset_cloud, options)).value()),
-        asset(open(file.bytes()).value()) {
+        asset(FileView::open(file.bytes()).value()) {
     REQUIRE(validate(asset));
   }
   AttributeReport compare() const {

@@ -82,9 +82,9 @@ TEST_CASE("inputs are placed one by one, merged, filtered and stripped") {
   CHECK(json["source"]["name"] == "a.ply and more");
   CHECK(json["source"]["gaussians"] == 300);
   CHECK(json["source"]["bytes"] == std::filesystem::file_size(first) + std::filesystem::file_size(second));
-  transform(a, {rotation_from_euler({0, 30, 0}), 2, {-1, 2, 0.5}});
-  transform(b, {rotation_from_euler({0, 0, 0}), 2, {0, 0, -4}});
-  append(a, b);
+  transform_splats(a, {rotation_from_euler({0, 30, 0}), 2, {-1, 2, 0.5}});
+  transform_splats(b, {rotation_from_euler({0, 0, 0}), 2, {0, 0, -4}});
+  append_splats(a, b);
   const SplatCloud placed = read_splats(out).value().cloud;
   CHECK(placed.mean == a.mean);
   CHECK(placed.rotation == a.rotation);
@@ -93,7 +93,7 @@ TEST_CASE("inputs are placed one by one, merged, filtered and stripped") {
   run = rgs_convert({"--crop", "-8,-8,-8,8,8,8", "--min-opacity", "0.25", "--max-count", "20", "--sh-degree", "1",
                      "--json", out, folder.file("few.ply")});
   REQUIRE(run.exit_code == 0);
-  filter(a, {Box{{-8, -8, -8}, {8, 8, 8}}, 0.25F, 20});
+  filter_splats(a, {Box{{-8, -8, -8}, {8, 8, 8}}, 0.25F, 20});
   strip_sh(a, 1);
   const SplatCloud few = read_splats(folder.file("few.ply")).value().cloud;
   CHECK(few.mean == a.mean);

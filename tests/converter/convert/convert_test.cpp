@@ -56,7 +56,7 @@ ProgramResult rgs_convert(std::vector<std::string> arguments) {
 
 void check_same_sections(std::span<const std::byte> a, std::span<const std::byte> b,
                          const std::vector<SectionType>& types) {
-  const auto x = open(a), y = open(b);
+  const auto x = FileView::open(a), y = FileView::open(b);
   REQUIRE(x);
   REQUIRE(y);
   for (const SectionType type : types) {
@@ -65,8 +65,8 @@ void check_same_sections(std::span<const std::byte> a, std::span<const std::byte
   }
 }
 
-const std::vector<SectionType> kAllButProvenance{SectionType::declarations, SectionType::sh_scales, SectionType::chunks,
-                                                 SectionType::means,        SectionType::geometry,  SectionType::sh,
+const std::vector<SectionType> kAllButProvenance{SectionType::declarations, SectionType::sh_steps, SectionType::chunks,
+                                                 SectionType::means,        SectionType::geometry, SectionType::sh,
                                                  SectionType::permutation};
 
 bool holds(const std::string& text, const std::string& part) {
@@ -80,7 +80,7 @@ TEST_CASE("a streamed conversion writes the bytes of encode() on any number of t
   const std::string out = folder.file("scene.rgs");
   std::vector<EncodeOptions> variants(10);
   variants[1].chunk_size = 32;
-  variants[1].chunk_scales = false;
+  variants[1].chunk_step_sets = false;
   variants[1].keep_permutation = true;
   variants[2].order = Order::input;
   variants[2].chunk_size = 65536;
@@ -90,7 +90,7 @@ TEST_CASE("a streamed conversion writes the bytes of encode() on any number of t
   variants[4].on_bad = BadPolicy::repair;
   for (const std::size_t v : {5U, 6U, 7U}) variants[v].profile = Profile::packed;
   variants[6].keep_permutation = true;
-  variants[6].chunk_scales = false;
+  variants[6].chunk_step_sets = false;
   variants[6].on_bad = BadPolicy::repair;
   variants[7].chunk_size = 4096;
   variants[7].level = 3;
@@ -116,7 +116,7 @@ TEST_CASE("a streamed conversion writes the bytes of encode() on any number of t
         REQUIRE(convert_in_process(ply, out, options, threads));
         CHECK(read_bytes(out) == expected);
       }
-      CHECK(validate(open(expected).value()));
+      CHECK(validate(FileView::open(expected).value()));
     }
   }
 }
@@ -159,7 +159,7 @@ TEST_CASE("the program writes the bytes of encode() with the options it was give
   add({"--keep-order"}, [](auto& o) { o.order = Order::input; });
   add({"--keep-permutation"}, [](auto& o) { o.keep_permutation = true; });
   add({"--chunk-size", "96"}, [](auto& o) { o.chunk_size = 96; });
-  add({"--file-scales"}, [](auto& o) { o.chunk_scales = false; });
+  add({"--file-scales"}, [](auto& o) { o.chunk_step_sets = false; });
   for (int degree = 0; degree <= 3; ++degree) {
     add({"--sh-degree", std::to_string(degree)}, [degree](auto& o) { o.sh_degree = degree; });
   }
@@ -189,7 +189,8 @@ TEST_CASE("one end of the depth range by hand leaves the other as it was found")
   const Bytes plain = expected_rgs(ply, {});
   REQUIRE(rgs_convert({"--near", "1.25", ply, out}).exit_code == 0);
   const Bytes bytes = read_bytes(out);
-  const Declarations d = open(bytes).value().declarations(), found = open(plain).value().declarations();
+  const Declarations d = FileView::open(bytes).value().declarations(),
+                     found = FileView::open(plain).value().declarations();
   CHECK(d.z_near == 1.25F);
   CHECK(d.z_far == found.z_far);
   CHECK(d.depth_source == DepthSource::by_hand);
@@ -341,7 +342,7 @@ TEST_CASE("--json agrees with the file; the text summary goes to standard output
   CHECK(run.err == "");
   nlohmann::json json = nlohmann::json::parse(run.out);
   const Bytes bytes = read_bytes(rgs);
-  const FileView view = open(bytes).value();
+  const FileView view = FileView::open(bytes).value();
   CHECK(json["schema"] == "rgs-convert/1");
   CHECK(json["source"]["name"] == "scene.ply");
   CHECK(json["source"]["format"] == "ply");
@@ -414,7 +415,7 @@ TEST_CASE("a depth range from cameras is that of the means they see, in both JSO
     const std::string out = folder.file("out.rgs");
     REQUIRE(rgs_convert({"--overwrite", "--cameras", folder.file(cameras), ply, out}).exit_code == 0);
     const Bytes bytes = read_bytes(out);
-    const Declarations d = open(bytes).value().declarations();
+    const Declarations d = FileView::open(bytes).value().declarations();
     CHECK(d.depth_source == DepthSource::cameras);
     CHECK(d.z_near == 0.2F);
     CHECK(d.depth_mapping == DepthMapping::logarithmic);
@@ -422,9 +423,9 @@ TEST_CASE("a depth range from cameras is that of the means they see, in both JSO
 
     REQUIRE(rgs_convert({"--overwrite", "--far", "50", "--cameras", folder.file(cameras), ply, out}).exit_code == 0);
     const Bytes by_hand = read_bytes(out);
-    CHECK(open(by_hand).value().declarations().z_near == d.z_near);
-    CHECK(open(by_hand).value().declarations().z_far == 50.F);
-    CHECK(open(by_hand).value().declarations().depth_source == DepthSource::by_hand);
+    CHECK(FileView::open(by_hand).value().declarations().z_near == d.z_near);
+    CHECK(FileView::open(by_hand).value().declarations().z_far == 50.F);
+    CHECK(FileView::open(by_hand).value().declarations().depth_source == DepthSource::by_hand);
   }
 }
 

@@ -79,7 +79,7 @@ bool is_old(const std::string& path) {
 bool is_valid_rgs(const std::string& path) {
   const auto file = MappedFile::open(path);
   if (!file) return false;
-  const auto view = open(file->bytes());
+  const auto view = FileView::open(file->bytes());
   return view && validate(*view).has_value();
 }
 

@@ -100,9 +100,9 @@ TEST_CASE(".glb: nodes move, turn and scale what they show, as often as they sho
   REQUIRE(file);
   REQUIRE(file->cloud.size() == 100);
   SplatCloud first = cloud, second = cloud;
-  transform(first, {rotation_from_euler({90, 0, 0}), 2, {1, 2, 3}});
-  transform(second, {rotation_from_euler({0, 0, 90}), 3, {5, 6, 7}});
-  append(first, second);
+  transform_splats(first, {rotation_from_euler({90, 0, 0}), 2, {1, 2, 3}});
+  transform_splats(second, {rotation_from_euler({0, 0, 90}), 3, {5, 6, 7}});
+  append_splats(first, second);
   const SplatError e = compare(file->cloud, first);
   for (const double error : e.mean) CHECK(error <= 1e-5);
   for (const double error : e.log_scale) CHECK(error <= 2e-6);

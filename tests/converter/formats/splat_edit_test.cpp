@@ -87,7 +87,7 @@ TEST_CASE("a similarity moves places, shapes and view-dependent colours together
       s.translation = {1, -2, static_cast<double>(random.dyadic(-9, 9))};
       const SplatCloud before = ordinary_cloud(20, degree, random.bits());
       SplatCloud after = before;
-      transform(after, s);
+      transform_splats(after, s);
       check_moved(before, after, s.rotation, s.scale, s.translation);
     }
   }
@@ -105,9 +105,9 @@ TEST_CASE("Euler angles turn about x, then y, then z; composition is application
   const Similarity a{rotation_from_euler({10, 20, 30}), 2, {1, 2, 3}},
       b{rotation_from_euler({-40, 50, 60}), 3, {4, 5, 6}};
   SplatCloud one = ordinary_cloud(10, 2, 4), two = one;
-  transform(one, a);
-  transform(one, b);
-  transform(two, compose(b, a));
+  transform_splats(one, a);
+  transform_splats(one, b);
+  transform_splats(two, compose(b, a));
   const SplatError e = compare(one, two);
   for (const double error : e.mean) CHECK(error <= 1e-4);
   CHECK(e.rotation <= 1e-6);
@@ -117,7 +117,7 @@ TEST_CASE("Euler angles turn about x, then y, then z; composition is application
 TEST_CASE("a whole turn in twelve steps gives the scene back") {
   const SplatCloud before = ordinary_cloud(30, 3, 5);
   SplatCloud after = before;
-  for (int i = 0; i < 12; ++i) transform(after, {rotation_from_euler({0, 30, 0}), 1, {0, 0, 0}});
+  for (int i = 0; i < 12; ++i) transform_splats(after, {rotation_from_euler({0, 30, 0}), 1, {0, 0, 0}});
   const SplatError e = compare(before, after);
   for (const double error : e.mean) CHECK(error <= 1e-5);
   for (const double error : e.sh) CHECK(error <= 3e-6);
@@ -173,7 +173,7 @@ TEST_CASE("merging keeps everything in order and fills missing harmonics with ze
   for (const bool swapped : {false, true}) {
     const SplatCloud &first = swapped ? b : a, &second = swapped ? a : b;
     SplatCloud both = first;
-    append(both, second);
+    append_splats(both, second);
     REQUIRE(both.view().consistent());
     REQUIRE(both.size() == 9);
     CHECK(both.sh_degree == 3);
@@ -203,7 +203,7 @@ TEST_CASE("filters keep what they say, in order") {
   SplatFilter crop;
   crop.crop = Box{{-4, -8, 0}, {4, 8, 8}};
   SplatCloud cropped = before;
-  filter(cropped, crop);
+  filter_splats(cropped, crop);
   std::vector<float> expected;
   for (std::uint64_t i = 0; i < before.size(); ++i) {
     const float* m = &before.mean[3 * i];
@@ -215,7 +215,7 @@ TEST_CASE("filters keep what they say, in order") {
 
   SplatCloud opaque = before;
   opaque.opacity_logit[3] = std::numeric_limits<float>::quiet_NaN();
-  filter(opaque, {.crop = {}, .min_opacity = 0.5F});
+  filter_splats(opaque, {.crop = {}, .min_opacity = 0.5F});
   for (const float logit : opaque.opacity_logit) CHECK(logit >= 0);
   CHECK(opaque.size() ==
         static_cast<std::uint64_t>(std::ranges::count_if(before.opacity_logit, [](float x) { return x >= 0; })) -
@@ -227,7 +227,7 @@ TEST_CASE("filters keep what they say, in order") {
     return std::log(opacity_from_logit(s.opacity_logit)) + scales[1] + scales[2];
   };
   SplatCloud few = before;
-  filter(few, {.crop = {}, .min_opacity = 0, .max_n = 100});
+  filter_splats(few, {.crop = {}, .min_opacity = 0, .max_n = 100});
   REQUIRE(few.size() == 100);
   float least = std::numeric_limits<float>::infinity();
   for (std::uint64_t i = 0; i < 100; ++i) least = std::min(least, weight(few.view().splat(i)));
@@ -235,7 +235,7 @@ TEST_CASE("filters keep what they say, in order") {
   for (std::uint64_t i = 0; i < before.size(); ++i) heavier += weight(before.view().splat(i)) > least + 1e-5F ? 1 : 0;
   CHECK(heavier <= 99);
   SplatCloud none = before;
-  filter(none, {.crop = {}, .min_opacity = 0, .max_n = 0});
+  filter_splats(none, {.crop = {}, .min_opacity = 0, .max_n = 0});
   CHECK(none.size() == 0);
 }
 
@@ -245,19 +245,19 @@ TEST_CASE("cleaning applies the damage policies of encode()") {
   cloud.opacity_logit[20] = std::numeric_limits<float>::infinity();
   EncodeOptions options;
   SplatCloud dropped = cloud;
-  const auto scan = clean(dropped, options);
+  const auto scan = clean_splats(dropped, options);
   REQUIRE(scan);
   CHECK(dropped.size() == 298);
   CHECK(scan->defects(Defect::mean) == 1);
   CHECK(dropped.mean[3 * 10] == cloud.mean[3 * 11]);
   options.on_bad = BadPolicy::repair;
   SplatCloud repaired = cloud;
-  REQUIRE(clean(repaired, options));
+  REQUIRE(clean_splats(repaired, options));
   CHECK(repaired.size() == 299);
   CHECK(repaired.opacity_logit[19] == 20);
   options.on_bad = BadPolicy::refuse;
-  CHECK(clean(cloud, options).error().offset == 10);
+  CHECK(clean_splats(cloud, options).error().offset == 10);
   options.on_bad = BadPolicy::drop;
   options.max_bad_fraction = 0.001;
-  CHECK(clean(cloud, options).error().code == Errc::too_many_bad);
+  CHECK(clean_splats(cloud, options).error().code == Errc::too_many_bad);
 }

@@ -109,16 +109,16 @@ TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with 
     CAPTURE(degree);
     EncodeOptions options;
     options.chunk_size = 32;
-    options.chunk_scales = degree % 2 == 0;
+    options.chunk_step_sets = degree % 2 == 0;
     options.keep_permutation = true;
     options.profile = degree >= 2 ? Profile::packed : Profile::direct;
     const auto bytes = encoded(777, degree, options);
-    const FileView view = open(bytes).value();
+    const FileView view = FileView::open(bytes).value();
     const auto j = json(write(bytes));
     CHECK(j["file"]["bytes"] == bytes.size());
     CHECK(j["header"]["n_gaussians"] == 777);
     CHECK(j["header"]["sh_degree"] == degree);
-    CHECK(j["header"]["n_scale_sets"] == view.header().n_scale_sets);
+    CHECK(j["header"]["n_scale_sets"] == view.header().n_step_sets);
     CHECK(j["header"]["scale_exponent"] == view.header().scale_exponent);
     CHECK(j["declarations"]["handedness"] == "right");
     CHECK(j["declarations"]["depth"]["source"] == "scene_extent");
@@ -167,7 +167,7 @@ TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with 
 
     std::vector<float> radii, steps;
     for (std::uint64_t i = 0; i < view.header().n_chunks; ++i) radii.push_back(view.chunk(i)->radius);
-    for (std::uint64_t i = 0; i < view.header().n_scale_sets; ++i) steps.push_back(view.scale_set(i)->step[degree][2]);
+    for (std::uint64_t i = 0; i < view.header().n_step_sets; ++i) steps.push_back(view.step_set(i)->step[degree][2]);
     std::ranges::sort(radii);
     std::ranges::sort(steps);
     CHECK(j["chunks"]["radius"]["median"].get<float>() == radii[(radii.size() - 1) / 2]);
@@ -184,7 +184,7 @@ TEST_CASE_FIXTURE(Fixture, "a packed file: its profile, frames and one chunk, al
   options.chunk_size = 64;
   options.profile = Profile::packed;
   auto bytes = encoded(20000, 1, options);
-  const FileView view = open(bytes).value();
+  const FileView view = FileView::open(bytes).value();
   const std::string path = write(bytes);
   const ProgramResult text = run(path + " --verify");
   CHECK(text.exit_code == 0);
@@ -220,7 +220,7 @@ TEST_CASE_FIXTURE(Fixture, "an archive: its preset, steps and bounds") {
     CHECK(text.exit_code == 0);
     CHECK(has(text.out, custom ? " archive, 1 frames" : " archive:high, 1 frames"));
     CHECK(has(text.out, "77 levels") == custom);
-    const FileView view = open(bytes).value();
+    const FileView view = FileView::open(bytes).value();
     const auto j = json(path)["archive"];
     CHECK(j["profile"] == (custom ? "archive" : "archive:high"));
     CHECK(j["opacity_levels"] == options.archive.opacity_levels);
@@ -234,7 +234,7 @@ TEST_CASE_FIXTURE(Fixture, "one chunk") {
   EncodeOptions options;
   options.chunk_size = 64;
   const auto bytes = encoded(100, 1, options);
-  const FileView view = open(bytes).value();
+  const FileView view = FileView::open(bytes).value();
   const std::string path = write(bytes);
   const auto j = json(path + " --chunk 1");
   CHECK(j["chunk"]["first"] == 64);
@@ -263,7 +263,7 @@ TEST_CASE_FIXTURE(Fixture, "--verify passes a good file and names place and sect
   CHECK(has(good.out, "verified"));
   CHECK(json(write(bytes) + " --verify")["verified"] == true);
 
-  const SectionEntry geometry = *open(bytes).value().find(SectionType::geometry);
+  const SectionEntry geometry = *FileView::open(bytes).value().find(SectionType::geometry);
   flip(bytes, geometry.offset + 100);
   const std::string path = write(bytes);
   CHECK(run(path).exit_code == 0);  // the payload's checksums are looked at only on request
@@ -284,7 +284,7 @@ TEST_CASE_FIXTURE(Fixture, "--verify passes a good file and names place and sect
 
 TEST_CASE_FIXTURE(Fixture, "--verify also checks values under right checksums") {
   auto bytes = encoded(50, 0);
-  const FileView view = open(bytes).value();
+  const FileView view = FileView::open(bytes).value();
   const std::uint64_t at = view.find(SectionType::geometry)->offset + 14;  // opacity of the first Gaussian
   std::size_t entry = 0;
   while (view.sections()[entry].type != static_cast<std::uint32_t>(SectionType::geometry)) ++entry;
@@ -303,7 +303,7 @@ TEST_CASE_FIXTURE(Fixture, "--verify also checks values under right checksums") 
 
 TEST_CASE_FIXTURE(Fixture, "a damaged table: what can be read is printed, then the error") {
   auto bytes = encoded(500, 1);
-  const std::uint64_t chunks = open(bytes).value().find(SectionType::chunks)->offset;
+  const std::uint64_t chunks = FileView::open(bytes).value().find(SectionType::chunks)->offset;
   bytes[chunks + 44] = std::byte{1};
   const ProgramResult r = run(write(bytes));
   CHECK(r.exit_code == 4);

@@ -149,7 +149,7 @@ TEST_CASE("scenes of other formats in, .rgs out with what its source declared") 
     REQUIRE_MESSAGE(result.exit_code == 0, result.err);
     const auto file = MappedFile::open(output);
     REQUIRE(file);
-    const auto view = open(file->bytes());
+    const auto view = FileView::open(file->bytes());
     REQUIRE(view);
     REQUIRE(validate(*view));
     CHECK(view->header().n_gaussians == 36);

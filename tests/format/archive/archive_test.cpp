@@ -85,9 +85,9 @@ TEST_CASE("archives decode to whole direct data within their bounds, on any numb
       const SplatCloud cloud = plausible_cloud(n, degree, random);
       EncodeOptions options = archive_options(n % 2 == 0 ? archive_small() : archive_high());
       options.chunk_size = n == 65 ? 32 : n == 600 ? 96 : 256;
-      options.chunk_scales = n != 64;
+      options.chunk_step_sets = n != 64;
       const Bytes bytes = encode_archive_file(cloud, options);
-      const auto view = open(bytes);
+      const auto view = FileView::open(bytes);
       REQUIRE(view);
       CHECK(view->header().version_minor == 2);
       CHECK(view->header().n_gaussians == n);
@@ -118,7 +118,7 @@ TEST_CASE("archives decode to whole direct data within their bounds, on any numb
         const Splat source = cloud.view().splat(order[i]);
         const Splat& d = decoded[i];
         REQUIRE(std::ranges::equal(archive_mean(p, source.mean), d.mean));
-        const ScaleSet steps = view->chunk_steps(i / options.chunk_size).value();
+        const ShStepSet steps = view->chunk_steps(i / options.chunk_size).value();
         for (std::size_t k = 0; k < 3; ++k) {
           const double reach = std::max(p.half_width[k], std::abs(static_cast<double>(d.mean[k]) - p.centre[k]));
           REQUIRE(std::abs(d.mean[k] - source.mean[k]) <= p.bound_mean * reach + 1e-6);
@@ -152,7 +152,7 @@ TEST_CASE("verification refuses a source beyond the bounds, and bounds below the
   SplitMix random{103};
   SplatCloud cloud = plausible_cloud(3000, 1, random);
   Bytes bytes = encode_archive_file(cloud, archive_options());
-  const auto order = source_order(*open(bytes));
+  const auto order = source_order(*FileView::open(bytes));
   REQUIRE(verify_archive(bytes, cloud.view(), order));
   const auto refused = [&](const SplatCloud& source) {
     const Status s = verify_archive(bytes, source.view(), order);
@@ -183,7 +183,7 @@ TEST_CASE("verification refuses a source beyond the bounds, and bounds below the
 TEST_CASE("a range of chunks of an archive is what the whole file has there") {
   SplitMix random{104};
   Bytes bytes = encode_archive_file(plausible_cloud(70000, 0, random), archive_options());
-  const auto view = open(bytes);
+  const auto view = FileView::open(bytes);
   REQUIRE(view);
   REQUIRE(view->frames(SectionType::means).frames.size() == 3);
   const auto whole = load_direct(*view);
@@ -227,7 +227,7 @@ TEST_CASE("archives of extremes and of equals") {
   for (float& x : piled.mean) x = 0;
   for (const SplatCloud* cloud : {&extremes, &equals, &flat, &piled}) {
     const Bytes bytes = encode_archive_file(*cloud, archive_options());
-    const auto view = open(bytes);
+    const auto view = FileView::open(bytes);
     REQUIRE(view);
     CHECK(validate(*view));
     CHECK(verify_archive(bytes, cloud->view(), source_order(*view)));
@@ -242,7 +242,7 @@ TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
     EncodeOptions options = archive_options();
     options.archive.mean_cells = mean_cells;
     Bytes bytes = encode_archive_file(cloud, options);
-    const auto view = open(bytes);
+    const auto view = FileView::open(bytes);
     REQUIRE(view);
     REQUIRE(validate(*view));
     CHECK(verify_archive(bytes, cloud.view(), source_order(*view)));
@@ -254,7 +254,7 @@ TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
     SplatCloud cloud = base;
     std::ranges::fill(cloud.mean, place);
     const Bytes bytes = encoded(cloud, 4);
-    CHECK(open(bytes)->archive()->bound_mean == 0);
+    CHECK(FileView::open(bytes)->archive()->bound_mean == 0);
     CHECK(decode(bytes)->mean == cloud.mean);
     for (std::size_t i = 0; i < cloud.size(); ++i) cloud.mean[3 * i + 2] = base.mean[3 * i + 2];
     const SplatCloud line = decode(encoded(cloud, 4)).value();
@@ -271,9 +271,9 @@ TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
           if (i % 3 < n_axes) cloud.mean[i] = static_cast<float>(extent * random.dyadic(-1, 1));
         }
         const Bytes bytes = encoded(cloud, mean_cells);
-        const ArchiveParameters p = *open(bytes)->archive();
+        const ArchiveParameters p = *FileView::open(bytes)->archive();
         CHECK(p.bound_mean <= std::ldexp(1.002, -mean_cells));
-        const auto order = source_order(*open(bytes));
+        const auto order = source_order(*FileView::open(bytes));
         const SplatCloud decoded = decode(bytes).value();
         for (std::size_t i = 0; i < decoded.mean.size(); ++i) {
           const double mean = decoded.mean[i], source = cloud.mean[3 * order[i / 3] + i % 3];
@@ -287,7 +287,7 @@ TEST_CASE("archives of points and of scenes that subnormal numbers measure") {
 
 TEST_CASE("a scene of nothing is not stored as an archive") {
   const Bytes bytes = encode_archive_file(SplatCloud{}, archive_options());
-  const auto view = open(bytes);
+  const auto view = FileView::open(bytes);
   REQUIRE(view);
   CHECK(view->archive() == nullptr);
 }
@@ -343,7 +343,7 @@ TEST_CASE("finer steps take more bytes and give smaller errors") {
   const auto high = encode_archive_file(cloud, archive_options()),
              small = encode_archive_file(cloud, archive_options(archive_small()));
   CHECK(small.size() < 0.85 * static_cast<double>(high.size()));
-  const auto a = open(high), b = open(small);
+  const auto a = FileView::open(high), b = FileView::open(small);
   CHECK(a->archive()->classes[4].bound_sh < b->archive()->classes[4].bound_sh);
   CHECK(a->archive()->bound_mean < b->archive()->bound_mean);
 }
@@ -355,7 +355,7 @@ TEST_CASE("every prefix and every single-byte change of an archive is an error o
   const Bytes original = encode_archive_file(plausible_cloud(40, 1, random), options);
   for (std::size_t n = 0; n < original.size(); ++n) {
     const Bytes prefix(original.begin(), original.begin() + static_cast<std::ptrdiff_t>(n));  // exact, for sanitizers
-    REQUIRE_FALSE(open(prefix));
+    REQUIRE_FALSE(FileView::open(prefix));
   }
   Bytes bytes = original;
   std::size_t n_valid = 0;
@@ -364,7 +364,7 @@ TEST_CASE("every prefix and every single-byte change of an archive is an error o
     bytes[i] ^= static_cast<std::byte>(1u << (i % 8));
     Bytes fixed = bytes;
     fix_hashes(fixed);
-    if (const auto view = open(fixed)) {
+    if (const auto view = FileView::open(fixed)) {
       const auto data = load_direct(*view, {false, 1});
       const bool valid = validate(*view).has_value();
       n_valid += valid;
@@ -381,7 +381,7 @@ TEST_CASE("archives whose sections do not fit together are refused") {
   const Bytes original = encode_archive_file(plausible_cloud(40, 1, random), archive_options());
   const auto error_of = [](Bytes bytes) {
     fix_hashes(bytes);
-    const auto view = open(bytes);
+    const auto view = FileView::open(bytes);
     REQUIRE_FALSE(view);
     return view.error();
   };

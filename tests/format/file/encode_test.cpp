@@ -65,7 +65,7 @@ Box brute_robust_box(const SplatCloud& cloud) {
 EncodeOptions options_of(SplitMix& random) {
   EncodeOptions options;
   options.chunk_size = random.below(2) == 0 ? 32 : 256;
-  options.chunk_scales = random.below(2) == 0;
+  options.chunk_step_sets = random.below(2) == 0;
   options.order = random.below(2) == 0 ? Order::input : Order::morton;
   return options;
 }
@@ -123,7 +123,7 @@ TEST_CASE("pieces written out of order are the file that encode gives") {
     };
     const std::uint64_t n = cloud.size(), sh_stride = sh_bytes(plan->header.sh_degree);
     std::vector<ChunkEntry> chunks(plan->header.n_chunks);
-    std::vector<ScaleSet> scales(chunks.size());
+    std::vector<ShStepSet> scales(chunks.size());
     EncodeCounts counts;
     for (std::size_t c = chunks.size(); c-- > 0;) {  // from the last to the first
       const std::uint64_t first = c * options.chunk_size;
@@ -177,7 +177,7 @@ TEST_CASE("a scan does not depend on how it is split") {
     CHECK(parts.max_log_scale() == whole.max_log_scale());
     CHECK(parts.min_opacity_logit() == whole.min_opacity_logit());
     CHECK(parts.max_opacity_logit() == whole.max_opacity_logit());
-    const ScaleSet one = parts.sh_magnitudes().max_abs(), two = whole.sh_magnitudes().max_abs();
+    const ShStepSet one = parts.sh_magnitudes().max_abs(), two = whole.sh_magnitudes().max_abs();
     CHECK(std::memcmp(&one, &two, sizeof one) == 0);
   }
 }
@@ -269,7 +269,7 @@ TEST_CASE("Gaussians are written in Morton order and equal keys keep theirs") {
   options.keep_permutation = true;
   const auto bytes = encode(cloud.view(), options);
   REQUIRE(bytes);
-  const auto view = open(*bytes);
+  const auto view = FileView::open(*bytes);
   REQUIRE(view);
   const MortonKey key(view->declarations().robust);
   for (std::uint64_t i = 1; i < 600; ++i) {
@@ -320,7 +320,7 @@ TEST_CASE("each kind of damage is found and refused or dropped or repaired") {
       options.on_bad = policy;
       const auto bytes = encode(cloud.view(), options);
       REQUIRE(bytes);
-      const auto view = open(*bytes);
+      const auto view = FileView::open(*bytes);
       REQUIRE(view);
       CHECK(validate(*view));
       CHECK(view->header().n_gaussians == (kept ? 200 : 199));
@@ -360,7 +360,7 @@ TEST_CASE("coefficients above the degree that is kept are not looked at") {
   options.sh_degree = 2;
   const auto bytes = encode(cloud.view(), options);
   REQUIRE(bytes);
-  CHECK(open(*bytes)->header().sh_degree == 2);
+  CHECK(FileView::open(*bytes)->header().sh_degree == 2);
 }
 
 TEST_CASE("more than one in a hundred damaged is an error unless a policy was chosen") {
@@ -375,10 +375,10 @@ TEST_CASE("more than one in a hundred damaged is an error unless a policy was ch
   CHECK(refused.error().found == 3);
   EncodeOptions options;
   options.max_bad_fraction = 1;
-  CHECK(open(*encode(cloud.view(), options))->header().n_gaussians == 197);
+  CHECK(FileView::open(*encode(cloud.view(), options))->header().n_gaussians == 197);
   options = {};
   options.on_bad = BadPolicy::repair;
-  CHECK(open(*encode(cloud.view(), options))->header().n_gaussians == 197);
+  CHECK(FileView::open(*encode(cloud.view(), options))->header().n_gaussians == 197);
 }
 
 TEST_CASE("options that no file can state are refused") {

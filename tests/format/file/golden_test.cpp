@@ -62,12 +62,12 @@ TEST_CASE("the encoder gives the bytes of every golden file") {
 
 TEST_CASE("the golden file of two Gaussians holds the values known by hand") {
   const Bytes bytes = golden("two");
-  const auto view = open(bytes);
+  const auto view = FileView::open(bytes);
   REQUIRE(view);
   REQUIRE(validate(*view));
   CHECK(view->header().n_gaussians == 2);
   CHECK(view->header().n_chunks == 1);
-  CHECK(view->header().n_scale_sets == 1);
+  CHECK(view->header().n_step_sets == 1);
   CHECK(view->header().chunk_size == 256);
   CHECK(view->header().sh_degree == 0);
   CHECK(view->header().scale_exponent == 0);
@@ -88,7 +88,7 @@ TEST_CASE("the golden file of two Gaussians holds the values known by hand") {
   CHECK(chunk->radius == 3.f);
   CHECK(chunk->max_opacity == 1.f);
   CHECK(chunk->count == 2);
-  const auto steps = view->scale_set(0);
+  const auto steps = view->step_set(0);
   REQUIRE(steps);
   CHECK(steps->step[0][0] == 1.f);
   CHECK(steps->step[0][1] == 1.f);
@@ -127,7 +127,7 @@ TEST_CASE("every golden file decodes to its scene within the stated bounds") {
     if (scene.options.profile == Profile::archive) continue;  // they state their own bounds
     CAPTURE(scene.name);
     const Bytes bytes = golden(scene.name);
-    const auto view = open(bytes);
+    const auto view = FileView::open(bytes);
     REQUIRE(view);
     REQUIRE(validate(*view));
     const Header& h = view->header();
@@ -187,7 +187,7 @@ TEST_CASE("every golden archive decodes to its scene within the bounds that it s
     if (scene.options.profile != Profile::archive) continue;
     CAPTURE(scene.name);
     const Bytes bytes = golden(scene.name);
-    const auto view = open(bytes);
+    const auto view = FileView::open(bytes);
     REQUIRE(view);
     REQUIRE(validate(*view));
     const SplatView source = scene.cloud.view();
@@ -220,7 +220,7 @@ TEST_CASE("every golden archive decodes to its scene within the bounds that it s
         norm += static_cast<double>(s.rotation[k]) * s.rotation[k];
       }
       CHECK(2 * std::acos(std::min(1.0, std::abs(dot) / std::sqrt(norm))) <= bound[0] + 1e-3);  // acos near 1
-      const ScaleSet steps = view->chunk_steps(i / view->header().chunk_size).value();
+      const ShStepSet steps = view->chunk_steps(i / view->header().chunk_size).value();
       for (int k = 0; k < 3 * sh_coefficients(source.sh_degree); ++k) {
         CHECK(std::abs(a.sh[k] - s.sh[k]) <= bound[k < 3 ? 2 : 3] + 0.5f * steps.of_value(k) + 1e-6f);
       }
@@ -231,27 +231,27 @@ TEST_CASE("every golden archive decodes to its scene within the bounds that it s
 TEST_CASE("golden files have the scale sets and optional sections that they are for") {
   const Bytes chunked_bytes = golden("degree3"), global_bytes = golden("global"), optional_bytes = golden("optional"),
               edges_bytes = golden("edges"), empty_bytes = golden("empty");
-  const auto chunked = open(chunked_bytes);
+  const auto chunked = FileView::open(chunked_bytes);
   REQUIRE(chunked);
   CHECK(chunked->header().n_chunks == 2);
-  CHECK(chunked->header().n_scale_sets == 2);
-  CHECK(chunked->chunk(1)->scale_set == 1);
+  CHECK(chunked->header().n_step_sets == 2);
+  CHECK(chunked->chunk(1)->step_set == 1);
   CHECK(chunked->chunk(1)->count == 8);
-  CHECK(chunked->chunk_steps(1)->of_value(47) == chunked->scale_set(1)->step[3][2]);
-  CHECK(chunked->chunk_steps(1)->of_value(47) != chunked->scale_set(0)->step[3][2]);
-  const auto global = open(global_bytes);
+  CHECK(chunked->chunk_steps(1)->of_value(47) == chunked->step_set(1)->step[3][2]);
+  CHECK(chunked->chunk_steps(1)->of_value(47) != chunked->step_set(0)->step[3][2]);
+  const auto global = FileView::open(global_bytes);
   REQUIRE(global);
-  CHECK(global->header().n_scale_sets == 1);
-  CHECK(global->chunk(1)->scale_set == 0);
-  CHECK(global->chunk_steps(1)->of_value(3) == global->scale_set(0)->step[1][0]);
-  const auto optional = open(optional_bytes);
+  CHECK(global->header().n_step_sets == 1);
+  CHECK(global->chunk(1)->step_set == 0);
+  CHECK(global->chunk_steps(1)->of_value(3) == global->step_set(0)->step[1][0]);
+  const auto optional = FileView::open(optional_bytes);
   REQUIRE(optional);
   REQUIRE(optional->provenance());
   CHECK(optional->provenance()->source_bytes == 1234);
   CHECK(optional->provenance()->source_xxh3 == 0x0123456789ABCDEFu);
   CHECK(optional->provenance()->source_name == "garden.ply");
   CHECK(optional->provenance()->tool == "golden 1");
-  const auto edges = open(edges_bytes);
+  const auto edges = FileView::open(edges_bytes);
   REQUIRE(edges);
   CHECK(edges->declarations().n_scale_zero != 0);
   CHECK(edges->declarations().n_scale_subnormal != 0);
@@ -259,7 +259,7 @@ TEST_CASE("golden files have the scale sets and optional sections that they are 
   CHECK(edges->declarations().n_opacity_zero == 1);
   CHECK(edges->declarations().full.max[0] == 65536.f);
   CHECK(edges->declarations().robust.max[0] < 16.f);
-  const auto empty = open(empty_bytes);
+  const auto empty = FileView::open(empty_bytes);
   REQUIRE(empty);
   CHECK(empty->header().n_gaussians == 0);
   CHECK(empty->find(SectionType::means)->stored_bytes == 0);
@@ -337,7 +337,7 @@ TEST_CASE("validation in steps finds what validation at once finds") {
       if (entry.path().extension() != ".rgs") continue;
       CAPTURE(entry.path().string());
       const Bytes bytes = read_bytes(entry.path());
-      const auto view = open(bytes);
+      const auto view = FileView::open(bytes);
       if (!view) continue;
       const auto in_steps = [&]() -> Status {
         auto validation = Validation::begin(*view);

@@ -239,7 +239,7 @@ TEST_CASE("counts near 2^32 and 2^64 are refused without arithmetic overflow") {
         put(bytes, field, n);
         if (field == 24) put(bytes, 32, n / 256 + (n % 256 != 0 ? 1 : 0));
         fix_hashes(bytes);
-        CHECK_FALSE(open(bytes, unlimited));
+        CHECK_FALSE(FileView::open(bytes, unlimited));
       }
       for (std::uint64_t section = 0; section < 8; ++section) {
         for (const std::uint64_t field : {16u, 24u, 32u}) {
@@ -247,7 +247,7 @@ TEST_CASE("counts near 2^32 and 2^64 are refused without arithmetic overflow") {
           put(bytes, entry_at(section) + field, n);
           if (field == 24) put(bytes, entry_at(section) + 32, n);
           fix_hashes(bytes);
-          CHECK_FALSE(open(bytes, unlimited));
+          CHECK_FALSE(FileView::open(bytes, unlimited));
         }
       }
     }
@@ -258,7 +258,7 @@ TEST_CASE("counts near 2^32 and 2^64 are refused without arithmetic overflow") {
   put(bytes, 24, n);
   put(bytes, 32, chunks);
   fix_hashes(bytes);
-  const auto view = open(bytes, unlimited);
+  const auto view = FileView::open(bytes, unlimited);
   REQUIRE_FALSE(view);
   CHECK(view.error().code == Errc::size_mismatch);
 }
@@ -268,14 +268,14 @@ TEST_CASE("limits of the caller are kept") {
   DecodeLimits limits;
   limits.max_gaussians = 40;
   limits.max_file_bytes = bytes.size();
-  CHECK(open(bytes, limits));
+  CHECK(FileView::open(bytes, limits));
   limits.max_gaussians = 39;
-  CHECK(open(bytes, limits).error().code == Errc::limit_exceeded);
-  CHECK(open(bytes, limits).error().offset == 24);
+  CHECK(FileView::open(bytes, limits).error().code == Errc::limit_exceeded);
+  CHECK(FileView::open(bytes, limits).error().offset == 24);
   limits.max_gaussians = 40;
   limits.max_file_bytes = bytes.size() - 1;
-  CHECK(open(bytes, limits).error().code == Errc::limit_exceeded);
-  CHECK(open(bytes, limits).error().offset == 16);
+  CHECK(FileView::open(bytes, limits).error().code == Errc::limit_exceeded);
+  CHECK(FileView::open(bytes, limits).error().offset == 16);
 }
 
 TEST_CASE("what coded sections decode to is limited by the size of the file") {
@@ -290,7 +290,7 @@ TEST_CASE("what coded sections decode to is limited by the size of the file") {
   CHECK(decode(*bytes));
   DecodeLimits limits;
   limits.max_expansion = 10;
-  const auto view = open(*bytes, limits);
+  const auto view = FileView::open(*bytes, limits);
   REQUIRE_FALSE(view);
   CHECK(view.error().code == Errc::limit_exceeded);
   CHECK(view.error().offset == entry_of(*bytes, "GEOM") + 32);
@@ -348,7 +348,7 @@ TEST_CASE("sections of unknown types are passed over, whatever their codec and d
         put(bytes, perm + 8, codec);
         put(bytes, perm + 32, ~std::uint64_t{0});
         fix_hashes(bytes);
-        const auto view = open(bytes);
+        const auto view = FileView::open(bytes);
         REQUIRE(view);
         CHECK(validate(*view));
         CHECK((view->archive() != nullptr) == archive);
@@ -360,7 +360,7 @@ TEST_CASE("sections of unknown types are passed over, whatever their codec and d
         CHECK(cloud->opacity_logit == expected->opacity_logit);
         CHECK(cloud->sh == expected->sh);
         bytes[section] ^= std::byte{1};  // its hash is checked all the same
-        const Status status = validate(*open(bytes));
+        const Status status = validate(*FileView::open(bytes));
         REQUIRE_FALSE(status);
         CHECK(status.error().code == Errc::checksum_mismatch);
         CHECK(status.error().offset == section);
@@ -398,7 +398,7 @@ TEST_CASE("of the enumerators in DECL every value that the specification does no
       Bytes bytes = original;
       put(bytes, declarations + f.at, static_cast<std::uint8_t>(value));
       fix_hashes(bytes);
-      const auto view = open(bytes);
+      const auto view = FileView::open(bytes);
       REQUIRE(view.has_value() == (value >= f.low && value <= f.high));
       if (view) continue;
       CHECK(view.error().code == Errc::bad_value);

@@ -40,7 +40,7 @@ void check_same(std::span<const std::byte> a, std::span<const std::byte> b) {
 
 // Everything that decoding gives, from both files.
 void check_equal(const Pair& pair, const LoadOptions& options = {}) {
-  const auto a = open(pair.direct), b = open(pair.packed);
+  const auto a = FileView::open(pair.direct), b = FileView::open(pair.packed);
   REQUIRE(a);
   REQUIRE(b);
   CHECK_FALSE(a->coded());
@@ -56,7 +56,7 @@ void check_equal(const Pair& pair, const LoadOptions& options = {}) {
   check_same(x->geometry(), y->geometry());
   check_same(x->sh(), y->sh());
   check_same(x->chunk_table(), y->chunk_table());
-  check_same(x->scale_table(), y->scale_table());
+  check_same(x->step_table(), y->step_table());
   check_same(a->stored(SectionType::declarations), b->stored(SectionType::declarations));
   check_same(a->stored(SectionType::permutation), b->stored(SectionType::permutation));
   check_same(a->stored(SectionType::provenance), b->stored(SectionType::provenance));
@@ -80,7 +80,7 @@ TEST_CASE("packed sections of every size around lanes, chunks and frames decode 
       EncodeOptions options;
       options.chunk_size = n % 2 == 0 ? 256 : 96;
       options.keep_permutation = n == 1000;
-      options.chunk_scales = n != 127;
+      options.chunk_step_sets = n != 127;
       SplitMix random{7 * n + static_cast<std::uint64_t>(degree)};
       check_equal(encode_both(random_cloud(n, degree, random), options));
     }
@@ -93,7 +93,7 @@ TEST_CASE("a range of chunks is what the whole file has there, and needs its own
   options.chunk_size = 512;
   options.keep_permutation = true;
   Pair pair = encode_both(random_cloud(50000, 1, random), options);
-  const auto view = open(pair.packed);
+  const auto view = FileView::open(pair.packed);
   REQUIRE(view);
   const auto whole = load_direct(*view);
   REQUIRE(whole);
@@ -107,7 +107,7 @@ TEST_CASE("a range of chunks is what the whole file has there, and needs its own
     CAPTURE(first);
     CAPTURE(count);
     for (const std::uint64_t file : {0u, 1u}) {
-      const auto range = read_chunks(open(file == 0 ? pair.direct : pair.packed).value(), first, count);
+      const auto range = read_chunks(FileView::open(file == 0 ? pair.direct : pair.packed).value(), first, count);
       REQUIRE(range);
       CHECK(range->first_chunk() == first);
       CHECK(range->n_chunks() == count);
@@ -141,8 +141,8 @@ TEST_CASE("Gaussians read from a coded file are those of the direct one, across 
   EncodeOptions options;
   options.chunk_size = 4096;
   const Pair pair = encode_both(random_cloud(40000, 2, random), options);
-  const auto a = open(pair.direct), b = open(pair.packed);
-  auto c = open(pair.packed);
+  const auto a = FileView::open(pair.direct), b = FileView::open(pair.packed);
+  auto c = FileView::open(pair.packed);
   REQUIRE(c->preload());
   const FileView copy = *c;
   const auto data = load_direct(*b, {false, 3});
@@ -198,9 +198,9 @@ TEST_CASE("prediction makes neighbouring Gaussians small") {
   EncodeOptions options;
   options.order = Order::input;
   const Pair pair = encode_both(cloud, options);
-  const auto view = open(pair.packed);
+  const auto view = FileView::open(pair.packed);
   CHECK(view->stored(SectionType::sh).size() <
-        0.8 * static_cast<double>(open(pair.direct)->stored(SectionType::sh).size()));
+        0.8 * static_cast<double>(FileView::open(pair.direct)->stored(SectionType::sh).size()));
 }
 
 TEST_CASE("every instruction set gives the same bits") {

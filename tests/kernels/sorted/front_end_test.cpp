@@ -310,11 +310,11 @@ TEST_CASE(
       check_all(fp32.get(), scene.view(), camera, {.sh_degree_limit = limit});
     }
     for (const std::uint32_t chunk_size : {32u, 256u, 4096u}) {
-      for (const bool chunk_scales : {true, false}) {
+      for (const bool chunk_step_sets : {true, false}) {
         CAPTURE(chunk_size);
-        CAPTURE(chunk_scales);
+        CAPTURE(chunk_step_sets);
         EncodeOptions options;
-        options.chunk_size = chunk_size, options.chunk_scales = chunk_scales;
+        options.chunk_size = chunk_size, options.chunk_step_sets = chunk_step_sets;
         const auto compact = CompactScene::of(cloud, options);
         const Camera camera = random_camera(random, 96, 64);
         check_all(DeviceAttributes(compact.file).get(), compact.scene.view(), camera,

@@ -27,7 +27,7 @@ TEST_CASE("where memory is short the workspace grows by the need alone, and othe
     return reserve_growing([&](bool generous) -> Status {
       asked.push_back(generous ? with_room_to_grow(needed, held, 1 << 20) : needed);
       if (2 * asked.back() <= memory) return {};
-      return fail(refusal, Error::kNone, "no more", asked.back());
+      return make_error(refusal, Error::kNone, "no more", asked.back());
     });
   };
   CHECK(grow(110, 100, 400, Errc::device_out_of_memory));

@@ -155,9 +155,10 @@ TEST_CASE("a jump shows against motion: in second differences, and most in what 
 }
 
 TEST_CASE("a failing frame ends the path") {
-  const auto rows = follow(
-      std::vector<Camera>(3), std::vector<std::string>{"a"},
-      [](std::size_t, const Camera&) -> Result<Image> { return fail(Errc::device_failed, Error::kNone, "lost"); });
+  const auto rows =
+      follow(std::vector<Camera>(3), std::vector<std::string>{"a"}, [](std::size_t, const Camera&) -> Result<Image> {
+        return make_error(Errc::device_failed, Error::kNone, "lost");
+      });
   REQUIRE_FALSE(rows);
   CHECK(rows.error().code == Errc::device_failed);
 }

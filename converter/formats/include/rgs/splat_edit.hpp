@@ -29,7 +29,7 @@ std::array<double, 9> rotation_from_quaternion(const std::array<double, 4>& wxyz
 Similarity compose(const Similarity& outer, const Similarity& inner);
 
 /// Moves the scene: means, scales, rotations and harmonics.
-void transform(SplatCloud& cloud, const Similarity& similarity);
+void transform_splats(SplatCloud& cloud, const Similarity& similarity);
 
 /// Re-expresses the scene in other axes, mirrored ones too. Exact but for the harmonics when axes are exchanged.
 /// Does nothing where `from` or `to` is undeclared.
@@ -39,10 +39,10 @@ void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to);
 void strip_sh(SplatCloud& cloud, int degree);
 
 /// Appends `other`; the degree becomes the larger of both, missing harmonics are 0.
-void append(SplatCloud& cloud, const SplatCloud& other);
+void append_splats(SplatCloud& cloud, const SplatCloud& other);
 
 /// Keeps the Gaussians `indices`, which ascend, and drops all others.
-void keep(SplatCloud& cloud, std::span<const std::uint64_t> indices);
+void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices);
 
 struct SplatFilter {
   std::optional<Box> crop;                  ///< keeps means inside, borders included
@@ -52,10 +52,10 @@ struct SplatFilter {
   bool keeps_all() const { return !crop && min_opacity <= 0 && max_n == ~std::uint64_t{0}; }
 };
 /// What passes stays in order. NaN passes neither crop nor opacity. Ties of max_n go to the earlier Gaussian.
-void filter(SplatCloud& cloud, const SplatFilter& filter);
+void filter_splats(SplatCloud& cloud, const SplatFilter& filter);
 
 /// Applies options.on_bad and max_bad_fraction as encode() does; the counts are in the result.
 /// Errors: bad_value (refuse; the offset is the first damaged one's index), too_many_bad.
-Result<SceneScan> clean(SplatCloud& cloud, const EncodeOptions& options);
+Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options);
 
 }  // namespace rgs

@@ -1,4 +1,4 @@
-// measure_scale_sets.cpp - what one SH scale set for the file, and sets per chunk of several sizes, lose and cost on a
+// measure_step_sets.cpp - what one SH scale set for the file, and sets per chunk of several sizes, lose and cost on a
 // scene: prints the table of docs/QUANTISATION.md.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
@@ -58,7 +58,7 @@ int measure(const rgs::SplatCloud& source, const char* name, const rgs::EncodeOp
   with_permutation.keep_permutation = true;
   const auto bytes = rgs::encode(source.view(), with_permutation);
   if (!bytes) return std::fprintf(stderr, "encode: %s\n", bytes.error().what), 1;
-  const auto file = rgs::open(*bytes);
+  const auto file = rgs::FileView::open(*bytes);
   if (!file) return std::fprintf(stderr, "open: %s\n", file.error().what), 1;
   const std::uint64_t n = file->header().n_gaussians;
   std::array<std::vector<float>, 4> by_degree;
@@ -116,7 +116,7 @@ int measure(const rgs::SplatCloud& source, const char* name, const rgs::EncodeOp
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc != 2) return std::fprintf(stderr, "usage: rgs_measure_scale_sets scene.ply\n"), 2;
+  if (argc != 2) return std::fprintf(stderr, "usage: rgs_measure_step_sets scene.ply\n"), 2;
   const auto source = rgs::read_ply(argv[1]);
   if (!source)
     return std::fprintf(stderr, "%s: %s\n", argv[1], source.error().what), rgs::exit_code(source.error().code);
@@ -124,9 +124,9 @@ int main(int argc, char** argv) {
       "| scale sets | bytes per Gaussian | degree 0 | degree 1 | degree 2 | degree 3 | colour (8-bit levels) |\n");
   std::printf("|---|---|---|---|---|---|---|\n");
   rgs::EncodeOptions options;
-  options.chunk_scales = false;
+  options.chunk_step_sets = false;
   int failed = measure(*source, "one for the file", options, false);
-  options.chunk_scales = true;
+  options.chunk_step_sets = true;
   for (const std::uint32_t chunk_size : {4096u, 1024u, 256u, 64u}) {
     char name[32];
     std::snprintf(name, sizeof name, "per %u", chunk_size);
