@@ -231,6 +231,40 @@ TEST_CASE("options change the picture as they say") {
   }
 }
 
+TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, unless another is asked for") {
+  const Stage stage;
+  const rgs::SplatCloud cloud = ball();
+  const auto write = [&](const std::string& name, const rgs::Result<std::vector<std::byte>>& bytes) {
+    REQUIRE(bytes);
+    write_text(stage.file(name), {reinterpret_cast<const char*>(bytes->data()), bytes->size()});
+  };
+  using rgs::AaMode;
+  for (const AaMode mode : {AaMode::classic, AaMode::mip_splatting}) {
+    rgs::EncodeOptions rgs_options;
+    rgs_options.aa_mode = mode;
+    const std::string name = mode == AaMode::classic ? "classic" : "mip";
+    write(name + ".rgs", rgs::encode(cloud.view(), rgs_options));
+    write(name + ".spz", rgs::encode_splats(cloud.view(), rgs::SplatFormat::spz, {.aa_mode = mode}));
+  }
+  const auto picture = [&](const std::string& arguments) {
+    const Outcome outcome = stage.run(arguments + " -c @cameras.json --quiet --overwrite --backend cpu --out @o.exr");
+    CAPTURE(outcome.out);
+    REQUIRE(outcome.code == 0);
+    return stage.picture("o.exr");
+  };
+  for (const std::string format : {".rgs", ".spz"}) {
+    for (const std::string mode : {"", " --mode baseline", " --mode paper", " --mode turbo", " --exp paper"}) {
+      CAPTURE(format);
+      CAPTURE(mode);
+      const rgs::Image classic = picture("@classic" + format + mode), mip = picture("@mip" + format + mode);
+      CHECK(largest_difference(classic, mip) > 0.001F);
+      CHECK(largest_difference(mip, picture("@classic" + format + mode + " --aa mip")) == 0);
+      CHECK(largest_difference(classic, picture("@mip" + format + mode + " --aa classic")) == 0);
+      CHECK(largest_difference(classic, picture("@classic" + format + mode + " --low-pass 0.3")) == 0);
+    }
+  }
+}
+
 TEST_CASE("existing pictures are kept before anything is rendered") {
   const Stage stage;
   write_text(stage.file("a.png"), "mine");
@@ -308,6 +342,8 @@ TEST_CASE("--json is one JSON object with what was done") {
   CHECK(json["frames"][0]["width"] == 64);
   CHECK(json["frames"][0]["visible"] > 0);
   CHECK(json["frames"][0]["ms"]["total"] > 0.0);
+  CHECK(json["first_frame_ms"] >= json["frames"][0]["ms"]["total"]);  // from before the file is opened
+  CHECK(json["first_frame_ms"] <= 1e3 * json["total_seconds"].get<double>());
   CHECK(fs::exists(json["frames"][2]["file"].get<std::string>()));
   CHECK(fs::exists(json["frames"][2]["depth_file"].get<std::string>()));
   CHECK(json["median_ms"] > 0.0);
