@@ -430,13 +430,13 @@ TEST_CASE("blocks leave to the tiles what they have no room for, or what lies to
     splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
   }
   const Scene wide = scene_of(cloud_of(splats));
-  check(DeviceAttributes(wide.view()).get(), wide.view(), front_camera(1920, 1080));
+  check(DeviceAttributes(wide.view().value()).get(), wide.view().value(), front_camera(1920, 1080));
   if (small_sizes()) return;
   for (Splat& s : splats) {
     for (float& log_scale : s.log_scale) log_scale -= 5;
   }
   const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's words tell apart
-  check(DeviceAttributes(sparse.view()).get(), sparse.view(), front_camera(9000, 9000));
+  check(DeviceAttributes(sparse.view().value()).get(), sparse.view().value(), front_camera(9000, 9000));
 }
 
 TEST_CASE("a frame of more entries than there is room for is made again, with room for large Gaussians' entries") {
