@@ -179,7 +179,7 @@ TEST_CASE("damaged files are refused before anything is uploaded") {
   fix_hashes(bytes);
   CHECK(code(bytes) == Errc::bad_value);
   bytes = sound.bytes;
-  put(bytes, section_of(bytes, "CHNK") + 48 + 32, std::uint64_t{1} << 40);  // a scale set far outside the table
+  put(bytes, section_of(bytes, "CHNK") + 48 + 32, std::uint64_t{1} << 40);  // a step set far outside the table
   fix_hashes(bytes);
   CHECK(code(bytes) == Errc::bad_value);
 }

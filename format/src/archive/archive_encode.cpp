@@ -4,7 +4,7 @@
 // Fit:   classes, steps, transforms from the whole scene.
 // Codes: each frame's attributes on the grids of their classes.
 // Tables and streams: distributions of all frames together, then each frame's bytes.
-// Rows:  what a reader will decode; from these come the scale sets, the chunk table and the bounds that are stated.
+// Rows:  what a reader will decode; from these come the step sets, the chunk table and the bounds that are stated.
 // The finished file is decoded once more and compared with its source.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>

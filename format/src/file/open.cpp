@@ -99,7 +99,7 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
 // Codec::archive is that of MEAN, GEOM and SHI8 together, with ARCH, or of none.
 Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
   constexpr auto kArchive = static_cast<std::uint32_t>(Codec::archive);
-  // Of a type that is not known, the codec is nobody's business.
+  // The codec of an unknown type is not looked at.
   const bool archive = std::ranges::any_of(sections, [](const SectionEntry& s) {
     return s.codec == kArchive && archive_type(static_cast<SectionType>(s.type));
   });
