@@ -86,7 +86,7 @@ struct CodedFrame {
 };
 
 /// Frame i of a section holds rows i * rows .. min(n, (i + 1) * rows) - 1; a row is a Gaussian, a chunk, or a
-/// step set.
+/// scale set.
 struct FrameTable {
   std::uint32_t rows = 0;
   std::vector<CodedFrame> frames;  ///< empty in a section that is stored as is
@@ -192,7 +192,7 @@ struct ArchiveClass {
   float sh_step = 0;             ///< of the other degrees
   float bound_rotation = 0;      ///< angle, radians
   float bound_scale = 0;         ///< of ln(scale), where it is a normal FP16 number as stored
-  float bound_dc = 0;            ///< of each coefficient of degree 0; half a step of the chunk's step set comes on top
+  float bound_dc = 0;            ///< of each coefficient of degree 0; half a step of the chunk's scale set comes on top
   float bound_sh = 0;            ///< of the other coefficients, likewise
 };
 inline constexpr std::uint32_t kMaxArchiveClasses = 32;
