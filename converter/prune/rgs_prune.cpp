@@ -23,6 +23,7 @@
 #include "rgs/checksum.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/splat_edit.hpp"
+#include "rgs/version.hpp"
 
 namespace {
 

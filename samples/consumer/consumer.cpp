@@ -5,6 +5,7 @@
 #include <rgs/encode.hpp>
 #include <rgs/file.hpp>
 #include <rgs/splat_cloud.hpp>
+#include <rgs/version.hpp>
 
 namespace {
 

@@ -21,6 +21,7 @@
 #include "image_file.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/version.hpp"
 #include "scene_file.hpp"
 
 namespace {

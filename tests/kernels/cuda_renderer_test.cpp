@@ -659,7 +659,7 @@ TEST_CASE("more pairs than the workspace holds: the frame is the one of a worksp
 
 TEST_CASE("above 2^31 pairs: limit_exceeded, and the renderer goes on") {
   if (!device_answers()) return;
-  if (small_sizes()) return;
+  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
   const Scene many = walls(70000), few = walls(5);
   const DeviceScene uploaded = upload(many), small = upload(few);
   const Camera camera = front_camera(7680, 4320);
@@ -726,7 +726,7 @@ class Hog {
 
 TEST_CASE("device out of memory: an error, never a wrong picture, and a working renderer afterwards") {
   if (!device_answers()) return;
-  if (small_sizes()) return;
+  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
   const Camera camera = front_camera(640, 360);
   const Scene scene = walls(30000), tiny = walls(3);  // 7 million pairs and more: at least 150 MB
   const DeviceScene large = upload(scene), small = upload(tiny);
@@ -790,7 +790,7 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
 
 TEST_CASE("where memory is short, the workspace grows by what the frame needs and not by half") {
   if (!device_answers()) return;
-  if (small_sizes()) return;
+  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
   const Camera camera = front_camera(640, 360);
   for (const std::size_t m : {std::size_t{0}, std::size_t{1}, kTurbo}) {
     CAPTURE(kModes[m]);
@@ -817,7 +817,7 @@ TEST_CASE("where memory is short, the workspace grows by what the frame needs an
 
 TEST_CASE("where the first guess at a workspace does not fit, it begins with a small one") {
   if (!device_answers()) return;
-  if (small_sizes()) return;
+  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
   const Camera camera = front_camera(640, 360);
   std::vector<Splat> splats(1200000, splat_at(0, 0, -5, 0.01, 0.5));  // behind the camera
   for (std::size_t i = 0; i < 100; ++i)
@@ -835,7 +835,8 @@ TEST_CASE("where the first guess at a workspace does not fit, it begins with a s
 
 TEST_CASE("device memory is back at its start once everything is destroyed") {
   if (!device_answers()) return;
-  if (small_sizes()) return;  // compute-sanitizer's own memory comes and goes; its leak check takes over
+  // compute-sanitizer's own memory comes and goes; its leak check takes over.
+  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
   const auto use_everything = [] {
     const auto compact = CompactScene::of(cloud_of(random_splats(609, 3000), 3));
     const DeviceScene scenes[] = {upload(compact.file), upload(compact.scene), DeviceScene()};

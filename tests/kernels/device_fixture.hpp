@@ -18,16 +18,17 @@
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/renderer.hpp"
+#include "skip.hpp"
 #include "sorted/front_end.hpp"
 
 namespace rgs::test {
 
-/// Whether a CUDA device answers. If none does, a line says so, by which ctest knows that the case was skipped.
+/// Whether a CUDA device answers. If none does, the case is skipped.
 inline bool device_answers() {
   int n = 0;
   if (cudaGetDeviceCount(&n) == cudaSuccess && n > 0) return true;
   cudaGetLastError();
-  std::puts("skipped: no CUDA device answers");
+  skip("no CUDA device answers");
   return false;
 }
 

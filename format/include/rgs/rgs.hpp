@@ -11,3 +11,4 @@
 #include "rgs/result.hpp"
 #include "rgs/spatial_order.hpp"
 #include "rgs/splat_cloud.hpp"
+#include "rgs/version.hpp"
