@@ -9,7 +9,7 @@
 #include "file/workers.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
-#include "rgs/encode.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -17,12 +17,15 @@ namespace detail {
 
 // What the declarations state about all Gaussians, summed up in any order.
 struct ValueTotals {
-  EncodeCounts counts;
+  std::uint64_t scale_subnormal = 0, scale_zero = 0, opacity_zero = 0, opacity_one = 0;
   Box full;
   bool empty = true;
 
   void add(const ValueTotals& other) {
-    counts.add(other.counts);
+    scale_subnormal += other.scale_subnormal;
+    scale_zero += other.scale_zero;
+    opacity_zero += other.opacity_zero;
+    opacity_one += other.opacity_one;
     for (std::size_t k = 0; k < 3 && !other.empty; ++k) {
       full.min[k] = empty ? other.full.min[k] : std::min(full.min[k], other.full.min[k]);
       full.max[k] = empty ? other.full.max[k] : std::max(full.max[k], other.full.max[k]);
@@ -45,8 +48,8 @@ constexpr double kNormTolerance = 0x1p-8;
 
 // `place` gives the offset in the file of a byte of the row.
 template <class Place>
-Status check_geometry(const std::uint16_t codes[8], const Place& place, EncodeCounts& counts,
-                      std::uint16_t& largest_scale, std::uint16_t& largest_opacity) {
+Status check_geometry(const std::uint16_t codes[8], const Place& place, Totals& totals, std::uint16_t& largest_scale,
+                      std::uint16_t& largest_opacity) {
   double squared = 0;  // exact: squares of FP16 numbers and their sums fit into 53 bits
   for (int i = 0; i < 4; ++i) {
     const double component = static_cast<double>(float_from_half(codes[i]));
@@ -60,13 +63,13 @@ Status check_geometry(const std::uint16_t codes[8], const Place& place, EncodeCo
     if (codes[i] >= 0x7C00u) {
       return make_error(Errc::bad_value, place(2 * static_cast<std::uint64_t>(i)), "a scale is negative or not finite");
     }
-    counts.scale_zero += codes[i] == 0;
-    counts.scale_subnormal += codes[i] != 0 && codes[i] < 0x0400;
+    totals.scale_zero += codes[i] == 0;
+    totals.scale_subnormal += codes[i] != 0 && codes[i] < 0x0400;
     largest_scale = std::max(largest_scale, codes[i]);
   }
   if (codes[7] > 0x3C00u) return make_error(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
-  counts.opacity_zero += codes[7] == 0;
-  counts.opacity_one += codes[7] == 0x3C00u;
+  totals.opacity_zero += codes[7] == 0;
+  totals.opacity_one += codes[7] == 0x3C00u;
   largest_opacity = std::max(largest_opacity, codes[7]);
   return {};
 }
@@ -140,7 +143,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
     const auto* sh = reinterpret_cast<const std::int8_t*>(data.sh().data() + row * sh_bytes(h.sh_degree));
     const auto geometry_at = [&](std::uint64_t byte) { return view.place(SectionType::geometry, i, byte); };
     const auto sh_at = [&](std::uint64_t byte) { return view.place(SectionType::sh, i, byte); };
-    if (Status s = check_geometry(codes, geometry_at, totals.counts, largest_scale, largest_opacity); !s) return s;
+    if (Status s = check_geometry(codes, geometry_at, totals, largest_scale, largest_opacity); !s) return s;
     if (!legal_row(sh, mask, sh_bytes(h.sh_degree))) return explain_sh(sh, sh_at, *steps, h.sh_degree);
   }
 
@@ -154,7 +157,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
   if (entry->max_opacity != float_from_half(largest_opacity)) {
     return make_error(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
   }
-  totals.add({{}, box, false});
+  totals.add({.full = box, .empty = false});
   return {};
 }
 
@@ -193,8 +196,7 @@ Status check_declarations(const FileView& view, const Totals& totals) {
       return make_error(Errc::bad_value, at + 68, "the declared robust box reaches beyond the full box");
     }
   }
-  const EncodeCounts& counts = totals.counts;
-  const std::uint64_t found[4] = {counts.scale_subnormal, counts.scale_zero, counts.opacity_zero, counts.opacity_one};
+  const std::uint64_t found[4] = {totals.scale_subnormal, totals.scale_zero, totals.opacity_zero, totals.opacity_one};
   const std::uint64_t declared[4] = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
   for (std::size_t i = 0; i < 4; ++i) {
     if (declared[i] != found[i]) {
@@ -265,18 +267,22 @@ Validation& Validation::operator=(Validation&&) noexcept = default;
 Validation::~Validation() = default;
 
 Result<Validation> Validation::begin(const FileView& view) {
-  if (const Status s = check_sections(view, 0, true); !s) return tl::unexpected(s.error());
-  if (const Status s = check_step_sets(view); !s) return tl::unexpected(s.error());
-  return Validation(view);
+  return detail::guard_memory([&]() -> Result<Validation> {
+    if (const Status s = check_sections(view, 0, true); !s) return tl::unexpected(s.error());
+    if (const Status s = check_step_sets(view); !s) return tl::unexpected(s.error());
+    return Validation(view);
+  });
 }
 
 Status Validation::check(const DirectData& next) {
-  return check_chunks(next, 0, *totals_);
+  return detail::guard_memory([&] { return check_chunks(next, 0, *totals_); });
 }
 
 Status Validation::finish() const {
-  if (Status s = check_declarations(*view_, *totals_); !s) return s;
-  return check_permutation(*view_);
+  return detail::guard_memory([&] {
+    if (Status s = check_declarations(*view_, *totals_); !s) return s;
+    return check_permutation(*view_);
+  });
 }
 
 std::uint64_t Validation::chunks_at_a_time() const {
