@@ -82,15 +82,19 @@ class PlainBits {
     if (count > n_bits_ - at_) ok_ = false;
     if (count == 0 || !ok_) return 0;
     const std::size_t first = static_cast<std::size_t>(at_ / 32) * 4;
-    std::array<std::uint32_t, 2> word{};  // the second only where there is one
-    std::memcpy(word.data(), words_.data() + first, std::min(words_.size() - first, sizeof word));
-    const std::uint64_t bits = (std::uint64_t{word[0]} << 32 | word[1]) << (at_ % 32);
+    const std::uint64_t second = first + 4 < words_.size() ? word(first + 4) : 0;
+    const std::uint64_t bits = (std::uint64_t{word(first)} << 32 | second) << (at_ % 32);
     at_ += count;
     return static_cast<std::uint32_t>(bits >> (64 - count));
   }
   bool ok() const { return ok_; }
 
  private:
+  std::uint32_t word(std::size_t place) const {
+    std::uint32_t value;
+    std::memcpy(&value, words_.data() + place, sizeof value);
+    return value;
+  }
   std::span<const std::byte> words_;
   std::uint64_t at_ = 0, n_bits_ = 0;
   bool ok_ = true;

@@ -182,7 +182,7 @@ Result<DirectData> DirectData::load(const FileView& view, std::uint64_t first_ch
     part.end = std::min((part.first_frame + part.n_frames) * table.rows, h.n_gaussians);
     part.rows = data.memory_.emplace_back(allocate((part.end - part.first) * s.row_bytes)).get();
     if (part.rows == nullptr) return detail::out_of_memory();
-    *s.rows = {part.rows + (data.first_ - part.first) * s.row_bytes, data.n_ * s.row_bytes};
+    *s.rows = std::span(part.rows + (data.first_ - part.first) * s.row_bytes, data.n_ * s.row_bytes);
     parts.push_back(part);
   }
   if (!parts.empty()) {
