@@ -6,6 +6,7 @@
 #include <cstring>
 
 #include "file/value_checks.hpp"
+#include "file/value_counts.hpp"
 #include "file/workers.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
@@ -17,15 +18,12 @@ namespace detail {
 
 // What the declarations state about all Gaussians, summed up in any order.
 struct ValueTotals {
-  std::uint64_t scale_subnormal = 0, scale_zero = 0, opacity_zero = 0, opacity_one = 0;
+  ValueCounts counts;
   Box full;
   bool empty = true;
 
   void add(const ValueTotals& other) {
-    scale_subnormal += other.scale_subnormal;
-    scale_zero += other.scale_zero;
-    opacity_zero += other.opacity_zero;
-    opacity_one += other.opacity_one;
+    counts.add(other.counts);
     for (std::size_t k = 0; k < 3 && !other.empty; ++k) {
       full.min[k] = empty ? other.full.min[k] : std::min(full.min[k], other.full.min[k]);
       full.max[k] = empty ? other.full.max[k] : std::max(full.max[k], other.full.max[k]);
@@ -40,6 +38,7 @@ namespace {
 
 using detail::run_jobs;
 using detail::threads_for;
+using detail::ValueCounts;
 using detail::worker_count;
 using Totals = detail::ValueTotals;
 
@@ -48,8 +47,8 @@ constexpr double kNormTolerance = 0x1p-8;
 
 // `place` gives the offset in the file of a byte of the row.
 template <class Place>
-Status check_geometry(const std::uint16_t codes[8], const Place& place, Totals& totals, std::uint16_t& largest_scale,
-                      std::uint16_t& largest_opacity) {
+Status check_geometry(const std::uint16_t codes[8], const Place& place, ValueCounts& counts,
+                      std::uint16_t& largest_scale, std::uint16_t& largest_opacity) {
   double squared = 0;  // exact: squares of FP16 numbers and their sums fit into 53 bits
   for (int i = 0; i < 4; ++i) {
     const double component = static_cast<double>(float_from_half(codes[i]));
@@ -63,13 +62,13 @@ Status check_geometry(const std::uint16_t codes[8], const Place& place, Totals& 
     if (codes[i] >= 0x7C00u) {
       return make_error(Errc::bad_value, place(2 * static_cast<std::uint64_t>(i)), "a scale is negative or not finite");
     }
-    totals.scale_zero += codes[i] == 0;
-    totals.scale_subnormal += codes[i] != 0 && codes[i] < 0x0400;
+    counts.scale_zero += codes[i] == 0;
+    counts.scale_subnormal += codes[i] != 0 && codes[i] < 0x0400;
     largest_scale = std::max(largest_scale, codes[i]);
   }
   if (codes[7] > 0x3C00u) return make_error(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
-  totals.opacity_zero += codes[7] == 0;
-  totals.opacity_one += codes[7] == 0x3C00u;
+  counts.opacity_zero += codes[7] == 0;
+  counts.opacity_one += codes[7] == 0x3C00u;
   largest_opacity = std::max(largest_opacity, codes[7]);
   return {};
 }
@@ -143,7 +142,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
     const auto* sh = reinterpret_cast<const std::int8_t*>(data.sh().data() + row * sh_bytes(h.sh_degree));
     const auto geometry_at = [&](std::uint64_t byte) { return view.place(SectionType::geometry, i, byte); };
     const auto sh_at = [&](std::uint64_t byte) { return view.place(SectionType::sh, i, byte); };
-    if (Status s = check_geometry(codes, geometry_at, totals, largest_scale, largest_opacity); !s) return s;
+    if (Status s = check_geometry(codes, geometry_at, totals.counts, largest_scale, largest_opacity); !s) return s;
     if (!legal_row(sh, mask, sh_bytes(h.sh_degree))) return explain_sh(sh, sh_at, *steps, h.sh_degree);
   }
 
@@ -157,7 +156,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
   if (entry->max_opacity != float_from_half(largest_opacity)) {
     return make_error(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
   }
-  totals.add({.full = box, .empty = false});
+  totals.add({{}, box, false});
   return {};
 }
 
@@ -196,7 +195,8 @@ Status check_declarations(const FileView& view, const Totals& totals) {
       return make_error(Errc::bad_value, at + 68, "the declared robust box reaches beyond the full box");
     }
   }
-  const std::uint64_t found[4] = {totals.scale_subnormal, totals.scale_zero, totals.opacity_zero, totals.opacity_one};
+  const ValueCounts& counts = totals.counts;
+  const std::uint64_t found[4] = {counts.scale_subnormal, counts.scale_zero, counts.opacity_zero, counts.opacity_one};
   const std::uint64_t declared[4] = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
   for (std::size_t i = 0; i < 4; ++i) {
     if (declared[i] != found[i]) {
