@@ -10,6 +10,7 @@
 #include <utility>
 #include <vector>
 
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 #include "sh_rotation.hpp"
 
@@ -267,21 +268,23 @@ void filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
 }
 
 Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) {
-  SceneScan scan(cloud.sh_degree, options);
-  std::vector<std::uint64_t> kept;
-  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
-    Splat s = cloud.view().splat(i);
-    const std::uint64_t sound = scan.n_kept() - scan.n_repaired();
-    const bool keeps = scan.add(s);
-    if (options.on_bad == BadPolicy::refuse && !keeps)
-      return make_error(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
-    if (!keeps) continue;
-    if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
-    kept.push_back(i);
-  }
-  if (const auto plan = make_plan(scan, options); !plan) return tl::unexpected(plan.error());
-  keep_splats(cloud, kept);
-  return scan;
+  return detail::guard_memory([&]() -> Result<SceneScan> {
+    SceneScan scan(cloud.sh_degree, options);
+    std::vector<std::uint64_t> kept;
+    for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+      Splat s = cloud.view().splat(i);
+      const std::uint64_t sound = scan.n_kept() - scan.n_repaired();
+      const bool keeps = scan.add(s);
+      if (options.on_bad == BadPolicy::refuse && !keeps)
+        return make_error(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
+      if (!keeps) continue;
+      if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
+      kept.push_back(i);
+    }
+    if (const auto plan = make_plan(scan, options); !plan) return tl::unexpected(plan.error());
+    keep_splats(cloud, kept);
+    return scan;
+  });
 }
 
 }  // namespace rgs

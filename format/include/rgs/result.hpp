@@ -24,6 +24,7 @@ enum class Errc : std::uint16_t {
   output_unusable,    ///< the output is a directory, or is the input
   device_failed,      ///< a CUDA call failed
   device_out_of_memory,
+  host_out_of_memory,  ///< the process gets no more memory; what it held for the call is freed again
 
   truncated = 400,      ///< the data end before what the header promises
   bad_magic,            ///< not this format
@@ -71,6 +72,8 @@ struct Error {
 template <class T>
 using Result = tl::expected<T, Error>;
 using Status = tl::expected<void, Error>;
+// No exception crosses a function that returns one of these. All of them may give host_out_of_memory; plain containers
+// and functions that return them (SplatCloud::resize()) throw std::bad_alloc as the standard library does.
 
 inline tl::unexpected<Error> make_error(Errc code, std::uint64_t offset, const char* what,
                                         std::uint64_t expected = Error::kNone, std::uint64_t found = Error::kNone,

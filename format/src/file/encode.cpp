@@ -14,6 +14,7 @@
 #include "file/layout_io.hpp"
 #include "packed/packed.hpp"
 #include "rgs/checksum.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/spatial_order.hpp"
 
@@ -361,7 +362,7 @@ std::vector<FilePiece> finish(const EncodePlan& plan, std::span<const ChunkEntry
   return pieces;
 }
 
-Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options) {
+static Result<std::vector<std::byte>> encode_scene(const SplatView& splats, const EncodeOptions& options) {
   if (!splats.consistent())
     return make_error(Errc::bad_argument, Error::kNone, "the sizes of the splat arrays disagree");
   if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
@@ -423,6 +424,10 @@ Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptio
   }
   const Encoded encoded{means, geometry, sh, std::as_bytes(std::span(indices)), chunks, scales, counts};
   return plan->profile == Profile::packed ? assemble_packed(*plan, encoded) : assemble_direct(*plan, encoded);
+}
+
+Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options) {
+  return detail::guard_memory([&] { return encode_scene(splats, options); });
 }
 
 }  // namespace rgs

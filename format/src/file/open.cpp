@@ -8,6 +8,7 @@
 #include "file/layout_io.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -178,6 +179,10 @@ std::span<const std::byte> FileView::stored(SectionType type) const {
 }
 
 Result<FileView> FileView::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  return detail::guard_memory([&] { return parse(bytes, limits); });
+}
+
+Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto header = detail::parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->file_bytes > limits.max_file_bytes) {

@@ -18,6 +18,7 @@ const char* errc_name(Errc code) {
     case Errc::output_unusable: return "output_unusable";
     case Errc::device_failed: return "device_failed";
     case Errc::device_out_of_memory: return "device_out_of_memory";
+    case Errc::host_out_of_memory: return "host_out_of_memory";
     case Errc::truncated: return "truncated";
     case Errc::bad_magic: return "bad_magic";
     case Errc::unsupported_version: return "unsupported_version";

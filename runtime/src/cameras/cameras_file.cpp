@@ -9,6 +9,7 @@
 
 #include "cameras/camera_records.hpp"
 #include "rgs/file.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -66,21 +67,23 @@ void split_by_name(CameraSet& set) {
 }  // namespace detail
 
 Result<CameraSet> read_camera_set(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::is_directory(path, ignored)) return read_colmap(path);
-  const auto file = MappedFile::open(path);
-  if (!file) return tl::unexpected(file.error());
-  std::string_view text = text_of(*file);
-  const std::size_t mark = text.starts_with("\xef\xbb\xbf") ? 3 : 0;
-  const std::size_t first = text.find_first_not_of(" \t\r\n", mark);
-  if (first == std::string_view::npos)
-    return make_error(Errc::truncated, text.size(), "an empty file; expected JSON with cameras");
-  if (text[first] != '[' && text[first] != '{')
-    return make_error(Errc::bad_syntax, first,
-                      "not a camera file: expected JSON, or the folder of a COLMAP sparse model");
-  if (text.size() > kMaxJsonBytes)
-    return make_error(Errc::limit_exceeded, Error::kNone, "too large for a camera file", kMaxJsonBytes, text.size());
-  return parse_camera_json(text);
+  return detail::guard_memory([&]() -> Result<CameraSet> {
+    std::error_code ignored;
+    if (std::filesystem::is_directory(path, ignored)) return read_colmap(path);
+    const auto file = MappedFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    std::string_view text = text_of(*file);
+    const std::size_t mark = text.starts_with("\xef\xbb\xbf") ? 3 : 0;
+    const std::size_t first = text.find_first_not_of(" \t\r\n", mark);
+    if (first == std::string_view::npos)
+      return make_error(Errc::truncated, text.size(), "an empty file; expected JSON with cameras");
+    if (text[first] != '[' && text[first] != '{')
+      return make_error(Errc::bad_syntax, first,
+                        "not a camera file: expected JSON, or the folder of a COLMAP sparse model");
+    if (text.size() > kMaxJsonBytes)
+      return make_error(Errc::limit_exceeded, Error::kNone, "too large for a camera file", kMaxJsonBytes, text.size());
+    return parse_camera_json(text);
+  });
 }
 
 Result<std::vector<Camera>> read_cameras(const std::string& path) {

@@ -6,6 +6,7 @@
 #include <optional>
 
 #include "cameras/camera_records.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -263,18 +264,20 @@ Result<CameraSet> read_all(std::string_view text, const json& root) {
 }  // namespace
 
 Result<CameraSet> parse_camera_json(std::string_view text) {
-  json root;
-  try {
-    root = json::parse(text.begin(), text.end());
-  } catch (const json::parse_error& error) {
-    // The library counts bytes from 1 and names the last one it read.
-    const std::uint64_t offset = error.byte > 0 ? error.byte - 1 : 0;
-    if (offset >= text.size()) return make_error(Errc::truncated, text.size(), "the JSON text ends early");
-    return make_error(Errc::bad_syntax, offset, "the JSON text cannot be parsed here");
-  } catch (const json::exception&) {
-    return make_error(Errc::bad_value, Error::kNone, "the JSON text has a number that is too large");
-  }
-  return read_all(text, root);
+  return detail::guard_memory([&]() -> Result<CameraSet> {
+    json root;
+    try {
+      root = json::parse(text.begin(), text.end());
+    } catch (const json::parse_error& error) {
+      // The library counts bytes from 1 and names the last one it read.
+      const std::uint64_t offset = error.byte > 0 ? error.byte - 1 : 0;
+      if (offset >= text.size()) return make_error(Errc::truncated, text.size(), "the JSON text ends early");
+      return make_error(Errc::bad_syntax, offset, "the JSON text cannot be parsed here");
+    } catch (const json::exception&) {
+      return make_error(Errc::bad_value, Error::kNone, "the JSON text has a number that is too large");
+    }
+    return read_all(text, root);
+  });
 }
 
 }  // namespace rgs
