@@ -25,30 +25,26 @@ std::uint64_t picture_bytes(const Camera& camera) {
   return 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
 }
 
-// The image's definition by Kerbl et al. 2023 (docs/RENDERING.md): what source and asset are compared in.
+// The image's definition by Kerbl et al. 2023 (docs/RENDERING.md): what source and asset are compared in, with the
+// anti-aliasing that the asset declares. As steps, for its parts to be changed one by one.
 RenderOptions reference_arithmetic(const std::optional<Declarations>& declared) {
-  RenderOptions options = baseline_options();
-  options.cuda.deterministic = true;
-  if (declared && declared->aa_mode == AaMode::mip_splatting) {
-    options.anti_aliasing = math::AntiAliasing::mip_splatting;
-    options.low_pass = declared->low_pass_px2;
-  }
-  return options;
+  RenderOptions options{.pipeline = Pipeline::paper};
+  options.paper = steps_of({.pipeline = Pipeline::baseline}, Backend::cpu);
+  options.paper.deterministic = true;
+  return with_declarations(options, declared);
 }
 
-RenderOptions with_key(RenderOptions options, const Declarations& declared) {
-  options.depth_order = math::DepthOrder::quantized;
-  options.depth_mapping = declared.depth_mapping;
-  options.depth_range = {declared.z_near, declared.z_far};
+RenderOptions with_key(RenderOptions options) {
+  options.paper.depth_order = math::DepthOrder::quantized;
   return options;
 }
 RenderOptions with_exp(RenderOptions options) {
-  options.exp = math::Exp::zero_mean;
+  options.paper.exp = math::Exp::zero_mean;
   return options;
 }
 RenderOptions with_lists(RenderOptions options) {
-  options.extent = math::Extent::ellipse;
-  options.exponent = math::Exponent::folded;
+  options.paper.extent = math::Extent::ellipse;
+  options.paper.exponent = math::Exponent::folded;
   return options;
 }
 
@@ -208,7 +204,7 @@ class PictureAudit {
       if (auto ok = score(i, references_[i - first], std::move(*image)); !ok) return ok;
     }
     if (Series* together = find("together")) {
-      const RenderOptions paper = with_lists(with_exp(with_key(exact, *declared_)));
+      const RenderOptions paper = with_lists(with_exp(with_key(exact)));
       if (auto ok = render_variant(*together, first, end, paper); !ok) return ok;
     }
     return {};
@@ -224,7 +220,7 @@ class PictureAudit {
     const Step steps[] = {{Mixture::stored_sh, "sh", exact},
                           {Mixture::stored_geometry, "geometry", exact},
                           {Mixture::source, "left_out", exact},
-                          {Mixture::source, "key", with_key(exact, *declared_)},
+                          {Mixture::source, "key", with_key(exact)},
                           {Mixture::source, "exp", with_exp(exact)},
                           {Mixture::source, "lists", with_lists(exact)},
                           {Mixture::file_scales, "file_scales", exact},

@@ -1,4 +1,4 @@
-// render_options.cpp - the presets of RenderOptions, and which values are legal.
+// render_options.cpp - the rule from options and declarations to the settings of a frame, and which values are legal.
 // SPDX-License-Identifier: Apache-2.0
 #include "render_options.hpp"
 
@@ -7,37 +7,38 @@
 
 namespace rgs {
 
-RenderOptions baseline_options() {
-  RenderOptions o;
-  o.extent = math::Extent::square;
-  o.cuda.front_end = CudaOptions::FrontEnd::separate;
-  o.cuda.pixels_per_thread = 1;
-  return o;
-}
-
-RenderOptions paper_options(const std::optional<Declarations>& scene) {
-  RenderOptions o;
-  o.extent = math::Extent::ellipse;
-  o.depth_order = math::DepthOrder::quantized;
-  o.exponent = math::Exponent::folded;
-  o.exp = math::Exp::paper;
-  if (scene) {
-    o.depth_range = {scene->z_near, scene->z_far};
-    o.depth_mapping = scene->depth_mapping;
+RenderOptions with_declarations(RenderOptions options, const std::optional<Declarations>& declared) {
+  const Declarations d = declared.value_or(Declarations());  // whose defaults are those of the original
+  const bool is_mip = d.aa_mode == AaMode::mip_splatting;
+  if (!options.anti_aliasing) {
+    options.anti_aliasing = is_mip ? math::AntiAliasing::mip_splatting : math::AntiAliasing::classic;
   }
-  return o;
+  if (!options.low_pass) options.low_pass = d.aa_mode == AaMode::undeclared ? math::kLowPass : d.low_pass_px2;
+  if (!options.paper.depth_mapping) options.paper.depth_mapping = d.depth_mapping;
+  if (!options.paper.depth_range) options.paper.depth_range = {d.z_near, d.z_far};
+  return options;
 }
 
-RenderOptions turbo_options() {
-  RenderOptions o;
-  o.exponent = math::Exponent::folded;
-  o.cuda.turbo = true;
-  return o;
+PaperSteps steps_of(const RenderOptions& options, Backend backend) {
+  PaperSteps steps;
+  if (options.pipeline == Pipeline::paper) return options.paper;
+  steps.depth_order = math::DepthOrder::exact;
+  steps.exp = math::Exp::exact;
+  if (options.pipeline == Pipeline::baseline) {
+    steps.extent = math::Extent::square;
+    steps.exponent = math::Exponent::direct;
+    steps.front_end = PaperSteps::FrontEnd::separate;
+    steps.pixels_per_thread = 1;
+  }
+  if (options.pipeline == Pipeline::automatic && backend == Backend::cpu) steps.exponent = math::Exponent::direct;
+  return steps;
 }
 
 namespace detail {
 
-Status validate(const RenderOptions& o) {
+namespace {
+
+Status validate(const FrameSettings& o) {
   const auto refuse = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
   if (!std::all_of(o.background.begin(), o.background.end(), [](float v) { return std::isfinite(v); })) {
     return refuse("the background is not finite");
@@ -55,15 +56,53 @@ Status validate(const RenderOptions& o) {
       o.depth_order > math::DepthOrder::quantized ||
       (o.depth_mapping != DepthMapping::linear && o.depth_mapping != DepthMapping::logarithmic) ||
       o.exponent > math::Exponent::folded || o.exp > math::Exp::zero_mean ||
-      o.cuda.front_end > CudaOptions::FrontEnd::fused) {
+      o.cuda.front_end > PaperSteps::FrontEnd::fused) {
     return refuse("an option has no such value");
   }
   if (o.cuda.pixels_per_thread != 1 && o.cuda.pixels_per_thread != 2) return refuse("pixels per thread are not 1 or 2");
-  if (o.cuda.turbo && (o.extent != math::Extent::ellipse || o.depth_order != math::DepthOrder::exact ||
-                       o.exponent != math::Exponent::folded || o.exp != math::Exp::exact)) {
-    return refuse("turbo draws ellipses in exact order with folded exponents and exact exponentials only");
-  }
   return {};
+}
+
+}  // namespace
+
+Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<Declarations>& declared,
+                              Backend backend) {
+  if (options.pipeline > Pipeline::turbo) {
+    return make_error(Errc::bad_argument, Error::kNone, "the pipeline has no such value");
+  }
+  RenderOptions o = options;
+  o.paper = steps_of(options, backend);
+  o = with_declarations(o, declared);
+  const PaperSteps& s = o.paper;
+  const bool is_turbo =
+      backend == Backend::cuda && (o.pipeline == Pipeline::automatic || o.pipeline == Pipeline::turbo);
+  const FrameSettings settings{
+      .background = o.background,
+      .near_plane = o.near_plane,
+      .far_plane = o.far_plane,
+      .sh_degree_limit = o.sh_degree_limit,
+      .low_pass = *o.low_pass,
+      .anti_aliasing = *o.anti_aliasing,
+      .extent = s.extent,
+      .depth_order = s.depth_order,
+      .depth_mapping = *s.depth_mapping,
+      .depth_bits = s.depth_bits,
+      .depth_range = *s.depth_range,
+      .exponent = s.exponent,
+      .exp = s.exp,
+      .cuda = {.front_end = s.front_end,
+               .turbo = is_turbo,
+               .tensor_cores = is_turbo && o.turbo.tensor_cores,
+               .pixels_per_thread = s.pixels_per_thread,
+               .deterministic = s.deterministic,
+               .timings = o.measure.timings,
+               .stage_timings = o.measure.stage_timings,
+               .count_pairs = o.measure.count_pairs,
+               .graph = is_turbo && o.turbo.graph,
+               .asynchronous = is_turbo && o.turbo.asynchronous},
+  };
+  if (const auto ok = validate(settings); !ok) return tl::unexpected(ok.error());
+  return settings;
 }
 
 Status validate(const RenderTarget& t, const Camera& camera) {
@@ -76,11 +115,11 @@ Status validate(const RenderTarget& t, const Camera& camera) {
   return {};
 }
 
-math::View<float> make_view(const Camera& camera, const RenderOptions& options) {
+math::View<float> make_view(const Camera& camera, const FrameSettings& settings) {
   double matrix[16];
   std::copy(camera.world_to_camera.begin(), camera.world_to_camera.end(), matrix);
   return math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-                                options.near_plane, options.far_plane);
+                                settings.near_plane, settings.far_plane);
 }
 
 }  // namespace detail

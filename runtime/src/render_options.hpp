@@ -1,6 +1,9 @@
-// render_options.hpp - checks that both renderers make before a frame.
+// render_options.hpp - what both renderers make of the options before a frame.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
+
+#include <array>
+#include <optional>
 
 #include "rgs/camera.hpp"
 #include "rgs/math/camera.hpp"
@@ -9,11 +12,42 @@
 
 namespace rgs::detail {
 
-/// bad_argument, naming the option that has no such value.
-Status validate(const RenderOptions& options);
+/// RenderOptions once pipeline, scene and backend are known: every choice made, one member for each.
+struct FrameSettings {
+  std::array<float, 3> background;
+  float near_plane;
+  float far_plane;
+  int sh_degree_limit;
+  float low_pass;
+  math::AntiAliasing anti_aliasing;
+  math::Extent extent;
+  math::DepthOrder depth_order;
+  DepthMapping depth_mapping;
+  int depth_bits;
+  std::array<float, 2> depth_range;
+  math::Exponent exponent;
+  math::Exp exp;
+  struct Cuda {
+    PaperSteps::FrontEnd front_end;
+    bool turbo;
+    bool tensor_cores;
+    int pixels_per_thread;
+    bool deterministic;
+    bool timings;
+    bool stage_timings;
+    bool count_pairs;
+    bool graph;
+    bool asynchronous;
+  } cuda;
+};
+
+/// The rule from options and a scene's declarations to a picture. `backend` is not automatic. Errors: bad_argument,
+/// naming the option that has no such value.
+Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<Declarations>& declared,
+                              Backend backend);
 /// bad_argument unless every span is empty or has the camera's pixels.
 Status validate(const RenderTarget& target, const Camera& camera);
 
-math::View<float> make_view(const Camera& camera, const RenderOptions& options);
+math::View<float> make_view(const Camera& camera, const FrameSettings& settings);
 
 }  // namespace rgs::detail

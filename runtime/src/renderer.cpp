@@ -43,7 +43,8 @@ Result<Renderer> Renderer::create(const RendererOptions& options) {
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                     const RenderOptions& options) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
-  if (const auto ok = detail::validate(options); !ok) return tl::unexpected(ok.error());
+  const auto settings = detail::resolve(options, scene.declarations(), backend());
+  if (!settings) return tl::unexpected(settings.error());
   if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
   if (!target.contributions.empty()) {
     if (impl_->cuda)
@@ -52,16 +53,8 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
       return make_error(Errc::bad_argument, Error::kNone, "the contributions' size is not that of the scene",
                         scene.size(), target.contributions.size());
   }
-  if (impl_->cuda) return impl_->cuda->render(scene, camera, target, options);
-  return impl_->reference->render(scene.view(), camera, target, options);
-}
-
-Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target) {
-  return render(scene, camera, target, default_options());
-}
-
-RenderOptions Renderer::default_options() const {
-  return impl_->cuda ? turbo_options() : RenderOptions();
+  if (impl_->cuda) return impl_->cuda->render(scene, camera, target, with_declarations(options, scene.declarations()));
+  return impl_->reference->render(scene.view(), camera, target, *settings);
 }
 
 Backend Renderer::backend() const {

@@ -160,15 +160,16 @@ Cost project_cost(const FrameWork& w, const Counts& n) {
   const double geometry = w.compact ? kCompactGeometryBytes : kFp32GeometryBytes;
   c.bytes = n.gaussians * kMeanBytes + n.visible * (geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes);
   add(c, kToCamera, n.gaussians);
-  const bool square = w.options.extent == math::Extent::square;
+  const PaperSteps steps = steps_of(w.options, Backend::cuda);
+  const bool square = steps.extent == math::Extent::square;
   add(c, kProject + (square ? kSquare : kEllipse), n.visible);
   add(c, color_ops(std::min(w.sh_degree, w.options.sh_degree_limit), w.compact), n.visible);
   if (!square) add(c, kEllipseRow, n.visible);  // one row each at least
-  if (w.options.cuda.front_end == CudaOptions::FrontEnd::fused) {
+  if (steps.front_end == PaperSteps::FrontEnd::fused) {
     if (!square) add(c, kEllipseRow, n.visible);  // and once more to emit
     c.bytes += n.pairs * n.pair_bytes();
   } else {
-    c.bytes += n.gaussians * kWord + n.visible * cover_bytes(w.options.extent);  // tile counts, covers
+    c.bytes += n.gaussians * kWord + n.visible * cover_bytes(steps.extent);  // tile counts, covers
   }
   return c;
 }
@@ -220,7 +221,7 @@ Cost turbo_blend_cost(const FrameWork& w, const Counts& n) {
   c.bytes = std::min(n.visible, staged) * kSplatBytes + staged * kWord +
             turbo_tiles(w) * cuda::kTurboCells * sizeof(cuda::TurboCell) + n.pixels * n.pixel_bytes;
   c.l2_bytes = staged * (kSplatBytes + kWord);
-  if (w.options.cuda.tensor_cores) {
+  if (w.options.turbo.tensor_cores) {
     c.shared_loads = n.evaluated / kTensorLoadPairs * kTensorLoads;
     add(c, kTensorOps, n.evaluated);
   } else {
@@ -234,9 +235,10 @@ Cost turbo_blend_cost(const FrameWork& w, const Counts& n) {
 Cost bin_cost(const FrameWork& w, const Counts& n) {
   Cost c;
   c.bytes = n.pairs * n.key_bytes + 2 * n.tiles * kRangeBytes;  // cleared, then written
-  if (w.options.cuda.front_end == CudaOptions::FrontEnd::separate) {
+  const PaperSteps steps = steps_of(w.options, Backend::cuda);
+  if (steps.front_end == PaperSteps::FrontEnd::separate) {
     c.bytes += n.gaussians * (kWord + 8) + n.gaussians * 8;  // counts to 64-bit sums; sums
-    c.bytes += n.visible * (cover_bytes(w.options.extent) + kSectorBytes) + n.pairs * n.pair_bytes();  // cover, z
+    c.bytes += n.visible * (cover_bytes(steps.extent) + kSectorBytes) + n.pairs * n.pair_bytes();  // cover, z
   }
   return c;
 }
@@ -257,9 +259,9 @@ Cost blend_cost(const FrameWork& w, const Counts& n) {
   c.bytes =
       std::min(n.visible, staged) * kSplatBytes + staged * kWord + n.tiles * kRangeBytes + n.pixels * n.pixel_bytes;
   c.l2_bytes = staged * (kSplatBytes + kWord);
-  const int pixels = w.options.cuda.pixels_per_thread;
-  const PairOps ops =
-      w.options.exponent == math::Exponent::direct ? direct_ops(w.options.exp) : folded_ops(w.options.exp, pixels);
+  const PaperSteps steps = steps_of(w.options, Backend::cuda);
+  const int pixels = steps.pixels_per_thread;
+  const PairOps ops = steps.exponent == math::Exponent::direct ? direct_ops(steps.exp) : folded_ops(steps.exp, pixels);
   add(c, ops.evaluated, n.evaluated);
   add(c, ops.blended, n.blended);
   const double pixels_a_load = kWarp * pixels;
@@ -297,7 +299,7 @@ Cost& Cost::operator+=(const Cost& other) {
 
 StageCosts stage_costs(const FrameWork& work) {
   const Counts n(work);
-  if (work.options.cuda.turbo && work.stats.gaussians < cuda::kMaxTurboGaussians) {
+  if (work.options.pipeline == Pipeline::turbo && work.stats.gaussians < cuda::kMaxTurboGaussians) {
     return {turbo_project_cost(work, n), turbo_bin_cost(work), turbo_order_cost(work, n), turbo_blend_cost(work, n)};
   }
   return {project_cost(work, n), bin_cost(work, n), sort_cost(work, n), blend_cost(work, n)};

@@ -40,23 +40,24 @@ ordered_json rates_json(const cuda::DeviceRates& r) {
 }
 
 ordered_json options_json(const Configuration& c) {
-  const RenderOptions& o = c.options;
+  const bool is_turbo = c.options.pipeline == Pipeline::turbo;
+  const PaperSteps o = steps_of(c.options, Backend::cuda);
   ordered_json json;
   json["attributes"] = c.compact ? "compact" : "fp32";
-  json["turbo"] = o.cuda.turbo;
-  json["tensor_cores"] = o.cuda.turbo && o.cuda.tensor_cores;
-  json["front_end"] = o.cuda.front_end == CudaOptions::FrontEnd::fused ? "fused" : "separate";
+  json["turbo"] = is_turbo;
+  json["tensor_cores"] = is_turbo && c.options.turbo.tensor_cores;
+  json["front_end"] = o.front_end == PaperSteps::FrontEnd::fused ? "fused" : "separate";
   json["extent"] = o.extent == math::Extent::square ? "square" : "ellipse";
   json["depth_order"] = o.depth_order == math::DepthOrder::exact ? "exact" : "quantized";
   if (o.depth_order == math::DepthOrder::quantized) {
-    json["depth_mapping"] = o.depth_mapping == DepthMapping::linear ? "linear" : "log";
-    json["depth_range"] = o.depth_range;
+    json["depth_mapping"] = *o.depth_mapping == DepthMapping::linear ? "linear" : "log";
+    json["depth_range"] = *o.depth_range;
   }
   json["exponent"] = o.exponent == math::Exponent::direct ? "direct" : "folded";
   json["exp"] = name_of(o.exp);
-  json["pixels_per_thread"] = o.cuda.pixels_per_thread;
+  json["pixels_per_thread"] = o.pixels_per_thread;
   json["pixel_format"] = pixel_format_name(c.packed);
-  json["graph"] = o.cuda.turbo && o.cuda.graph;
+  json["graph"] = is_turbo && c.options.turbo.graph;
   return json;
 }
 

@@ -10,33 +10,18 @@
 namespace rgs::bench {
 namespace {
 
-RenderOptions chosen(RenderOptions options, const ModeInput& input) {
-  options.exp = input.exp.value_or(options.exp);
-  options.depth_mapping = input.depth_mapping.value_or(options.depth_mapping);
-  return options;
-}
-
-RenderOptions paper_of(const ModeInput& input) {
-  return chosen(paper_options(input.declared), input);
-}
-
-RenderOptions turbo_fp32(const ModeInput&) {
-  RenderOptions options = turbo_options();
-  options.cuda.tensor_cores = false;
-  return options;
-}
-
 struct Mode {
   const char* name;
-  RenderOptions (*options)(const ModeInput&);
+  Pipeline pipeline;
+  bool tensor_cores;
   bool compact;
 };
 
 constexpr Mode kModes[] = {
-    {"baseline", [](const ModeInput&) { return baseline_options(); }, false},
-    {"paper", paper_of, true},
-    {"turbo", [](const ModeInput&) { return turbo_options(); }, true},
-    {"turbo-fp32", turbo_fp32, true},
+    {"baseline", Pipeline::baseline, true, false},
+    {"paper", Pipeline::paper, true, true},
+    {"turbo", Pipeline::turbo, true, true},
+    {"turbo-fp32", Pipeline::turbo, false, true},
 };
 
 }  // namespace
@@ -50,7 +35,11 @@ std::vector<std::string> mode_names() {
 Configuration make_mode(std::string_view name, const ModeInput& input) {
   const auto* mode = std::find_if(std::begin(kModes), std::end(kModes), [&](const Mode& m) { return name == m.name; });
   assert(mode != std::end(kModes));
-  return {mode->name, mode->options(input), mode->compact};
+  RenderOptions options{.pipeline = mode->pipeline, .turbo = {.tensor_cores = mode->tensor_cores}};
+  options.paper.exp = input.exp.value_or(options.paper.exp);
+  options.paper.depth_mapping = input.depth_mapping;
+  // Both forms of the scene as the file declares, which FP32 attributes do not.
+  return {mode->name, with_declarations(options, input.declared), mode->compact};
 }
 
 const char* pixel_format_name(const std::optional<math::PixelFormat>& packed) {
@@ -61,7 +50,7 @@ std::uint64_t pixel_bytes(const std::optional<math::PixelFormat>& packed) {
 }
 
 std::vector<Configuration> ablation(const ModeInput& input) {
-  const RenderOptions paper = paper_of(input);
+  const RenderOptions paper = make_mode("paper", input).options;
   std::vector<Configuration> rows{make_mode("baseline", input)};
   const auto step = [&rows](const char* name, const auto& change) {
     Configuration next = rows.back();
@@ -70,17 +59,21 @@ std::vector<Configuration> ablation(const ModeInput& input) {
     change(next);
     rows.push_back(std::move(next));
   };
-  step("+ attributes", [](Configuration& c) { c.compact = true; });
-  step("+ fused front end", [](Configuration& c) { c.options.cuda.front_end = CudaOptions::FrontEnd::fused; });
-  step("+ culling", [](Configuration& c) { c.options.extent = math::Extent::ellipse; });
+  step("+ attributes", [](Configuration& c) {
+    c.options.paper = steps_of(c.options, Backend::cuda);
+    c.options.pipeline = Pipeline::paper;
+    c.compact = true;
+  });
+  step("+ fused front end", [](Configuration& c) { c.options.paper.front_end = PaperSteps::FrontEnd::fused; });
+  step("+ culling", [](Configuration& c) { c.options.paper.extent = math::Extent::ellipse; });
   step("+ 32-bit key", [&](Configuration& c) {
-    c.options.depth_order = paper.depth_order;
-    c.options.depth_mapping = paper.depth_mapping;
-    c.options.depth_range = paper.depth_range;
+    c.options.paper.depth_order = paper.paper.depth_order;
+    c.options.paper.depth_mapping = paper.paper.depth_mapping;
+    c.options.paper.depth_range = paper.paper.depth_range;
   });
   step("+ folding, dual pixel", [](Configuration& c) {
-    c.options.exponent = math::Exponent::folded;
-    c.options.cuda.pixels_per_thread = 2;
+    c.options.paper.exponent = math::Exponent::folded;
+    c.options.paper.pixels_per_thread = 2;
   });
   step("+ fast exp = paper", [&](Configuration& c) { c.options = paper; });
   rows.back().step = false;

@@ -107,16 +107,16 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
   Timing timing;
   for (const Camera& camera : cameras) {
     RenderOptions options = c.options;
-    options.cuda.timings = true;
-    options.cuda.graph = false;  // whose stages are not to be told apart
+    options.measure.timings = true;
+    options.turbo.graph = false;  // whose stages are not to be told apart
     auto stats = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
     if (!stats) return tl::unexpected(stats.error());
-    options.cuda.graph = c.options.cuda.graph;
-    options.cuda.stage_timings = false;  // frames of their own for the total: events between the stages take time
+    options.turbo.graph = c.options.turbo.graph;
+    options.measure.stage_timings = false;  // frames of their own for the total: events between the stages take time
     const auto whole = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
     if (!whole) return tl::unexpected(whole.error());
     stats->total_ms = whole->total_ms;
-    options.cuda.count_pairs = true;  // in a frame of its own: counting takes time
+    options.measure.count_pairs = true;  // in a frame of its own: counting takes time
     const auto counted = renderer->render(scenes.of(c), camera, target, options);
     if (!counted) return tl::unexpected(counted.error());
     stats->evaluated = counted->evaluated, stats->blended = counted->blended;

@@ -144,7 +144,7 @@ std::vector<Configuration> configurations(const Options& o, const std::optional<
     if (o.pixel_format != "rgb32f") {
       row.packed = o.pixel_format == "rgba8" ? rgs::math::PixelFormat::rgba8 : rgs::math::PixelFormat::rgba16f;
     }
-    row.options.cuda.graph = o.graph && row.options.cuda.turbo;
+    row.options.turbo.graph = o.graph;
   }
   return rows;
 }

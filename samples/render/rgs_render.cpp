@@ -36,11 +36,13 @@ struct Options {
   int orbit = 0, frames = 120;
   bool alpha = false, overwrite = false, quiet = false, json = false, scalar = false;
   std::vector<float> depth_range;
-  std::optional<rgs::math::AntiAliasing> anti_aliasing;
-  std::string key = "exact", mode;
+  std::string key = "exact";
   bool has_arithmetic = false;  // an option that excludes --mode is there
   rgs::RendererOptions renderer;
-  rgs::RenderOptions render;
+  // The steps are those of the image's definition, which single options change; without any, they are not read.
+  rgs::RenderOptions render{.paper = {.depth_order = rgs::math::DepthOrder::exact,
+                                      .exponent = rgs::math::Exponent::direct,
+                                      .exp = rgs::math::Exp::exact}};
 };
 
 // One picture to be made.
@@ -148,41 +150,18 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
   return name_files(shots, options);
 }
 
-rgs::RenderOptions with_anti_aliasing(rgs::RenderOptions render, const Options& options,
-                                      const std::optional<rgs::Declarations>& stated) {
-  if (options.anti_aliasing) {
-    render.anti_aliasing = *options.anti_aliasing;
-  } else if (stated && stated->aa_mode == rgs::AaMode::mip_splatting) {
-    render.anti_aliasing = rgs::math::AntiAliasing::mip_splatting;
+rgs::RenderOptions render_options(const Options& options) {
+  rgs::RenderOptions render = options.render;
+  if (options.has_arithmetic) {
+    render.pipeline = rgs::Pipeline::paper;
+    const bool is_exact = options.key == "exact";
+    render.paper.depth_order = is_exact ? rgs::math::DepthOrder::exact : rgs::math::DepthOrder::quantized;
+    render.paper.depth_mapping = options.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
+    if (options.depth_range.size() == 2) render.paper.depth_range = {options.depth_range[0], options.depth_range[1]};
+  } else {
+    render.paper = {};
   }
   return render;
-}
-
-rgs::RenderOptions render_options(const Options& options, const rgs::SceneFile& scene, const rgs::Renderer& renderer) {
-  rgs::RenderOptions render = options.render;
-  const auto& stated = scene.scene.declarations();
-  if (!options.mode.empty() || !options.has_arithmetic) {
-    const rgs::RenderOptions preset = options.mode == "baseline" ? rgs::baseline_options()
-                                      : options.mode == "paper"  ? rgs::paper_options(stated)
-                                      : options.mode == "turbo"  ? rgs::turbo_options()
-                                                                 : renderer.default_options();
-    render.extent = preset.extent;
-    render.depth_order = preset.depth_order;
-    render.depth_mapping = preset.depth_mapping;
-    render.depth_range = preset.depth_range;
-    render.exponent = preset.exponent;
-    render.exp = preset.exp;
-    render.cuda = preset.cuda;
-    return with_anti_aliasing(render, options, stated);
-  }
-  render.depth_order = options.key == "exact" ? rgs::math::DepthOrder::exact : rgs::math::DepthOrder::quantized;
-  render.depth_mapping = options.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
-  if (options.depth_range.size() == 2) {
-    render.depth_range = {options.depth_range[0], options.depth_range[1]};
-  } else if (stated) {
-    render.depth_range = {stated->z_near, stated->z_far};
-  }
-  return with_anti_aliasing(render, options, stated);
 }
 
 // A rendered frame on its way to its files.
@@ -293,7 +272,7 @@ int render(const Options& options) {
 
   std::vector<Shot> shots;
   if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;
-  const rgs::RenderOptions render_how = render_options(options, *scene, *renderer);
+  const rgs::RenderOptions render_how = render_options(options);
 
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
@@ -379,20 +358,22 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::Range(0, rgs::kMaxShDegree))
       ->capture_default_str()
       ->group(image);
-  app.add_option("--low-pass", o.render.low_pass, "px^2 added to projected covariances; Mip-Splatting uses 0.1")
+  app.add_option("--low-pass", o.render.low_pass,
+                 "px^2 added to projected covariances [what the file states, else 0.3]")
       ->check(CLI::NonNegativeNumber)
-      ->capture_default_str()
       ->group(image);
-  app.add_option("--aa", o.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
+  app.add_option("--aa", o.render.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
       ->transform(names<AntiAliasing>({{"classic", AntiAliasing::classic}, {"mip", AntiAliasing::mip_splatting}}))
       ->group(image);
 
   const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
   auto* const mode =
-      app.add_option("--mode", o.mode, "all of these at once: baseline (3DGS), paper, turbo [turbo on CUDA]")
-          ->check(CLI::IsMember({"baseline", "paper", "turbo"}))
+      app.add_option("--mode", o.render.pipeline, "all of these at once: baseline (3DGS), paper, turbo [turbo on CUDA]")
+          ->transform(names<rgs::Pipeline>({{"baseline", rgs::Pipeline::baseline},
+                                            {"paper", rgs::Pipeline::paper},
+                                            {"turbo", rgs::Pipeline::turbo}}))
           ->group(arithmetic);
-  app.add_option("--extent", o.render.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
+  app.add_option("--extent", o.render.paper.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
       ->transform(names<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))
       ->excludes(mode)
       ->group(arithmetic);
@@ -401,7 +382,7 @@ void add_options(CLI::App& app, Options& o) {
       ->capture_default_str()
       ->excludes(mode)
       ->group(arithmetic);
-  app.add_option("--depth-bits", o.render.depth_bits, "bits of the quantised depth, 0: 32 less those of the tile")
+  app.add_option("--depth-bits", o.render.paper.depth_bits, "bits of the quantised depth, 0: 32 less those of the tile")
       ->check(CLI::Range(0, 32))
       ->capture_default_str()
       ->excludes(mode)
@@ -411,11 +392,11 @@ void add_options(CLI::App& app, Options& o) {
       ->expected(2)
       ->excludes(mode)
       ->group(arithmetic);
-  app.add_option("--exponent", o.render.exponent, "direct, folded [direct]")
+  app.add_option("--exponent", o.render.paper.exponent, "direct, folded [direct]")
       ->transform(names<Exponent>({{"direct", Exponent::direct}, {"folded", Exponent::folded}}))
       ->excludes(mode)
       ->group(arithmetic);
-  app.add_option("--exp", o.render.exp, "exponential: exact, paper, zero-mean [exact]")
+  app.add_option("--exp", o.render.paper.exp, "exponential: exact, paper, zero-mean [exact]")
       ->transform(names<Exp>({{"exact", Exp::exact}, {"paper", Exp::paper}, {"zero-mean", Exp::zero_mean}}))
       ->excludes(mode)
       ->group(arithmetic);

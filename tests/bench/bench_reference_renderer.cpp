@@ -115,15 +115,21 @@ int main(int argc, char** argv) {
         ->MeasureProcessCPUTime()
         ->UseRealTime();
   };
+  const auto with = [](rgs::PaperSteps steps) {
+    steps.depth_order = rgs::math::DepthOrder::exact;
+    return rgs::RenderOptions{.pipeline = rgs::Pipeline::paper, .paper = steps};
+  };
+  using enum rgs::math::Exponent;
+  using enum rgs::math::Exp;
   add("scalar/1_thread", {.threads = 1, .simd = false}, {});
   add("simd/1_thread", {.threads = 1}, {});
   const int n_threads = static_cast<int>(std::max(2U, std::thread::hardware_concurrency()));
   for (int threads = 2; threads <= n_threads; threads *= 2) {
     add("simd/" + std::to_string(threads) + "_threads", {.threads = threads}, {});
   }
-  add("simd/1_thread/square", {.threads = 1}, {.extent = rgs::math::Extent::square});
-  add("simd/1_thread/folded", {.threads = 1}, {.exponent = rgs::math::Exponent::folded});
-  add("simd/1_thread/folded_paper_exp", {.threads = 1},
-      {.exponent = rgs::math::Exponent::folded, .exp = rgs::math::Exp::paper});
+  add("simd/1_thread/square", {.threads = 1},
+      with({.extent = rgs::math::Extent::square, .exponent = direct, .exp = exact}));
+  add("simd/1_thread/folded", {.threads = 1}, with({.exponent = folded, .exp = exact}));
+  add("simd/1_thread/folded_paper_exp", {.threads = 1}, with({.exponent = folded, .exp = paper}));
   benchmark::RunSpecifiedBenchmarks();
 }

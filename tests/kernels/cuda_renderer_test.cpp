@@ -21,7 +21,7 @@ using namespace rgs;
 using namespace rgs::test;
 using math::DepthOrder;
 using math::Extent;
-using FrontEnd = CudaOptions::FrontEnd;
+using FrontEnd = PaperSteps::FrontEnd;
 
 namespace {
 
@@ -83,39 +83,42 @@ void check_error(const Result<FrameStats>& result, Errc code) {
   CHECK_MESSAGE(result.error().code == code, text_of(result.error()), ", found ", result.error().found);
 }
 
-/// The presets and two more, each deterministic.
+/// The pipelines and three more, each deterministic.
 RenderOptions deterministic(RenderOptions options) {
-  options.cuda.deterministic = true;
+  options.paper.deterministic = true;
   return options;
 }
 std::vector<RenderOptions> modes() {
   RenderOptions zero_mean = paper_options();
-  zero_mean.exp = math::Exp::zero_mean;
-  zero_mean.depth_mapping = DepthMapping::logarithmic;
+  zero_mean.paper.exp = math::Exp::zero_mean;
+  zero_mean.paper.depth_mapping = DepthMapping::logarithmic;
   RenderOptions turbo_fp32 = turbo_options();
-  turbo_fp32.cuda.tensor_cores = false;
+  turbo_fp32.turbo.tensor_cores = false;
   return {deterministic(baseline_options()),
           deterministic(paper_options()),
           deterministic(zero_mean),
-          deterministic(RenderOptions()),
+          Arithmetic{.deterministic = true},
           turbo_options(),
           turbo_fp32};
 }
 const std::string kModes[] = {"baseline", "paper", "zero-mean logarithmic", "exact, fused", "turbo", "turbo in FP32"};
 constexpr std::size_t kTurbo = 4, kTurboFp32 = 5, kModeCount = 6;
 
+bool is_turbo(const RenderOptions& o) {
+  return o.pipeline == Pipeline::turbo;
+}
 /// Lowest PSNR against the CPU in the same arithmetic, and largest difference. Turbo goes on a little where the
 /// definition stops a pixel, at the Gaussian that would take its transmittance below 1e-4, or stops at 2^-11, and has
 /// colours, mostly opacities as well, in FP16.
 double lowest_psnr(const RenderOptions& o) {
-  return o.cuda.turbo ? 60 : o.exp == math::Exp::exact ? 70 : 65;
+  return is_turbo(o) ? 60 : steps_of(o, Backend::cuda).exp == math::Exp::exact ? 70 : 65;
 }
 double largest_error(const RenderOptions& o) {
-  return o.cuda.turbo ? 4.0 / 255 : o.exp == math::Exp::exact ? 2.0 / 255 : 1;
+  return is_turbo(o) ? 4.0 / 255 : steps_of(o, Backend::cuda).exp == math::Exp::exact ? 2.0 / 255 : 1;
 }
 
 std::uint64_t n_tiles(const RenderOptions& o, int width, int height) {
-  const auto grid = o.cuda.turbo ? math::tile_grid<32>(width, height) : math::tile_grid(width, height);
+  const auto grid = is_turbo(o) ? math::tile_grid<32>(width, height) : math::tile_grid(width, height);
   return static_cast<std::uint64_t>(grid.columns) * static_cast<std::uint64_t>(grid.rows);
 }
 
@@ -148,8 +151,6 @@ TEST_CASE("backends: automatic is CUDA if a device answers and the CPU if not") 
   const auto cpu = Renderer::create({.backend = Backend::cpu});
   require_ok(cpu);
   CHECK(cpu->backend() == Backend::cpu);
-  CHECK(!cpu->default_options().cuda.turbo);
-  CHECK(automatic->default_options().cuda.turbo == answers);
   if (answers) {
     CHECK(cuda->backend() == Backend::cuda);
     CHECK(std::string(cuda->backend_name()).starts_with("cuda "));
@@ -202,7 +203,7 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
       const Frame host = cpu_frame(scene, camera, options);
       const DeviceScene uploaded = is_compact ? upload(compact.file) : upload(fp32);
       CHECK(uploaded.compact() == is_compact);
-      options.cuda.count_pairs = is_compact;
+      options.measure.count_pairs = is_compact;
       const auto stats = device.render(uploaded, options);
       require_ok(stats);
       const auto rgb = device.rgb();
@@ -217,7 +218,7 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
       const auto close = [](std::uint64_t a, std::uint64_t b, double part) {
         return std::abs(static_cast<double>(a) - static_cast<double>(b)) <= part * static_cast<double>(b);
       };
-      if (options.cuda.turbo) {  // lists other tiles, and passes over parts of them
+      if (is_turbo(options)) {  // lists other tiles, and passes over parts of them
         CHECK_MESSAGE(close(stats->visible, host.stats.visible, 0.02), stats->visible, " and ", host.stats.visible);
         CHECK(stats->instances < host.stats.instances);
         CHECK((!is_compact || (stats->evaluated > 0 && stats->evaluated < host.stats.evaluated)));
@@ -250,7 +251,7 @@ TEST_CASE("a scene with the statistics of trained ones follows the CPU renderer"
     const Camera& camera = cameras->cameras[view];
     device.resize(camera);
     for (const std::size_t m : {std::size_t{0}, std::size_t{1}, kTurbo}) {
-      const RenderOptions options = m == 1 ? deterministic(paper_options(uploaded.declarations())) : modes()[m];
+      const RenderOptions options = modes()[m];
       const Frame host = cpu_frame(compact.scene, camera, options);
       require_ok(device.render(uploaded, options));
       const auto rgb = device.rgb();
@@ -298,12 +299,12 @@ TEST_CASE("the order of blocks changes nothing but Gaussians of one depth") {
   }
   const DeviceScene uploaded = upload(scene_of(cloud_of(splats, 1)));
   Device device(front_camera(320, 200));
-  RenderOptions options;
+  RenderOptions options = Arithmetic();
   require_ok(device.render(uploaded, deterministic(options)));
   const auto fused = device.rgb();
   require_ok(device.render(uploaded, options));
   check_same(device.rgb(), fused);
-  options.cuda.front_end = FrontEnd::separate;
+  options.paper.front_end = FrontEnd::separate;
   require_ok(device.render(uploaded, options));
   check_same(device.rgb(), fused);
 }
@@ -411,7 +412,7 @@ namespace {
 
 RenderOptions turbo_graph() {
   RenderOptions options = turbo_options();
-  options.cuda.graph = true;
+  options.turbo.graph = true;
   return options;
 }
 
@@ -443,18 +444,18 @@ TEST_CASE("turbo as a graph gives turbo's bytes: other cameras, sizes, scenes, o
     const DeviceScene& scene = scenes[turn % 7 == 6 ? 3 : turn / 2 % 3];
     RenderOptions options = turn % 8 == 7 ? turbo_options() : turbo_graph();  // from one to the other and back
     options.background = {0.3F, 0.2F, 0.1F};
-    options.cuda.count_pairs = turn % 5 == 4;  // kernels of another kind
-    options.cuda.timings = turn % 4 == 3;
+    options.measure.count_pairs = turn % 5 == 4;  // kernels of another kind
+    options.measure.timings = turn % 4 == 3;
     plain.resize(camera), graph.resize(camera);
     const auto b = graph.render(scene, options, turn % 2 == 0 ? stream : nullptr);
     require_ok(b);
-    options.cuda.graph = false;
+    options.turbo.graph = false;
     const auto a = plain.render(scene, options);
     require_ok(a);
     check_same(graph.rgb(), plain.rgb());
     check_same(graph.alpha(), plain.alpha());
     check_same_counts(*b, *a);
-    CHECK((b->total_ms > 0) == options.cuda.timings);
+    CHECK((b->total_ms > 0) == options.measure.timings);
   }
   require_cuda(cudaStreamDestroy(stream));
 }
@@ -473,8 +474,8 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
   for (const bool graph : {false, true}) {
     CAPTURE(graph);
     RenderOptions options = graph ? turbo_graph() : turbo_options();
-    options.cuda.asynchronous = true;
-    options.cuda.timings = true;
+    options.turbo.asynchronous = true;
+    options.measure.timings = true;
 
     Device device(camera);
     const auto nothing = device.renderer().finish();
@@ -526,14 +527,14 @@ TEST_CASE("stage times on request: the frame's own time does without them") {
   const DeviceScene scene = upload(scene_of(cloud_of(random_splats(616, 3000), 1)));
   Device device(camera);
   for (RenderOptions options : modes()) {
-    options.cuda.timings = true;
+    options.measure.timings = true;
     const auto staged = device.render(scene, options);
     require_ok(staged);
     CHECK(staged->project_ms > 0);
     CHECK(staged->blend_ms > 0);
     CHECK(staged->project_ms + staged->bin_ms + staged->sort_ms + staged->blend_ms ==
           doctest::Approx(staged->total_ms).epsilon(0.05));
-    options.cuda.stage_timings = false;
+    options.measure.stage_timings = false;
     const auto whole = device.render(scene, options);
     require_ok(whole);
     CHECK(whole->total_ms > 0);
@@ -650,7 +651,7 @@ TEST_CASE("more pairs than the workspace holds: the frame is the one of a worksp
     const double quality = psnr(rgb, host.rgb);
     CHECK_MESSAGE(quality >= lowest_psnr(modes()[m]), quality, " dB");
     RenderOptions unordered = modes()[m];  // depths differ, so that blocks in any order give the same
-    unordered.cuda.deterministic = false;
+    unordered.paper.deterministic = false;
     Device other(camera);
     require_ok(other.render(large, unordered));
     check_same(other.rgb(), rgb);
@@ -686,9 +687,9 @@ TEST_CASE("refusals: cameras and options") {
   bad.fx = std::numeric_limits<double>::quiet_NaN();
   check_error(device.renderer().render(scene, bad, {}), Errc::bad_camera);
   check_error(device.render(scene, {.near_plane = -1}), Errc::bad_argument);
-  check_error(device.render(scene, {.depth_bits = 33}), Errc::bad_argument);
-  check_error(device.render(scene, {.cuda = {.pixels_per_thread = 3}}), Errc::bad_argument);
-  check_error(device.render(scene, {.cuda = {.turbo = true}}), Errc::bad_argument);  // folded exponents only
+  check_error(device.render(scene, Arithmetic{.depth_bits = 33}), Errc::bad_argument);
+  check_error(device.render(scene, {.pipeline = Pipeline::paper, .paper = {.pixels_per_thread = 3}}),
+              Errc::bad_argument);
   require_ok(device.render(scene, {}));
   require_ok(device.renderer().render(scene, front_camera(8, 8), {}));  // a frame that nobody wants to see
 }

@@ -171,7 +171,7 @@ inline Camera random_camera(Random& random, int width, int height) {
 }
 
 /// What CudaRenderer hands to the kernels for a view.
-inline cuda::ViewParameters view_parameters(const Camera& camera, const RenderOptions& options, int sh_degree) {
+inline cuda::ViewParameters view_parameters(const Camera& camera, const Arithmetic& options, int sh_degree) {
   Matrix4 m;
   for (std::size_t i = 0; i < 16; ++i) m[i] = camera.world_to_camera[i];
   cuda::ViewParameters v{};

@@ -121,7 +121,7 @@ DeviceScene upload(const Source& source) {
 }
 RenderOptions paper_deterministic() {
   RenderOptions o = paper_options();
-  o.cuda.deterministic = true;
+  o.paper.deterministic = true;
   return o;
 }
 
@@ -270,7 +270,8 @@ TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel be
   const auto compact = CompactScene::of(cloud_of(splats));
   const DeviceScene scene = upload(compact.file);
   const Camera camera = small_sizes() ? front_camera(150, 80) : front_camera(3840, 2160);
-  for (const RenderOptions& options : {baseline_options(), paper_deterministic(), turbo_options(), RenderOptions()}) {
+  for (const RenderOptions& options :
+       {baseline_options(), paper_deterministic(), turbo_options(), RenderOptions(Arithmetic())}) {
     auto renderer = CudaRenderer::create();
     require_ok(renderer);
     const auto n = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
@@ -280,8 +281,8 @@ TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel be
       return std::count_if(values.begin(), values.end(), [](float x) { return !(x >= 0 && x <= 1.001F); });
     };
     const auto alphas = alpha.download(), colors = rgb.download();
-    CAPTURE(options.cuda.turbo);
-    CAPTURE(static_cast<int>(options.exp));
+    CAPTURE(static_cast<int>(options.pipeline));
+    CAPTURE(static_cast<int>(options.paper.exp));
     CHECK_MESSAGE(count_outside(alphas) == 0, count_outside(alphas), " alphas are below 0 or above 1, the largest is ",
                   *std::max_element(alphas.begin(), alphas.end()));
     CHECK_MESSAGE(count_outside(colors) == 0, count_outside(colors), " channels are below 0 or above 1");
@@ -308,10 +309,10 @@ TEST_CASE("trap 6: 32 bits are sorted, no constant ones; too few of depth give t
   const auto fallen_back = draw(scene, eight_k, options);
   CHECK(fallen_back.stats.depth_bits == 0);
   CHECK(fallen_back.stats.key_bits == 17 + 32);
-  options.depth_order = DepthOrder::exact;
+  options.paper.depth_order = DepthOrder::exact;
   CHECK(draw(scene, eight_k, options).rgb == fallen_back.rgb);
-  options.depth_order = DepthOrder::quantized;
-  options.depth_bits = 15;  // who asks for them gets them
+  options.paper.depth_order = DepthOrder::quantized;
+  options.paper.depth_bits = 15;  // who asks for them gets them
   const auto coarse = draw(scene, eight_k, options);
   CHECK(coarse.stats.depth_bits == 15);
   CHECK(coarse.stats.key_bits == 32);
@@ -328,13 +329,13 @@ TEST_CASE("trap 7: Gaussians of one depth keep the order of the scene in determi
   const Camera camera = front_camera(320, 200);
   const DeviceScene uploaded = upload(scene.view());
   for (const auto order : {DepthOrder::exact, DepthOrder::quantized}) {
-    RenderOptions options{.depth_order = order, .cuda = {.deterministic = true}};
+    RenderOptions options = Arithmetic{.depth_order = order, .deterministic = true};
     const Frame host = render(scene, camera, options, {.backend = Backend::cpu, .simd = false});
     const auto first = draw(uploaded, camera, options);
     CHECK(psnr(first.rgb, host.rgb) >= 70);
     CHECK(largest_difference(first.rgb, host.rgb) <= 2.0 / 255);
     for (int run = 0; run < 4; ++run) CHECK(draw(uploaded, camera, options).rgb == first.rgb);
-    options.cuda.front_end = CudaOptions::FrontEnd::separate;
+    options.paper.front_end = PaperSteps::FrontEnd::separate;
     CHECK(draw(uploaded, camera, options).rgb == first.rgb);
     const auto turbo = draw(uploaded, camera, turbo_options());
     CHECK(psnr(turbo.rgb, host.rgb) >= 60);

@@ -35,11 +35,11 @@ class OrbitStage {
 
   /// Rows of baseline, turbo with and without tensor cores, and baseline with a depth key of 5 bits, which pops.
   std::vector<bench::OrbitRow> follow(int frames) {
-    RenderOptions coarse = baseline_options();
-    coarse.depth_order = math::DepthOrder::quantized;
-    coarse.depth_bits = 5;
+    RenderOptions coarse{.pipeline = Pipeline::paper, .paper = steps_of(baseline_options(), Backend::cuda)};
+    coarse.paper.depth_order = math::DepthOrder::quantized;
+    coarse.paper.depth_bits = 5;
     RenderOptions fp32 = turbo_options();
-    fp32.cuda.tensor_cores = false;
+    fp32.turbo.tensor_cores = false;
     const RenderOptions modes[] = {baseline_options(), turbo_options(), fp32, coarse};
     const std::string names[] = {"baseline", "turbo", "turbo, FP32", "5 bits"};
     const auto path = bench::turntable(camera_, distance(), 0.25, frames);

@@ -87,7 +87,7 @@ TEST_CASE("a trained scene matches images of the original definition to 60 dB in
     REQUIRE(found != list.end());
     const Camera camera = resized(*found, reference->width, reference->height);
     std::vector<float> rgb(reference->pixels.size());
-    const auto stats = renderer->render(*scene, camera, {.rgb = rgb}, {.extent = math::Extent::square});
+    const auto stats = renderer->render(*scene, camera, {.rgb = rgb}, baseline_options());
     REQUIRE(stats);
     double sum = 0, largest = 0;
     for (std::size_t i = 0; i < rgb.size(); ++i) {

@@ -108,7 +108,7 @@ TEST_CASE("vectors follow the scalar definition in every arithmetic") {
       for (const auto extent : {Extent::square, Extent::ellipse}) {
         CAPTURE(static_cast<int>(exponent));
         CAPTURE(static_cast<int>(exp));
-        RenderOptions options{.background = {0.2F, 0.4F, 0.6F}, .extent = extent, .exponent = exponent, .exp = exp};
+        Arithmetic options{.background = {0.2F, 0.4F, 0.6F}, .extent = extent, .exponent = exponent, .exp = exp};
         const Frame a = render(scene, camera, options, kScalar), b = render(scene, camera, options, kVector);
         CHECK(largest_difference(a.rgb, b.rgb) <= 1.0 / 255);
         CHECK(psnr(a.rgb, b.rgb) >= 70);
@@ -132,7 +132,7 @@ TEST_CASE("vectors follow the scalar definition in every arithmetic") {
 TEST_CASE("every instruction set that the machine can run follows the definition") {
   const Scene scene = scene_of(cloud_of(random_splats(27, 1500), 1));
   const Camera camera = front_camera(150, 70);
-  const RenderOptions options{.exponent = Exponent::folded};
+  const Arithmetic options{.exponent = Exponent::folded};
   const Frame expected = render(scene, camera, options, kScalar);
   for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
     hwy::SetSupportedTargetsForTest(left & -left);
@@ -233,7 +233,7 @@ TEST_CASE("contributions: vectors follow the definition in every arithmetic") {
   const Camera camera = front_camera(203, 117);
   for (const auto exponent : {Exponent::direct, Exponent::folded}) {
     for (const auto exp : {Exp::exact, Exp::paper, Exp::zero_mean}) {
-      const RenderOptions options{.exponent = exponent, .exp = exp};
+      const Arithmetic options{.exponent = exponent, .exp = exp};
       const auto a = contributions_of(scene, {camera}, kScalar, options),
                  b = contributions_of(scene, {camera}, kVector, options);
       double worst = 0;
@@ -267,7 +267,7 @@ TEST_CASE("each option does what it says") {
   const Scene scene = scene_of(cloud_of(random_splats(26, 3000), 3));
   const Camera camera = front_camera(192, 128);
   const Frame base = render(scene, camera);
-  const auto with = [&](const RenderOptions& options) { return render(scene, camera, options); };
+  const auto with = [&](const Arithmetic& options) { return render(scene, camera, options); };
 
   const Frame square = with({.extent = Extent::square});
   CHECK(square.stats.instances > base.stats.instances);
@@ -307,8 +307,8 @@ TEST_CASE("alpha and opacity stay in range for opacity 0 and 1") {
     CHECK((scene.view().opacity[0] == (l > 0 ? 1.0F : scene.view().opacity[0]) && scene.view().opacity[0] >= 0));
     for (const auto exponent : {Exponent::direct, Exponent::folded}) {
       for (const bool simd : {false, true}) {
-        const Frame f =
-            render(scene, front_camera(40, 40), {.extent = Extent::square, .exponent = exponent}, {.simd = simd});
+        const Frame f = render(scene, front_camera(40, 40), Arithmetic{.extent = Extent::square, .exponent = exponent},
+                               {.simd = simd});
         for (const float a : f.alpha) CHECK((a >= 0 && a <= 1));
         CHECK(f.alpha[20 * 40 + 20] == doctest::Approx(l > 0 ? 0.9999 : 0).epsilon(0.01));
       }
@@ -336,7 +336,7 @@ TEST_CASE("images of one pixel and of 8K, the latter under one Gaussian") {
     const Camera camera = front_camera(7680, 4320);
     std::vector<float> alpha(7680 * 4320, NAN);
     auto renderer = Renderer::create();
-    const auto stats = renderer->render(scene, camera, {.alpha = alpha}, {.extent = extent});
+    const auto stats = renderer->render(scene, camera, {.alpha = alpha}, Arithmetic{.extent = extent});
     REQUIRE(stats);
     CHECK(stats->instances == 480 * 270);
     CHECK(alpha.front() == doctest::Approx(0.5).epsilon(1e-3));
@@ -362,8 +362,8 @@ TEST_CASE("degenerate Gaussians draw something finite or nothing") {
   for (const auto extent : {Extent::square, Extent::ellipse}) {
     for (const auto exponent : {Exponent::direct, Exponent::folded}) {
       for (const bool simd : {false, true}) {
-        const Frame f = render(scene, front_camera(64, 64), {.low_pass = 0, .extent = extent, .exponent = exponent},
-                               {.simd = simd});
+        const Frame f = render(scene, front_camera(64, 64),
+                               Arithmetic{.low_pass = 0, .extent = extent, .exponent = exponent}, {.simd = simd});
         CHECK(std::all_of(f.rgb.begin(), f.rgb.end(), [](float v) { return v >= 0 && v <= 1.01F; }));
         CHECK(std::all_of(f.depth.begin(), f.depth.end(), [](float v) { return std::isfinite(v); }));
       }
@@ -443,8 +443,8 @@ TEST_CASE("refusals: cameras, options, targets, scenes, backends") {
   CHECK(code(good, {.far_plane = 0.1F}) == Errc::bad_argument);
   CHECK(code(good, {.sh_degree_limit = 4}) == Errc::bad_argument);
   CHECK(code(good, {.low_pass = NAN}) == Errc::bad_argument);
-  CHECK(code(good, {.depth_bits = 33}) == Errc::bad_argument);
-  CHECK(code(good, {.depth_range = {5, 5}}) == Errc::bad_argument);
+  CHECK(code(good, Arithmetic{.depth_bits = 33}) == Errc::bad_argument);
+  CHECK(code(good, Arithmetic{.depth_range = {5, 5}}) == Errc::bad_argument);
   CHECK(code(good, {.background = {NAN, 0, 0}}) == Errc::bad_argument);
   alpha.resize(63);
   CHECK(code(good) == Errc::bad_argument);

@@ -5,6 +5,7 @@
 #include <doctest/doctest.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
 #include <span>
@@ -67,6 +68,52 @@ inline Scene scene_of(const SplatCloud& cloud) {
   return *std::move(scene);
 }
 
+inline RenderOptions baseline_options() {
+  return {.pipeline = Pipeline::baseline};
+}
+inline RenderOptions paper_options() {
+  return {.pipeline = Pipeline::paper};
+}
+inline RenderOptions turbo_options() {
+  return {.pipeline = Pipeline::turbo};
+}
+
+/// Options in one flat list, of which the defaults are the image's definition on every backend.
+struct Arithmetic {
+  std::array<float, 3> background = {0, 0, 0};
+  float near_plane = math::kNearPlane;
+  float far_plane = 0;
+  int sh_degree_limit = 3;
+  float low_pass = math::kLowPass;
+  math::AntiAliasing anti_aliasing = math::AntiAliasing::classic;
+  math::Extent extent = math::Extent::ellipse;
+  math::DepthOrder depth_order = math::DepthOrder::exact;
+  DepthMapping depth_mapping = DepthMapping::linear;
+  int depth_bits = 0;
+  std::array<float, 2> depth_range = {0.2F, 100};
+  math::Exponent exponent = math::Exponent::direct;
+  math::Exp exp = math::Exp::exact;
+  bool deterministic = false;
+
+  operator RenderOptions() const {  // NOLINT(google-explicit-constructor): stands for it
+    return {.background = background,
+            .near_plane = near_plane,
+            .far_plane = far_plane,
+            .sh_degree_limit = sh_degree_limit,
+            .low_pass = low_pass,
+            .anti_aliasing = anti_aliasing,
+            .pipeline = Pipeline::paper,
+            .paper = {.extent = extent,
+                      .depth_order = depth_order,
+                      .depth_mapping = depth_mapping,
+                      .depth_bits = depth_bits,
+                      .depth_range = depth_range,
+                      .exponent = exponent,
+                      .exp = exp,
+                      .deterministic = deterministic}};
+  }
+};
+
 /// All outputs of one frame.
 struct Frame {
   std::vector<float> rgb, alpha, depth;
@@ -84,7 +131,7 @@ struct Frame {
   RenderTarget target() { return {rgb, alpha, depth, evaluated, blended}; }
 };
 
-inline Frame render(const Scene& scene, const Camera& camera, const RenderOptions& options = {},
+inline Frame render(const Scene& scene, const Camera& camera, const RenderOptions& options = Arithmetic(),
                     const RendererOptions& how = {}) {
   auto renderer = Renderer::create(how);
   REQUIRE(renderer);

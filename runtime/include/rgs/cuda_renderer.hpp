@@ -76,12 +76,12 @@ class CudaRenderer {
 
   /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. Waits once,
   /// for the number of (tile, Gaussian) pairs, and once more if they did not fit and the frame is made again; with
-  /// options.cuda.timings or .count_pairs also for the end of the frame. All counts but evaluated and blended (0 unless
+  /// options.measure.timings or .count_pairs also for the end of the frame. All counts but evaluated and blended (0 unless
   /// counted) are exact on return. Errors: bad_camera, bad_argument (see Renderer::render(); a packed target that is not
   /// aligned), limit_exceeded (2^31 pairs or more), device_out_of_memory (Error::expected: bytes wanted; the renderer
   /// remains usable), device_failed; also those of the frame before, if that was asynchronous: it is given up then.
   ///
-  /// With options.cuda.asynchronous nothing is waited for. The stream and the target must live until finish() or the
+  /// With options.turbo.asynchronous nothing is waited for. The stream and the target must live until finish() or the
   /// next render() has returned, which first learns whether the frame fitted, and if not makes it again on its stream:
   /// a picture that must be right is one that finish() has seen.
   Result<FrameStats> render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,

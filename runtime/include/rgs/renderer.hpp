@@ -24,65 +24,88 @@ struct RendererOptions {
   bool simd = true;  ///< CPU: false runs the scalar definition in rgs::math pixel by pixel, the reference for all else
 };
 
-/// How the CUDA renderer makes a frame. None of it changes the image beyond rounding; the CPU ignores it.
-struct CudaOptions {
+/// By which method a frame is made.
+enum class Pipeline : std::uint8_t {
+  /// On CUDA turbo. On the CPU the image's definition: ellipses, exact order, direct exponents, exact exponentials.
+  automatic,
+  baseline,  ///< the original 3DGS rasteriser: every setting of it, and on CUDA its kernels
+  paper,     ///< the paper's, or what PaperSteps make of it
+  /// Lists per tile of 32x32 pixels, each ordered exactly on its own, in place of a sort over the frame; deterministic
+  /// by itself. Scenes of 2^25 Gaussians and more are drawn by the paper's kernels, in turbo's arithmetic. FrameStats:
+  /// lists count as bin_ms, their order as sort_ms. The CPU has its arithmetic: ellipses, exact order, folded exponents.
+  turbo,
+};
+
+/// Steps of the paper's method, each of which can be switched alone; the defaults are the paper. Pipeline::paper reads
+/// them and no other. docs/RENDERING.md has the equations and the measured effect of each.
+struct PaperSteps {
   enum class FrontEnd : std::uint8_t {
     separate,  ///< kernels of their own for projection, sum and duplication: the original
     fused,     ///< one kernel: the paper
   };
-  FrontEnd front_end = FrontEnd::fused;
-  /// Lists per tile of 32x32 pixels, each ordered exactly on its own, in place of a sort over the frame; deterministic by
-  /// itself. Takes the arithmetic of turbo_options(), and the place of front_end and pixels_per_thread. Scenes of 2^25
-  /// Gaussians and more are drawn by the other kernels. FrameStats: lists count as bin_ms, their order as sort_ms.
-  bool turbo = false;
-  /// Of turbo: blends by matrix products in FP16, and in FP32 where depth or counts are wanted or low_pass < 0.1. Stops
-  /// a pixel at a transmittance of 2^-11 in place of 1e-4. docs/KERNELS.md has what this changes.
-  bool tensor_cores = true;
-  int pixels_per_thread = 2;  ///< 1 (the original) or 2 (the paper)
-  /// Same bytes on every run: Gaussians that share a depth bin keep the order of the scene. Otherwise the fused front
-  /// end lists them in the order in which its blocks happen to run.
+  math::Extent extent = math::Extent::ellipse;
+  math::DepthOrder depth_order = math::DepthOrder::quantized;
+  std::optional<DepthMapping> depth_mapping = std::nullopt;  ///< of the quantised key; absent: as declared, else linear
+  /// Of the quantised key: 1..32, or 0 = 32 - ceil(log2 tiles); where the latter is below math::kMinDepthBits, as at
+  /// 7680x4320, the order is exact (FrameStats::depth_bits says 0).
+  int depth_bits = 0;
+  /// Of the quantised key, depths outside share the end bins; absent: as declared, else 0.2 to 100.
+  std::optional<std::array<float, 2>> depth_range = std::nullopt;
+  math::Exponent exponent = math::Exponent::folded;
+  math::Exp exp = math::Exp::paper;
+  FrontEnd front_end = FrontEnd::fused;  ///< CUDA
+  int pixels_per_thread = 2;             ///< CUDA: 1 (the original) or 2 (the paper)
+  /// CUDA: same bytes on every run, Gaussians that share a depth bin keep the order of the scene. Otherwise the fused
+  /// front end lists them in the order in which its blocks happen to run.
   bool deterministic = false;
+};
+
+/// Of Pipeline::turbo on CUDA; nothing else reads it.
+struct TurboOptions {
+  /// Blends by matrix products in FP16, and in FP32 where depth or counts are wanted or the low-pass is below 0.1. These
+  /// products stop a pixel at a transmittance of 2^-11 in place of 1e-4: up to an eighth of an 8-bit step of a white
+  /// behind it is lost. docs/KERNELS.md has what this changes.
+  bool tensor_cores = true;
+  /// The frame's kernels as one CUDA graph, which is captured anew for every frame. Same bytes. Its stages are not timed,
+  /// and the host, where it waits for the counts, waits for the end of the frame.
+  bool graph = false;
+  /// CudaRenderer::render() waits for nothing and returns when the frame is queued; its counts are 0. A frame that needs
+  /// more workspace than there is lacks tiles or all of them until the renderer's next call makes it again: see
+  /// CudaRenderer::finish(). Renderer waits all the same.
+  bool asynchronous = false;
+};
+
+/// What CudaRenderer measures of a frame. Renderer always waits and fills the times; the CPU counts and times always.
+struct MeasureOptions {
   bool timings = false;  ///< wait for the frame and fill FrameStats' times
   /// Of the timings: those of the stages too, by events between the kernels, which cost the frame some time themselves.
   bool stage_timings = true;
   bool count_pairs = false;  ///< wait for the frame and count evaluated and blended pairs, at a cost in time
-  /// Turbo: the frame's kernels as one CUDA graph, which is captured anew for every frame. Same bytes. Its stages are not
-  /// timed, and the host, where it waits for the counts, waits for the end of the frame.
-  bool graph = false;
-  /// Turbo: CudaRenderer::render() waits for nothing and returns when the frame is queued; its counts are 0. A frame
-  /// that needs more workspace than there is lacks tiles or all of them until the renderer's next call makes it again:
-  /// see CudaRenderer::finish(). Renderer waits all the same.
-  bool asynchronous = false;
 };
 
-/// What a frame shows and by which arithmetic. The defaults are the original 3DGS rasteriser, only with the tighter
-/// tile coverage; docs/RENDERING.md has the equations and the measured effect of each option.
+/// What a frame shows, and how it is made.
 struct RenderOptions {
   std::array<float, 3> background = {0, 0, 0};
   float near_plane = math::kNearPlane;  ///< Gaussians at camera z <= near_plane are not drawn
   float far_plane = 0;                  ///< Gaussians at camera z > far_plane are not drawn; 0 = no limit
   int sh_degree_limit = 3;              ///< higher SH degrees are ignored
-  float low_pass = math::kLowPass;      ///< px^2 added to the projected covariance; Mip-Splatting models use 0.1
-  math::AntiAliasing anti_aliasing = math::AntiAliasing::classic;
-  math::Extent extent = math::Extent::ellipse;
-  math::DepthOrder depth_order = math::DepthOrder::exact;
-  DepthMapping depth_mapping = DepthMapping::linear;  ///< of the quantised key
-  /// Of the quantised key: 1..32, or 0 = 32 - ceil(log2 tiles); where the latter is below math::kMinDepthBits, as at
-  /// 7680x4320, the order is exact (FrameStats::depth_bits says 0).
-  int depth_bits = 0;
-  std::array<float, 2> depth_range = {0.2F, 100};  ///< of the quantised key, depths outside share the end bins
-  math::Exponent exponent = math::Exponent::direct;
-  math::Exp exp = math::Exp::exact;
-  CudaOptions cuda = {};
+  /// px^2 added to the projected covariance; absent: as the scene declares, else 0.3. Mip-Splatting models use 0.1.
+  std::optional<float> low_pass = std::nullopt;
+  std::optional<math::AntiAliasing> anti_aliasing = std::nullopt;  ///< absent: as the scene declares, else classic
+  Pipeline pipeline = Pipeline::automatic;
+  PaperSteps paper = {};
+  TurboOptions turbo = {};
+  MeasureOptions measure = {};
 };
 
-/// The original 3DGS rasteriser: every option of it, and on CUDA its kernels.
-RenderOptions baseline_options();
-/// The paper's: tiles by ellipse, 32-bit keys, folded exponent of two pixels, approximate exponential. Range and
-/// mapping of the key are what `scene` declares, if it is given.
-RenderOptions paper_options(const std::optional<Declarations>& scene = std::nullopt);
-/// The fastest: ellipse, exact order, folded exponent, the hardware's exponential; CudaOptions::turbo.
-RenderOptions turbo_options();
+/// `options` with what they leave to the scene filled in from what it declares: anti-aliasing and low-pass (both
+/// classic, 0.3 if it declares no anti-aliasing), range and mapping of the paper's key. Renderers do this themselves with
+/// Scene::declarations(); it is for drawing other scenes as this one.
+RenderOptions with_declarations(RenderOptions options, const std::optional<Declarations>& declared);
+
+/// The settings that options.pipeline stands for on a backend (not automatic), as steps: of baseline, where an ablation
+/// starts; of turbo, its arithmetic.
+PaperSteps steps_of(const RenderOptions& options, Backend backend);
 
 /// What one frame cost. Counts are exact; times are wall clock of the calling thread, or of the device's stream.
 struct FrameStats {
@@ -117,12 +140,8 @@ class Renderer {
   /// of a target span, or contributions asked of CUDA), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
   /// device_failed.
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
-                            const RenderOptions& options);
-  /// With default_options().
-  Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target);
+                            const RenderOptions& options = {});
 
-  /// What is drawn where nothing else is asked for: turbo_options() on CUDA, RenderOptions() on the CPU.
-  RenderOptions default_options() const;
   Backend backend() const;           ///< the backend in use, never automatic
   const char* backend_name() const;  ///< e.g. "cpu AVX3_SPR", "cpu scalar"
 

@@ -93,11 +93,11 @@ struct ReferenceRenderer::Workspace {
   explicit Workspace(int threads)
       : arena(threads > 0 ? std::min(threads, tbb::info::default_concurrency()) : tbb::task_arena::automatic) {}
 
-  void project(const SceneView& scene, const math::View<float>& view, const RenderOptions& options);
+  void project(const SceneView& scene, const math::View<float>& view, const FrameSettings& settings);
   void sort_by_depth();
   void list_by_tile();
   template <class BlendTile>
-  void blend(const math::View<float>& view, const RenderTarget& target, const RenderOptions& options,
+  void blend(const math::View<float>& view, const RenderTarget& target, const FrameSettings& settings,
              const BlendTile& blend_tile, FrameStats& stats);
 
   // Parts of the visible Gaussians that a counting sort with `bins` bins works on in parallel: four a thread, so that
@@ -171,11 +171,11 @@ math::Vec3<float> color_of(const SceneView& scene, std::uint64_t i, const math::
 }  // namespace
 
 void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::View<float>& view,
-                                           const RenderOptions& options) {
+                                           const FrameSettings& settings) {
   const std::uint64_t n_blocks = (scene.n + kBlock - 1) / kBlock;
   blocks.resize(n_blocks);
   ScreenSplat* const all = splats.at_least(n_blocks * kBlock);
-  const int degree = std::min(scene.sh_degree, options.sh_degree_limit);
+  const int degree = std::min(scene.sh_degree, settings.sh_degree_limit);
   constexpr std::uint64_t kAhead = 4;
   const auto sh_floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree));
   std::atomic<std::uint64_t> n_listed{0};
@@ -195,11 +195,11 @@ void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::V
       const float* s = &scene.scale[3 * i];
       const math::Vec3<float> mean{m[0], m[1], m[2]};
       const auto p = math::project<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]}, scene.opacity[i],
-                                          options.low_pass, options.anti_aliasing);
+                                          settings.low_pass, settings.anti_aliasing);
       if (!p.footprint.valid) continue;
       const float cutoff = math::power_cutoff(p.footprint.opacity);
       const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
-      append_spans(p, options.extent, grid, ellipse, block.spans, *out, block.n_instances);
+      append_spans(p, settings.extent, grid, ellipse, block.spans, *out, block.n_instances);
       if (out->n_rows == 0) continue;
       out->mean = p.mean;
       out->conic = p.footprint.conic;
@@ -354,8 +354,9 @@ void add_contributions(const TileJob& job, std::span<Contribution> contributions
 
 template <class BlendTile>
 void ReferenceRenderer::Workspace::blend(const math::View<float>& view, const RenderTarget& target,
-                                         const RenderOptions& options, const BlendTile& blend_tile, FrameStats& stats) {
-  const math::Vec3<float> background{options.background[0], options.background[1], options.background[2]};
+                                         const FrameSettings& settings, const BlendTile& blend_tile,
+                                         FrameStats& stats) {
+  const math::Vec3<float> background{settings.background[0], settings.background[1], settings.background[2]};
   std::atomic<std::uint64_t> evaluated{0}, blended{0};
   parallel_blocks(n_tiles(), [&](std::uint64_t tile) {
     TileJob job;
@@ -365,8 +366,8 @@ void ReferenceRenderer::Workspace::blend(const math::View<float>& view, const Re
     job.y = static_cast<int>(tile / static_cast<std::uint64_t>(grid.columns)) * math::kTileSize;
     job.width = std::min(math::kTileSize, view.width - job.x);
     job.height = std::min(math::kTileSize, view.height - job.y);
-    job.exponent = options.exponent;
-    job.exp = options.exp;
+    job.exponent = settings.exponent;
+    job.exp = settings.exp;
     job.details = !target.depth.empty() || !target.blended.empty() || !target.contributions.empty();
     std::vector<TileWeight> weights(target.contributions.empty() ? 0 : job.list.size());
     job.weights = weights.empty() ? nullptr : weights.data();
@@ -396,22 +397,22 @@ const char* ReferenceRenderer::name() const {
 }
 
 Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
-                                             const RenderOptions& options) {
+                                             const FrameSettings& settings) {
   FrameStats stats;
   Workspace& w = *workspace_;
   w.grid = math::tile_grid(camera.width, camera.height);
-  const auto key = math::key_layout(options.depth_order, options.depth_bits, static_cast<std::uint32_t>(w.n_tiles()));
+  const auto key = math::key_layout(settings.depth_order, settings.depth_bits, static_cast<std::uint32_t>(w.n_tiles()));
   w.quantized = key.quantized;
   if (w.quantized) {
     stats.depth_bits = key.depth_bits;
-    w.quantizer = math::make_depth_quantizer(options.depth_mapping, stats.depth_bits, options.depth_range[0],
-                                             options.depth_range[1]);
+    w.quantizer = math::make_depth_quantizer(settings.depth_mapping, stats.depth_bits, settings.depth_range[0],
+                                             settings.depth_range[1]);
   }
-  const auto view = make_view(camera, options);
+  const auto view = make_view(camera, settings);
   bool fits = true;
   w.arena.execute([&] {
     Stopwatch total, stage;
-    w.project(scene, view, options);
+    w.project(scene, view, settings);
     stats.project_ms = stage.lap_ms();
     fits = w.n_instances <= kMaxInstances;
     if (!fits) return;
@@ -419,7 +420,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     stats.sort_ms = stage.lap_ms();
     w.list_by_tile();
     stats.bin_ms = stage.lap_ms();
-    w.blend(view, target, options, simd_ ? blend_tile_simd : blend_tile_scalar, stats);
+    w.blend(view, target, settings, simd_ ? blend_tile_simd : blend_tile_scalar, stats);
     stats.blend_ms = stage.lap_ms();
     stats.total_ms = total.lap_ms();
   });

@@ -4,6 +4,7 @@
 
 #include <memory>
 
+#include "render_options.hpp"
 #include "rgs/camera.hpp"
 #include "rgs/image.hpp"
 #include "rgs/renderer.hpp"
@@ -19,9 +20,9 @@ class ReferenceRenderer {
   ReferenceRenderer(const ReferenceRenderer&) = delete;
   ReferenceRenderer& operator=(const ReferenceRenderer&) = delete;
 
-  /// Camera, options and target are valid (the caller has checked them). Errors: limit_exceeded.
+  /// Camera, settings and target are valid (the caller has checked them). Errors: limit_exceeded.
   Result<FrameStats> render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
-                            const RenderOptions& options);
+                            const FrameSettings& settings);
   const char* name() const;
 
  private:

@@ -72,8 +72,8 @@ Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera,
   if (!ok) return tl::unexpected(ok.error());
 
   RenderOptions timed = options;
-  timed.cuda.timings = true;  // the copies below wait anyway
-  timed.cuda.asynchronous = false;
+  timed.measure.timings = true;  // the copies below wait anyway
+  timed.turbo.asynchronous = false;
   auto stats = impl_->renderer.render(impl_->scene, camera, device, timed);
   if (!stats) return stats;
   const auto fetch = [&ok](const auto& span, const void* pointer) {

@@ -35,7 +35,7 @@ constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
 // Ends of the stages, as FrameStats names them.
 enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
 
-math::Vec3<float> background_of(const RenderOptions& options) {
+math::Vec3<float> background_of(const detail::FrameSettings& options) {
   return {options.background[0], options.background[1], options.background[2]};
 }
 
@@ -61,7 +61,7 @@ tl::unexpected<Error> too_many(std::uint64_t pairs) {
                     pairs);
 }
 
-bool draws_turbo(const RenderOptions& options, std::uint64_t n_gaussians) {
+bool draws_turbo(const detail::FrameSettings& options, std::uint64_t n_gaussians) {
   return options.cuda.turbo && n_gaussians < cuda::kMaxTurboGaussians;
 }
 
@@ -93,7 +93,7 @@ struct CudaRenderer::Impl {
     int width, height;  // px
     DeviceTarget target;
     cuda::ViewParameters view;
-    RenderOptions options;
+    detail::FrameSettings options;
     CudaStream stream;
   };
 
@@ -105,11 +105,11 @@ struct CudaRenderer::Impl {
   Status reserve_pairs(std::uint64_t needed, std::uint64_t generous, bool narrow);
   Status reserve_turbo(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells);
   cuda::PairArrays pair_arrays(bool narrow) const;
-  Status mark(Mark m, const RenderOptions& options, CudaStream stream);
+  Status mark(Mark m, const detail::FrameSettings& options, CudaStream stream);
   Result<std::uint64_t> fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
-                              const RenderOptions& options, bool narrow, CudaStream stream);
+                              const detail::FrameSettings& options, bool narrow, CudaStream stream);
   Result<std::uint64_t> separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
-                                 const RenderOptions& options, bool narrow, CudaStream stream);
+                                 const detail::FrameSettings& options, bool narrow, CudaStream stream);
   Status prepare_turbo(const TurboFrame& frame);
   std::uint64_t entry_capacity() const;
   std::uint64_t run_capacity() const;
@@ -120,15 +120,16 @@ struct CudaRenderer::Impl {
   Status queue_turbo(const TurboFrame& frame);
   Result<std::uint64_t> settle(const TurboFrame& frame);
   Result<std::uint64_t> sorted(const DeviceScene::Storage& scene, const Camera& camera, const DeviceTarget& target,
-                               const cuda::ViewParameters& view, const RenderOptions& options, CudaStream stream);
-  Status order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow, const RenderOptions& options,
+                               const cuda::ViewParameters& view, const detail::FrameSettings& options,
+                               CudaStream stream);
+  Status order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow, const detail::FrameSettings& options,
                CudaStream stream, cuda::SortBuffers& sorted);
   Status fetch(void* to, const void* from, std::uint64_t bytes, CudaStream stream) const;
   Status wait(CudaStream stream) const;
   Status begin(CudaStream stream) const;
   Status end(CudaStream stream) const;
   Result<FrameStats> outcome(std::uint64_t n_gaussians, std::uint64_t pairs, const cuda::ViewParameters& view,
-                             const RenderOptions& options, CudaStream stream);
+                             const detail::FrameSettings& options, CudaStream stream);
   std::uint64_t bytes() const;
 
   std::string name;
@@ -249,7 +250,7 @@ cuda::PairArrays CudaRenderer::Impl::pair_arrays(bool narrow) const {
   return {keys.as<void>(), gaussians.as<std::uint32_t>(), capacity, narrow};
 }
 
-Status CudaRenderer::Impl::mark(Mark m, const RenderOptions& options, CudaStream stream) {
+Status CudaRenderer::Impl::mark(Mark m, const detail::FrameSettings& options, CudaStream stream) {
   const bool is_stage = m != kStart && m != kBlended;
   if (!options.cuda.timings || (is_stage && !options.cuda.stage_timings)) return {};
   return device_status(cudaEventRecord(events[m], stream), "an event could not be recorded");
@@ -273,7 +274,7 @@ Status CudaRenderer::Impl::end(CudaStream stream) const {
 
 // Pairs of the frame. They are all in the arrays on return; if they did not fit, the kernel has run a second time.
 Result<std::uint64_t> CudaRenderer::Impl::fused(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
-                                                const RenderOptions& options, bool narrow, CudaStream stream) {
+                                                const detail::FrameSettings& options, bool narrow, CudaStream stream) {
   for (;;) {
     Status ok = device_status(cudaMemsetAsync(counters.as<void>(), 0, sizeof(cuda::Counters), stream),
                               "counters could not be cleared");
@@ -301,7 +302,8 @@ Result<std::uint64_t> CudaRenderer::Impl::fused(const DeviceScene::Storage& scen
 }
 
 Result<std::uint64_t> CudaRenderer::Impl::separate(const DeviceScene::Storage& scene, const cuda::ViewParameters& view,
-                                                   const RenderOptions& options, bool narrow, CudaStream stream) {
+                                                   const detail::FrameSettings& options, bool narrow,
+                                                   CudaStream stream) {
   const auto n = static_cast<std::uint32_t>(scene.n);
   Status ok = device_status(cudaMemsetAsync(counters.as<void>(), 0, sizeof(cuda::Counters), stream),
                             "counters could not be cleared");
@@ -333,7 +335,7 @@ Result<std::uint64_t> CudaRenderer::Impl::separate(const DeviceScene::Storage& s
 }
 
 Status CudaRenderer::Impl::order(const cuda::ViewParameters& view, std::uint64_t pairs, bool narrow,
-                                 const RenderOptions& options, CudaStream stream, cuda::SortBuffers& sorted) {
+                                 const detail::FrameSettings& options, CudaStream stream, cuda::SortBuffers& sorted) {
   sorted = {keys.as<void>(), spare_keys.as<void>(), gaussians.as<std::uint32_t>(), spare_gaussians.as<std::uint32_t>(),
             narrow};
   Status ok = mark(kDuplicated, options, stream);
@@ -353,9 +355,9 @@ Status CudaRenderer::Impl::order(const cuda::ViewParameters& view, std::uint64_t
 // The original's and the paper's pipelines: pairs, one sort over the frame, ranges, pixels.
 Result<std::uint64_t> CudaRenderer::Impl::sorted(const DeviceScene::Storage& scene, const Camera& camera,
                                                  const DeviceTarget& target, const cuda::ViewParameters& view,
-                                                 const RenderOptions& options, CudaStream stream) {
+                                                 const detail::FrameSettings& options, CudaStream stream) {
   const bool narrow = view.key.bits() <= 32;
-  const bool is_separate = options.cuda.front_end == CudaOptions::FrontEnd::separate;
+  const bool is_separate = options.cuda.front_end == PaperSteps::FrontEnd::separate;
   const auto n_tiles = static_cast<std::uint64_t>(view.grid.columns) * static_cast<std::uint64_t>(view.grid.rows);
   Status ok = reserve_scene(scene.n, is_separate, options.cuda.deterministic);
   if (ok && pair_arrays(narrow).capacity == 0) {
@@ -542,7 +544,7 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(const TurboFrame& frame) {
 
 // What a frame has cost, once all that options ask for is known.
 Result<FrameStats> CudaRenderer::Impl::outcome(std::uint64_t n_gaussians, std::uint64_t pairs,
-                                               const cuda::ViewParameters& view, const RenderOptions& options,
+                                               const cuda::ViewParameters& view, const detail::FrameSettings& options,
                                                CudaStream stream) {
   if (pairs > kMaxPairs) {
     return too_many(pairs);
@@ -586,9 +588,11 @@ Result<FrameStats> CudaRenderer::Impl::outcome(std::uint64_t n_gaussians, std::u
 }
 
 Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
-                                        const RenderOptions& options, CudaStream stream) {
+                                        const RenderOptions& how, CudaStream stream) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
-  if (const auto ok = detail::validate(options); !ok) return tl::unexpected(ok.error());
+  const auto settings = detail::resolve(how, scene.declarations(), Backend::cuda);
+  if (!settings) return tl::unexpected(settings.error());
+  const detail::FrameSettings& options = *settings;
   if (const auto ok = check(target); !ok) return tl::unexpected(ok.error());
   Impl& w = *impl_;
   if (w.open) {

@@ -77,7 +77,7 @@ Image render(const Scene& scene, double z) {
   camera.world_to_camera[11] = z;
   Image image = Image::make(96, 72, 3);
   auto renderer = Renderer::create();
-  REQUIRE(renderer->render(scene, camera, {.rgb = image.pixels}, {.extent = math::Extent::square}));
+  REQUIRE(renderer->render(scene, camera, {.rgb = image.pixels}, {.pipeline = Pipeline::baseline}));
   return image;
 }
 

@@ -235,7 +235,7 @@ void check(const Output& out, const SceneView& scene, const cuda::ViewParameters
 
 /// All front ends on one set of attributes.
 void check_all(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera,
-               const RenderOptions& options) {
+               const Arithmetic& options) {
   const auto v = view_parameters(camera, options, scene.sh_degree);
   CAPTURE(scene.n);
   CAPTURE(scene.sh_degree);
@@ -252,8 +252,8 @@ void check_all(const cuda::Attributes& attributes, const SceneView& scene, const
 }
 
 /// Keys of 32 bits, of 64, and with one tile's worth of 32-bit depth, in turn.
-RenderOptions with_key(int i, Extent extent) {
-  RenderOptions o{.extent = extent};
+Arithmetic with_key(int i, Extent extent) {
+  Arithmetic o{.extent = extent};
   if (i % 2 == 0) o.depth_order = DepthOrder::quantized;
   return o;
 }
@@ -333,7 +333,7 @@ TEST_CASE("front ends follow every option of the projection and the key") {
   const auto compact = CompactScene::of(cloud);
   const DeviceAttributes packed(compact.file);
   Random random(104);
-  const RenderOptions cases[] = {
+  const Arithmetic cases[] = {
       {.low_pass = 0},
       {.low_pass = 0.1F, .anti_aliasing = math::AntiAliasing::mip_splatting},
       {.near_plane = 2, .far_plane = 7, .extent = Extent::square},
@@ -343,7 +343,7 @@ TEST_CASE("front ends follow every option of the projection and the key") {
       {.depth_order = DepthOrder::quantized, .depth_mapping = DepthMapping::logarithmic},
       {.depth_order = DepthOrder::quantized, .depth_mapping = DepthMapping::logarithmic, .depth_bits = 30},
   };
-  for (const RenderOptions& options : cases) {
+  for (const Arithmetic& options : cases) {
     const Camera camera = random_camera(random, 150, 110);
     check_all(fp32.get(), scene.view(), camera, options);
     check_all(packed.get(), compact.scene.view(), camera, options);

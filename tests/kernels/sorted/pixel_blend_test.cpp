@@ -24,7 +24,7 @@ struct SortedFrame {
   DeviceArray<cuda::TileRange> ranges;
   const std::uint32_t* sorted = nullptr;
 
-  SortedFrame(const Scene& scene, const Camera& camera, const RenderOptions& options) {
+  SortedFrame(const Scene& scene, const Camera& camera, const Arithmetic& options) {
     const DeviceAttributes attributes(scene.view());
     const auto n = static_cast<std::uint32_t>(scene.size());
     const auto v = view_parameters(camera, options, scene.sh_degree());
@@ -177,8 +177,7 @@ TEST_CASE("every arithmetic, thread layout and set of outputs gives the scalar r
     for (const auto exponent : {Exponent::direct, Exponent::folded}) {
       for (const auto exp : {Exp::exact, Exp::paper, Exp::zero_mean}) {
         Frame host = Frame::of(camera);
-        const RenderOptions options{
-            .background = {0.2F, 0.5F, 0.8F}, .extent = extent, .exponent = exponent, .exp = exp};
+        const Arithmetic options{.background = {0.2F, 0.5F, 0.8F}, .extent = extent, .exponent = exponent, .exp = exp};
         require_ok(reference->render(scene, camera, host.target(), options));
         double lowest = 1e9, largest = 0;
         for (const int pixels : {1, 2}) {

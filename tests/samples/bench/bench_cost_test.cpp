@@ -21,7 +21,7 @@ FrameWork small_work(const Configuration& c) {
   FrameWork w;
   w.stats.gaussians = 10, w.stats.visible = 4, w.stats.instances = 3;
   w.stats.evaluated = 512, w.stats.blended = 100;
-  w.stats.key_bits = c.options.depth_order == rgs::math::DepthOrder::exact ? 45 : 32;
+  w.stats.key_bits = rgs::steps_of(c.options, rgs::Backend::cuda).depth_order == rgs::math::DepthOrder::exact ? 45 : 32;
   w.options = c.options;
   w.width = w.height = 16;
   w.compact = c.compact;
@@ -78,7 +78,7 @@ TEST_CASE("bytes and operations of turbo's stages") {
   CHECK(of(stage_costs(w), Stage::sort).bytes == of(costs, Stage::sort).bytes - 4);
   w.stats.evaluated = 512;
   // In FP32: a warp, two words; the exponential outside any branch.
-  w.options.cuda.tensor_cores = false;
+  w.options.turbo.tensor_cores = false;
   const Cost fp32 = of(stage_costs(w), Stage::blend);
   CHECK(fp32.bytes == blend.bytes);
   CHECK(fp32.shared_loads == 4 * 2);
@@ -106,7 +106,7 @@ TEST_CASE("harmonics are read as they are stored and computed as they are asked 
 TEST_CASE("operations of a pair") {
   const auto blend = [](Exp exp, rgs::math::Exponent exponent, int pixels, double evaluated, double blended) {
     FrameWork w = small_work(make_mode("paper", {}));
-    w.options.exp = exp, w.options.exponent = exponent, w.options.cuda.pixels_per_thread = pixels;
+    w.options.paper.exp = exp, w.options.paper.exponent = exponent, w.options.paper.pixels_per_thread = pixels;
     w.stats.evaluated = static_cast<std::uint64_t>(evaluated), w.stats.blended = static_cast<std::uint64_t>(blended);
     return of(stage_costs(w), Stage::blend);
   };

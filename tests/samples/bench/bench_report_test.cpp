@@ -259,10 +259,10 @@ TEST_CASE("modes have the options that their names promise") {
   for (const std::string& name : mode_names()) CHECK(make_mode(name, input).name == name);
   const Configuration baseline = make_mode("baseline", input), paper = make_mode("paper", input);
   CHECK_FALSE(baseline.compact);
-  CHECK(baseline.options.exp == rgs::math::Exp::exact);
+  CHECK(baseline.options.pipeline == rgs::Pipeline::baseline);
   CHECK(paper.compact);
-  CHECK(paper.options.exp == rgs::math::Exp::zero_mean);
-  CHECK(paper.options.depth_mapping == rgs::DepthMapping::logarithmic);
+  CHECK(paper.options.paper.exp == rgs::math::Exp::zero_mean);
+  CHECK(paper.options.paper.depth_mapping == rgs::DepthMapping::logarithmic);
 }
 
 TEST_CASE("the ablation goes from baseline to paper in steps") {

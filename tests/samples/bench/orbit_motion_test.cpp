@@ -164,10 +164,10 @@ TEST_CASE("a failing frame ends the path") {
 }
 
 TEST_CASE("turbo's definition is as steady as baseline's on an orbit; a coarse depth key pops") {
-  RenderOptions coarse = baseline_options();
-  coarse.depth_order = math::DepthOrder::quantized;
-  coarse.depth_bits = 5;
-  const auto rows = orbit_on_cpu({baseline_options(), turbo_options(), coarse}, 24);
+  RenderOptions coarse{.pipeline = Pipeline::paper, .paper = steps_of(test::baseline_options(), Backend::cpu)};
+  coarse.paper.depth_order = math::DepthOrder::quantized;
+  coarse.paper.depth_bits = 5;
+  const auto rows = orbit_on_cpu({test::baseline_options(), test::turbo_options(), coarse}, 24);
   CHECK(rows[0].step.p999 > 0.02);  // the camera does move
   CHECK(unsteadiness(rows[1], rows[0]) <= 1.03);
   CHECK(rows[1].added.worst_p999 <= 4.0 / 255);
