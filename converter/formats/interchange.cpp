@@ -64,6 +64,7 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   file.axes = view->declarations().axes;
   file.colour_space = view->declarations().colour_space;
   file.aa_mode = view->declarations().aa_mode;
+  file.low_pass_px2 = view->declarations().low_pass_px2;
   file.cloud = std::move(*cloud);
   return file;
 }

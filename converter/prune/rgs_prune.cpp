@@ -23,6 +23,7 @@
 #include "rgs/checksum.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/splat_edit.hpp"
+#include "scene_file.hpp"
 #include "rgs/version.hpp"
 
 namespace {
@@ -38,7 +39,6 @@ struct Options {
   rgs::prune::Score score = rgs::prune::Score::sum;
   rgs::prune::Keep keep;
   std::optional<double> min_contribution;
-  std::optional<rgs::math::AntiAliasing> anti_aliasing;
   rgs::RenderOptions render;
   int threads = 0;
   bool overwrite = false, no_sync = false, json = false, quiet = false;
@@ -99,17 +99,10 @@ Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   return *std::move(file);
 }
 
-rgs::RenderOptions render_options(const Options& o, rgs::AaMode stated) {
-  rgs::RenderOptions render = o.render;
-  render.anti_aliasing = o.anti_aliasing.value_or(
-      stated == rgs::AaMode::mip_splatting ? rgs::math::AntiAliasing::mip_splatting : rgs::math::AntiAliasing::classic);
-  return render;
-}
-
 // What each Gaussian gives to the pictures of all cameras.
 Step<std::vector<Contribution>> contributions_of(const Options& o, const rgs::SplatFile& file,
                                                  const std::vector<rgs::Camera>& cameras, tool::Progress& progress) {
-  const auto scene = rgs::Scene::load(file.cloud);
+  const auto scene = rgs::Scene::load(file.cloud, rgs::declarations_of(file));
   if (!scene) {
     rgs::Error error = scene.error();
     if (error.code == rgs::Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
@@ -117,11 +110,10 @@ Step<std::vector<Contribution>> contributions_of(const Options& o, const rgs::Sp
   }
   auto renderer = rgs::Renderer::create({.backend = rgs::Backend::cpu, .threads = o.threads});
   if (!renderer) return failed("", renderer.error());
-  const rgs::RenderOptions options = render_options(o, file.aa_mode);
   std::vector<Contribution> contributions(scene->size());
   progress.begin("rendering", cameras.size(), "frames");
   for (const rgs::Camera& camera : cameras) {
-    const auto rendered = renderer->render(*scene, camera, {.contributions = contributions}, options);
+    const auto rendered = renderer->render(*scene, camera, {.contributions = contributions}, o.render);
     if (!rendered) return failed(camera.name, rendered.error());
     progress.advance(1);
   }
@@ -268,10 +260,10 @@ void add_options(CLI::App& app, Options& o) {
       ->transform(CLI::CheckedTransformer(std::map<std::string, Score>{{"sum", Score::sum}, {"max", Score::max}})
                       .description(""));
   app.add_option("--scores", o.scores, "also write sum and max of every Gaussian of the input, NumPy float64 [n, 2]");
-  app.add_option("--low-pass", o.render.low_pass, "px^2 added to projected covariances; Mip-Splatting uses 0.1")
-      ->check(CLI::NonNegativeNumber)
-      ->capture_default_str();
-  app.add_option("--aa", o.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
+  app.add_option("--low-pass", o.render.low_pass,
+                 "px^2 added to projected covariances [what the file states, else 0.3]")
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--aa", o.render.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
       ->transform(CLI::CheckedTransformer(std::map<std::string, AntiAliasing>{{"classic", AntiAliasing::classic},
                                                                               {"mip", AntiAliasing::mip_splatting}})
                       .description(""));

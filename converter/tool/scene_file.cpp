@@ -42,7 +42,7 @@ Result<SceneFile> load_other(const std::string& path) {
   out.format = file->format;
   out.file_bytes = file->bytes;
   out.bounds = robust_bounds(file->cloud.mean);
-  auto scene = Scene::load(std::move(file->cloud));
+  auto scene = Scene::load(std::move(file->cloud), declarations_of(*file));
   if (!scene) {
     Error error = scene.error();
     if (error.code == Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
@@ -53,6 +53,15 @@ Result<SceneFile> load_other(const std::string& path) {
 }
 
 }  // namespace
+
+Declarations declarations_of(const SplatFile& file) {
+  Declarations d;
+  d.axes = file.axes;
+  d.colour_space = file.colour_space;
+  d.aa_mode = file.aa_mode;
+  d.low_pass_px2 = file.low_pass_px2;
+  return d;
+}
 
 Result<SceneFile> load_scene_file(const std::string& path) {
   auto file = MappedFile::open(path);

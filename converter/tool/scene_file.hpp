@@ -20,6 +20,9 @@ struct SceneFile {
   Vec3 up = kWorldUp;            ///< what an .rgs states, or that of 3DGS worlds
 };
 
+/// What a file of another format than .rgs says of itself, for Scene::load(); all else as in the original 3DGS code.
+Declarations declarations_of(const SplatFile& file);
+
 /// Reads `path`; its first bytes decide what it is. Scenes of other formats than .rgs are in the axes of
 /// 3DGS. Errors: those of read_splats() and of Scene::load(); for a bad_value of the latter, Error::found is the index
 /// of the Gaussian.

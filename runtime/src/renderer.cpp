@@ -54,7 +54,9 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
                         scene.size(), target.contributions.size());
   }
   if (impl_->cuda) return impl_->cuda->render(scene, camera, target, with_declarations(options, scene.declarations()));
-  return impl_->reference->render(scene.view(), camera, target, *settings);
+  const auto view = scene.view();
+  if (!view) return tl::unexpected(view.error());
+  return impl_->reference->render(*view, camera, target, *settings);
 }
 
 Backend Renderer::backend() const {

@@ -1,16 +1,21 @@
-// scene.cpp - activation of training parameters.
+// scene.cpp - activation of training parameters, and FP32 arrays of a file when they are first asked for.
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/scene.hpp"
+
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <array>
 #include <atomic>
 #include <cassert>
 #include <cmath>
+#include <mutex>
 #include <utility>
+#include <vector>
 
 #include "parallel.hpp"
 #include "rgs/file.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -78,50 +83,61 @@ void activate(SplatCloud& s) {
 
 }  // namespace
 
-Result<Scene> Scene::load(const SplatView& splats) {
-  if (const auto ok = check(splats); !ok) return tl::unexpected(ok.error());
-  const auto copy = [](std::span<const float> s) { return std::vector<float>(s.begin(), s.end()); };
-  return adopt({splats.sh_degree, copy(splats.mean), copy(splats.log_scale), copy(splats.rotation),
-                copy(splats.opacity_logit), copy(splats.sh)});
-}
+struct Scene::Storage {
+  std::uint64_t identity = next_identity();
+  std::uint64_t n = 0;
+  int sh_degree = 0;
+  std::optional<Declarations> declarations;
+  MappedFile file;  // empty if none is kept
+  FileView opened;  // `file`
 
-Result<Scene> Scene::load(SplatCloud&& splats) {
-  if (const auto ok = check(splats.view()); !ok) return tl::unexpected(ok.error());
-  return adopt(std::move(splats));
-}
+  mutable std::mutex mutex;                   // of all below
+  mutable std::optional<DirectData> decoded;  // by load(), until somebody needs it
+  mutable std::optional<SceneView> arrays;    // of `activated` or `expanded`
+  SplatCloud activated;                       // training parameters, activated
+  mutable std::unique_ptr<float[]> expanded;  // of a file
 
-Scene Scene::adopt(SplatCloud splats) {
-  activate(splats);
-  Scene scene;
-  scene.identity_ = next_identity();
-  scene.sh_degree_ = splats.sh_degree;
-  scene.mean_ = std::move(splats.mean);
-  scene.rotation_ = std::move(splats.rotation);
-  scene.scale_ = std::move(splats.log_scale);
-  scene.opacity_ = std::move(splats.opacity_logit);
-  scene.sh_ = std::move(splats.sh);
-  return scene;
-}
+  Status decode(const FileView& view);
+  // The caller holds the mutex, or is the only one who knows the scene.
+  Result<DirectData> take_direct() const;
+  Status expand() const;
+};
 
-Result<Scene> Scene::load(const FileView& file) {
-  const std::uint64_t n = file.header().n_gaussians;
+// Validates.
+Status Scene::Storage::decode(const FileView& view) {
+  n = view.header().n_gaussians;
   if (n >= kMaxGaussians) {
     return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
                       n);
   }
-  const auto data = load_direct(file);
+  auto data = load_direct(view);
   if (!data) return tl::unexpected(data.error());
-  Scene scene;
-  scene.identity_ = next_identity();
-  scene.sh_degree_ = file.header().sh_degree;
-  scene.declarations_ = file.declarations();
-  scene.mean_.resize(3 * n);
-  scene.rotation_.resize(4 * n);
-  scene.scale_.resize(3 * n);
-  scene.opacity_.resize(n);
-  const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree_));
-  scene.sh_.resize(floats * n);
-  detail::parallel_ranges(n, kGrain, [&](std::uint64_t begin, std::uint64_t end) {
+  sh_degree = view.header().sh_degree;
+  declarations = view.declarations();
+  decoded = std::move(*data);
+  return {};
+}
+
+Result<DirectData> Scene::Storage::take_direct() const {
+  if (!decoded) return load_direct(opened, {.validate = false});
+  DirectData data = std::move(*decoded);
+  decoded.reset();
+  return data;
+}
+
+Status Scene::Storage::expand() const {
+  if (arrays) return {};
+  const auto data = take_direct();
+  if (!data) return tl::unexpected(data.error());
+  const auto sh_floats = static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree));
+  // Not cleared: the threads that fill it touch its pages first.
+  auto memory = std::make_unique_for_overwrite<float[]>(n * (11 + sh_floats));
+  float* const mean = memory.get();
+  float* const rotation = mean + 3 * n;
+  float* const scale = rotation + 4 * n;
+  float* const opacity = scale + 3 * n;
+  float* const sh = opacity + n;
+  const auto fill = [&](std::uint64_t begin, std::uint64_t end) {
     std::array<ActivatedSplat, 64> buffer;
     for (std::uint64_t first = begin; first < end; first += buffer.size()) {
       const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), end - first));
@@ -130,15 +146,62 @@ Result<Scene> Scene::load(const FileView& file) {
       for (std::uint64_t k = 0; k < part.size(); ++k) {
         const ActivatedSplat& s = part[k];
         const std::uint64_t i = first + k;
-        std::copy_n(s.mean, 3, &scene.mean_[3 * i]);
-        std::copy_n(s.rotation, 4, &scene.rotation_[4 * i]);
-        std::copy_n(s.scale, 3, &scene.scale_[3 * i]);
-        scene.opacity_[i] = s.opacity;
-        std::copy_n(s.sh, floats, &scene.sh_[floats * i]);
+        std::copy_n(s.mean, 3, &mean[3 * i]);
+        std::copy_n(s.rotation, 4, &rotation[4 * i]);
+        std::copy_n(s.scale, 3, &scale[3 * i]);
+        opacity[i] = s.opacity;
+        std::copy_n(s.sh, sh_floats, &sh[sh_floats * i]);
       }
     }
+  };
+  // Isolated: a task of the caller's that this thread took up while it waits might want the mutex.
+  tbb::this_task_arena::isolate([&] { detail::parallel_ranges(n, kGrain, fill); });
+  expanded = std::move(memory);
+  arrays = SceneView{n, sh_degree, {mean, 3 * n}, {rotation, 4 * n}, {scale, 3 * n}, {opacity, n}, {sh, sh_floats * n}};
+  return {};
+}
+
+Result<Scene> Scene::load(const SplatView& splats, const std::optional<Declarations>& declared) {
+  return detail::guard_memory([&]() -> Result<Scene> {
+    if (const auto ok = check(splats); !ok) return tl::unexpected(ok.error());
+    const auto copy = [](std::span<const float> s) { return std::vector<float>(s.begin(), s.end()); };
+    return adopt({splats.sh_degree, copy(splats.mean), copy(splats.log_scale), copy(splats.rotation),
+                  copy(splats.opacity_logit), copy(splats.sh)},
+                 declared);
   });
+}
+
+Result<Scene> Scene::load(SplatCloud&& splats, const std::optional<Declarations>& declared) {
+  return detail::guard_memory([&]() -> Result<Scene> {
+    if (const auto ok = check(splats.view()); !ok) return tl::unexpected(ok.error());
+    return adopt(std::move(splats), declared);
+  });
+}
+
+Scene Scene::adopt(SplatCloud splats, const std::optional<Declarations>& declared) {
+  activate(splats);
+  auto storage = std::make_shared<Storage>();
+  storage->n = splats.size();
+  storage->sh_degree = splats.sh_degree;
+  storage->declarations = declared;
+  storage->activated = std::move(splats);
+  const SplatCloud& s = storage->activated;
+  storage->arrays = SceneView{s.size(), s.sh_degree, s.mean, s.rotation, s.log_scale, s.opacity_logit, s.sh};
+  Scene scene;
+  scene.storage_ = std::move(storage);
   return scene;
+}
+
+Result<Scene> Scene::load(const FileView& file) {
+  return detail::guard_memory([&]() -> Result<Scene> {
+    auto storage = std::make_shared<Storage>();
+    Status ok = storage->decode(file);
+    if (ok) ok = storage->expand();
+    if (!ok) return tl::unexpected(ok.error());
+    Scene scene;
+    scene.storage_ = std::move(storage);
+    return scene;
+  });
 }
 
 Result<Scene> Scene::load(std::span<const std::byte> bytes) {
@@ -154,17 +217,67 @@ Result<Scene> Scene::load(const std::string& path) {
 }
 
 Result<Scene> Scene::load(MappedFile&& file) {
-  auto scene = load(file.bytes());
-  if (scene) scene->file_ = std::make_shared<const MappedFile>(std::move(file));
-  return scene;
+  return detail::guard_memory([&]() -> Result<Scene> {
+    auto opened = FileView::open(file.bytes());
+    if (!opened) return tl::unexpected(opened.error());
+    auto storage = std::make_shared<Storage>();
+    if (const auto ok = storage->decode(*opened); !ok) return tl::unexpected(ok.error());
+    storage->opened = *std::move(opened);
+    storage->file = std::move(file);
+    Scene scene;
+    scene.storage_ = std::move(storage);
+    return scene;
+  });
 }
 
-std::span<const std::byte> Scene::file_bytes() const {
-  return file_ ? file_->bytes() : std::span<const std::byte>();
+std::uint64_t Scene::size() const {
+  return storage_ ? storage_->n : 0;
+}
+int Scene::sh_degree() const {
+  return storage_ ? storage_->sh_degree : 0;
+}
+const std::optional<Declarations>& Scene::declarations() const {
+  static const std::optional<Declarations> kNone;
+  return storage_ ? storage_->declarations : kNone;
+}
+std::uint64_t Scene::identity() const {
+  return storage_ ? storage_->identity : 0;
+}
+bool Scene::has_file() const {
+  return storage_ && !storage_->file.bytes().empty();
 }
 
 std::uint64_t Scene::bytes() const {
-  return sizeof(float) * (mean_.size() + rotation_.size() + scale_.size() + opacity_.size() + sh_.size());
+  if (!storage_) return 0;
+  const std::scoped_lock lock(storage_->mutex);
+  std::uint64_t total = 0;
+  if (const auto& a = storage_->arrays) {
+    for (const auto& array : {a->mean, a->rotation, a->scale, a->opacity, a->sh}) total += array.size_bytes();
+  }
+  if (const auto& d = storage_->decoded) {
+    const FileView& file = d->file();
+    if (file.frames(SectionType::means).rows > 0) total += d->means().size();  // 0: not coded, and so not decoded
+    if (file.frames(SectionType::geometry).rows > 0) total += d->geometry().size();
+    if (file.frames(SectionType::sh).rows > 0) total += d->sh().size();
+  }
+  return total;
+}
+
+Result<SceneView> Scene::view() const {
+  if (!storage_) return SceneView();
+  return detail::guard_memory([&]() -> Result<SceneView> {
+    const std::scoped_lock lock(storage_->mutex);
+    if (const auto ok = storage_->expand(); !ok) return tl::unexpected(ok.error());
+    return *storage_->arrays;
+  });
+}
+
+Result<DirectData> Scene::direct() const {
+  assert(has_file());
+  return detail::guard_memory([&] {
+    const std::scoped_lock lock(storage_->mutex);
+    return storage_->take_direct();
+  });
 }
 
 }  // namespace rgs

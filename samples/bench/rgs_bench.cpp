@@ -84,7 +84,9 @@ tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report
   const std::string source = o.source.empty() ? o.scene : o.source;
   const auto loaded = load_source(source);
   if (!loaded) return failed(source, loaded.error());
-  auto fp32 = rgs::DeviceScene::upload(loaded->view());
+  const auto arrays = loaded->view();
+  if (!arrays) return failed(source, arrays.error());
+  auto fp32 = rgs::DeviceScene::upload(*arrays);
   if (!fp32) return failed(source, fp32.error());
   scenes.fp32 = *fp32;
   report.scene = std::filesystem::path(o.scene).filename().string();

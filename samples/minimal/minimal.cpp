@@ -20,7 +20,9 @@ int main(int argc, char** argv) {
   auto renderer = rgs::Renderer::create();
   if (!renderer) return make_error(renderer.error());
 
-  const auto camera = rgs::default_view(rgs::robust_bounds(scene->view().mean), {.width = 1280, .height = 720});
+  const auto& [low, high] = scene->declarations()->robust;  // which every file declares
+  const auto camera =
+      rgs::default_view({{low[0], low[1], low[2]}, {high[0], high[1], high[2]}}, {.width = 1280, .height = 720});
   rgs::Image image = rgs::Image::make(camera.width, camera.height, 3);
   rgs::RenderTarget target;
   target.rgb = image.pixels;

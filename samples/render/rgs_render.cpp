@@ -223,7 +223,8 @@ double median_ms(const std::vector<Frame>& frames) {
 }
 
 nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, const rgs::Renderer& renderer,
-                       const std::vector<Frame>& frames, double load_seconds, double total_seconds) {
+                       const std::vector<Frame>& frames, double load_seconds, double first_frame_ms,
+                       double total_seconds) {
   nlohmann::json pictures = nlohmann::json::array();
   for (const Frame& frame : frames) {
     const rgs::FrameStats& s = frame.stats;
@@ -256,6 +257,7 @@ nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, cons
             {"memory_bytes", scene.scene.bytes()}}},
           {"backend", renderer.backend_name()},
           {"load_seconds", load_seconds},
+          {"first_frame_ms", first_frame_ms},
           {"total_seconds", total_seconds},
           {"median_ms", median_ms(frames)},
           {"frames", std::move(pictures)}};
@@ -266,6 +268,7 @@ int render(const Options& options) {
   rgs::remove_temporaries_on_signal();
   auto renderer = rgs::Renderer::create(options.renderer);
   if (!renderer) return tool::report("", renderer.error());
+  const auto opened = Clock::now();  // to the end of the first frame: what a viewer of the scene waits for
   const auto scene = rgs::load_scene_file(options.scene);
   if (!scene) return tool::report(options.scene, scene.error());
   const double load_seconds = seconds_since(start);
@@ -277,12 +280,14 @@ int render(const Options& options) {
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("rendering", shots.size(), "frames");
   std::vector<Frame> frames;
+  double first_frame_ms = 0;
   // A picture is encoded while the next frame is rendered; at most two are in memory.
   std::future<int> writing;
   for (const Shot& shot : shots) {
     Frame frame{&shot, {}};
     auto picture = render_shot(*renderer, scene->scene, shot, render_how, options.alpha, frame.stats);
     if (!picture) return tool::report(shot.camera.name, picture.error());
+    if (frames.empty()) first_frame_ms = 1e3 * seconds_since(opened);
     if (writing.valid())
       if (const int code = writing.get(); code != tool::kSuccess) return code;
     writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
@@ -296,7 +301,7 @@ int render(const Options& options) {
 
   const double total_seconds = seconds_since(start);
   if (options.json) {
-    const auto text = summary(options, *scene, *renderer, frames, load_seconds, total_seconds)
+    const auto text = summary(options, *scene, *renderer, frames, load_seconds, first_frame_ms, total_seconds)
                           .dump(2, ' ', false, nlohmann::json::error_handler_t::replace);
     fmt::print("{}\n", text);
   } else if (!options.quiet) {

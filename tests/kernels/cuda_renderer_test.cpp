@@ -56,7 +56,7 @@ class Device {
 };
 
 DeviceScene upload(const Scene& scene) {
-  auto uploaded = DeviceScene::upload(scene.view());
+  auto uploaded = DeviceScene::upload(scene.view().value());
   require_ok(uploaded);
   return *std::move(uploaded);
 }
@@ -784,7 +784,7 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
   } else {
     CHECK(renderer.error().code != Errc::unavailable);
   }
-  const auto refused = DeviceScene::upload(scene_of(cloud_of(random_splats(608, 200000), 3)).view());
+  const auto refused = DeviceScene::upload(scene_of(cloud_of(random_splats(608, 200000), 3)).view().value());
   REQUIRE_FALSE(refused);
   CHECK(refused.error().code == Errc::device_out_of_memory);
 }

@@ -291,7 +291,7 @@ TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel be
 
 TEST_CASE("trap 6: 32 bits are sorted, no constant ones; too few of depth give the exact order, and it is said") {
   if (!device_answers()) return;
-  const DeviceScene scene = upload(scene_of(cloud_of(random_splats(703, 3000), 1)).view());
+  const DeviceScene scene = upload(scene_of(cloud_of(random_splats(703, 3000), 1)).view().value());
   struct Case {
     int width, height, tile_bits;
   };
@@ -327,7 +327,7 @@ TEST_CASE("trap 7: Gaussians of one depth keep the order of the scene in determi
   }
   const Scene scene = scene_of(cloud_of(splats, 1));
   const Camera camera = front_camera(320, 200);
-  const DeviceScene uploaded = upload(scene.view());
+  const DeviceScene uploaded = upload(scene.view().value());
   for (const auto order : {DepthOrder::exact, DepthOrder::quantized}) {
     RenderOptions options = Arithmetic{.depth_order = order, .deterministic = true};
     const Frame host = render(scene, camera, options, {.backend = Backend::cpu, .simd = false});
@@ -343,7 +343,7 @@ TEST_CASE("trap 7: Gaussians of one depth keep the order of the scene in determi
     // The same Gaussians in another order are another picture: the test sees order.
     auto reversed = splats;
     std::reverse(reversed.begin(), reversed.end());
-    CHECK(psnr(draw(upload(scene_of(cloud_of(reversed, 1)).view()), camera, options).rgb, first.rgb) < 60);
+    CHECK(psnr(draw(upload(scene_of(cloud_of(reversed, 1)).view().value()), camera, options).rgb, first.rgb) < 60);
   }
 }
 
@@ -353,13 +353,13 @@ TEST_CASE("trap 8: with steps per chunk an outlier's SH does not coarsen the res
   splats[17].sh[0] = 60, splats[17].mean[2] = 30, splats[17].mean[0] = 500;  // bright and far aside
   const auto cloud = cloud_of(splats, 3);
   const Camera camera = front_camera(320, 200);
-  const auto exact = draw(upload(scene_of(cloud).view()), camera, {});
+  const auto exact = draw(upload(scene_of(cloud).view().value()), camera, Arithmetic());
   double quality[2];
   for (const bool per_chunk : {false, true}) {
     EncodeOptions options;
     options.chunk_step_sets = per_chunk;
     const auto compact = CompactScene::of(cloud, options);
-    quality[per_chunk] = psnr(draw(upload(compact.file), camera, {}).rgb, exact.rgb);
+    quality[per_chunk] = psnr(draw(upload(compact.file), camera, Arithmetic()).rgb, exact.rgb);
   }
   MESSAGE("one set of steps: ", quality[0], " dB, a set a chunk: ", quality[1], " dB");
   CHECK(quality[1] > quality[0] + 6);
@@ -382,7 +382,7 @@ TEST_CASE("trap 9: coefficients lie before channels in device memory, in every d
     const auto compact = CompactScene::of(cloud, encode_options);
     const Scene scene = scene_of(cloud);
     for (const bool is_compact : {false, true}) {
-      const auto attributes = is_compact ? DeviceAttributes(compact.file) : DeviceAttributes(scene.view());
+      const auto attributes = is_compact ? DeviceAttributes(compact.file) : DeviceAttributes(scene.view().value());
       const auto v = view_parameters(front_camera(64, 64), {}, degree);
       DeviceArray<ScreenSplat> device(splats.size());
       DeviceArray<std::byte> covers(splats.size() * cuda::cover_bytes());
@@ -431,7 +431,7 @@ TEST_CASE("trap 10: activated FP16 scales keep small Gaussians' size to 2^-11") 
                                     nullptr));
     return device.download();
   };
-  const auto fp32 = project(DeviceAttributes(scene.view())), fp16 = project(DeviceAttributes(compact.file));
+  const auto fp32 = project(DeviceAttributes(scene.view().value())), fp16 = project(DeviceAttributes(compact.file));
   double worst = 0;
   for (std::size_t i = 0; i < splats.size(); ++i) {
     worst = std::max(worst, std::abs(std::sqrt(1.0 * fp32[i].conic.a / fp16[i].conic.a) - 1));

@@ -15,6 +15,7 @@
 #include "random_cloud.hpp"
 #include "renderer_fixture.hpp"
 #include "rgs/encode.hpp"
+#include "rgs/file.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
@@ -304,7 +305,8 @@ TEST_CASE("alpha and opacity stay in range for opacity 0 and 1") {
     Splat s = splat_at(0, 0, 4, 1, 0.5);
     s.opacity_logit = l;
     const Scene scene = scene_of(cloud_of(std::vector(20, s)));
-    CHECK((scene.view().opacity[0] == (l > 0 ? 1.0F : scene.view().opacity[0]) && scene.view().opacity[0] >= 0));
+    CHECK((scene.view().value().opacity[0] == (l > 0 ? 1.0F : scene.view().value().opacity[0]) &&
+           scene.view().value().opacity[0] >= 0));
     for (const auto exponent : {Exponent::direct, Exponent::folded}) {
       for (const bool simd : {false, true}) {
         const Frame f = render(scene, front_camera(40, 40), Arithmetic{.extent = Extent::square, .exponent = exponent},
@@ -371,29 +373,113 @@ TEST_CASE("degenerate Gaussians draw something finite or nothing") {
   }
 }
 
-TEST_CASE("a scene keeps the file that it was loaded from, and its copies share it") {
-  const auto bytes = encode(cloud_of(random_splats(61, 100), 1).view());
+namespace {
+
+std::string write_scene(const TemporaryFolder& folder, const SplatCloud& cloud, Profile profile = Profile::direct) {
+  EncodeOptions options;
+  options.profile = profile;
+  const auto bytes = encode(cloud.view(), options);
   REQUIRE(bytes);
-  const TemporaryFolder folder;
-  const std::string path = folder.file("scene.rgs");
+  std::string path = folder.file("scene.rgs");
   std::ofstream(path, std::ios::binary)
       .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
+  return path;
+}
+
+bool same_arrays(const SceneView& a, const SceneView& b) {
+  return a.n == b.n && a.sh_degree == b.sh_degree && std::ranges::equal(a.mean, b.mean) &&
+         std::ranges::equal(a.rotation, b.rotation) && std::ranges::equal(a.scale, b.scale) &&
+         std::ranges::equal(a.opacity, b.opacity) && std::ranges::equal(a.sh, b.sh);
+}
+
+}  // namespace
+
+TEST_CASE("a scene keeps the file that it was loaded from, and its copies share it") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = cloud_of(random_splats(61, 100), 1);
+  const auto bytes = encode(cloud.view());
+  REQUIRE(bytes);
   Scene copy;
   {
+    const std::string path = write_scene(folder, cloud);
     const auto scene = Scene::load(path);
     REQUIRE(scene);
     copy = *scene;
+    std::filesystem::remove(path);
   }
-  std::filesystem::remove(path);
-  const auto kept = copy.file_bytes();
-  CHECK(std::equal(kept.begin(), kept.end(), bytes->begin(), bytes->end()));
+  REQUIRE(copy.has_file());
+  for (int time = 0; time < 2; ++time) {
+    const auto data = copy.direct();
+    REQUIRE(data);
+    CHECK(std::ranges::equal(data->file().bytes(), *bytes));
+  }
   const auto borrowed = Scene::load(*bytes);  // the caller's memory may go
   REQUIRE(borrowed);
-  CHECK(borrowed->file_bytes().empty());
-  CHECK(
-      std::equal(copy.view().sh.begin(), copy.view().sh.end(), borrowed->view().sh.begin(), borrowed->view().sh.end()));
-  CHECK(scene_of(cloud_of(random_splats(61, 100), 1)).file_bytes().empty());
-  CHECK(Scene().file_bytes().empty());
+  CHECK_FALSE(borrowed->has_file());
+  CHECK(same_arrays(copy.view().value(), borrowed->view().value()));
+  CHECK_FALSE(scene_of(cloud).has_file());
+  CHECK_FALSE(Scene().has_file());
+  CHECK(Scene().view().value().n == 0);
+}
+
+TEST_CASE("arrays of a file are made when they are first asked for, once for all copies and threads") {
+  const TemporaryFolder folder;
+  const int n = 50000;
+  for (const Profile profile : {Profile::direct, Profile::packed}) {
+    CAPTURE(static_cast<int>(profile));
+    const auto scene = Scene::load(write_scene(folder, cloud_of(random_splats(62, n), 3), profile));
+    REQUIRE(scene);
+    CHECK(scene->size() == n);
+    CHECK(scene->sh_degree() == 3);
+    CHECK(scene->declarations().has_value());
+    CHECK(scene->bytes() == (profile == Profile::direct ? 0 : 76 * n));  // what is coded is decoded to be validated
+    std::vector<Scene> copies(8, *scene);
+    std::vector<SceneView> views(8);
+    std::vector<std::thread> threads;
+    for (std::size_t i = 0; i < 8; ++i) threads.emplace_back([&, i] { views[i] = copies[i].view().value(); });
+    for (std::thread& thread : threads) thread.join();
+    for (const SceneView& view : views) CHECK(view.mean.data() == views[0].mean.data());
+    CHECK(scene->view().value().sh.data() == views[0].sh.data());
+    CHECK(scene->bytes() == 236 * n);  // and not kept beside them
+    // The attributes as they lie in the file are there all the same, and give the same arrays.
+    const auto data = scene->direct();
+    REQUIRE(data);
+    CHECK(data->size() == n);
+    CHECK(scene->bytes() == 236 * n);
+    std::vector<ActivatedSplat> last(1);
+    REQUIRE(data->read(n - 1, last));
+    CHECK(std::equal(last[0].sh, last[0].sh + 48, views[0].sh.end() - 48));
+  }
+}
+
+TEST_CASE("a scene from a file is drawn to the same bytes whether its arrays are made at load or at its first frame") {
+  const TemporaryFolder folder;
+  const std::string path = write_scene(folder, cloud_of(random_splats(63, 20000), 2), Profile::packed);
+  const auto file = MappedFile::open(path);
+  REQUIRE(file);
+  const auto eager = Scene::load(file->bytes()), lazy = Scene::load(path);
+  REQUIRE(eager);
+  REQUIRE(lazy);
+  CHECK(eager->bytes() == eager->size() * 4 * (11 + 27));
+  const auto decoded = decode(file->bytes());  // the training parameters, activated
+  REQUIRE(decoded);
+  const Camera camera = front_camera(203, 117);
+  std::vector<Frame> frames(4);
+  std::vector<std::thread> threads;
+  for (Frame& frame : frames) {
+    threads.emplace_back([&] {
+      frame = Frame::of(camera);
+      (void)Renderer::create({.backend = Backend::cpu, .threads = 2})->render(*lazy, camera, frame.target());
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  const Frame expected = render(*eager, camera, {}, kVector);
+  for (const Frame& frame : frames) {
+    CHECK(frame.rgb == expected.rgb);
+    CHECK(frame.depth == expected.depth);
+    CHECK(frame.blended == expected.blended);
+  }
+  CHECK(psnr(render(scene_of(*decoded), camera, {}, kVector).rgb, expected.rgb) > 80);  // logarithms and back
 }
 
 TEST_CASE("a packed file loads as the scene of the direct one") {
@@ -408,12 +494,7 @@ TEST_CASE("a packed file loads as the scene of the direct one") {
   const auto a = Scene::load(*direct), b = Scene::load(*packed);
   REQUIRE(a);
   REQUIRE(b);
-  const SceneView x = a->view(), y = b->view();
-  CHECK(std::ranges::equal(x.mean, y.mean));
-  CHECK(std::ranges::equal(x.rotation, y.rotation));
-  CHECK(std::ranges::equal(x.scale, y.scale));
-  CHECK(std::ranges::equal(x.opacity, y.opacity));
-  CHECK(std::ranges::equal(x.sh, y.sh));
+  CHECK(same_arrays(a->view().value(), b->view().value()));
   std::vector<std::byte> damaged = *packed;
   damaged[damaged.size() - 100] ^= std::byte{1};
   REQUIRE_FALSE(Scene::load(damaged));

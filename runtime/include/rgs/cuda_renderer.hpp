@@ -34,6 +34,8 @@ class DeviceScene {
   /// The sections of an .rgs file byte for byte, 76 bytes a Gaussian at SH degree 3; the file is validated first.
   /// Errors: those of validate() and of the other overload.
   static Result<DeviceScene> upload(const FileView& file);
+  /// The same of a whole file that somebody has loaded, and validated if it needs to be.
+  static Result<DeviceScene> upload(const DirectData& data);
 
   std::uint64_t size() const;
   int sh_degree() const;

@@ -8,7 +8,6 @@
 #include <optional>
 #include <span>
 #include <string>
-#include <vector>
 
 #include "rgs/decode.hpp"
 #include "rgs/result.hpp"
@@ -29,46 +28,57 @@ struct SceneView {
   std::span<const float> sh;        ///< [n, sh_coefficients(sh_degree), 3]
 };
 
-/// A scene in memory: attributes are activated once, at load, and never change. Copyable and movable; reading is
-/// thread-safe.
+/// Gaussians to be drawn, which never change. Copies share them; reading is thread-safe. The CPU draws FP32 arrays of
+/// activated attributes, the GPU an .rgs file's attributes as they lie in it: each is made when it is first asked for.
 class Scene {
  public:
   Scene() = default;  ///< no Gaussians
 
   /// Activates training parameters: scale = exp(log_scale), opacity = sigmoid(logit), rotation normalised (all zero
-  /// becomes the identity). Errors: bad_argument (sizes that contradict each other), limit_exceeded (2^31 Gaussians
-  /// or more), bad_value (a non-finite attribute; Error::offset is the index of the Gaussian).
-  static Result<Scene> load(const SplatView& splats);
-  static Result<Scene> load(const SplatCloud& splats) { return load(splats.view()); }
+  /// becomes the identity). `declared` is what is known of them otherwise, for with_declarations() (renderer.hpp).
+  /// Errors: bad_argument (sizes that contradict each other), limit_exceeded (2^31 Gaussians or more), bad_value (a
+  /// non-finite attribute; Error::offset is the index of the Gaussian).
+  static Result<Scene> load(const SplatView& splats, const std::optional<Declarations>& declared = std::nullopt);
+  static Result<Scene> load(const SplatCloud& splats, const std::optional<Declarations>& declared = std::nullopt) {
+    return load(splats.view(), declared);
+  }
   /// The same in place, without a copy of the attributes.
-  static Result<Scene> load(SplatCloud&& splats);
-  /// An .rgs file: opened, validated (see validate()) and decoded on all threads. Errors: those of FileView::open(), validate()
-  /// and MappedFile::open(), limit_exceeded.
+  static Result<Scene> load(SplatCloud&& splats, const std::optional<Declarations>& declared = std::nullopt);
+  /// An .rgs file: opened, validated (see validate()) and decoded on all threads. Errors: those of FileView::open(),
+  /// validate() and MappedFile::open(), limit_exceeded. These make the FP32 arrays, for the caller's bytes may go.
   static Result<Scene> load(const FileView& file);
   static Result<Scene> load(std::span<const std::byte> bytes);
-  /// These keep the file mapped for as long as the scene lives, so that a GPU gets its attributes as they lie in it: 76
-  /// bytes a Gaussian at SH degree 3 in place of 236. It must not be changed in place; replacing it does no harm.
+  /// These keep the file mapped for as long as the scene lives: a GPU gets the attributes as they lie in it, 76 bytes a
+  /// Gaussian at SH degree 3 in place of 236, and nothing else is made of them. It must not be changed in place;
+  /// replacing it does no harm.
   static Result<Scene> load(const std::string& path);
   static Result<Scene> load(MappedFile&& file);
 
-  std::uint64_t size() const { return opacity_.size(); }
-  int sh_degree() const { return sh_degree_; }
-  /// What the .rgs file declares (depth range, anti-aliasing, ...); absent for scenes from training parameters.
-  const std::optional<Declarations>& declarations() const { return declarations_; }
-  std::uint64_t bytes() const;                    ///< memory held by the attributes
-  std::span<const std::byte> file_bytes() const;  ///< of the .rgs file that the scene keeps; empty if it keeps none
+  std::uint64_t size() const;
+  int sh_degree() const;
+  /// What the .rgs file declares (depth range, anti-aliasing, ...), or what load() was told; absent if neither.
+  const std::optional<Declarations>& declarations() const;
+  /// Memory held by attributes: FP32 arrays, if they are made by now, and what is decoded of a coded file until view()
+  /// or direct() first needs it. A mapped file is not counted.
+  std::uint64_t bytes() const;
   /// Equal for copies of one load, different for every load: lets a renderer keep what it made of a scene.
-  std::uint64_t identity() const { return identity_; }
-  SceneView view() const { return {size(), sh_degree_, mean_, rotation_, scale_, opacity_, sh_}; }
+  std::uint64_t identity() const;
+
+  /// The FP32 arrays, 236 bytes a Gaussian at SH degree 3, which the first call makes of a kept file on all threads; others
+  /// wait for it. Errors: host_out_of_memory; the scene is what it was then.
+  Result<SceneView> view() const;
+  /// Whether the scene keeps the .rgs file that it came from.
+  bool has_file() const;
+  /// The attributes as they lie in the kept file, where there is one (has_file()); they must not outlive the scene. The
+  /// first call gives away what load() decoded, others decode it again: nobody holds what nobody uses. Errors: those of
+  /// load_direct() without validation, which load() has done.
+  Result<DirectData> direct() const;
 
  private:
-  static Scene adopt(SplatCloud splats);
+  struct Storage;
+  static Scene adopt(SplatCloud splats, const std::optional<Declarations>& declared);
 
-  std::uint64_t identity_ = 0;
-  int sh_degree_ = 0;
-  std::optional<Declarations> declarations_;
-  std::vector<float> mean_, rotation_, scale_, opacity_, sh_;
-  std::shared_ptr<const MappedFile> file_;
+  std::shared_ptr<const Storage> storage_;
 };
 
 }  // namespace rgs

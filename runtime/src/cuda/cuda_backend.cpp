@@ -13,12 +13,16 @@
 namespace rgs::detail {
 namespace {
 
-// A file's attributes as they lie in it, a third of the others' size.
+// A kept file's attributes as they lie in it, a third of the others' size; Scene::load() has validated it.
 Result<DeviceScene> upload(const Scene& scene) {
-  if (scene.file_bytes().empty()) return DeviceScene::upload(scene.view());
-  const auto file = FileView::open(scene.file_bytes());
-  if (!file) return tl::unexpected(file.error());
-  return DeviceScene::upload(*file);
+  if (scene.has_file()) {
+    const auto data = scene.direct();
+    if (!data) return tl::unexpected(data.error());
+    return DeviceScene::upload(*data);
+  }
+  const auto view = scene.view();
+  if (!view) return tl::unexpected(view.error());
+  return DeviceScene::upload(*view);
 }
 
 }  // namespace

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/device_scene.hpp"
 
+#include <cassert>
 #include <cmath>
 #include <memory>
 #include <span>
@@ -73,17 +74,23 @@ Result<DeviceScene> DeviceScene::upload(const SceneView& scene) {
 }
 
 Result<DeviceScene> DeviceScene::upload(const FileView& file) {
-  const Header& header = file.header();
-  if (const auto ok = check_size(header.n_gaussians); !ok) return tl::unexpected(ok.error());
+  if (const auto ok = check_size(file.header().n_gaussians); !ok) return tl::unexpected(ok.error());
   const auto data = load_direct(file);
   if (!data) return tl::unexpected(data.error());
+  return upload(*data);
+}
+
+Result<DeviceScene> DeviceScene::upload(const DirectData& data) {
+  const Header& header = data.header();
+  assert(data.size() == header.n_gaussians);
+  if (const auto ok = check_size(data.size()); !ok) return tl::unexpected(ok.error());
   auto storage = std::make_shared<Storage>();
   storage->n = header.n_gaussians;
   storage->sh_degree = header.sh_degree;
-  storage->declarations = file.declarations();
+  storage->declarations = data.file().declarations();
   Uploader uploader;
-  const std::span<const std::byte> sections[] = {data->means(), data->geometry(), data->sh(), data->step_table(),
-                                                 data->chunk_table()};
+  const std::span<const std::byte> sections[] = {data.means(), data.geometry(), data.sh(), data.step_table(),
+                                                 data.chunk_table()};
   for (const auto& section : sections) uploader.add(section);
   Status ok = uploader.allocate(storage->memory);
   if (!ok) return tl::unexpected(ok.error());

@@ -270,12 +270,12 @@ TEST_CASE("front ends agree with the host at every size of the grid, FP32 and co
     const auto cloud = cloud_of(random_splats(static_cast<unsigned>(200 + n), n), 3);
     const Camera camera = random_camera(random, 200, 120);
     const Scene scene = scene_of(cloud);
-    const DeviceAttributes fp32(scene.view());
+    const DeviceAttributes fp32(scene.view().value());
     const auto compact = CompactScene::of(cloud);
     const DeviceAttributes packed(compact.file);
     for (const auto extent : {Extent::square, Extent::ellipse}) {
-      check_all(fp32.get(), scene.view(), camera, with_key(turn++, extent));
-      check_all(packed.get(), compact.scene.view(), camera, with_key(turn++ / 2, extent));
+      check_all(fp32.get(), scene.view().value(), camera, with_key(turn++, extent));
+      check_all(packed.get(), compact.scene.view().value(), camera, with_key(turn++ / 2, extent));
     }
   }
 }
@@ -290,8 +290,9 @@ TEST_CASE("front ends agree with the host on 300,000 Gaussians of a scene") {
   require_ok(cameras);
   const auto compact = CompactScene::of(cloud);
   const Scene scene = scene_of(cloud);
-  check_all(DeviceAttributes(scene.view()).get(), scene.view(), cameras->cameras[0], with_key(1, Extent::square));
-  check_all(DeviceAttributes(compact.file).get(), compact.scene.view(), cameras->cameras[3],
+  check_all(DeviceAttributes(scene.view().value()).get(), scene.view().value(), cameras->cameras[0],
+            with_key(1, Extent::square));
+  check_all(DeviceAttributes(compact.file).get(), compact.scene.view().value(), cameras->cameras[3],
             with_key(0, Extent::ellipse));
 }
 
@@ -304,10 +305,10 @@ TEST_CASE(
   for (int degree = 0; degree <= 3; ++degree) {
     const auto cloud = cloud_of(random_splats(static_cast<unsigned>(300 + degree), n), degree);
     const Scene scene = scene_of(cloud);
-    const DeviceAttributes fp32(scene.view());
+    const DeviceAttributes fp32(scene.view().value());
     for (int limit = 0; limit <= 3; ++limit) {
       const Camera camera = random_camera(random, 96, 64);
-      check_all(fp32.get(), scene.view(), camera, {.sh_degree_limit = limit});
+      check_all(fp32.get(), scene.view().value(), camera, {.sh_degree_limit = limit});
     }
     for (const std::uint32_t chunk_size : {32u, 256u, 4096u}) {
       for (const bool chunk_step_sets : {true, false}) {
@@ -317,7 +318,7 @@ TEST_CASE(
         options.chunk_size = chunk_size, options.chunk_step_sets = chunk_step_sets;
         const auto compact = CompactScene::of(cloud, options);
         const Camera camera = random_camera(random, 96, 64);
-        check_all(DeviceAttributes(compact.file).get(), compact.scene.view(), camera,
+        check_all(DeviceAttributes(compact.file).get(), compact.scene.view().value(), camera,
                   {.sh_degree_limit = static_cast<int>(chunk_size) % 5 == 1 ? 1 : 3});
       }
     }
@@ -329,7 +330,7 @@ TEST_CASE("front ends follow every option of the projection and the key") {
   const auto splats = random_splats(103, small_sizes() ? 300 : 3000);
   const auto cloud = cloud_of(splats, 1);
   const Scene scene = scene_of(cloud);
-  const DeviceAttributes fp32(scene.view());
+  const DeviceAttributes fp32(scene.view().value());
   const auto compact = CompactScene::of(cloud);
   const DeviceAttributes packed(compact.file);
   Random random(104);
@@ -345,8 +346,8 @@ TEST_CASE("front ends follow every option of the projection and the key") {
   };
   for (const Arithmetic& options : cases) {
     const Camera camera = random_camera(random, 150, 110);
-    check_all(fp32.get(), scene.view(), camera, options);
-    check_all(packed.get(), compact.scene.view(), camera, options);
+    check_all(fp32.get(), scene.view().value(), camera, options);
+    check_all(packed.get(), compact.scene.view().value(), camera, options);
   }
   // One tile has no tile bits: 32 of depth in a narrow key, quantised or not.
   for (const auto order : {DepthOrder::exact, DepthOrder::quantized}) {
@@ -354,7 +355,7 @@ TEST_CASE("front ends follow every option of the projection and the key") {
       const Camera camera = random_camera(random, side, side);
       const auto v = view_parameters(camera, {.depth_order = order}, 1);
       CHECK(v.key.bits() == 32);
-      check_all(fp32.get(), scene.view(), camera, {.depth_order = order});
+      check_all(fp32.get(), scene.view().value(), camera, {.depth_order = order});
     }
   }
 }
@@ -369,9 +370,9 @@ TEST_CASE("front ends agree on Gaussians over the whole range of numbers") {
     const Scene scene = scene_of(cloud);
     CAPTURE(round);
     const auto extent = round % 2 == 0 ? Extent::square : Extent::ellipse;
-    check_all(DeviceAttributes(scene.view()).get(), scene.view(), camera, {.extent = extent});
+    check_all(DeviceAttributes(scene.view().value()).get(), scene.view().value(), camera, {.extent = extent});
     const auto compact = CompactScene::of(cloud);
-    check_all(DeviceAttributes(compact.file).get(), compact.scene.view(), camera, {.extent = extent});
+    check_all(DeviceAttributes(compact.file).get(), compact.scene.view().value(), camera, {.extent = extent});
   }
 }
 

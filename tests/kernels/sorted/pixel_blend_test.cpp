@@ -25,7 +25,7 @@ struct SortedFrame {
   const std::uint32_t* sorted = nullptr;
 
   SortedFrame(const Scene& scene, const Camera& camera, const Arithmetic& options) {
-    const DeviceAttributes attributes(scene.view());
+    const DeviceAttributes attributes(scene.view().value());
     const auto n = static_cast<std::uint32_t>(scene.size());
     const auto v = view_parameters(camera, options, scene.sh_degree());
     splats = DeviceArray<cuda::ScreenSplat>(n);

@@ -359,8 +359,8 @@ TEST_CASE("turbo lists hold what the host lists, FP32 and compact, whatever the 
     const auto compact = CompactScene::of(cloud, options);
     for (const int width : {33, 700}) {
       const Camera camera = random_camera(random, width, 200);
-      check(DeviceAttributes(scene.view()).get(), scene.view(), camera);
-      check(DeviceAttributes(compact.file).get(), compact.scene.view(), camera);
+      check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), camera);
+      check(DeviceAttributes(compact.file).get(), compact.scene.view().value(), camera);
     }
   }
 }
@@ -379,13 +379,13 @@ TEST_CASE("chunks that are passed over hold nothing that the host lists") {
       Camera camera = front_camera(160, 130);
       camera.fx = camera.fy = random.log_uniform(60, 800);
       camera.world_to_camera = rigid(random.rotation(), random.vector(-4, 4));
-      check(attributes.get(), compact.scene.view(), camera);
+      check(attributes.get(), compact.scene.view().value(), camera);
     }
   }
   SplitMix wild(804);
   for (int round = 0; round < (small_sizes() ? 2 : 12); ++round) {
     const auto extreme = CompactScene::of(random_cloud(700, round % 4, wild));
-    check(DeviceAttributes(extreme.file).get(), extreme.scene.view(), random_camera(random, 130, 70));
+    check(DeviceAttributes(extreme.file).get(), extreme.scene.view().value(), random_camera(random, 130, 70));
   }
 }
 
@@ -416,8 +416,8 @@ TEST_CASE("Gaussians of many tiles are listed part by part, up to all tiles at 4
     const Scene scene = scene_of(cloud);
     const auto compact = CompactScene::of(cloud);
     const Camera camera = front_camera(width, height);
-    check(DeviceAttributes(scene.view()).get(), scene.view(), camera);
-    check(DeviceAttributes(compact.file).get(), compact.scene.view(), camera);
+    check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), camera);
+    check(DeviceAttributes(compact.file).get(), compact.scene.view().value(), camera);
   }
 }
 
@@ -482,7 +482,8 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
       CAPTURE(n);
       CAPTURE(far);
       const Scene scene = scene_of(cloud_of(crowd(n, far)));
-      const Lists lists = check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32));
+      const Lists lists =
+          check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), front_camera(32, 32));
       REQUIRE(lists.tiles.size() == 1);
       CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboEntries));
       if (n > 4000) CHECK(lists.n_units > 0);
@@ -500,7 +501,7 @@ TEST_CASE("a list of more entries of one depth than a sample can tell apart is o
     splats.push_back(splat_at(random.uniform(-2, 2), random.uniform(-2, 2), 4, 0.02, 0.03));
   }
   const Scene scene = scene_of(cloud_of(splats));
-  CHECK(check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32)).n_units > 1000);
+  CHECK(check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), front_camera(32, 32)).n_units > 1000);
 }
 
 TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {

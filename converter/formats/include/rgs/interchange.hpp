@@ -52,6 +52,7 @@ struct SplatFile {
   Axes axes = kAxes3dgs;    ///< of `cloud`
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
+  float low_pass_px2 = 0.3F;  ///< what an .rgs declares
   SplatCloud cloud;
 };
 

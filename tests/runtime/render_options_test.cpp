@@ -1,0 +1,220 @@
+// render_options_test.cpp - the rule from options, declarations and backend to the settings of a frame.
+// SPDX-License-Identifier: Apache-2.0
+#include "render_options.hpp"
+
+#include <doctest/doctest.h>
+
+#include <limits>
+#include <string>
+
+#include "renderer_fixture.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using detail::FrameSettings;
+using detail::resolve;
+using math::AntiAliasing;
+using math::DepthOrder;
+using math::Exp;
+using math::Exponent;
+using math::Extent;
+
+namespace {
+
+constexpr Pipeline kPipelines[] = {Pipeline::automatic, Pipeline::baseline, Pipeline::paper, Pipeline::turbo};
+constexpr Backend kBackends[] = {Backend::cpu, Backend::cuda};
+
+FrameSettings settings_of(const RenderOptions& options, const std::optional<Declarations>& declared = std::nullopt,
+                          Backend backend = Backend::cpu) {
+  const auto settings = resolve(options, declared, backend);
+  REQUIRE(settings);
+  return *settings;
+}
+
+Errc refusal(const RenderOptions& options, Backend backend = Backend::cpu) {
+  const auto settings = resolve(options, std::nullopt, backend);
+  return settings ? Errc::internal : settings.error().code;
+}
+
+}  // namespace
+
+TEST_CASE("each pipeline has its arithmetic, and turbo is what CUDA draws unless asked otherwise") {
+  struct Row {
+    Pipeline pipeline;
+    Backend backend;
+    Extent extent;
+    DepthOrder order;
+    Exponent exponent;
+    Exp exp;
+    bool turbo;
+  };
+  using enum Pipeline;
+  const auto cpu = Backend::cpu, cuda = Backend::cuda;
+  const auto exact = DepthOrder::exact, quantized = DepthOrder::quantized;
+  const Row rows[] = {
+      {automatic, cpu, Extent::ellipse, exact, Exponent::direct, Exp::exact, false},
+      {automatic, cuda, Extent::ellipse, exact, Exponent::folded, Exp::exact, true},
+      {baseline, cpu, Extent::square, exact, Exponent::direct, Exp::exact, false},
+      {baseline, cuda, Extent::square, exact, Exponent::direct, Exp::exact, false},
+      {paper, cpu, Extent::ellipse, quantized, Exponent::folded, Exp::paper, false},
+      {paper, cuda, Extent::ellipse, quantized, Exponent::folded, Exp::paper, false},
+      {turbo, cpu, Extent::ellipse, exact, Exponent::folded, Exp::exact, false},
+      {turbo, cuda, Extent::ellipse, exact, Exponent::folded, Exp::exact, true},
+  };
+  for (const Row& row : rows) {
+    CAPTURE(static_cast<int>(row.pipeline));
+    CAPTURE(static_cast<int>(row.backend));
+    const FrameSettings s = settings_of({.pipeline = row.pipeline}, std::nullopt, row.backend);
+    CHECK(s.extent == row.extent);
+    CHECK(s.depth_order == row.order);
+    CHECK(s.exponent == row.exponent);
+    CHECK(s.exp == row.exp);
+    CHECK(s.cuda.turbo == row.turbo);
+    CHECK(s.cuda.tensor_cores == row.turbo);
+    const bool is_original = row.pipeline == baseline;
+    CHECK(s.cuda.front_end == (is_original ? PaperSteps::FrontEnd::separate : PaperSteps::FrontEnd::fused));
+    CHECK(s.cuda.pixels_per_thread == (is_original ? 1 : 2));
+  }
+}
+
+TEST_CASE("anti-aliasing and low-pass: what is asked for, else what the scene declares, else classic and 0.3") {
+  const auto declared = [](AaMode mode, float low_pass) {
+    Declarations d;
+    d.aa_mode = mode, d.low_pass_px2 = low_pass;
+    return d;
+  };
+  struct Row {
+    std::optional<Declarations> declared;
+    std::optional<AntiAliasing> asked;
+    std::optional<float> asked_low_pass;
+    AntiAliasing expected;
+    float expected_low_pass;
+  };
+  const auto classic = AntiAliasing::classic, mip = AntiAliasing::mip_splatting;
+  const Row rows[] = {
+      {{}, {}, {}, classic, 0.3F},
+      {{}, mip, {}, mip, 0.3F},
+      {{}, {}, 0.1F, classic, 0.1F},
+      {declared(AaMode::classic, 0.3F), {}, {}, classic, 0.3F},
+      {declared(AaMode::classic, 0.2F), {}, {}, classic, 0.2F},
+      {declared(AaMode::classic, 0.2F), mip, 0.0F, mip, 0.0F},
+      {declared(AaMode::mip_splatting, 0.3F), {}, {}, mip, 0.3F},
+      {declared(AaMode::mip_splatting, 0.1F), {}, {}, mip, 0.1F},
+      {declared(AaMode::mip_splatting, 0.1F), classic, {}, classic, 0.1F},
+      {declared(AaMode::mip_splatting, 0.1F), {}, 0.5F, mip, 0.5F},
+      {declared(AaMode::undeclared, 0.1F), {}, {}, classic, 0.3F},
+      {declared(AaMode::undeclared, 0.1F), mip, 0.2F, mip, 0.2F},
+  };
+  for (const Row& row : rows) {
+    CAPTURE(&row - rows);
+    for (const Pipeline pipeline : kPipelines) {
+      for (const Backend backend : kBackends) {
+        const RenderOptions options{.low_pass = row.asked_low_pass, .anti_aliasing = row.asked, .pipeline = pipeline};
+        const FrameSettings s = settings_of(options, row.declared, backend);
+        CHECK(s.anti_aliasing == row.expected);
+        CHECK(s.low_pass == row.expected_low_pass);
+        // What is filled in does not change any more.
+        const FrameSettings again =
+            settings_of(with_declarations(options, row.declared), declared(AaMode::mip_splatting, 7), backend);
+        CHECK(again.anti_aliasing == row.expected);
+        CHECK(again.low_pass == row.expected_low_pass);
+      }
+    }
+  }
+}
+
+TEST_CASE("the paper's key has the range and mapping that is asked for, else the scene's, else the paper's") {
+  Declarations d;
+  d.depth_mapping = DepthMapping::logarithmic;
+  d.z_near = 1, d.z_far = 9;
+  FrameSettings s = settings_of({.pipeline = Pipeline::paper});
+  CHECK(s.depth_mapping == DepthMapping::linear);
+  CHECK(s.depth_range == std::array{0.2F, 100.0F});
+  s = settings_of({.pipeline = Pipeline::paper}, d);
+  CHECK(s.depth_mapping == DepthMapping::logarithmic);
+  CHECK(s.depth_range == std::array{1.0F, 9.0F});
+  const PaperSteps steps{.depth_mapping = DepthMapping::linear, .depth_bits = 12, .depth_range = {{2, 3}}};
+  s = settings_of({.pipeline = Pipeline::paper, .paper = steps}, d);
+  CHECK(s.depth_mapping == DepthMapping::linear);
+  CHECK(s.depth_range == std::array{2.0F, 3.0F});
+  CHECK(s.depth_bits == 12);
+}
+
+TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other pipeline reads them") {
+  const PaperSteps steps{.extent = Extent::square,
+                         .depth_bits = 99,
+                         .depth_range = {{5, 5}},
+                         .exponent = Exponent::direct,
+                         .exp = Exp::zero_mean,
+                         .front_end = PaperSteps::FrontEnd::separate,
+                         .pixels_per_thread = 7,
+                         .deterministic = true};
+  const TurboOptions turbo{.tensor_cores = false, .graph = true, .asynchronous = true};
+  for (const Backend backend : kBackends) {
+    for (const Pipeline pipeline : kPipelines) {
+      CAPTURE(static_cast<int>(pipeline));
+      if (pipeline == Pipeline::paper) {
+        CHECK(refusal({.pipeline = pipeline, .paper = steps}, backend) == Errc::bad_argument);
+      } else {
+        const FrameSettings plain = settings_of({.pipeline = pipeline}, std::nullopt, backend),
+                            s = settings_of({.pipeline = pipeline, .paper = steps}, std::nullopt, backend);
+        CHECK(s.extent == plain.extent);
+        CHECK(s.depth_bits == plain.depth_bits);
+        CHECK(s.depth_range == plain.depth_range);
+        CHECK(s.exponent == plain.exponent);
+        CHECK(s.exp == plain.exp);
+        CHECK(s.cuda.front_end == plain.cuda.front_end);
+        CHECK(s.cuda.pixels_per_thread == plain.cuda.pixels_per_thread);
+        CHECK_FALSE(s.cuda.deterministic);
+      }
+      const FrameSettings s = settings_of({.pipeline = pipeline, .turbo = turbo}, std::nullopt, backend);
+      CHECK_FALSE(s.cuda.tensor_cores);
+      CHECK(s.cuda.graph == s.cuda.turbo);
+      CHECK(s.cuda.asynchronous == s.cuda.turbo);
+    }
+  }
+  // An ablation starts where baseline is.
+  RenderOptions start{.pipeline = Pipeline::paper};
+  start.paper = steps_of({.pipeline = Pipeline::baseline}, Backend::cuda);
+  const Scene scene = scene_of(cloud_of(random_splats(71, 500), 1));
+  const Camera camera = front_camera(64, 48);
+  const RendererOptions cpu{.backend = Backend::cpu};
+  CHECK(render(scene, camera, start, cpu).rgb == render(scene, camera, baseline_options(), cpu).rgb);
+  CHECK(render(scene, camera, {}, cpu).rgb == render(scene, camera, Arithmetic(), cpu).rgb);
+}
+
+TEST_CASE("values that no option has are refused") {
+  const float nan = std::numeric_limits<float>::quiet_NaN();
+  CHECK(refusal({}) == Errc::internal);  // accepted
+  CHECK(refusal({.pipeline = static_cast<Pipeline>(4)}) == Errc::bad_argument);
+  CHECK(refusal({.low_pass = nan}) == Errc::bad_argument);
+  CHECK(refusal({.low_pass = -0.1F}) == Errc::bad_argument);
+  CHECK(refusal({.anti_aliasing = static_cast<AntiAliasing>(2)}) == Errc::bad_argument);
+  const auto with = [](PaperSteps steps) { return RenderOptions{.pipeline = Pipeline::paper, .paper = steps}; };
+  CHECK(refusal(with({})) == Errc::internal);
+  CHECK(refusal(with({.extent = static_cast<Extent>(2)})) == Errc::bad_argument);
+  CHECK(refusal(with({.depth_mapping = static_cast<DepthMapping>(0)})) == Errc::bad_argument);
+  CHECK(refusal(with({.depth_bits = 33})) == Errc::bad_argument);
+  CHECK(refusal(with({.depth_range = {{0, 1}}})) == Errc::bad_argument);
+  CHECK(refusal(with({.depth_range = {{1, nan}}})) == Errc::bad_argument);
+  CHECK(refusal(with({.pixels_per_thread = 3})) == Errc::bad_argument);
+}
+
+TEST_CASE("a scene's declarations choose its picture: a file's, or those that load() is told") {
+  Declarations mip;
+  mip.aa_mode = AaMode::mip_splatting;
+  mip.low_pass_px2 = 0.1F;
+  const SplatCloud cloud = cloud_of(random_splats(72, 2000), 1);
+  const auto plain = Scene::load(cloud), declared = Scene::load(cloud, mip);
+  REQUIRE(plain);
+  REQUIRE(declared);
+  const Camera camera = front_camera(96, 64);
+  const RendererOptions cpu{.backend = Backend::cpu};
+  const RenderOptions asked{.low_pass = 0.1F, .anti_aliasing = AntiAliasing::mip_splatting};
+  const auto rgb = render(*declared, camera, {}, cpu).rgb;
+  CHECK(rgb == render(*plain, camera, asked, cpu).rgb);
+  CHECK(rgb != render(*plain, camera, {}, cpu).rgb);
+  CHECK(rgb == render(*plain, camera, with_declarations({}, declared->declarations()), cpu).rgb);
+  const RenderOptions classic{.low_pass = 0.3F, .anti_aliasing = AntiAliasing::classic};
+  CHECK(render(*declared, camera, classic, cpu).rgb == render(*plain, camera, {}, cpu).rgb);
+}
