@@ -259,11 +259,9 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(10, kThreads)) turbo
   for (int k = 0; k < kRows; ++k) pixels[k] = rows[k].pixel(q % 2 != 0);
   const int own_x = x + lane / 4 + 8 * q, own_y = y + kRows * warp;
   if (q > 1 || own_x >= a.width) return;
-#pragma unroll
-  for (int k = 0; k < kRows; ++k) {
-    if (own_y + k >= a.height) return;
-    const auto i = static_cast<std::size_t>(own_y + k) * static_cast<std::size_t>(a.width);
-    store_pixel<false>(a.target, a.background, i + static_cast<std::size_t>(own_x), pixels[k], 0, 0);
+#pragma unroll 1  // the code of two stores at once would take more registers than the loops above have
+  for (int k = 0; k < kRows && own_y + k < a.height; ++k) {
+    store_pixel<false>(a.target, a.background, own_x, own_y + k, k == 0 ? pixels[0] : pixels[1], 0, 0);
   }
 }
 
