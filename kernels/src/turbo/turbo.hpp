@@ -7,19 +7,11 @@
 #include <cstdint>
 
 #include "common/frame.hpp"
-#include "rgs/hd.hpp"
 #include "rgs/result.hpp"
 #include "sorted/front_end.hpp"
+#include "turbo/turbo_geometry.hpp"
 
 namespace rgs::cuda {
-
-inline constexpr int kTurboTile = math::kCellTile;  ///< pixels along a tile's side
-
-/// What a list holds of a Gaussian: bits of its depth (positive: 31), its index, and the cells of the tile that it
-/// touches (math::cells_of()). Entries order by depth, then by index.
-using TurboEntry = std::uint64_t;
-inline constexpr int kTurboIndexBits = 25;
-inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;
 
 /// Entries begin .. begin + n - 1 of one tile, written by one block.
 struct TurboRun {
@@ -40,13 +32,12 @@ struct TurboList {
 };
 inline constexpr std::uint32_t kTurboEntries = 2048;  ///< ordered at a time; a power of two
 
-/// What a cell of 16x8 pixels shows: Gaussians begin .. begin + n - 1 of TurboArrays::cell_gaussians, in order.
+/// What a cell shows: Gaussians begin .. begin + n - 1 of TurboArrays::cell_gaussians, in order.
 struct alignas(16) TurboCell {
   std::uint32_t begin, n;
   std::uint32_t x, y;  ///< its first pixel
 };
 static_assert(sizeof(TurboCell) == 16);
-inline constexpr int kTurboCells = 8;  ///< of a tile
 
 /// A Gaussian whose bounding box has many tiles: kept for a kernel in which tiles look for theirs.
 struct alignas(16) TurboLarge {
@@ -165,16 +156,16 @@ struct TurboLongSizes {
     if (memory == nullptr) return;
     to.long_lists = static_cast<TurboLong*>(memory);
     to.units = reinterpret_cast<TurboUnit*>(to.long_lists + lists);
-    to.unit_cells = reinterpret_cast<std::uint32_t*>(to.units + units);
-    to.bins = to.unit_cells + units * kTurboCells;
-    to.slices = to.bins + lists * kTurboBins;
+    to.bins = reinterpret_cast<std::uint32_t*>(to.units + units);  // aligned to 16 bytes: four at a time
+    to.unit_cells = to.bins + lists * kTurboBins;
+    to.slices = to.unit_cells + units * kTurboCells;
   }
 };
 
 /// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
 /// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
 /// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
-/// and have no entries. v.grid is that of 32x32 tiles. n < kMaxTurboGaussians. Errors: device_failed.
+/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -208,7 +199,7 @@ Status launch_turbo_units(const TurboArrays& arrays, Stream stream);
 struct TurboBlendArguments {
   TurboArrays arrays;
   const ScreenSplat* splats;
-  math::TileGrid grid;  ///< of 32x32 tiles
+  math::TileGrid grid;  ///< of tiles of kTurboTile
   int width, height;    ///< px
   math::Vec3<float> background;
   PixelArrays target;

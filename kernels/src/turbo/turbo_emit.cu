@@ -1,7 +1,7 @@
 // turbo_emit.cu - attributes to the entries of the tiles' lists, in runs of one tile each.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp
+// Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; turbo_geometry.hpp
 // In/Out  attributes [n] -> splats [n], entries, runs, large
 // Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
 // Launch  256 threads, ceil(n / 256) blocks
@@ -33,7 +33,24 @@ constexpr int kThreads = 256;
 constexpr std::uint32_t kWindow = 4 * kThreads;  // tiles that are counted at a time
 constexpr std::uint32_t kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
 constexpr std::uint32_t kWords = 4096;           // tiles of bounding boxes that a block has room for
-constexpr std::uint32_t kBlockTiles = 1u << 16;  // that a word can tell apart
+
+// A word: a tile of a Gaussian's bounding box, numbered within the block's; whose box, of the block's Gaussians; and which
+// cells of the tile it touches, none where it has no entry.
+constexpr int kOwnerBits = 8, kOwnerAt = kTurboCellBits, kTileAt = kOwnerAt + kOwnerBits;
+constexpr std::uint32_t kBlockTiles = 1u << (32 - kTileAt);  // that a word can tell apart
+static_assert(kThreads <= 1 << kOwnerBits);
+__device__ inline std::uint32_t make_word(std::uint32_t tile, std::uint32_t owner, std::uint32_t cells) {
+  return tile << kTileAt | owner << kOwnerAt | cells;
+}
+__device__ inline std::uint32_t tile_of(std::uint32_t word) {
+  return word >> kTileAt;
+}
+__device__ inline std::uint32_t owner_in(std::uint32_t word) {
+  return word >> kOwnerAt & ((1u << kOwnerBits) - 1);
+}
+__device__ inline std::uint32_t cells_in(std::uint32_t word) {
+  return word & ((1u << kTurboCellBits) - 1);
+}
 
 // Tiles of a Gaussian's bounding box.
 struct Box {
@@ -50,7 +67,7 @@ struct Shared {
   std::uint16_t row_end[kThreads];            // inclusive sums of the Gaussians' rows after the first
   std::uint8_t listed[kThreads];              // the Gaussian has an entry
   alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of its next one
-  std::uint32_t words[kWords];  // tile of the block's bounding box << 16 | owner << 8 | cells; without cells: none
+  std::uint32_t words[kWords];
   std::uint32_t n_words;
   std::uint32_t bounds[4];  // of the block: largest 2^15 - x0, 2^15 - y0, x1, y1
   RunPlaces<kThreads> places;
@@ -71,16 +88,16 @@ __device__ void fill_words(Shared& s, std::uint32_t n_rows, const math::TileRect
     const Box box = s.box[owner];
     if (row >= box.rows) continue;
     const int y = box.y + static_cast<int>(row);
-    const auto cells = math::cell_rows(s.ellipse[owner], y);
+    const auto cells = cell_rows(s.ellipse[owner], y);
     std::uint32_t* const words = s.words + box.first + row * box.columns;
     const auto first = static_cast<std::uint32_t>((y - block.y0) * (block.x1 - block.x0) + box.x - block.x0);
-    for (std::uint32_t k = 0; k < box.columns; k += 4) {
-      const std::uint32_t four = math::cells_of_four(cells, box.x + static_cast<int>(k));
+    for (std::uint32_t k = 0; k < box.columns; k += kTurboStripTiles) {
+      const std::uint32_t strip = cells_of_strip(cells, box.x + static_cast<int>(k));
 #pragma unroll
-      for (std::uint32_t j = 0; j < 4; ++j) {
+      for (std::uint32_t j = 0; j < kTurboStripTiles; ++j) {
         if (k + j >= box.columns) break;
-        const std::uint32_t touched = math::cells_of_first(four >> (2 * j)), tile = first + k + j;
-        words[k + j] = tile << 16 | owner << 8 | touched;
+        const std::uint32_t touched = cells_in_strip(strip, static_cast<int>(j)), tile = first + k + j;
+        words[k + j] = make_word(tile, owner, touched);
         if (touched != 0) f(tile);
       }
     }
@@ -201,11 +218,12 @@ __global__ void __launch_bounds__(kThreads)
   for (std::uint32_t window = 0;;) {
     place_window(s, window, block, a.arrays, v.grid);
     for (std::uint32_t k = threadIdx.x; k < n_all_words; k += kThreads) {
-      const std::uint32_t word = s.words[k], tile = (word >> 16) - window, owner = word >> 8 & 0xFFu;
-      if ((word & 0xFFu) == 0 || tile >= kWindow) continue;
+      const std::uint32_t word = s.words[k], tile = tile_of(word) - window, owner = owner_in(word);
+      if (cells_in(word) == 0 || tile >= kWindow) continue;
       s.listed[owner] = 1;
       const std::uint32_t at = atomicAdd(s.counts + tile, 1u);
-      if (at < a.arrays.entry_capacity) a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, word & 0xFFu);
+      if (at < a.arrays.entry_capacity)
+        a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells_in(word));
     }
     window += kWindow;
     if (window >= n_tiles) break;
@@ -213,8 +231,8 @@ __global__ void __launch_bounds__(kThreads)
     clear_counts();
     __syncthreads();
     for (std::uint32_t k = threadIdx.x; k < n_all_words; k += kThreads) {
-      const std::uint32_t word = s.words[k], tile = (word >> 16) - window;
-      if ((word & 0xFFu) != 0 && tile < kWindow) atomicAdd(s.counts + tile, 1u);
+      const std::uint32_t word = s.words[k], tile = tile_of(word) - window;
+      if (cells_in(word) != 0 && tile < kWindow) atomicAdd(s.counts + tile, 1u);
     }
     __syncthreads();
   }

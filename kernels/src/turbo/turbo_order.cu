@@ -1,7 +1,7 @@
 // turbo_order.cu - orders each tile's list by depth and deals it out to the tile's cells.
 // SPDX-License-Identifier: Apache-2.0
 //
-// In/Out  lists, entries; units, scratch -> cells [tiles, 8], cell_gaussians
+// In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
 // Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as keep the device busy. A
 //         warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
@@ -26,7 +26,7 @@ constexpr int kWarps = kThreads / 32;
 constexpr std::uint32_t kEntries = kTurboEntries;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
 constexpr unsigned kUnitBlocks = 132 * 5;
-static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kWarps == kTurboCells);
+static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
 
 struct Shared {
   TurboEntry entries[kEntries];
@@ -176,9 +176,9 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t lo
 // by looking at the entries themselves. `range` is that of the depths that the thread has seen.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
   range.share(s);
-  int from = kTurboIndexBits + 8;
+  int from = kTurboIndexBits + kTurboCellBits;
   if (range.low == range.high) {  // one depth: by index
-    from = 8;
+    from = kTurboCellBits;
     range.low = static_cast<std::uint32_t>(s.entries[0] >> from) & ~static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
     range.high = range.low + static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
   }
@@ -221,11 +221,11 @@ __device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin)
 __device__ inline void count_chunks(Shared& s) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   for (std::uint32_t chunk = warp; 32 * chunk < s.n; chunk += kWarps) {
-    const auto cells = static_cast<std::uint32_t>(ordered_entry(s, 32 * chunk));
+    const TurboEntry entry = ordered_entry(s, 32 * chunk);
     std::uint32_t own = 0;
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, (cells >> c & 1) != 0);
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, touches(entry, c));
       if (lane == c) own = lanes;
     }
     if (lane < kTurboCells) s.chunks[lane][chunk] = static_cast<std::uint32_t>(__popc(static_cast<int>(own)));
@@ -271,17 +271,15 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
   for (std::uint32_t chunk = threadIdx.x / 32; 32 * chunk < s.n; chunk += kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * chunk);
-    const auto cells = static_cast<std::uint32_t>(entry);
-    const auto gaussian = static_cast<std::uint32_t>(entry >> 8) & static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
     const std::uint32_t own = lane % kTurboCells;
     const std::uint32_t begin = s.cell_begin[own] + s.chunks[own][chunk];  // of cell `own`
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const bool touches = (cells >> c & 1) != 0;
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, touches);
+      const bool own_entry = touches(entry, c);
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, own_entry);
       const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
-      if (touches)
-        a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = gaussian;
+      if (!own_entry) continue;
+      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index_of(entry);
     }
   }
 }
@@ -406,6 +404,7 @@ __device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t
 }
 __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLong& list) {
   const std::uint32_t cell = threadIdx.x / 32, lane = threadIdx.x % 32;
+  if (kTurboCells < kWarps && cell >= kTurboCells) return;
   std::uint32_t before = 0;
   for (std::uint32_t k = list.first_unit + lane; k < unit; k += 32) {
     const volatile std::uint32_t& told = a.unit_cells[kTurboCells * k + cell];

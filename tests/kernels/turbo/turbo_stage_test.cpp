@@ -45,10 +45,6 @@ struct Room {
   std::uint64_t in_cells = 0;  // 0: for all
 };
 
-std::uint32_t depth_bits_of(TurboEntry entry) {
-  return static_cast<std::uint32_t>(entry >> (cuda::kTurboIndexBits + 8));
-}
-
 template <class T>
 std::vector<T> downloaded(const T* from, std::size_t n) {
   std::vector<T> values(n);
@@ -62,7 +58,8 @@ std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const 
                           const std::vector<TurboEntry>& scratch, const std::vector<TurboEntry>& entries) {
   std::array<std::uint32_t, cuda::kTurboCells> in_cells{};
   for (const TurboEntry entry : entries) {
-    for (std::size_t c = 0; c < in_cells.size(); ++c) in_cells[c] += entry >> c & 1;
+    for (std::size_t c = 0; c < in_cells.size(); ++c)
+      in_cells[c] += cuda::touches(entry, static_cast<std::uint32_t>(c));
   }
   CHECK(std::equal(in_cells.begin(), in_cells.end(), std::begin(list.cell_n)));
   const auto n = static_cast<std::uint32_t>(entries.size());
@@ -85,7 +82,7 @@ std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const 
     CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
     // It is too long for the sake of its last bin alone.
     if (end - begin > 2 * cuda::kTurboUnit) {
-      const auto within = [&](TurboEntry e) { return std::clamp(depth_bits_of(e), list.nearest, list.farthest); };
+      const auto within = [&](TurboEntry e) { return std::clamp(cuda::depth_of(e), list.nearest, list.farthest); };
       CHECK(within(part.back()) - within(part[cuda::kTurboUnit]) <=
             2 * (list.farthest - list.nearest) / cuda::kTurboBins);
     }
@@ -110,12 +107,12 @@ CellCount check_cells(const std::vector<cuda::TurboCell>& cells, const std::vect
       const cuda::TurboCell& cell = cells[cuda::kTurboCells * rank_of[t] + c];
       std::vector<std::uint32_t> expected;
       for (const TurboEntry entry : tiles[t]) {
-        if ((entry >> c & 1) == 0) continue;
-        expected.push_back(static_cast<std::uint32_t>(entry >> 8) &
-                           static_cast<std::uint32_t>(cuda::kMaxTurboGaussians - 1));
+        if (cuda::touches(entry, static_cast<std::uint32_t>(c))) expected.push_back(cuda::index_of(entry));
       }
       count.total += expected.size();
-      if (cell.x != t % columns * 32 + c % 2 * 16 || cell.y != t / columns * 32 + c / 2 * 8) ++n_wrong;
+      const std::size_t row = c / cuda::kTurboCellColumns, column = c % cuda::kTurboCellColumns;
+      n_wrong += cell.x != t % columns * cuda::kTurboTile + column * cuda::kTurboCellWidth ||
+                 cell.y != t / columns * cuda::kTurboTile + row * cuda::kTurboCellHeight;
       if (cell.n == 0) {
         count.refused += !expected.empty();
         continue;
@@ -268,14 +265,22 @@ void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>&
   const auto rect = math::bounding_tiles<cuda::kTurboTile>(ellipse, grid);
   if (rect.empty()) return;
   for (int row = rect.y0; row < rect.y1; ++row) {
-    const auto cells = math::cell_rows(ellipse, row);
+    const auto cells = cuda::cell_rows(ellipse, row);
     for (int column = rect.x0; column < rect.x1; ++column) {
-      const std::uint32_t touched = math::cells_of(cells, column);
+      const std::uint32_t touched = cuda::cells_of_tile(cells, column);
       if (touched == 0) continue;
       f(static_cast<std::size_t>(row * grid.columns + column),
-        TurboEntry{math::depth_bits(p.z)} << (cuda::kTurboIndexBits + 8) | i << 8 | touched);
+        cuda::make_entry(math::depth_bits(p.z), static_cast<std::uint32_t>(i), touched));
     }
   }
+}
+
+/// An image of so many pixels where tiles are 32 wide; of as many tiles in a build with others.
+Camera front_camera_of_tiles(int width, int height) {
+  return front_camera(width * cuda::kTurboTile / 32, height * cuda::kTurboTile / 32);
+}
+Camera one_tile() {
+  return front_camera(cuda::kTurboTile, cuda::kTurboTile);
 }
 
 Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
@@ -430,13 +435,13 @@ TEST_CASE("blocks leave to the tiles what they have no room for, or what lies to
     splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
   }
   const Scene wide = scene_of(cloud_of(splats));
-  check(DeviceAttributes(wide.view()).get(), wide.view(), front_camera(1920, 1080));
+  check(DeviceAttributes(wide.view()).get(), wide.view(), front_camera_of_tiles(1920, 1080));
   if (small_sizes()) return;
   for (Splat& s : splats) {
     for (float& log_scale : s.log_scale) log_scale -= 5;
   }
   const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's words tell apart
-  check(DeviceAttributes(sparse.view()).get(), sparse.view(), front_camera(9000, 9000));
+  check(DeviceAttributes(sparse.view()).get(), sparse.view(), front_camera_of_tiles(9000, 9000));
 }
 
 TEST_CASE("a frame of more entries than there is room for is made again, with room for large Gaussians' entries") {
@@ -445,7 +450,7 @@ TEST_CASE("a frame of more entries than there is room for is made again, with ro
   auto splats = large_splats(2000, random);
   for (Splat& s : splats) s.log_scale[0] += 3, s.log_scale[1] += 3, s.log_scale[2] += 3;
   const Scene scene = scene_of(cloud_of(splats));
-  const Camera camera = front_camera(1920, 1080);
+  const Camera camera = front_camera_of_tiles(1920, 1080);
   FrameStats stats;
   const auto draw = [&](const RenderOptions& options) {
     return render(scene, camera, options, {.backend = Backend::cuda});
@@ -484,7 +489,7 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
       CAPTURE(n);
       CAPTURE(far);
       const Scene scene = scene_of(cloud_of(crowd(n, far)));
-      const Lists lists = check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32));
+      const Lists lists = check(DeviceAttributes(scene.view()).get(), scene.view(), one_tile());
       REQUIRE(lists.tiles.size() == 1);
       CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboEntries));
       if (n > 4000) CHECK(lists.n_units > 0);
@@ -502,7 +507,7 @@ TEST_CASE("a list of more entries of one depth than a sample can tell apart is o
     splats.push_back(splat_at(random.uniform(-2, 2), random.uniform(-2, 2), 4, 0.02, 0.03));
   }
   const Scene scene = scene_of(cloud_of(splats));
-  CHECK(check(DeviceAttributes(scene.view()).get(), scene.view(), front_camera(32, 32)).n_units > 1000);
+  CHECK(check(DeviceAttributes(scene.view()).get(), scene.view(), one_tile()).n_units > 1000);
 }
 
 TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {
