@@ -11,6 +11,7 @@
 //
 // The other way round, a Gaussian adding to each of its tiles, takes an atomic addition an entry in device memory, and
 // these wait for each other: large Gaussians touch the same tiles.
+#include <bit>
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -177,10 +178,13 @@ void launch(const TurboArrays& a, math::TileGrid grid, Stream stream) {
 }  // namespace
 
 Status launch_turbo_large(const TurboArrays& a, math::TileGrid grid, Stream stream) {
-  constexpr std::uint32_t kMostTiles = 512 * Region<1>::kTiles;
-  if (a.n_tiles <= kMostTiles) {
+  const auto n_multiprocessors = multiprocessors();
+  if (!n_multiprocessors) return tl::unexpected(n_multiprocessors.error());
+  // Regions grow where there would be more than about four of them, sixteen blocks, a multiprocessor; 512 on an H100.
+  const std::uint32_t most_tiles = std::bit_floor(4 * *n_multiprocessors) * Region<1>::kTiles;
+  if (a.n_tiles <= most_tiles) {
     launch<1>(a, grid, stream);
-  } else if (a.n_tiles <= 4 * kMostTiles) {
+  } else if (a.n_tiles <= 4 * most_tiles) {
     launch<2>(a, grid, stream);
   } else {
     launch<4>(a, grid, stream);

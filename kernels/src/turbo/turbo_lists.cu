@@ -4,8 +4,8 @@
 // In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes; long_lists and their slices, bins set to 0
 // Cost    16 B read, 16 B gathered and 8 B written anywhere a run; of a long list, 8 B read of the first and every 64th
 //         entry of each run
-// Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as keep the device busy, each
-//         taking runs in turn, because their number is known on the device alone
+// Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as the device holds at a
+//         time, which take runs in turn, because their number is known on the device alone
 // Order   of runs within a list, of lists and of tiles within a class: any
 #include <cstdint>
 
@@ -18,7 +18,6 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr int kPlaceBlocks = 132 * 8;
 
 // Whether the front end could write all that it had.
 __device__ bool turbo_fits(const TurboArrays& a) {
@@ -106,7 +105,9 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
 Status launch_turbo_lists(const TurboArrays& a, TurboState* seen, Stream stream) {
   plan_kernel<<<blocks_for(a.n_tiles, kThreads) + 1, kThreads, 0, stream>>>(a, seen);
   if (const auto ok = launched("the kernel that plans the lists could not be launched"); !ok) return ok;
-  place_kernel<<<kPlaceBlocks, kThreads, 0, stream>>>(a);
+  const auto blocks = resident_grid<place_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  place_kernel<<<*blocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that fills the lists could not be launched");
 }
 

@@ -3,7 +3,7 @@
 //
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
 // Cost    an entry: 8 B read three times, 8 B written anywhere; an atomic addition a slice and bin, twice
-// Launch  256 threads a slice of about 4,096 entries; as many blocks as keep the device busy take slices in turn
+// Launch  256 threads a slice of about 4,096 entries; as many blocks as the device holds at a time take slices in turn
 // Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
 // Order   of entries in a bin, of lists' units and cells in memory: any
 //
@@ -19,7 +19,6 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr unsigned kBlocks = 132 * 6;
 constexpr std::uint32_t kBinsPerThread = kTurboBins / kThreads;
 static_assert(kBinsPerThread == 4, "a vector of them");
 
@@ -219,9 +218,12 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
 }  // namespace
 
 Status launch_turbo_long(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
-  turbo_count_kernel<<<kBlocks, kThreads, 0, stream>>>(a, grid, seen);
+  // Of the other kernel more would fit, but it goes through the same slices.
+  const auto blocks = resident_grid<turbo_count_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_count_kernel<<<*blocks, kThreads, 0, stream>>>(a, grid, seen);
   if (const auto ok = launched("the kernel that counts the long lists could not be launched"); !ok) return ok;
-  turbo_scatter_kernel<<<kBlocks, kThreads, 0, stream>>>(a);
+  turbo_scatter_kernel<<<*blocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that moves the long lists could not be launched");
 }
 

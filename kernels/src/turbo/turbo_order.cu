@@ -3,8 +3,8 @@
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as keep the device busy. A
-//         warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
+// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds
+//         at a time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
@@ -25,7 +25,6 @@ constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr std::uint32_t kEntries = kTurboEntries;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
-constexpr unsigned kUnitBlocks = 132 * 5;
 static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
 
 struct Shared {
@@ -478,7 +477,9 @@ Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState*
 }
 
 Status launch_turbo_units(const TurboArrays& a, Stream stream) {
-  turbo_unit_kernel<<<kUnitBlocks, kThreads, 0, stream>>>(a);
+  const auto blocks = resident_grid<turbo_unit_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_unit_kernel<<<*blocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that orders the long lists could not be launched");
 }
 

@@ -559,3 +559,51 @@ TEST_CASE("a depth that FP32 does not hold is that of no pixel which its Gaussia
   CHECK(n_infinite < 64 * 64 / 2);
   CHECK(n_wrong == 0);
 }
+
+namespace {
+
+/// Blocks of the largest launch that launch(stream) enqueues; nothing runs.
+template <class Launch>
+unsigned largest_grid(const Launch& launch) {
+  cudaStream_t stream = nullptr;
+  cudaGraph_t graph = nullptr;
+  require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+  require_cuda(cudaStreamBeginCapture(stream, cudaStreamCaptureModeRelaxed));
+  require_ok(launch(stream));
+  require_cuda(cudaStreamEndCapture(stream, &graph));
+  std::size_t n = 0;
+  require_cuda(cudaGraphGetNodes(graph, nullptr, &n));
+  std::vector<cudaGraphNode_t> nodes(n);
+  require_cuda(cudaGraphGetNodes(graph, nodes.data(), &n));
+  unsigned largest = 0;
+  for (cudaGraphNode_t node : nodes) {
+    cudaKernelNodeParams parameters{};
+    require_cuda(cudaGraphKernelNodeGetParams(node, &parameters));
+    largest = std::max(largest, parameters.gridDim.x);
+  }
+  require_cuda(cudaGraphDestroy(graph));
+  require_cuda(cudaStreamDestroy(stream));
+  return largest;
+}
+
+}  // namespace
+
+TEST_CASE("kernels that learn on the device how much there is to do have as many blocks as it holds") {
+  if (!device_answers()) return;
+  int device = 0, n_multiprocessors = 0;
+  require_cuda(cudaGetDevice(&device));
+  require_cuda(cudaDeviceGetAttribute(&n_multiprocessors, cudaDevAttrMultiProcessorCount, device));
+  const auto wanted = static_cast<unsigned>(n_multiprocessors);
+  cuda::TurboArrays arrays{};
+  arrays.n_tiles = 1;
+  for (int turn = 0; turn < 2; ++turn) {  // asked, then kept
+    const unsigned runs = largest_grid([&](auto on) { return cuda::launch_turbo_lists(arrays, nullptr, on); });
+    const unsigned slices = largest_grid([&](auto on) { return cuda::launch_turbo_long(arrays, {1, 1}, nullptr, on); });
+    const unsigned units = largest_grid([&](auto on) { return cuda::launch_turbo_units(arrays, on); });
+    MESSAGE("blocks for runs, slices and units: ", runs, ", ", slices, ", ", units, " on ", wanted, " multiprocessors");
+    for (const unsigned blocks : {runs, slices, units}) {
+      CHECK(blocks >= wanted);
+      CHECK(blocks % wanted == 0);
+    }
+  }
+}
