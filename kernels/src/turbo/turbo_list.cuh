@@ -9,23 +9,6 @@
 
 namespace rgs::cuda {
 
-/// Head of a cell, among those of the tile of that rank.
-__device__ inline void put_head(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank, std::uint32_t tile,
-                                std::uint32_t cell, std::uint32_t begin, std::uint32_t n) {
-  const TurboCorner corner = cell_corner(grid, tile, cell);
-  a.cells[kTurboCells * rank + cell] = {begin, n, corner.x, corner.y};
-}
-
-/// A tile's cells have their places. One thread calls it; the last tile tells the host.
-__device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
-  __threadfence();
-  if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
-    __threadfence();
-    seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
-    __threadfence_system();
-  }
-}
-
 /// Runs of entries.
 struct TurboRuns {
   const TurboRun* runs;

@@ -13,6 +13,7 @@
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
+#include "turbo/place_cells.cuh"
 #include "turbo/turbo_list.cuh"
 
 namespace rgs::cuda {
@@ -71,33 +72,6 @@ __device__ void place_bins(Counting& s, std::uint32_t first, std::uint32_t* bins
   reinterpret_cast<uint4*>(bins)[threadIdx.x] = begins;
   std::uint32_t* const own = s.bins + kBinsPerThread * threadIdx.x;
   own[0] = begins.x, own[1] = begins.y, own[2] = begins.z, own[3] = begins.w;
-  __syncthreads();
-}
-
-// Rank of the list's tile: those of longer classes come before it. A warp calls it.
-__device__ std::uint32_t rank_of(const TurboArrays& a, const TurboLong& list) {
-  const std::uint32_t lane = threadIdx.x % 32;
-  const auto own = static_cast<std::uint32_t>(turbo_class(a.lists[list.tile].n_entries));
-  static_assert(kTurboClasses == 32, "a lane a class");
-  return warp_sum(lane < own ? a.state->class_size[lane] : 0) + list.in_class;
-}
-
-// Places for the Gaussians of the list's cells, and their heads; none, and no Gaussians, if there is no room.
-__device__ void place_cells(Counting& s, const TurboArrays& a, math::TileGrid grid, TurboLong& list, TurboState* seen) {
-  if (threadIdx.x < 32) {
-    const std::uint32_t lane = threadIdx.x, rank = rank_of(a, list);
-    const std::uint32_t n = lane < kTurboCells ? __ldcg(list.cell_n + lane) : 0;
-    const std::uint32_t end = inclusive_warp_sum(n), total = __shfl_sync(kFullWarp, end, 31);
-    std::uint64_t base = 0;
-    if (lane == 0) base = atomic_add(a.state->in_cells, total);
-    base = __shfl_sync(kFullWarp, base, 0);
-    s.fits = base + total <= a.cell_capacity;
-    if (lane < kTurboCells) {
-      list.cell_begin[lane] = static_cast<std::uint32_t>(base) + end - n;
-      put_head(a, grid, rank, list.tile, lane, list.cell_begin[lane], s.fits ? n : 0);
-    }
-    if (lane == 0) end_tile(a, seen);
-  }
   __syncthreads();
 }
 
@@ -175,10 +149,21 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   __syncthreads();
   if (!s.is_last) return;
   __threadfence();
+  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = __ldcg(list.cell_n + threadIdx.x);  // with other blocks' sums
   place_bins(s, list.scratch, sums);
-  place_cells(s, a, grid, list, seen);
+  const std::uint32_t n_entries = a.lists[list.tile].n_entries;
+  const std::uint32_t rank = threadIdx.x < 32 ? rank_of(a, n_entries, list.in_class) : 0;
+  if (threadIdx.x < kTurboCells) {
+    const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
+    list.cell_begin[threadIdx.x] = place.begin;
+    if (threadIdx.x == 0) {
+      s.fits = place.fits;
+      end_tile(a, seen);
+    }
+  }
+  __syncthreads();
   if (!s.fits) return;
-  group_bins(s, list.scratch, a.lists[list.tile].n_entries);
+  group_bins(s, list.scratch, n_entries);
   make_units(s, a, own);
 }
 

@@ -15,6 +15,7 @@
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
+#include "turbo/place_cells.cuh"
 #include "turbo/turbo.hpp"
 #include "turbo/turbo_list.cuh"
 
@@ -244,27 +245,6 @@ __device__ inline void count_chunks(Shared& s) {
   __syncthreads();
 }
 
-// Places for the cells' Gaussians, and their heads.
-__device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const std::uint32_t own = threadIdx.x;
-  if (own < kTurboCells) {
-    std::uint32_t before = 0, total = 0;
-    for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      if (c < own) before += s.cell_n[c];
-      total += s.cell_n[c];
-    }
-    std::uint64_t base = 0;
-    if (own == 0 && total > 0) base = atomic_add(a.state->in_cells, total);
-    base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
-    const bool fits = base + total <= a.cell_capacity;
-    const auto begin = static_cast<std::uint32_t>(base) + before;
-    s.cell_begin[own] = begin;
-    if (own == 0) s.fits = fits;
-    put_head(a, grid, rank, s.tile, own, begin, fits ? s.cell_n[own] : 0);
-  }
-  __syncthreads();
-}
-
 // Writes the round's ordered entries to the cells from s.cell_begin on.
 __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
@@ -283,21 +263,10 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   }
 }
 
-// The tile of a rank: the longest lists come first. A warp calls it.
-__device__ std::uint32_t tile_of_rank(const TurboArrays& a, std::uint32_t rank) {
-  const std::uint32_t lane = threadIdx.x % 32;
-  const std::uint32_t size = a.state->class_size[lane];
-  const std::uint32_t end = inclusive_warp_sum(size);
-  const int length = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > rank))) - 1;
-  const std::uint32_t begin = __shfl_sync(kFullWarp, end - size, length);
-  return a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + rank - begin];
-}
-static_assert(kTurboClasses == 32, "a lane a class");
-
 // All threads call it.
 __device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t rank) {
   if (threadIdx.x < 32) {
-    const std::uint32_t tile = tile_of_rank(a, rank);
+    const std::uint32_t tile = tile_of(a, rank);
     if (threadIdx.x == 0) {
       s.tile = tile;
       s.head = a.lists[tile];
@@ -318,7 +287,12 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
   });
   if (s.n > 0) sort_entries(s, range);
   count_chunks(s);
-  reserve_cells(s, a, grid, rank);
+  if (threadIdx.x < kTurboCells) {
+    const CellPlace place = place_cells(a, grid, rank, s.tile, s.cell_n);
+    s.cell_begin[threadIdx.x] = place.begin;
+    if (threadIdx.x == 0) s.fits = place.fits;
+  }
+  __syncthreads();
   if (s.fits) deal_out(s, a);
 }
 
