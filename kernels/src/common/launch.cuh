@@ -63,8 +63,8 @@ inline Result<std::uint32_t> multiprocessors() {
   static DeviceNumber known;
   return known.get(ask_multiprocessors);
 }
-/// As many blocks of kKernel, without dynamic shared memory, as the current device holds at a time: for kernels that learn on
-/// the device how much there is to do, and whose blocks take it in turn. Errors: device_failed.
+/// As many blocks of kKernel, without dynamic shared memory, as the current device holds at a time: for kernels that learn
+/// on the device how much there is to do, and whose blocks take it in turn. Errors: device_failed.
 template <auto kKernel>
 Result<std::uint32_t> resident_grid(int threads) {
   static DeviceNumber known;

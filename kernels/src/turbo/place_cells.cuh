@@ -58,7 +58,7 @@ __device__ inline CellPlace place_cells(const TurboArrays& a, math::TileGrid gri
 /// A tile's cells have their places. One thread calls it; the last tile tells the host.
 __device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
   __threadfence();
-  if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
+  if (atomicAdd(&a.state->n_ordered, 1u) == a.n_tiles - 1) {
     __threadfence();
     seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
     __threadfence_system();

@@ -1,6 +1,6 @@
-// turbo.hpp - launches of the turbo pipeline: lists per tile of 32x32 pixels, each ordered on its own and dealt out to the
-// cells of 16x8 pixels that are blended. No sort over the frame, and nothing that the host must know before the last kernel
-// is queued.
+// turbo.hpp - launches of the turbo pipeline: lists per tile, each ordered on its own and dealt out to the cells that are
+// blended. No sort over the frame, and nothing that the host must know before the last kernel is queued. README.md has the
+// words, turbo_geometry.hpp the sizes of tiles and cells.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -21,7 +21,7 @@ struct TurboRun {
 struct alignas(16) TurboTileRun {
   TurboRun run;
   std::uint32_t tile;
-  std::uint32_t rank;  ///< among the tile's runs
+  std::uint32_t in_tile;  ///< place among the tile's runs
 };
 static_assert(sizeof(TurboTileRun) == 16);
 
@@ -30,7 +30,7 @@ static_assert(sizeof(TurboTileRun) == 16);
 struct TurboList {
   std::uint32_t begin, n_runs, n_entries, long_list;
 };
-inline constexpr std::uint32_t kTurboEntries = 2048;  ///< ordered at a time; a power of two
+inline constexpr std::uint32_t kTurboEntries = 2048;  ///< that a block orders at a time; a power of two
 
 /// What a cell shows: Gaussians begin .. begin + n - 1 of TurboArrays::cell_gaussians, in order.
 struct alignas(16) TurboCell {
@@ -53,8 +53,8 @@ struct alignas(8) TurboBox {
   std::uint16_t x0, y0, x1, y1;
 };
 
-/// A long list is moved to scratch memory in the order of kTurboBins bins of depth, slice by slice, and then ordered in
-/// units: bins next to each other, or a share of such bins where they hold more than can be ordered at a time.
+/// A long list is moved to scratch memory in the order of kTurboBins bins of depth, slice by slice, and cut in parts, bins
+/// next to each other. It is then ordered in units: parts, or a share of one that holds more than is ordered at a time.
 struct alignas(16) TurboLong {
   std::uint32_t tile;
   std::uint32_t in_class;                 ///< place of the tile in its class, see below
@@ -69,16 +69,16 @@ struct alignas(16) TurboLong {
 inline constexpr std::uint32_t kTurboBins = 1024;
 inline constexpr std::uint32_t kTurboSlice = 4096;     ///< entries of a list's slices on average, or fewer
 inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, or fewer
-inline constexpr std::uint32_t kTurboUnit = 1024;      ///< entries of a unit, but for the length of a bin
+inline constexpr std::uint32_t kTurboUnit = 1024;      ///< entries of a part, but for the length of a bin
 inline constexpr std::uint32_t kTurboShare = 1024;     ///< entries of a share, but for what a sample misses
 
-/// Entries begin .. end - 1 of TurboArrays::scratch; of more than kTurboEntries, those of one share alone.
+/// Of the part begin .. end - 1 of TurboArrays::scratch: all entries, or one share of more than kTurboEntries.
 struct alignas(16) TurboUnit {
   std::uint32_t begin, end;
   std::uint32_t long_list;
   std::uint32_t share;
 };
-/// How many units order n entries of neighbouring bins.
+/// How many units order a part of n entries.
 RGS_HD constexpr std::uint32_t turbo_shares(std::uint32_t n) {
   if (n <= kTurboEntries) return 1;
   const std::uint32_t shares = (n + kTurboShare - 1) / kTurboShare;
@@ -100,13 +100,13 @@ RGS_HD constexpr int turbo_class(std::uint32_t length) {
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
   Counters counters;
-  std::uint64_t runs;     ///< written or not
-  std::uint32_t n_large;  ///< the same of TurboArrays::large
-  std::uint32_t placed;   ///< runs that have a place in their tile's list
-  std::uint32_t scratch;  ///< entries of the long lists
-  std::uint32_t ordered;  ///< tiles
+  std::uint64_t runs;       ///< written or not
+  std::uint32_t n_large;    ///< the same of TurboArrays::large
+  std::uint32_t n_placed;   ///< runs that have a place in their tile's list
+  std::uint32_t n_scratch;  ///< entries of the long lists
+  std::uint32_t n_ordered;  ///< tiles whose cells have their places
   std::uint32_t n_long, n_slices, n_units;
-  std::uint32_t taken;     ///< units that a block has begun
+  std::uint32_t n_taken;   ///< units that a block has begun
   std::uint64_t in_cells;  ///< Gaussians of all cells, written or not
   std::uint32_t class_size[kTurboClasses];
 

@@ -3,7 +3,7 @@
 //
 // Math    rgs/math/blend.hpp: fold(), its polynomial by columns; docs/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
-// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane, 32 B of shared memory to each lane, and about 12
+// Cost    a Gaussian of a cell: 52 B gathered by one lane, 32 B of shared memory to each lane, and about 12
 //         instructions a pixel
 // Launch  256 threads a tile: eight warps, each with a cell; a thread has four pixels of one column: what it reads of a
 //         Gaussian, and its polynomial in y, serve all four (numbers for cells of 16x8)
@@ -191,14 +191,14 @@ template <bool Details>
 __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArguments a) {
   __shared__ typename Cell<Details>::Staging staging[kWarps];
   const std::uint32_t warp = threadIdx.x / 32;
-  const TurboCell head = a.arrays.cells[kTurboCells * blockIdx.x + warp];
-  const int corner_x = static_cast<int>(head.x), corner_y = static_cast<int>(head.y);
+  const TurboCell own = a.arrays.cells[kTurboCells * blockIdx.x + warp];
+  const int corner_x = static_cast<int>(own.x), corner_y = static_cast<int>(own.y);
   if (corner_x >= a.width || corner_y >= a.height) return;
   Cell<Details> cell(corner_x, corner_y, a.width, a.height);
-  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + head.begin;
+  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + own.begin;
   bool opaque = false;
-  for (std::uint32_t k = 0; k < head.n && !opaque; k += 32) {
-    opaque = cell.blend(a.splats, gaussians + k, static_cast<int>(math::min(head.n - k, 32u)), staging[warp]);
+  for (std::uint32_t k = 0; k < own.n && !opaque; k += 32) {
+    opaque = cell.blend(a.splats, gaussians + k, static_cast<int>(math::min(own.n - k, 32u)), staging[warp]);
     __syncwarp();
   }
   cell.store(a);

@@ -11,8 +11,8 @@
 
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
+#include "turbo/read_list.cuh"
 #include "turbo/turbo.hpp"
-#include "turbo/turbo_list.cuh"
 
 namespace rgs::cuda {
 namespace {
@@ -33,7 +33,7 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
   TurboLong list{};
   list.tile = tile;
   list.in_class = in_class;
-  list.scratch = atomicAdd(&a.state->scratch, n);
+  list.scratch = atomicAdd(&a.state->n_scratch, n);
   list.n_slices = math::max((n + kTurboSlice - 1) / kTurboSlice, (n_runs + kTurboSliceRuns - 1) / kTurboSliceRuns);
   list.first_slice = atomicAdd(&a.state->n_slices, list.n_slices);
   list.nearest = ~0u;
@@ -72,17 +72,17 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   const TurboCount count = tile < a.n_tiles && fits ? counts[tile] : 0;
   const auto n = static_cast<std::uint32_t>(count), runs = static_cast<std::uint32_t>(count >> 32);
   const std::uint32_t end = inclusive_block_sum<kThreads>(runs, warp_sums);
-  if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.placed, end);
-  const int length = turbo_class(n);
-  const std::uint32_t rank = tile < a.n_tiles ? atomicAdd(class_size + length, 1u) : 0;
+  if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.n_placed, end);
+  const int own_class = turbo_class(n);
+  const std::uint32_t in_block = tile < a.n_tiles ? atomicAdd(class_size + own_class, 1u) : 0;
   __syncthreads();
   if (threadIdx.x < kTurboClasses) {
     class_base[threadIdx.x] = atomicAdd(state.class_size + threadIdx.x, class_size[threadIdx.x]);
   }
   __syncthreads();
   if (tile >= a.n_tiles) return;
-  const std::uint32_t in_class = class_base[length] + rank;
-  a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + in_class] = tile;
+  const std::uint32_t in_class = class_base[own_class] + in_block;
+  a.classes[static_cast<std::uint32_t>(own_class) * a.n_tiles + in_class] = tile;
   a.lists[tile] = {base + end - runs, runs, n, n >= kTurboEntries ? add_long(a, tile, in_class, n, runs) : 0};
 }
 
@@ -93,7 +93,7 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
   for (std::uint64_t k = first; k < n; k += step) {
     const TurboTileRun run = a.runs[k];
     const TurboList list = a.lists[run.tile];
-    a.tile_runs[list.begin + run.rank] = run.run;
+    a.tile_runs[list.begin + run.in_tile] = run.run;
     if (list.n_entries >= kTurboEntries) add_sample(a.entries, run.run, a.long_lists[list.long_list]);
   }
   auto* const bins = reinterpret_cast<uint4*>(a.bins);

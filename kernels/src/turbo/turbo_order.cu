@@ -3,21 +3,21 @@
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds
-//         at a time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
+// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
+//         time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
-// Units of a list (turbo_long.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from those
-// before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
+// Units of a list (turbo_long_lists.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from
+// those before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
 #include "turbo/place_cells.cuh"
+#include "turbo/read_list.cuh"
 #include "turbo/turbo.hpp"
-#include "turbo/turbo_list.cuh"
 
 namespace rgs::cuda {
 namespace {
@@ -39,9 +39,9 @@ struct Shared {
   std::uint32_t n;                        // entries that are ordered
   std::uint32_t cell_n[kTurboCells];      // of them, or of the unit
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
-  std::uint32_t chunks[kTurboCells]
-                      [kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
-  TurboList head;
+  // Of each group of 32 entries in order, how many touch a cell; then the sums of those before.
+  std::uint32_t groups[kTurboCells][kEntries / 32];
+  TurboList list;
   std::uint32_t tile, unit;
   bool fits;
 };
@@ -55,22 +55,22 @@ __device__ inline void store_keys(const std::uint32_t (&keys)[kKeys], std::uint3
 }
 
 // Orders the keys of a warp's lanes; in the end element k of lane l is number kKeys l + k. A bitonic network (Batcher
-// 1968): its short strides are between elements of one lane, its long ones between lanes. Where a run is to descend,
+// 1968): its short strides are between elements of one lane, its long ones between lanes. Where a stretch is to descend,
 // keys are inverted for its time, so that every comparison is an ascending one.
 template <std::uint32_t kKeys>
 __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
   const std::uint32_t lane = threadIdx.x % 32;
   std::uint32_t inverted = 0;  // all ones where keys are
 #pragma unroll
-  for (std::uint32_t run = 2; run <= 32 * kKeys; run *= 2) {
-    if (run >= kKeys) {
-      const std::uint32_t invert = (lane & (run / kKeys)) != 0 && run < 32 * kKeys ? ~0u : 0;
+  for (std::uint32_t length = 2; length <= 32 * kKeys; length *= 2) {
+    if (length >= kKeys) {
+      const std::uint32_t invert = (lane & (length / kKeys)) != 0 && length < 32 * kKeys ? ~0u : 0;
 #pragma unroll
       for (std::uint32_t& k : key) k ^= inverted ^ invert;
       inverted = invert;
     }
 #pragma unroll
-    for (std::uint32_t stride = run / 2; stride > 0; stride /= 2) {
+    for (std::uint32_t stride = length / 2; stride > 0; stride /= 2) {
       if (stride >= kKeys) {
         const bool smaller = (lane & (stride / kKeys)) == 0;
 #pragma unroll
@@ -83,7 +83,7 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
         for (std::uint32_t k = 0; k < kKeys; ++k) {
           if ((k & stride) != 0) continue;
           const std::uint32_t low = math::min(key[k], key[k + stride]), high = math::max(key[k], key[k + stride]);
-          const bool ascending = run >= kKeys || (k & run) == 0;
+          const bool ascending = length >= kKeys || (k & length) == 0;
           key[k] = ascending ? low : high;
           key[k + stride] = ascending ? high : low;
         }
@@ -92,17 +92,16 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
   }
 }
 
-// Merges neighbouring runs of `run` ordered keys, of `total` in all; a thread has kKeys places of the result and looks
-// for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
+// Merges neighbouring stretches of `length` ordered keys, of `total` in all; a thread has kKeys places of the result and
+// looks for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
-__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run,
-                                  std::uint32_t total) {
+__device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::uint32_t length, std::uint32_t total) {
   const std::uint32_t first = kKeys * threadIdx.x;
   if (first >= total) return;
-  const std::uint32_t base = first & ~(2 * run - 1), place = first - base;
+  const std::uint32_t base = first & ~(2 * length - 1), place = first - base;
   const std::uint32_t* const a = from + base;
-  const std::uint32_t* const b = a + run;
-  std::uint32_t low = place > run ? place - run : 0, high = math::min(place, run);
+  const std::uint32_t* const b = a + length;
+  std::uint32_t low = place > length ? place - length : 0, high = math::min(place, length);
   while (low < high) {
     const std::uint32_t middle = (low + high) / 2;
     if (a[middle] < b[place - 1 - middle]) {
@@ -112,7 +111,7 @@ __device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, 
     }
   }
   std::uint32_t i = low, j = place - low;
-  std::uint32_t next_a = i < run ? a[i] : ~0u, next_b = j < run ? b[j] : ~0u;
+  std::uint32_t next_a = i < length ? a[i] : ~0u, next_b = j < length ? b[j] : ~0u;
   std::uint32_t merged[kKeys];
 #pragma unroll
   for (std::uint32_t& k : merged) {
@@ -120,10 +119,10 @@ __device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, 
     k = is_a ? next_a : next_b;
     if (is_a) {
       ++i;
-      next_a = i < run ? a[i] : ~0u;
+      next_a = i < length ? a[i] : ~0u;
     } else {
       ++j;
-      next_b = j < run ? b[j] : ~0u;
+      next_b = j < length ? b[j] : ~0u;
     }
   }
   store_keys(merged, to + first);
@@ -134,7 +133,7 @@ struct DepthRange {
   std::uint32_t low = ~0u, high = 0;
 
   __device__ void add(std::uint32_t depth) { low = math::min(low, depth), high = math::max(high, depth); }
-  __device__ void share(Shared& s) {
+  __device__ void combine(Shared& s) {
     low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
     high = reduce_warp(high, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
     if (threadIdx.x % 32 == 0) s.lows[threadIdx.x / 32] = low, s.highs[threadIdx.x / 32] = high;
@@ -148,24 +147,25 @@ struct DepthRange {
 // they are then.
 template <std::uint32_t kKeys>
 __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t low, int shift, int position_bits) {
-  constexpr std::uint32_t kRun = 32 * kKeys;
+  constexpr std::uint32_t kWarpKeys = 32 * kKeys;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  const std::uint32_t total = s.n <= kRun ? kRun : kRun << (32 - __clz(static_cast<int>((s.n - 1) / kRun)));
-  if (kRun * warp < total) {
+  const std::uint32_t total =
+      s.n <= kWarpKeys ? kWarpKeys : kWarpKeys << (32 - __clz(static_cast<int>((s.n - 1) / kWarpKeys)));
+  if (kWarpKeys * warp < total) {
     std::uint32_t key[kKeys];
 #pragma unroll
     for (std::uint32_t k = 0; k < kKeys; ++k) {
-      const std::uint32_t position = kRun * warp + 32 * k + lane;
+      const std::uint32_t position = kWarpKeys * warp + 32 * k + lane;
       const auto value = static_cast<std::uint32_t>(s.entries[position] >> from);
       key[k] = position < s.n ? (value - low) >> shift << position_bits | position : ~0u;
     }
-    if (kRun * warp < s.n) sort_warp(key);
-    store_keys(key, s.exchange[0] + kRun * warp + kKeys * lane);
+    if (kWarpKeys * warp < s.n) sort_warp(key);
+    store_keys(key, s.exchange[0] + kWarpKeys * warp + kKeys * lane);
   }
   __syncthreads();
   int at = 0;
-  for (std::uint32_t run = kRun; run < total; run *= 2, at ^= 1) {
-    merge_runs<kKeys>(s.exchange[at], s.exchange[at ^ 1], run, total);
+  for (std::uint32_t length = kWarpKeys; length < total; length *= 2, at ^= 1) {
+    merge<kKeys>(s.exchange[at], s.exchange[at ^ 1], length, total);
     __syncthreads();
   }
   return s.exchange[at];
@@ -175,7 +175,7 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t lo
 // depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
 // by looking at the entries themselves. `range` is that of the depths that the thread has seen.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
-  range.share(s);
+  range.combine(s);
   int from = kTurboIndexBits + kTurboCellBits;
   if (range.low == range.high) {  // one depth: by index
     from = kTurboCellBits;
@@ -210,34 +210,34 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
   }
 }
 
-// The cells of 32 entries in order, from position `begin` on; 0 past the last.
+// The lane's of a group of 32 entries in order, which begins at position `begin`; 0 past the last.
 __device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
   return k < s.n ? s.entries[s.order[k] & s.positions] : 0;
 }
 
-// How many of each 32 ordered entries touch each cell: a warp counts 32 of them, then sums up a cell. s.cell_n becomes the
-// sums over the round.
-__device__ inline void count_chunks(Shared& s) {
+// How many of each group touch each cell: a warp counts a group, then sums up a cell. s.cell_n becomes the sums over the
+// round.
+__device__ inline void count_groups(Shared& s) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  for (std::uint32_t chunk = warp; 32 * chunk < s.n; chunk += kWarps) {
-    const TurboEntry entry = ordered_entry(s, 32 * chunk);
+  for (std::uint32_t group = warp; 32 * group < s.n; group += kWarps) {
+    const TurboEntry entry = ordered_entry(s, 32 * group);
     std::uint32_t own = 0;
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
       const std::uint32_t lanes = __ballot_sync(kFullWarp, touches(entry, c));
       if (lane == c) own = lanes;
     }
-    if (lane < kTurboCells) s.chunks[lane][chunk] = static_cast<std::uint32_t>(__popc(static_cast<int>(own)));
+    if (lane < kTurboCells) s.groups[lane][group] = static_cast<std::uint32_t>(__popc(static_cast<int>(own)));
   }
   __syncthreads();
-  const std::uint32_t n_chunks = (s.n + 31) / 32;
+  const std::uint32_t n_groups = (s.n + 31) / 32;
   for (std::uint32_t c = warp; c < kTurboCells; c += kWarps) {
     std::uint32_t sum = 0;
-    for (std::uint32_t begin = 0; begin < n_chunks; begin += 32) {
-      const std::uint32_t n = begin + lane < n_chunks ? s.chunks[c][begin + lane] : 0;
+    for (std::uint32_t begin = 0; begin < n_groups; begin += 32) {
+      const std::uint32_t n = begin + lane < n_groups ? s.groups[c][begin + lane] : 0;
       const std::uint32_t end = inclusive_warp_sum(n);
-      s.chunks[c][begin + lane] = sum + end - n;
+      s.groups[c][begin + lane] = sum + end - n;
       sum += __shfl_sync(kFullWarp, end, 31);
     }
     if (lane == 0) s.cell_n[c] = sum;
@@ -248,10 +248,10 @@ __device__ inline void count_chunks(Shared& s) {
 // Writes the round's ordered entries to the cells from s.cell_begin on.
 __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
-  for (std::uint32_t chunk = threadIdx.x / 32; 32 * chunk < s.n; chunk += kWarps) {
-    const TurboEntry entry = ordered_entry(s, 32 * chunk);
+  for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += kWarps) {
+    const TurboEntry entry = ordered_entry(s, 32 * group);
     const std::uint32_t own = lane % kTurboCells;
-    const std::uint32_t begin = s.cell_begin[own] + s.chunks[own][chunk];  // of cell `own`
+    const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
       const bool own_entry = touches(entry, c);
@@ -269,8 +269,8 @@ __device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t
     const std::uint32_t tile = tile_of(a, rank);
     if (threadIdx.x == 0) {
       s.tile = tile;
-      s.head = a.lists[tile];
-      s.n = s.head.n_entries;
+      s.list = a.lists[tile];
+      s.n = s.list.n_entries;
     }
   }
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
@@ -279,14 +279,14 @@ __device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t
 
 // A list that fits shared memory.
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const TurboRuns list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
+  const TurboRuns runs{a.tile_runs + s.list.begin, a.entries, s.list.n_runs};
   DepthRange range;
-  list.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
+  runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
   if (s.n > 0) sort_entries(s, range);
-  count_chunks(s);
+  count_groups(s);
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, s.tile, s.cell_n);
     s.cell_begin[threadIdx.x] = place.begin;
@@ -410,7 +410,7 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
     }
     left -= s.n;
     sort_entries(s, range);
-    count_chunks(s);
+    count_groups(s);
     deal_out(s, a);
     __syncthreads();
     if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
@@ -420,7 +420,7 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
 // Units, until there are no more.
 __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   for (const std::uint32_t n = a.state->n_units;;) {
-    if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->taken, 1u) : 0;
+    if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->n_taken, 1u) : 0;
     __syncthreads();
     if (s.unit >= n) return;
     deal_out_unit(s, a, s.unit);
@@ -438,7 +438,7 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
   __shared__ Shared s;
   const std::uint32_t rank = blockIdx.x;
   begin_tile(s, a, rank);
-  if (s.head.n_entries >= kTurboEntries) return;  // a long list
+  if (s.list.n_entries >= kTurboEntries) return;  // a long list
   deal_out_short(s, a, grid, rank);
   if (threadIdx.x == 0) end_tile(a, seen);
 }

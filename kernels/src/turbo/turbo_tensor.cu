@@ -3,7 +3,7 @@
 //
 // Math    rgs/math/blend.hpp: fold(); docs/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
-// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
+// Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
 //         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each
 // Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell
 // Shared  Staging: 128 Gaussians; 5 KiB (numbers for cells 8 high)
@@ -223,28 +223,28 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kTh
     turbo_tensor_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
-  const TurboCell head = a.arrays.cells[blockIdx.x];
-  const int x = static_cast<int>(head.x), y = static_cast<int>(head.y);
+  const TurboCell cell = a.arrays.cells[blockIdx.x];
+  const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
   if (x >= a.width || y >= a.height) return;
   Row rows[kRows] = {Row(x, y + kRows * warp, kRows * warp, a.width, a.height),
                      Row(x, y + kRows * warp + 1, kRows * warp + 1, a.width, a.height)};
-  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + head.begin;
+  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + cell.begin;
   bool opaque = false;
-  for (std::uint32_t begin = 0; begin < head.n; begin += kThreads) {
+  for (std::uint32_t begin = 0; begin < cell.n; begin += kThreads) {
     const std::uint32_t own = begin + 32 * static_cast<std::uint32_t>(warp);
-    if (own < head.n) {
-      stage(a.splats, gaussians + own, math::min(head.n - own, 32u), static_cast<float>(x), static_cast<float>(y),
+    if (own < cell.n) {
+      stage(a.splats, gaussians + own, math::min(cell.n - own, 32u), static_cast<float>(x), static_cast<float>(y),
             staged[warp]);
     }
     __syncthreads();
-    for (int k = 0; k < kWarps && begin + 32 * static_cast<std::uint32_t>(k) < head.n && !opaque; ++k) {
+    for (int k = 0; k < kWarps && begin + 32 * static_cast<std::uint32_t>(k) < cell.n && !opaque; ++k) {
       const Staging& from = staged[k];
       uint2 coefficients[4];
 #pragma unroll
       for (int j = 0; j < 4; ++j) coefficients[j] = from.coefficients[8 * j + lane / 4][lane % 4];
       uint4 colors{0, 0, 0, 0};
       if (lane / 4 < 3) colors = *reinterpret_cast<const uint4*>(from.color[lane / 4] + 8 * (lane % 4));
-      if (head.n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
+      if (cell.n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
 #pragma unroll
         for (Row& row : rows) row.blend<4>(coefficients, colors);
       } else {

@@ -430,7 +430,7 @@ TEST_CASE("blocks leave to the tiles what they have no room for, or what lies to
   if (!device_answers()) return;
   Random random(808);
   std::vector<Splat> splats;
-  for (int i = 0; i < 700; ++i) {  // about 30 tiles each at 1080p, which a block has not in words
+  for (int i = 0; i < 700; ++i) {  // about 30 tiles each at 1080p, for which a block has no room
     const double z = random.uniform(2, 9);
     splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
   }
@@ -440,7 +440,7 @@ TEST_CASE("blocks leave to the tiles what they have no room for, or what lies to
   for (Splat& s : splats) {
     for (float& log_scale : s.log_scale) log_scale -= 5;
   }
-  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's words tell apart
+  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's candidates tell apart
   check(DeviceAttributes(sparse.view()).get(), sparse.view(), front_camera_of_tiles(9000, 9000));
 }
 

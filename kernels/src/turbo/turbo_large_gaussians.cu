@@ -1,11 +1,11 @@
-// turbo_large.cu - tiles look for the Gaussians that touch many of them, four blocks a region of tiles.
+// turbo_large_gaussians.cu - tiles look for the Gaussians that touch many of them, four blocks a region of tiles.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/coverage.hpp, turbo_geometry.hpp
 // In/Out  large, large_boxes -> entries, runs
 // Cost    8 B read, from L2, a Gaussian and region; 64 B gathered and 8 B an entry written where they meet
-// Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles (of 32, with cells 16 wide): about eight blocks a multiprocessor at 1080p, 4K
-//         and 8K
+// Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles (of 32, with cells 16 wide): about eight blocks a
+//         multiprocessor at 1080p, 4K and 8K
 // Shared  Shared: the Gaussians found, the cells that they touch, a counter a tile; 15 to 24 KiB
 // Order   of entries and runs: any. Compiled without contraction to FMA, see project.cu.
 //
@@ -23,7 +23,7 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr std::uint32_t kShares = 4;        // blocks that share a region's Gaussians
+constexpr std::uint32_t kRegionBlocks = 4;  // of a region, each with its part of the Gaussians
 constexpr std::uint32_t kAhead = 4;         // boxes that a thread reads at a time
 constexpr std::uint32_t kBatchRows = 1024;  // rows of Gaussians that are placed together
 constexpr std::uint32_t kMaxBatch = 512;    // Gaussians
@@ -53,19 +53,19 @@ struct Shared {
 };
 
 // Appends what meets the region of the kAhead * kThreads Gaussians from `first` on that are the block's: kThreads of every
-// kShares * kThreads.
+// kRegionBlocks * kThreads.
 template <int Strips>
 __device__ void find(Shared<Strips>& s, const TurboArrays& a, Region<Strips> region, std::uint32_t first,
                      std::uint32_t n) {
   TurboBox box[kAhead];
 #pragma unroll
   for (std::uint32_t j = 0; j < kAhead; ++j) {
-    const std::uint32_t k = first + j * kShares * kThreads;
+    const std::uint32_t k = first + j * kRegionBlocks * kThreads;
     box[j] = k < n ? a.large_boxes[k] : TurboBox{0, 0, 0, 0};
   }
 #pragma unroll
   for (std::uint32_t j = 0; j < kAhead; ++j) {
-    if (region.meets(box[j])) s.found[atomicAdd(&s.n_found, 1u)] = first + j * kShares * kThreads;
+    if (region.meets(box[j])) s.found[atomicAdd(&s.n_found, 1u)] = first + j * kRegionBlocks * kThreads;
   }
 }
 
@@ -139,7 +139,7 @@ __device__ std::uint32_t place(Shared<Strips>& s, const TurboArrays& a, Region<S
 }
 
 template <int Strips>
-__global__ void __launch_bounds__(kThreads) turbo_large_kernel(TurboArrays a, math::TileGrid grid) {
+__global__ void __launch_bounds__(kThreads) turbo_large_gaussians_kernel(TurboArrays a, math::TileGrid grid) {
   using R = Region<Strips>;
   __shared__ Shared<Strips> memory;
   Shared<Strips>& s = memory;
@@ -148,7 +148,7 @@ __global__ void __launch_bounds__(kThreads) turbo_large_kernel(TurboArrays a, ma
   std::uint32_t visible = 0;
   if (threadIdx.x == 0) s.n_found = 0;
   __syncthreads();
-  constexpr std::uint32_t kStep = kAhead * kShares * kThreads;
+  constexpr std::uint32_t kStep = kAhead * kRegionBlocks * kThreads;
   for (std::uint32_t first = blockIdx.z * kThreads; first < n; first += kStep) {
     find(s, a, region, first + threadIdx.x, n);
     __syncthreads();
@@ -171,8 +171,8 @@ template <int Strips>
 void launch(const TurboArrays& a, math::TileGrid grid, Stream stream) {
   using R = Region<Strips>;
   const auto tiles = [](int n, int of_region) { return static_cast<unsigned>((n + of_region - 1) / of_region); };
-  const dim3 blocks{tiles(grid.columns, R::kColumns), tiles(grid.rows, R::kRows), kShares};
-  turbo_large_kernel<Strips><<<blocks, kThreads, 0, stream>>>(a, grid);
+  const dim3 blocks{tiles(grid.columns, R::kColumns), tiles(grid.rows, R::kRows), kRegionBlocks};
+  turbo_large_gaussians_kernel<Strips><<<blocks, kThreads, 0, stream>>>(a, grid);
 }
 
 }  // namespace

@@ -1,4 +1,4 @@
-// turbo_long.cu - long lists to scratch memory in the order of bins of depth, and cut in units that blocks order.
+// turbo_long_lists.cu - long lists to scratch memory in the order of bins of depth, and cut in units that blocks order.
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
@@ -14,7 +14,7 @@
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
 #include "turbo/place_cells.cuh"
-#include "turbo/turbo_list.cuh"
+#include "turbo/read_list.cuh"
 
 namespace rgs::cuda {
 namespace {
@@ -41,10 +41,10 @@ struct DepthBins {
 
 // The runs of a slice.
 __device__ TurboRuns runs_of(const TurboArrays& a, const TurboLong& list, std::uint32_t slice) {
-  const TurboList head = a.lists[list.tile];
-  const std::uint32_t share = (head.n_runs + list.n_slices - 1) / list.n_slices;
-  const std::uint32_t begin = math::min((slice - list.first_slice) * share, head.n_runs);
-  return {a.tile_runs + head.begin + begin, a.entries, math::min(share, head.n_runs - begin)};
+  const TurboList all = a.lists[list.tile];
+  const std::uint32_t each = (all.n_runs + list.n_slices - 1) / list.n_slices;
+  const std::uint32_t begin = math::min((slice - list.first_slice) * each, all.n_runs);
+  return {a.tile_runs + all.begin + begin, a.entries, math::min(each, all.n_runs - begin)};
 }
 
 struct Counting {
@@ -52,8 +52,8 @@ struct Counting {
   std::uint32_t bins[kTurboBins];  // entries of each; in the last block of a list, where each begins
   std::uint32_t cell_n[kTurboCells];
   // Of the last block of a list:
-  std::uint32_t groups[kTurboBins + 1];  // where each begins; in the end, where the list ends
-  std::uint32_t n_groups;
+  std::uint32_t parts[kTurboBins + 1];  // where each begins; in the end, where the list ends
+  std::uint32_t n_parts;
   std::uint32_t warp_sums[kThreads / 32];
   std::uint32_t first_unit;
   bool is_last, fits;
@@ -75,37 +75,37 @@ __device__ void place_bins(Counting& s, std::uint32_t first, std::uint32_t* bins
   __syncthreads();
 }
 
-// Where groups of bins begin: a bin begins one if it is the first past a multiple of kTurboUnit entries.
-__device__ void group_bins(Counting& s, std::uint32_t first, std::uint32_t n) {
+// Where parts begin: a bin begins one if it is the first past a multiple of kTurboUnit entries.
+__device__ void cut_parts(Counting& s, std::uint32_t first, std::uint32_t n) {
   const std::uint32_t* const bins = s.bins + kBinsPerThread * threadIdx.x;
-  std::uint32_t before = threadIdx.x > 0 ? bins[-1] - first : 0, n_heads = 0;
-  bool is_head[kBinsPerThread];
+  std::uint32_t before = threadIdx.x > 0 ? bins[-1] - first : 0, n_begun = 0;
+  bool begins[kBinsPerThread];
 #pragma unroll
   for (std::uint32_t k = 0; k < kBinsPerThread; ++k) {
     const std::uint32_t begin = bins[k] - first;
-    is_head[k] = begin < n && (threadIdx.x + k == 0 || begin / kTurboUnit != before / kTurboUnit);
-    n_heads += is_head[k];
+    begins[k] = begin < n && (threadIdx.x + k == 0 || begin / kTurboUnit != before / kTurboUnit);
+    n_begun += begins[k];
     before = begin;
   }
-  const std::uint32_t end = inclusive_block_sum<kThreads>(n_heads, s.warp_sums);
-  std::uint32_t group = end - n_heads;
+  const std::uint32_t end = inclusive_block_sum<kThreads>(n_begun, s.warp_sums);
+  std::uint32_t part = end - n_begun;
 #pragma unroll
   for (std::uint32_t k = 0; k < kBinsPerThread; ++k) {
-    if (is_head[k]) s.groups[group++] = bins[k];
+    if (begins[k]) s.parts[part++] = bins[k];
   }
   if (threadIdx.x == kThreads - 1) {
-    s.n_groups = end;
-    s.groups[end] = first + n;
+    s.n_parts = end;
+    s.parts[end] = first + n;
   }
   __syncthreads();
 }
 
-// Makes units of a list's groups. `own`: its number.
+// Makes units of a list's parts. `own`: its number.
 __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own) {
-  const std::uint32_t first_group = kBinsPerThread * threadIdx.x;
-  const std::uint32_t end_group = math::min(first_group + kBinsPerThread, s.n_groups);
+  const std::uint32_t first_part = kBinsPerThread * threadIdx.x;
+  const std::uint32_t end_part = math::min(first_part + kBinsPerThread, s.n_parts);
   std::uint32_t n_units = 0;
-  for (std::uint32_t g = first_group; g < end_group; ++g) n_units += turbo_shares(s.groups[g + 1] - s.groups[g]);
+  for (std::uint32_t p = first_part; p < end_part; ++p) n_units += turbo_shares(s.parts[p + 1] - s.parts[p]);
   const std::uint32_t end = inclusive_block_sum<kThreads>(n_units, s.warp_sums);
   if (threadIdx.x == kThreads - 1) {
     s.first_unit = atomicAdd(&a.state->n_units, end);
@@ -113,10 +113,10 @@ __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own)
   }
   __syncthreads();
   std::uint32_t unit = s.first_unit + end - n_units;
-  for (std::uint32_t g = first_group; g < end_group; ++g) {
-    const std::uint32_t shares = turbo_shares(s.groups[g + 1] - s.groups[g]);
+  for (std::uint32_t p = first_part; p < end_part; ++p) {
+    const std::uint32_t shares = turbo_shares(s.parts[p + 1] - s.parts[p]);
     for (std::uint32_t share = 0; share < shares; ++share, ++unit) {
-      a.units[unit] = {s.groups[g], s.groups[g + 1], own, share};
+      a.units[unit] = {s.parts[p], s.parts[p + 1], own, share};
       for (std::uint32_t c = 0; c < kTurboCells; ++c) a.unit_cells[kTurboCells * unit + c] = 0;
     }
   }
@@ -163,7 +163,7 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   }
   __syncthreads();
   if (!s.fits) return;
-  group_bins(s, list.scratch, n_entries);
+  cut_parts(s, list.scratch, n_entries);
   make_units(s, a, own);
 }
 
