@@ -126,9 +126,9 @@ __device__ void place_window(Shared& s, std::uint32_t window, const math::TileRe
 // Leaves a Gaussian to turbo_large_gaussians.cu.
 __device__ void set_aside(const TurboArrays& out, const math::Ellipse<float>& ellipse, const math::TileRect& rect,
                           std::uint32_t depth, std::uint32_t i) {
-  const std::uint32_t at = atomicAdd(&out.state->n_large, 1u);
+  const std::uint32_t at = atomicAdd(&out.state->n_large_gaussians, 1u);
   if (at >= out.large_capacity) return;
-  out.large[at] = {ellipse, depth, i, 0, {}};
+  out.large_gaussians[at] = {ellipse, depth, i, 0, {}};
   out.large_boxes[at] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0),
                          static_cast<std::uint16_t>(rect.x1), static_cast<std::uint16_t>(rect.y1)};
 }
@@ -254,7 +254,7 @@ Status launch_turbo_emit(const TurboEmitArguments& a, Stream stream) {
       },
       a.attributes);
   if (const auto ok = launched("the turbo front end could not be launched"); !ok) return ok;
-  return launch_turbo_large(a.arrays, a.view.grid, stream);
+  return launch_turbo_large_gaussians(a.arrays, a.view.grid, stream);
 }
 
 }  // namespace rgs::cuda

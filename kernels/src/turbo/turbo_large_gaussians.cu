@@ -89,7 +89,7 @@ __device__ std::uint32_t place(Shared<Strips>& s, const TurboArrays& a, Region<S
     const std::uint32_t k = item / R::kRows, row = item % R::kRows;
     const std::uint32_t at = s.found[begin + k];
     const TurboBox box = a.large_boxes[at];
-    const TurboLarge& large = a.large[at];
+    const TurboLargeGaussian& large = a.large_gaussians[at];
     if (row == 0) s.entry[k] = make_entry(large.depth, large.index, 0);
     const int y = region.y + static_cast<int>(row);
     const bool inside = y >= box.y0 && y < box.y1;
@@ -132,7 +132,7 @@ __device__ std::uint32_t place(Shared<Strips>& s, const TurboArrays& a, Region<S
   __syncthreads();
   std::uint32_t visible = 0;
   for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
-    std::uint32_t& listed = a.large[s.found[begin + k]].listed;
+    std::uint32_t& listed = a.large_gaussians[s.found[begin + k]].listed;
     if (s.listed[k] != 0 && listed == 0 && atomicExch(&listed, 1u) == 0) ++visible;
   }
   return visible;
@@ -144,7 +144,7 @@ __global__ void __launch_bounds__(kThreads) turbo_large_gaussians_kernel(TurboAr
   __shared__ Shared<Strips> memory;
   Shared<Strips>& s = memory;
   const R region{static_cast<int>(blockIdx.x) * R::kColumns, static_cast<int>(blockIdx.y) * R::kRows};
-  const auto n = static_cast<std::uint32_t>(math::min(std::uint64_t{a.state->n_large}, a.large_capacity));
+  const auto n = static_cast<std::uint32_t>(math::min(std::uint64_t{a.state->n_large_gaussians}, a.large_capacity));
   std::uint32_t visible = 0;
   if (threadIdx.x == 0) s.n_found = 0;
   __syncthreads();
@@ -177,7 +177,7 @@ void launch(const TurboArrays& a, math::TileGrid grid, Stream stream) {
 
 }  // namespace
 
-Status launch_turbo_large(const TurboArrays& a, math::TileGrid grid, Stream stream) {
+Status launch_turbo_large_gaussians(const TurboArrays& a, math::TileGrid grid, Stream stream) {
   const auto n_multiprocessors = multiprocessors();
   if (!n_multiprocessors) return tl::unexpected(n_multiprocessors.error());
   // Regions grow where there would be more than about four of them, sixteen blocks, a multiprocessor; 512 on an H100.

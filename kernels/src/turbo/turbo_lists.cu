@@ -23,14 +23,14 @@ constexpr int kThreads = 256;
 __device__ bool turbo_fits(const TurboArrays& a) {
   const TurboState& state = *a.state;
   return state.counters.instances <= a.entry_capacity && state.runs <= a.run_capacity &&
-         state.n_large <= a.large_capacity;
+         state.n_large_gaussians <= a.large_capacity;
 }
 
 // Its number among the long lists.
 __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std::uint32_t in_class, std::uint32_t n,
                                   std::uint32_t n_runs) {
-  const std::uint32_t own = atomicAdd(&a.state->n_long, 1u);
-  TurboLong list{};
+  const std::uint32_t own = atomicAdd(&a.state->n_long_lists, 1u);
+  TurboLongList list{};
   list.tile = tile;
   list.in_class = in_class;
   list.scratch = atomicAdd(&a.state->n_scratch, n);
@@ -43,7 +43,7 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
 }
 
 // Takes the first and every 64th of a run's entries into the range of its list.
-__device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLong& list) {
+__device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLongList& list) {
   std::uint32_t nearest = ~0u, farthest = 0;
   for (std::uint32_t k = 0; k < run.n; k += 64) {
     const std::uint32_t depth = depth_of(entries[run.begin + k]);
@@ -83,7 +83,7 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   if (tile >= a.n_tiles) return;
   const std::uint32_t in_class = class_base[own_class] + in_block;
   a.classes[static_cast<std::uint32_t>(own_class) * a.n_tiles + in_class] = tile;
-  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboEntries ? add_long(a, tile, in_class, n, runs) : 0};
+  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboRound ? add_long(a, tile, in_class, n, runs) : 0};
 }
 
 __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
@@ -94,10 +94,11 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
     const TurboTileRun run = a.runs[k];
     const TurboList list = a.lists[run.tile];
     a.tile_runs[list.begin + run.in_tile] = run.run;
-    if (list.n_entries >= kTurboEntries) add_sample(a.entries, run.run, a.long_lists[list.long_list]);
+    if (list.n_entries >= kTurboRound) add_sample(a.entries, run.run, a.long_lists[list.long_list]);
   }
   auto* const bins = reinterpret_cast<uint4*>(a.bins);
-  for (std::uint64_t k = first; k < state.n_long * std::uint64_t{kTurboBins / 4}; k += step) bins[k] = {0, 0, 0, 0};
+  for (std::uint64_t k = first; k < state.n_long_lists * std::uint64_t{kTurboBins / 4}; k += step)
+    bins[k] = {0, 0, 0, 0};
 }
 
 }  // namespace

@@ -28,7 +28,7 @@ struct DepthBins {
   std::uint32_t nearest;
   int shift;
 
-  __device__ explicit DepthBins(const TurboLong& list) : nearest(list.nearest) {
+  __device__ explicit DepthBins(const TurboLongList& list) : nearest(list.nearest) {
     constexpr int kBits = 10;
     static_assert(kTurboBins == 1 << kBits);
     shift = math::max(0, 32 - __clz(static_cast<int>(list.farthest - list.nearest)) - kBits);
@@ -40,7 +40,7 @@ struct DepthBins {
 };
 
 // The runs of a slice.
-__device__ TurboRuns runs_of(const TurboArrays& a, const TurboLong& list, std::uint32_t slice) {
+__device__ TurboRuns runs_of(const TurboArrays& a, const TurboLongList& list, std::uint32_t slice) {
   const TurboList all = a.lists[list.tile];
   const std::uint32_t each = (all.n_runs + list.n_slices - 1) / list.n_slices;
   const std::uint32_t begin = math::min((slice - list.first_slice) * each, all.n_runs);
@@ -75,7 +75,7 @@ __device__ void place_bins(Counting& s, std::uint32_t first, std::uint32_t* bins
   __syncthreads();
 }
 
-// Where parts begin: a bin begins one if it is the first past a multiple of kTurboUnit entries.
+// Where parts begin: a bin begins one if it is the first past a multiple of kTurboPart entries.
 __device__ void cut_parts(Counting& s, std::uint32_t first, std::uint32_t n) {
   const std::uint32_t* const bins = s.bins + kBinsPerThread * threadIdx.x;
   std::uint32_t before = threadIdx.x > 0 ? bins[-1] - first : 0, n_begun = 0;
@@ -83,7 +83,7 @@ __device__ void cut_parts(Counting& s, std::uint32_t first, std::uint32_t n) {
 #pragma unroll
   for (std::uint32_t k = 0; k < kBinsPerThread; ++k) {
     const std::uint32_t begin = bins[k] - first;
-    begins[k] = begin < n && (threadIdx.x + k == 0 || begin / kTurboUnit != before / kTurboUnit);
+    begins[k] = begin < n && (threadIdx.x + k == 0 || begin / kTurboPart != before / kTurboPart);
     n_begun += begins[k];
     before = begin;
   }
@@ -126,7 +126,7 @@ __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own)
 __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t slice,
                             TurboState* seen) {
   const std::uint32_t own = a.slices[slice];
-  TurboLong& list = a.long_lists[own];
+  TurboLongList& list = a.long_lists[own];
   std::uint32_t* const sums = a.bins + std::uint64_t{kTurboBins} * own;
   clear(s.bins);
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
@@ -184,7 +184,7 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
   __shared__ Scattering s;
   for (std::uint32_t slice = blockIdx.x; slice < a.state->n_slices; slice += gridDim.x) {
     const std::uint32_t own = a.slices[slice];
-    const TurboLong& list = a.long_lists[own];
+    const TurboLongList& list = a.long_lists[own];
     const DepthBins bins(list);
     const TurboRuns runs = runs_of(a, list, slice);
     clear(s.bins);
@@ -202,7 +202,7 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
 
 }  // namespace
 
-Status launch_turbo_long(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
+Status launch_turbo_long_lists(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
   // Of the other kernel more would fit, but it goes through the same slices.
   const auto blocks = resident_grid<turbo_count_kernel>(kThreads);
   if (!blocks) return tl::unexpected(blocks.error());

@@ -24,15 +24,14 @@ namespace {
 
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
-constexpr std::uint32_t kEntries = kTurboEntries;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
-static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
+static_assert(kTurboRound == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
 
 struct Shared {
-  TurboEntry entries[kEntries];
-  alignas(16) std::uint32_t exchange[2][kEntries];  // keys: depth above, position among the entries below
-  std::uint32_t* order;                             // the one of the two that is in order
-  std::uint32_t positions;                          // mask of a key's position
+  TurboEntry entries[kTurboRound];
+  alignas(16) std::uint32_t exchange[2][kTurboRound];  // keys: depth above, position among the entries below
+  std::uint32_t* order;                                // the one of the two that is in order
+  std::uint32_t positions;                             // mask of a key's position
   TurboRuns::Places<kThreads> places;
   std::uint32_t warp_sums[kWarps];
   std::uint32_t lows[kWarps], highs[kWarps];
@@ -40,7 +39,7 @@ struct Shared {
   std::uint32_t cell_n[kTurboCells];      // of them, or of the unit
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
   // Of each group of 32 entries in order, how many touch a cell; then the sums of those before.
-  std::uint32_t groups[kTurboCells][kEntries / 32];
+  std::uint32_t groups[kTurboCells][kTurboRound / 32];
   TurboList list;
   std::uint32_t tile, unit;
   bool fits;
@@ -307,14 +306,14 @@ struct Part {
 // are cut, too.
 __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
-  for (std::uint32_t k = threadIdx.x; k < kEntries; k += kThreads) {
-    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kEntries];
+  for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
+    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
     range.add(depth_of(s.entries[k]));
   }
-  if (threadIdx.x == 0) s.n = kEntries;
+  if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
   sort_entries(s, range);
-  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kEntries / n_shares] & s.positions]; };
+  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
   if (share > 0) part.from = cut(share);
   if (share + 1 < n_shares) part.to = cut(share + 1);
   __syncthreads();
@@ -325,15 +324,15 @@ __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::
 // s.cell_n; and the range of their depths.
 __device__ inline DepthRange load(Shared& s, const Part& part) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
-  if (threadIdx.x == 0) s.n = part.n <= kEntries ? part.n : 0;
+  if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
   __syncthreads();
   DepthRange range;
   CellCounter cells(s.cell_n);
   for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
     const TurboEntry entry = part.entries[k];
     if (entry < part.from || entry >= part.to) continue;
-    const std::uint32_t at = part.n <= kEntries ? k : atomicAdd(&s.n, 1u);
-    if (at < kEntries) s.entries[at] = entry;
+    const std::uint32_t at = part.n <= kTurboRound ? k : atomicAdd(&s.n, 1u);
+    if (at < kTurboRound) s.entries[at] = entry;
     range.add(depth_of(entry));
     cells.add(entry);
   }
@@ -342,7 +341,7 @@ __device__ inline DepthRange load(Shared& s, const Part& part) {
   return range;
 }
 
-// End of the round that begins at part.from, where the part has more than kEntries entries: at most kEntries of them, and
+// End of the round that begins at part.from, where the part has more than kTurboRound entries: at most kTurboRound of them, and
 // at least one, lie in part.from <= entry < end. Looks for it among kBins bins of equal width, then in the one that holds
 // too many, and so on: entries are unique, so that bins of width 1 hold one each.
 __device__ inline TurboEntry round_end(Shared& s, const Part& part) {
@@ -360,8 +359,8 @@ __device__ inline TurboEntry round_end(Shared& s, const Part& part) {
     }
     __syncthreads();
     const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
-    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
-    const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
+    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kTurboRound));
+    const bool any = __syncthreads_or(end > 0 && end <= kTurboRound) != 0;
     begin += fitting << shift;
     if (any) return begin;
     shift = shift > kBinBits ? shift - kBinBits : 0;
@@ -375,7 +374,7 @@ __device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t
     static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
   }
 }
-__device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLong& list) {
+__device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLongList& list) {
   const std::uint32_t cell = threadIdx.x / 32, lane = threadIdx.x % 32;
   if (kTurboCells < kWarps && cell >= kTurboCells) return;
   std::uint32_t before = 0;
@@ -399,12 +398,12 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   tell(s, a, unit);
   place_in_cells(s, a, unit, a.long_lists[own.long_list]);
   std::uint32_t left = s.n;
-  const bool at_once = left <= kEntries;
+  const bool at_once = left <= kTurboRound;
   while (left > 0) {
     __syncthreads();
     if (!at_once) {
       Part round = part;
-      if (left > kEntries) round.to = round_end(s, part);
+      if (left > kTurboRound) round.to = round_end(s, part);
       range = load(s, round);
       part.from = round.to;
     }
@@ -438,7 +437,7 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
   __shared__ Shared s;
   const std::uint32_t rank = blockIdx.x;
   begin_tile(s, a, rank);
-  if (s.list.n_entries >= kTurboEntries) return;  // a long list
+  if (s.list.n_entries >= kTurboRound) return;  // a long list
   deal_out_short(s, a, grid, rank);
   if (threadIdx.x == 0) end_tile(a, seen);
 }

@@ -113,7 +113,7 @@ struct CudaRenderer::Impl {
   Status prepare_turbo(const TurboFrame& frame);
   std::uint64_t entry_capacity() const;
   std::uint64_t run_capacity() const;
-  cuda::TurboLongSizes long_sizes() const { return cuda::TurboLongSizes::of(entry_capacity(), run_capacity()); }
+  cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays turbo_arrays(const TurboFrame& frame) const;
   Status order_turbo(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
   Status launch_turbo(const TurboFrame& frame, CudaStream on);
@@ -395,7 +395,7 @@ Status CudaRenderer::Impl::reserve_turbo(std::uint64_t n_entries, std::uint64_t 
        {Need{turbo_entries, n_entries, sizeof(cuda::TurboEntry)},
         Need{turbo_scratch, n_entries, sizeof(cuda::TurboEntry)}, Need{turbo_runs, n_runs, sizeof(cuda::TurboTileRun)},
         Need{tile_runs, n_runs, sizeof(cuda::TurboRun)},
-        Need{turbo_large, n_large, sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox)},
+        Need{turbo_large, n_large, sizeof(cuda::TurboLargeGaussian) + sizeof(cuda::TurboBox)},
         Need{cell_gaussians, n_in_cells, sizeof(std::uint32_t)}}) {
     if (need.n > need.held()) needs.push_back(need);
   }
@@ -445,11 +445,11 @@ cuda::TurboArrays CudaRenderer::Impl::turbo_arrays(const TurboFrame& f) const {
   a.lists = lists.as<cuda::TurboList>();
   a.classes = classes.as<std::uint32_t>();
   a.scratch = turbo_scratch.as<cuda::TurboEntry>();
-  a.large = turbo_large.as<cuda::TurboLarge>();
+  a.large_gaussians = turbo_large.as<cuda::TurboLargeGaussian>();
   a.entry_capacity = entry_capacity();
   a.run_capacity = run_capacity();
-  a.large_capacity = turbo_large.bytes() / (sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox));
-  a.large_boxes = reinterpret_cast<cuda::TurboBox*>(a.large + a.large_capacity);
+  a.large_capacity = turbo_large.bytes() / (sizeof(cuda::TurboLargeGaussian) + sizeof(cuda::TurboBox));
+  a.large_boxes = reinterpret_cast<cuda::TurboBox*>(a.large_gaussians + a.large_capacity);
   long_sizes().lay_out(long_lists.as<void>(), a);
   a.cells = cells.as<cuda::TurboCell>();
   a.cell_gaussians = cell_gaussians.as<std::uint32_t>();
@@ -468,7 +468,7 @@ Status CudaRenderer::Impl::order_turbo(const cuda::TurboArrays& arrays, math::Ti
   Status ok = record(listed, on);
   if (ok) ok = wait_for(listed, beside);
   if (!ok) return ok;
-  ok = cuda::launch_turbo_long(arrays, grid, &host->turbo, beside);
+  ok = cuda::launch_turbo_long_lists(arrays, grid, &host->turbo, beside);
   if (ok) ok = cuda::launch_turbo_units(arrays, beside);
   // Joined after an error, too: the next frame waits for `on` alone.
   Status joined = record(ordered_long, beside);
@@ -527,14 +527,15 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(const TurboFrame& frame) {
     const cuda::TurboArrays arrays = turbo_arrays(frame);
     host->counters = seen.counters;
     const std::uint64_t n = seen.counters.instances;
-    const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
+    const bool all_large =
+        seen.n_large_gaussians <= arrays.large_capacity;  // otherwise the others' entries are not counted
     const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
     ok = device_status(cudaEventSynchronize(finished), "a kernel failed");  // it uses the workspace until then
     if (!ok) return tl::unexpected(ok.error());
     // Counts without all large Gaussians are too low to be worth memory.
-    ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large, 0);
+    ok = all_large ? reserve_turbo(n, seen.runs, 0, seen.in_cells) : reserve_turbo(0, 0, seen.n_large_gaussians, 0);
     if (ok) ok = queue_turbo(frame);
     if (!ok) return tl::unexpected(ok.error());
   }

@@ -54,7 +54,7 @@ std::vector<T> downloaded(const T* from, std::size_t n) {
 
 /// Units of a long list follow each other in depth, hold together what the list holds, and none has more to order than it
 /// can but for chance. `entries` are the list's in order. Returns how many there are.
-std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
+std::uint32_t check_units(const cuda::TurboLongList& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
                           const std::vector<TurboEntry>& scratch, const std::vector<TurboEntry>& entries) {
   std::array<std::uint32_t, cuda::kTurboCells> in_cells{};
   for (const TurboEntry entry : entries) {
@@ -81,9 +81,9 @@ std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const 
     std::sort(part.begin(), part.end());
     CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
     // It is too long for the sake of its last bin alone.
-    if (end - begin > 2 * cuda::kTurboUnit) {
+    if (end - begin > 2 * cuda::kTurboPart) {
       const auto within = [&](TurboEntry e) { return std::clamp(cuda::depth_of(e), list.nearest, list.farthest); };
-      CHECK(within(part.back()) - within(part[cuda::kTurboUnit]) <=
+      CHECK(within(part.back()) - within(part[cuda::kTurboPart]) <=
             2 * (list.farthest - list.nearest) / cuda::kTurboBins);
     }
     begin = end;
@@ -134,9 +134,9 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const DeviceArray<TurboEntry> entries(room.entries), scratch(room.entries);
   const DeviceArray<cuda::TurboTileRun> runs(room.runs);
   const DeviceArray<cuda::TurboRun> tile_runs(room.runs);
-  const DeviceArray<cuda::TurboLarge> large(room.large);
+  const DeviceArray<cuda::TurboLargeGaussian> large(room.large);
   const DeviceArray<cuda::TurboBox> boxes(room.large);
-  const DeviceArray<cuda::TurboList> heads(n_tiles);
+  const DeviceArray<cuda::TurboList> tile_lists(n_tiles);
   const DeviceArray<std::uint32_t> classes(std::size_t{n_tiles} * cuda::kTurboClasses);
   const DeviceArray<ScreenSplat> splats(n);
   cuda::TurboArrays arrays{};
@@ -144,13 +144,13 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   arrays.n_tiles = n_tiles;
   arrays.entries = entries.data(), arrays.scratch = scratch.data();
   arrays.runs = runs.data(), arrays.tile_runs = tile_runs.data();
-  arrays.large = large.data(), arrays.large_boxes = boxes.data();
-  arrays.lists = heads.data(), arrays.classes = classes.data();
+  arrays.large_gaussians = large.data(), arrays.large_boxes = boxes.data();
+  arrays.lists = tile_lists.data(), arrays.classes = classes.data();
   arrays.entry_capacity = room.entries, arrays.run_capacity = room.runs, arrays.large_capacity = room.large;
   arrays.cell_capacity = room.in_cells > 0 ? room.in_cells : cuda::kTurboCells * room.entries;
   const DeviceArray<std::uint32_t> cell_gaussians(arrays.cell_capacity);
   arrays.cell_gaussians = cell_gaussians.data();
-  const auto sizes = cuda::TurboLongSizes::of(room.entries, room.runs);
+  const auto sizes = cuda::TurboLongListSizes::of(room.entries, room.runs);
   const DeviceArray<std::byte> long_lists(sizes.bytes());
   sizes.lay_out(long_lists.data(), arrays);
   const DeviceArray<cuda::TurboCell> cells(std::size_t{n_tiles} * cuda::kTurboCells);
@@ -158,7 +158,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   Seen seen;
   require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
   require_ok(cuda::launch_turbo_lists(arrays, seen.state(), nullptr));
-  require_ok(cuda::launch_turbo_long(arrays, v.grid, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_long_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_units(arrays, nullptr));
   require_ok(cuda::launch_turbo_order(arrays, v.grid, seen.state(), nullptr));
   synchronize();
@@ -168,7 +168,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   out.splats = splats.download();
   const auto host_entries = entries.download();
   const auto host_runs = tile_runs.download();
-  const auto host_heads = heads.download();
+  const auto host_lists = tile_lists.download();
   const auto host_classes = classes.download();
   const auto host_state = state.download();
   runs.check_guards();
@@ -176,15 +176,15 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   boxes.check_guards();
   scratch.check_guards();
   long_lists.check_guards();
-  const bool fits =
-      out.state.counters.instances <= room.entries && out.state.runs <= room.runs && out.state.n_large <= room.large;
+  const bool fits = out.state.counters.instances <= room.entries && out.state.runs <= room.runs &&
+                    out.state.n_large_gaussians <= room.large;
   out.tiles.resize(n_tiles);
   std::uint64_t n_listed = 0;
   for (std::uint32_t t = 0; t < n_tiles; ++t) {
-    const auto& head = host_heads[t];
-    n_listed += head.n_entries;
+    const auto& list = host_lists[t];
+    n_listed += list.n_entries;
     if (!fits) continue;
-    for (std::uint64_t r = head.begin; r < std::uint64_t{head.begin} + head.n_runs; ++r) {
+    for (std::uint64_t r = list.begin; r < std::uint64_t{list.begin} + list.n_runs; ++r) {
       REQUIRE_MESSAGE(r < host_runs.size(), "tile ", t, " has run ", r, " of ", host_runs.size());
       const auto& run = host_runs[r];
       REQUIRE_MESSAGE(std::uint64_t{run.begin} + run.n <= host_entries.size(), "tile ", t, ", run ", r, ": entries ",
@@ -192,8 +192,8 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
       out.tiles[t].insert(out.tiles[t].end(), host_entries.begin() + run.begin,
                           host_entries.begin() + run.begin + run.n);
     }
-    CHECK_MESSAGE(out.tiles[t].size() == head.n_entries, "tile ", t, ": runs of ", out.tiles[t].size(), " entries, ",
-                  head.n_entries, " counted");
+    CHECK_MESSAGE(out.tiles[t].size() == list.n_entries, "tile ", t, ": runs of ", out.tiles[t].size(), " entries, ",
+                  list.n_entries, " counted");
     std::sort(out.tiles[t].begin(), out.tiles[t].end());
   }
   CHECK(n_listed == (fits ? out.state.counters.instances : 0));
@@ -203,7 +203,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const auto host_scratch = scratch.download();
   const auto host_longs = downloaded(arrays.long_lists, sizes.lists);
   const auto host_units = downloaded(arrays.units, final_state.n_units);
-  REQUIRE(final_state.n_long <= sizes.lists);
+  REQUIRE(final_state.n_long_lists <= sizes.lists);
   REQUIRE(final_state.n_units <= sizes.units);
   CHECK(final_state.n_slices <= sizes.slices);
   std::vector<std::size_t> rank_of(n_tiles);
@@ -219,11 +219,11 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   CHECK((in_cells.refused > 0) == (in_cells.total > arrays.cell_capacity));
   if (in_cells.refused > 0) return out;  // lists that do not fit have no units
   for (std::uint32_t t = 0; t < n_tiles && fits; ++t) {
-    if (out.tiles[t].size() < cuda::kTurboEntries) continue;
-    REQUIRE(host_heads[t].long_list < final_state.n_long);
-    const cuda::TurboLong& list = host_longs[host_heads[t].long_list];
+    if (out.tiles[t].size() < cuda::kTurboRound) continue;
+    REQUIRE(host_lists[t].long_list < final_state.n_long_lists);
+    const cuda::TurboLongList& list = host_longs[host_lists[t].long_list];
     CHECK(list.tile == t);
-    out.n_units += check_units(list, host_heads[t].long_list, host_units, host_scratch, out.tiles[t]);
+    out.n_units += check_units(list, host_lists[t].long_list, host_units, host_scratch, out.tiles[t]);
   }
   CHECK(out.n_units == final_state.n_units);
   out.n_shares = static_cast<std::uint32_t>(
@@ -238,8 +238,8 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
       const std::uint32_t tile = host_classes[std::size_t{c} * n_tiles + k];
       REQUIRE(tile < n_tiles);
       ++seen_tiles[tile];
-      longest_here = std::max(longest_here, host_heads[tile].n_entries);
-      shortest_here = std::min(shortest_here, host_heads[tile].n_entries);
+      longest_here = std::max(longest_here, host_lists[tile].n_entries);
+      shortest_here = std::min(shortest_here, host_lists[tile].n_entries);
     }
     rising += longest_here > shortest;
     shortest = std::min(shortest, shortest_here);
@@ -292,7 +292,7 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
   CAPTURE(std::holds_alternative<cuda::CompactAttributes>(attributes));
   // As the renderer finds its room: first the large Gaussians are counted, then all entries.
   Room room;
-  room.large = run(attributes, n, v, room).state.n_large;
+  room.large = run(attributes, n, v, room).state.n_large_gaussians;
   const TurboState counted = run(attributes, n, v, room).state;
   room.entries = counted.counters.instances, room.runs = counted.runs;
   if (room.entries > 0) (void)run(attributes, n, v, {room.entries - 1, room.runs, room.large});
@@ -491,7 +491,7 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
       const Scene scene = scene_of(cloud_of(crowd(n, far)));
       const Lists lists = check(DeviceAttributes(scene.view()).get(), scene.view(), one_tile());
       REQUIRE(lists.tiles.size() == 1);
-      CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboEntries));
+      CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboRound));
       if (n > 4000) CHECK(lists.n_units > 0);
       if (n > 4000 && far) CHECK(lists.n_shares > 0);
     }
@@ -598,7 +598,9 @@ TEST_CASE("kernels that learn on the device how much there is to do have as many
   arrays.n_tiles = 1;
   for (int turn = 0; turn < 2; ++turn) {  // asked, then kept
     const unsigned runs = largest_grid([&](auto on) { return cuda::launch_turbo_lists(arrays, nullptr, on); });
-    const unsigned slices = largest_grid([&](auto on) { return cuda::launch_turbo_long(arrays, {1, 1}, nullptr, on); });
+    const unsigned slices = largest_grid([&](auto on) {
+      return cuda::launch_turbo_long_lists(arrays, {1, 1}, nullptr, on);
+    });
     const unsigned units = largest_grid([&](auto on) { return cuda::launch_turbo_units(arrays, on); });
     MESSAGE("blocks for runs, slices and units: ", runs, ", ", slices, ", ", units, " on ", wanted, " multiprocessors");
     for (const unsigned blocks : {runs, slices, units}) {
