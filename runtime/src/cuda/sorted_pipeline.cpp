@@ -15,7 +15,7 @@ bool has_narrow_keys(const Frame& f) {
   return f.view.key.bits() <= 32;
 }
 bool is_separate(const Frame& f) {
-  return f.settings.cuda.front_end == CudaOptions::FrontEnd::separate;
+  return f.settings.cuda.front_end == PaperSteps::FrontEnd::separate;
 }
 
 }  // namespace

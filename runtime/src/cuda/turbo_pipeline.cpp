@@ -13,7 +13,7 @@ namespace {
 // Where Gaussians may be narrower, coefficients of their exponents may leave the range of FP16.
 constexpr float kTensorLowPass = 0.1F;
 
-constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLarge) + sizeof(cuda::TurboBox);
+constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLargeGaussian) + sizeof(cuda::TurboBox);
 
 }  // namespace
 
@@ -101,11 +101,11 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   a.lists = lists_.as<cuda::TurboList>();
   a.classes = classes_.as<std::uint32_t>();
   a.scratch = scratch_.as<cuda::TurboEntry>();
-  a.large = large_.as<cuda::TurboLarge>();
+  a.large_gaussians = large_.as<cuda::TurboLargeGaussian>();
   a.entry_capacity = entry_capacity();
   a.run_capacity = run_capacity();
   a.large_capacity = large_.bytes() / kLargeBytes;
-  a.large_boxes = reinterpret_cast<cuda::TurboBox*>(a.large + a.large_capacity);
+  a.large_boxes = reinterpret_cast<cuda::TurboBox*>(a.large_gaussians + a.large_capacity);
   long_sizes().lay_out(long_lists_.as<void>(), a);
   a.cells = cells_.as<cuda::TurboCell>();
   a.cell_gaussians = cell_gaussians_.as<std::uint32_t>();
@@ -118,7 +118,7 @@ Status TurboPipeline::order(const cuda::TurboArrays& arrays, math::TileGrid grid
   Status ok = listed_.record(on);
   if (ok) ok = listed_.hold(beside_.get());
   if (!ok) return ok;
-  ok = cuda::launch_turbo_long(arrays, grid, seen_.get(), beside_.get());
+  ok = cuda::launch_turbo_long_lists(arrays, grid, seen_.get(), beside_.get());
   if (ok) ok = cuda::launch_turbo_units(arrays, beside_.get());
   // Joined after an error, too: the next frame waits for `on` alone.
   Status joined = ordered_long_.record(beside_.get());
@@ -181,14 +181,15 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
     const cuda::TurboArrays arrays = arrays_for(f);
     state_.host->counters = seen.counters;
     const std::uint64_t n = seen.counters.instances;
-    const bool all_large = seen.n_large <= arrays.large_capacity;  // otherwise the others' entries are not counted
+    const bool all_large =
+        seen.n_large_gaussians <= arrays.large_capacity;  // otherwise the others' entries are not counted
     const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
     if (ok = state_.finished.wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
     // Counts without all large Gaussians are too low to be worth memory.
     ok = all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)
-                   : reserve_lists(0, 0, seen.n_large, 0, f.stream);
+                   : reserve_lists(0, 0, seen.n_large_gaussians, 0, f.stream);
     if (ok) ok = queue(f);
     if (!ok) return tl::unexpected(ok.error());
   }

@@ -36,7 +36,7 @@ class TurboPipeline {
                        CudaStream stream);
   std::uint64_t entry_capacity() const;
   std::uint64_t run_capacity() const;
-  cuda::TurboLongSizes long_sizes() const { return cuda::TurboLongSizes::of(entry_capacity(), run_capacity()); }
+  cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays arrays_for(const Frame& frame) const;
   Status order(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
   Status launch(const Frame& frame, CudaStream on);
