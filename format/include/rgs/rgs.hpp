@@ -9,5 +9,7 @@
 #include "rgs/layout.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/result.hpp"
+#include "rgs/scene_scan.hpp"
+#include "rgs/scene_writer.hpp"
 #include "rgs/spatial_order.hpp"
 #include "rgs/splat_cloud.hpp"
