@@ -20,8 +20,8 @@
 #include "archive/archive_codec.hpp"
 #include "archive/archive_errors.hpp"
 #include "archive/archive_fit.hpp"
-#include "file/chunk_encoder.hpp"
-#include "file/scene_tables.hpp"
+#include "file/chunk_summary.hpp"
+#include "file/encode_plan.hpp"
 #include "file/section_writer.hpp"
 #include "file/workers.hpp"
 #include "packed/packed.hpp"
@@ -409,8 +409,7 @@ class Encoder {
     ChunkSummary summary;
     ShMagnitudes magnitudes;
     for (const StoredSplat& s : splats) {
-      summary.add(s.mean, s.geometry);
-      totals.counts.add(s.geometry);
+      summary.add(s.mean, s.geometry, totals.counts);
       magnitudes.add(s.sh, degree_);
     }
     scene_.chunks[index] = summary.entry(plan_.header.scale_exponent);
@@ -438,23 +437,20 @@ class Encoder {
     scene_.archive = parameters;
     scene_.source_index = permutation;
 
-    constexpr std::array kStreams = {std::pair{SectionType::means, &Frame::means},
-                                     std::pair{SectionType::geometry, &Frame::geometry},
-                                     std::pair{SectionType::sh, &Frame::sh}};
+    const auto stream = [](const Frame& f, SectionType type) -> std::span<const std::byte> {
+      return type == SectionType::means ? f.means : type == SectionType::geometry ? f.geometry : f.sh;
+    };
     for (SectionEntry& entry : plan_.sections) {
-      if (entry.type == static_cast<std::uint32_t>(SectionType::archive)) {
-        entry.stored_bytes = entry.decoded_bytes = parameters.size();
-      }
-      for (const auto& [type, stream] : kStreams) {
-        if (entry.type != static_cast<std::uint32_t>(type)) continue;
-        entry.stored_bytes = frame_table_bytes(frames_.size());
-        for (const Frame& f : frames_) entry.stored_bytes += (f.*stream).size();
-      }
+      const auto type = static_cast<SectionType>(entry.type);
+      if (type == SectionType::archive) entry.stored_bytes = entry.decoded_bytes = parameters.size();
+      if (!archive_type(type)) continue;
+      entry.stored_bytes = frame_table_bytes(frames_.size());
+      for (const Frame& f : frames_) entry.stored_bytes += stream(f, type).size();
     }
     SectionWriter file(bytes, plan_.sections, frames_.size());
-    for (const auto& [type, stream] : kStreams) {
+    for (const SectionType type : {SectionType::means, SectionType::geometry, SectionType::sh}) {
       for (const Frame& f : frames_) {
-        if (Status s = file.grow(type, f.*stream, xxh3(f.*stream)); !s) return tl::unexpected(s.error());
+        if (Status s = file.grow(type, stream(f, type), xxh3(stream(f, type))); !s) return tl::unexpected(s.error());
       }
     }
     return finish_file(file, plan_, scene_);

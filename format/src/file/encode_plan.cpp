@@ -1,9 +1,11 @@
-// encode_plan.cpp - options and a scene's scan to the shape of its file.
+// encode_plan.cpp - options and a scene's scan to the shape of its file, and its small sections.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/encode_plan.hpp"
 
 #include <algorithm>
+#include <cassert>
 #include <cmath>
+#include <utility>
 
 #include "file/layout_io.hpp"
 #include "packed/packed.hpp"
@@ -158,13 +160,55 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
     const std::uint64_t texts = options.provenance->source_name.size() + options.provenance->tool.size();
     plan.sections.push_back(section(SectionType::provenance, 24 + texts, 0));
   }
-  h.n_sections = static_cast<std::uint32_t>(plan.sections.size());
   for (SectionEntry& entry : plan.sections) {
     if (profile == Profile::direct || !archive_type(static_cast<SectionType>(entry.type))) continue;
     entry.codec = static_cast<std::uint32_t>(profile == Profile::packed ? Codec::planes : Codec::archive);
     entry.stored_bytes = coded_bound(entry.decoded_bytes, plan.n_frames());
   }
   return plan;
+}
+
+Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, const SceneTables& tables) {
+  assert(tables.chunks.size() == plan.header.n_chunks && tables.steps.size() == tables.chunks.size());
+  const bool chunk_sets = plan.options.chunk_step_sets;
+  WrittenScene written{plan.header, plan.declarations, {}};
+  Declarations& d = written.declarations;
+  d.n_scale_subnormal = tables.counts.scale_subnormal;
+  d.n_scale_zero = tables.counts.scale_zero;
+  d.n_opacity_zero = tables.counts.opacity_zero;
+  d.n_opacity_one = tables.counts.opacity_one;
+  ByteWriter steps, chunks;
+  for (std::size_t i = 0; i < tables.chunks.size(); ++i) {
+    if (chunk_sets || i == 0) write_step_set(steps, chunk_sets ? tables.steps[i] : plan.file_steps);
+    ChunkEntry chunk = tables.chunks[i];
+    chunk.step_set = chunk_sets ? i : 0;
+    write_chunk_entry(chunks, chunk);
+  }
+  const auto place_table = [&](SectionType type, std::vector<std::byte> records) {
+    if (plan.options.profile == Profile::direct) return file.place(type, records);
+    const StoredTable stored = code_table(std::move(records), plan.options.level);
+    return file.place(type, stored.bytes, stored.codec);
+  };
+  for (const SectionEntry& entry : plan.sections) {
+    const auto type = static_cast<SectionType>(entry.type);
+    Status s;
+    switch (type) {
+      case SectionType::declarations: s = file.place(type, write_declarations(d)); break;
+      case SectionType::sh_steps: s = place_table(type, steps.take()); break;
+      case SectionType::chunks: s = place_table(type, chunks.take()); break;
+      case SectionType::means:
+      case SectionType::geometry:
+      case SectionType::sh: s = file.place_grown(type, plan.frame_rows()); break;
+      case SectionType::archive: s = file.place(type, tables.archive); break;
+      case SectionType::permutation: s = file.place(type, std::as_bytes(tables.source_index)); break;
+      case SectionType::provenance: s = file.place(type, write_provenance(*plan.options.provenance)); break;
+    }
+    if (!s) return tl::unexpected(s.error());
+  }
+  auto sections = file.finish(written.header);
+  if (!sections) return tl::unexpected(sections.error());
+  written.sections = std::move(*sections);
+  return written;
 }
 
 }  // namespace detail

@@ -5,22 +5,55 @@
 #include <algorithm>
 #include <array>
 #include <cassert>
+#include <cstring>
 #include <optional>
 #include <utility>
 
 #include "archive/archive_encode.hpp"
-#include "file/chunk_encoder.hpp"
+#include "file/chunk_summary.hpp"
 #include "file/encode_plan.hpp"
-#include "file/scene_tables.hpp"
 #include "file/section_writer.hpp"
 #include "packed/frame_codec.hpp"
 #include "rgs/checksum.hpp"
+#include "rgs/quantize.hpp"
 
 namespace rgs {
 namespace {
 
 constexpr std::uint64_t kDirectRows = 8192;  // Gaussians a batch, or one chunk if larger
 constexpr std::array kLarge = {SectionType::means, SectionType::geometry, SectionType::sh};
+
+template <class T>
+void store(std::byte*& out, const T& value) {
+  std::memcpy(out, &value, sizeof value);
+  out += sizeof value;
+}
+
+// Rows of a chunk's Gaussians: means [n * 12], geometry [n * 16], sh [n * sh_bytes(degree)].
+ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, const ShStepSet& steps, std::byte* means,
+                       std::byte* geometry, std::byte* sh, detail::ValueCounts& counts) {
+  const auto floats = static_cast<std::size_t>(3 * sh_coefficients(header.sh_degree));
+  const std::size_t stride = sh_bytes(header.sh_degree);
+  float step[48];  // per coefficient and channel, so that the loop below has no look-up
+  for (std::size_t i = 0; i < floats; ++i) step[i] = steps.of_value(static_cast<int>(i));
+  detail::ChunkSummary summary;
+  auto* codes = reinterpret_cast<std::int8_t*>(sh);
+  for (const Splat& s : splats) {
+    std::uint16_t row[8];
+    quantize_rotation(s.rotation, row);
+    for (std::size_t i = 0; i < 3; ++i) {
+      row[4 + i] = quantize_scale(scale_from_log(s.log_scale[i]), header.scale_exponent);
+    }
+    row[7] = half_from_float(opacity_from_logit(s.opacity_logit));
+    store(means, s.mean);
+    store(geometry, row);
+    for (std::size_t i = 0; i < floats; ++i) codes[i] = quantize_sh(s.sh[i], step[i]);
+    for (std::size_t i = floats; i < stride; ++i) codes[i] = 0;
+    codes += stride;
+    summary.add(s.mean, row, counts);
+  }
+  return summary.entry(header.scale_exponent);
+}
 
 }  // namespace
 
@@ -153,10 +186,14 @@ void SceneWriter::Batch::encode_chunk() {
     for (const Splat& s : chunk) b.writer.scene.set(b.first + b.done++, s);
     return;
   }
-  b.steps.push_back(plan.options.chunk_step_sets ? detail::chunk_steps(chunk, degree) : plan.file_steps);
-  b.chunks.push_back(detail::encode_chunk(chunk, degree, plan.header.scale_exponent, b.steps.back(),
-                                          &b.rows[0][b.done * kMeanBytes], &b.rows[1][b.done * kGeometryBytes],
-                                          &b.rows[2][b.done * sh_bytes(degree)], b.counts));
+  b.steps.push_back(plan.file_steps);
+  if (plan.options.chunk_step_sets) {
+    ShMagnitudes magnitudes;
+    for (const Splat& s : chunk) magnitudes.add(s.sh, degree);
+    b.steps.back() = magnitudes.steps();
+  }
+  b.chunks.push_back(encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
+                                 &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)], b.counts));
   b.done += chunk.size();
   if (!complete() || !b.encoder) return;
   b.frames = {b.encoder->words(b.rows[0], kMeanBytes), b.encoder->geometry(b.rows[1]),

@@ -1,4 +1,4 @@
-// section_writer.cpp - places sections and writes the head.
+// section_writer.cpp - places sections and writes the head, to a file on disk or into memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/section_writer.hpp"
 
@@ -9,8 +9,37 @@
 #include "file/checked.hpp"
 #include "file/layout_io.hpp"
 #include "packed/packed.hpp"
+#include "rgs/file.hpp"
 
-namespace rgs::detail {
+namespace rgs {
+
+Status Sink::reserve(std::uint64_t size) {
+  if (file_ != nullptr) return file_->reserve(size);
+  memory_->reserve(size);
+  return {};
+}
+
+Status Sink::write_at(std::uint64_t offset, std::span<const std::byte> bytes) {
+  if (file_ != nullptr) return file_->write_at(offset, bytes);
+  if (memory_->size() < offset + bytes.size()) memory_->resize(offset + bytes.size());
+  std::ranges::copy(bytes, memory_->begin() + static_cast<std::ptrdiff_t>(offset));
+  return {};
+}
+
+Status Sink::read_at(std::uint64_t offset, std::span<std::byte> bytes) const {
+  if (file_ != nullptr) return file_->read_at(offset, bytes);
+  std::ranges::copy(std::span(*memory_).subspan(offset, bytes.size()), bytes.begin());
+  return {};
+}
+
+Status Sink::truncate(std::uint64_t size) {
+  if (file_ != nullptr) return file_->truncate(size);
+  memory_->resize(size);
+  memory_->shrink_to_fit();
+  return {};
+}
+
+namespace detail {
 
 SectionWriter::SectionWriter(Sink sink, std::span<const SectionEntry> sections, std::uint64_t max_frames)
     : sink_(sink), sections_(sections.size()), end_(section_entry_offset(sections.size()) + kHeadChecksumBytes) {
@@ -104,4 +133,6 @@ Result<std::vector<SectionEntry>> SectionWriter::finish(Header& header) {
   return entries;
 }
 
-}  // namespace rgs::detail
+}  // namespace detail
+
+}  // namespace rgs

@@ -32,7 +32,7 @@ class SectionWriter {
   /// Once all have grown, sections are placed in file order: one that has grown (`frame_rows`: rows a frame),
   Status place_grown(SectionType type, std::uint32_t frame_rows);
   /// or one whose stored bytes are these.
-  Status place(SectionType type, std::span<const std::byte> bytes, Codec codec);
+  Status place(SectionType type, std::span<const std::byte> bytes, Codec codec = Codec::none);
   /// The end of the file, and its beginning. Returns the section table.
   Result<std::vector<SectionEntry>> finish(Header& header);
 

@@ -5,8 +5,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "file/chunk_summary.hpp"
 #include "file/value_checks.hpp"
-#include "file/value_counts.hpp"
 #include "file/workers.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
