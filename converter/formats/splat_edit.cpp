@@ -269,7 +269,7 @@ void filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
 
 Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) {
   return detail::guard_memory([&]() -> Result<SceneScan> {
-    SceneScan scan(cloud.sh_degree, options);
+    SceneScan scan(std::min(cloud.sh_degree, options.sh_degree), options.on_bad);
     std::vector<std::uint64_t> kept;
     for (std::uint64_t i = 0; i < cloud.size(); ++i) {
       Splat s = cloud.view().splat(i);
@@ -281,7 +281,7 @@ Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) 
       if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
       kept.push_back(i);
     }
-    if (const auto plan = make_plan(scan, options); !plan) return tl::unexpected(plan.error());
+    if (const Status s = check_encodable(scan, options); !s) return tl::unexpected(s.error());
     keep_splats(cloud, kept);
     return scan;
   });

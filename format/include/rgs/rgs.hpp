@@ -9,6 +9,8 @@
 #include "rgs/layout.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/result.hpp"
+#include "rgs/scene_scan.hpp"
+#include "rgs/scene_writer.hpp"
 #include "rgs/spatial_order.hpp"
 #include "rgs/splat_cloud.hpp"
 #include "rgs/version.hpp"

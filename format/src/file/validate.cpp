@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "file/chunk_summary.hpp"
 #include "file/value_checks.hpp"
 #include "file/value_counts.hpp"
 #include "file/workers.hpp"
