@@ -14,7 +14,7 @@
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// What to do with Gaussians that cannot be drawn (see Defect).
 enum class BadPolicy : std::uint8_t {
