@@ -6,6 +6,11 @@
 #include <rgs/file.hpp>
 #include <rgs/splat_cloud.hpp>
 #include <rgs/version.hpp>
+#include <string_view>
+
+#ifdef PACKAGE_VERSION
+static_assert(std::string_view(RGS_VERSION) == PACKAGE_VERSION);
+#endif
 
 namespace {
 

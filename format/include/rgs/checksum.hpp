@@ -7,7 +7,9 @@
 #include <cstdint>
 #include <span>
 
-namespace rgs {
+#include "rgs/api.hpp"
+
+namespace RGS_API rgs {
 
 std::uint64_t xxh3(std::span<const std::byte> bytes);
 

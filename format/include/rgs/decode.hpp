@@ -13,7 +13,7 @@
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// Bounds that a caller puts on files he does not trust; more is limit_exceeded.
 struct DecodeLimits {

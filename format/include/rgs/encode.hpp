@@ -13,7 +13,7 @@
 #include "rgs/scene_scan.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 struct DepthRange {
   float z_near = 0;

@@ -10,7 +10,7 @@
 
 #include "rgs/result.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// A whole regular file mapped read-only. Pages are read when touched. Move-only.
 class MappedFile {

@@ -14,7 +14,7 @@
 
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;

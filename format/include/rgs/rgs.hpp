@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "rgs/api.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"

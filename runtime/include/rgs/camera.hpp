@@ -16,7 +16,7 @@
 
 #include "rgs/result.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 inline constexpr std::array<double, 16> kIdentity4x4{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
 inline constexpr int kMaxImageSide = 65536;

@@ -18,7 +18,7 @@
 
 struct CUstream_st;
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// cudaStream_t; null is the default stream.
 using CudaStream = CUstream_st*;

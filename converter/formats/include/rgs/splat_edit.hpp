@@ -12,7 +12,7 @@
 #include "rgs/layout.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// x -> scale * rotation * x + translation.
 struct Similarity {
