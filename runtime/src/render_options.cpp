@@ -78,7 +78,7 @@ Status validate(const RenderTarget& t, const Camera& camera) {
 
 math::View<float> make_view(const Camera& camera, const RenderOptions& options) {
   double matrix[16];
-  std::copy(camera.world_to_camera.begin(), camera.world_to_camera.end(), matrix);
+  std::ranges::copy(row_major(camera.world_to_camera), matrix);
   return math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
                                 options.near_plane, options.far_plane);
 }
