@@ -23,7 +23,7 @@ using Vec3 = glm::dvec3;
 constexpr double kRotationTolerance = 1e-3;
 constexpr double kElevation = 20 * std::numbers::pi / 180;
 
-// Not glm::length, here or below: of numbers near the ends of the range its squares overflow and vanish.
+// Not glm::length, whose squares overflow or vanish where numbers are very large or small.
 double norm(const Vec3& a) {
   return std::hypot(a.x, a.y, a.z);
 }
@@ -61,7 +61,7 @@ glm::dquat quaternion(const glm::dmat4& m) {
   }
 }
 
-// GLM's adds in pairs; a sum in line keeps the paths of before to the last bit.
+// Not glm::dot, which adds in pairs: paths keep their last bits.
 double dot(const glm::dquat& a, const glm::dquat& b) {
   return a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z;
 }
