@@ -10,7 +10,7 @@
 #include "rgs/layout.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// What to do with Gaussians that cannot be drawn (see Defect).
 enum class BadPolicy : std::uint8_t {

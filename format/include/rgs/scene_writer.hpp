@@ -14,7 +14,7 @@
 #include "rgs/scene_scan.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 class AtomicFile;
 

@@ -8,6 +8,7 @@
 #include <charconv>
 #include <cmath>
 #include <cstring>
+#include <glm/ext/quaternion_double.hpp>
 #include <map>
 #include <utility>
 
@@ -84,15 +85,12 @@ bool set_lens(Camera& camera, std::uint64_t width, std::uint64_t height, std::sp
   return validate(camera).has_value();  // the pose is still the identity
 }
 
-void set_pose(Camera& camera, const double (&q)[4], const double (&t)[3]) {
-  // Division by the squared norm instead of normalising first; a zero or non-finite quaternion fails validation.
-  const double n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3], s = 2 / n;
-  const double w = q[0], x = q[1], y = q[2], z = q[3];
-  detail::set_world_to_camera(camera,
-                              {1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),  //
-                               s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),  //
-                               s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)},
-                              t);
+// Division by the squared norm instead of normalising first; a zero or non-finite quaternion fails validation.
+glm::dmat3 rotation_of(const glm::dquat& q) {
+  const double w = q.w, x = q.x, y = q.y, z = q.z, s = 2 / (w * w + x * x + y * y + z * z);
+  return {1 - s * (y * y + z * z), s * (x * y + w * z),     s * (x * z - w * y),  //
+          s * (x * y - w * z),     1 - s * (x * x + z * z), s * (y * z + w * x),  //
+          s * (x * z + w * y),     s * (y * z - w * x),     1 - s * (x * x + y * y)};
 }
 
 Result<CameraSet> finish(std::vector<Camera> cameras) {
@@ -237,9 +235,9 @@ Result<CameraSet> parse_colmap_binary(std::span<const std::byte> cameras_bin, st
     for (std::uint64_t i = 0; i < n; ++i) {
       const std::uint64_t start = in.offset();
       in.read<std::uint32_t>();  // image id
-      double q[4], t[3];
-      for (double& x : q) x = in.read<double>();
-      for (double& x : t) x = in.read<double>();
+      glm::dquat q;
+      glm::dvec3 t;
+      for (double* x : {&q.w, &q.x, &q.y, &q.z, &t.x, &t.y, &t.z}) *x = in.read<double>();
       const auto id = in.read<std::uint32_t>();
       std::string name = in.text();
       const auto n_points = in.read<std::uint64_t>();
@@ -253,7 +251,7 @@ Result<CameraSet> parse_colmap_binary(std::span<const std::byte> cameras_bin, st
                           Error::kNone, id);
       Camera camera = lens->second;
       camera.name = std::move(name);
-      set_pose(camera, q, t);
+      camera.world_to_camera = detail::rigid_motion(rotation_of(q), t);
       if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
       cameras.push_back(std::move(camera));
     }
@@ -271,10 +269,10 @@ Result<CameraSet> parse_colmap_text(std::string_view cameras_txt, std::string_vi
     for (std::uint64_t i = 0; in.next_record(); ++i) {
       const std::uint64_t start = in.line_offset();
       std::uint32_t image_id = 0, id = 0;
-      double q[4] = {}, t[3] = {};
+      glm::dquat q{};
+      glm::dvec3 t{};
       bool ok = in.number(image_id);
-      for (double& x : q) ok = ok && in.number(x);
-      for (double& x : t) ok = ok && in.number(x);
+      for (double* x : {&q.w, &q.x, &q.y, &q.z, &t.x, &t.y, &t.z}) ok = ok && in.number(*x);
       ok = ok && in.number(id);
       if (!ok)
         return make_error(Errc::bad_syntax, in.word_offset(),
@@ -286,7 +284,7 @@ Result<CameraSet> parse_colmap_text(std::string_view cameras_txt, std::string_vi
                           Error::kNone, id);
       Camera camera = lens->second;
       camera.name = name;
-      set_pose(camera, q, t);
+      camera.world_to_camera = detail::rigid_motion(rotation_of(q), t);
       if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
       cameras.push_back(std::move(camera));
       in.next();  // 2D points of the image; the line is empty if there are none

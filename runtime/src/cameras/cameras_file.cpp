@@ -45,16 +45,6 @@ Result<CameraSet> read_colmap(const std::filesystem::path& folder) {
 
 namespace detail {
 
-void set_world_to_camera(Camera& camera, const double (&r)[9], const double (&t)[3]) {
-  camera.world_to_camera = {r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], 0, 0, 0, 1};
-}
-
-void set_camera_to_world(Camera& camera, const double (&r)[9], const double (&p)[3]) {
-  set_world_to_camera(camera, {r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]},
-                      {-(r[0] * p[0] + r[3] * p[1] + r[6] * p[2]), -(r[1] * p[0] + r[4] * p[1] + r[7] * p[2]),
-                       -(r[2] * p[0] + r[5] * p[1] + r[8] * p[2])});
-}
-
 void split_by_name(CameraSet& set) {
   std::vector<std::size_t> order(set.cameras.size());
   std::iota(order.begin(), order.end(), std::size_t{0});

@@ -74,7 +74,7 @@ Image render(const Scene& scene, double z) {
   camera.width = 96, camera.height = 72;
   camera.fx = camera.fy = 90;
   camera.cx = 48, camera.cy = 36;
-  camera.world_to_camera[11] = z;
+  camera.world_to_camera[3].z = z;
   Image image = Image::make(96, 72, 3);
   auto renderer = Renderer::create();
   REQUIRE(renderer->render(scene, camera, {.rgb = image.pixels}, {.pipeline = Pipeline::baseline}));

@@ -383,7 +383,7 @@ TEST_CASE("chunks that are passed over hold nothing that the host lists") {
       // From within, in every direction and with narrow views, so that chunks lie across each edge of the image.
       Camera camera = front_camera(160, 130);
       camera.fx = camera.fy = random.log_uniform(60, 800);
-      camera.world_to_camera = rigid(random.rotation(), random.vector(-4, 4));
+      camera.world_to_camera = from_row_major(rigid(random.rotation(), random.vector(-4, 4)));
       check(attributes.get(), compact.scene.view().value(), camera);
     }
   }
@@ -540,7 +540,7 @@ TEST_CASE("a depth that FP32 does not hold is that of no pixel which its Gaussia
   }
   Camera camera = front_camera(64, 64);
   const double a = 1 / std::sqrt(2.0), b = 1 / std::sqrt(3.0), c = 1 / std::sqrt(6.0);
-  camera.world_to_camera = {a, -a, 0, 0, c, c, -2 * c, 0, b, b, b, 4, 0, 0, 0, 1};
+  camera.world_to_camera = from_row_major({a, -a, 0, 0, c, c, -2 * c, 0, b, b, b, 4, 0, 0, 0, 1});
   const Scene scene = scene_of(cloud_of(splats));
   const Frame host = render(scene, camera, turbo_options(), {.backend = Backend::cpu, .simd = false});
   const Frame device = render(scene, camera, turbo_options(), {.backend = Backend::cuda});
