@@ -5,10 +5,8 @@ target_compile_features(rgs_compile_options INTERFACE cxx_std_20)
 # -ffp-contract=off: a*b+c rounds twice everywhere, so that gcc, clang, Debug and Release give the same bits.
 target_compile_options(rgs_compile_options INTERFACE
   $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -ffp-contract=off>
-  # gcc 12 sees overlapping copies inside std::string at -O3 (its bug 105329).
-  $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-restrict>
   $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<BOOL:${RGS_WERROR}>>:-Werror>
-  # gcc 12 reports overlapping copies inside std::string's own insert and assign at -O3 (GCC bug 105651).
+  # gcc 12 reports overlapping copies inside std::string's own insert and assign at -O3 (its bugs 105329 and 105651).
   $<$<AND:$<COMPILE_LANG_AND_ID:CXX,GNU>,$<VERSION_LESS:$<CXX_COMPILER_VERSION>,13>>:-Wno-restrict>
   # nvcc passes these on; -Wpedantic and the conversion warnings would fire in the host code that it generates.
   $<$<COMPILE_LANGUAGE:CUDA>:-Xcompiler=-Wall,-Wextra,-ffp-contract=off>
@@ -34,8 +32,10 @@ if(PROJECT_IS_TOP_LEVEL)
     endif()
   endforeach()
   set(CMAKE_RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/bin)
+  set(CMAKE_LIBRARY_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/lib)
   # Programs look for libraries beside themselves first, so that a folder of both runs anywhere (scripts/bundle.sh).
-  set(CMAKE_INSTALL_RPATH "$ORIGIN/../lib")
+  set(CMAKE_INSTALL_RPATH "$ORIGIN/../lib" "$ORIGIN/../${CMAKE_INSTALL_LIBDIR}")
+  list(REMOVE_DUPLICATES CMAKE_INSTALL_RPATH)
   set(CMAKE_INSTALL_RPATH_USE_LINK_PATH ON)
   set(CMAKE_BUILD_WITH_INSTALL_RPATH ON)
   # As DT_RPATH, which libraries of libraries are looked for by as well; DT_RUNPATH is for the program's own alone.

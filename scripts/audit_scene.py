@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 
-CONVERSIONS = {"default": [], "one scale set for the file": ["--file-scales"]}
+CONVERSIONS = {"default": [], "one step set for the file": ["--file-scales"]}
 
 
 def unpacked(folder: pathlib.Path, out: pathlib.Path) -> pathlib.Path:

@@ -16,3 +16,7 @@ set -- ctest --preset "$preset" --parallel "$jobs" "$@"
 [ "$preset" != tsan ] || set -- setarch "$(uname -m)" --addr-no-randomize "$@"
 quiet test "$@"
 grep -E '^[0-9]+% tests passed' "$log_folder/test.log" || echo "$preset: no test matches"
+# Which tests were skipped (.ci/run counts these lines), and why.
+if grep -E '^\s*[0-9]+ - .* \(Skipped\)$' "$log_folder/test.log"; then
+  grep -a '^skipped: ' "build/$preset/Testing/Temporary/LastTest.log" | sort | uniq -c
+fi

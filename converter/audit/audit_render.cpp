@@ -149,15 +149,7 @@ class PictureAudit {
                std::count_if(also_.begin(), also_.end(), [](auto& a) { return a.note.empty(); }));
   }
 
-  Vec3 up() const {
-    if (!declared_) return kWorldUp;
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      Vec3 direction{0, 0, 0};
-      direction[axis] = declared_->axes[axis] == Axis::up ? 1 : -1;
-      if (declared_->axes[axis] == Axis::up || declared_->axes[axis] == Axis::down) return direction;
-    }
-    return kWorldUp;
-  }
+  glm::dvec3 up() const { return declared_ ? declared_up(*declared_) : kWorldUp; }
 
   Done load_source() {
     auto source = source_scene(*inputs_.source);

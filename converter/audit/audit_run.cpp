@@ -15,6 +15,7 @@
 #include "info_report.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/file.hpp"
+#include "rgs/version.hpp"
 #include "scene_file.hpp"
 
 namespace rgs::audit {

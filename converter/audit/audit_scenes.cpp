@@ -19,14 +19,6 @@ constexpr std::uint64_t kBlock = 4096;
 constexpr std::size_t kAtOnce = 64;
 constexpr std::uint64_t kChunk = 256;
 
-// SH steps from the largest magnitudes, as the encoder chooses them.
-ShStepSet steps_of(const ShMagnitudes& magnitudes) {
-  ShStepSet set = magnitudes.max_abs();
-  for (auto& degree : set.step)
-    for (float& step : degree) step = sh_step(step);
-  return set;
-}
-
 // Codes and back, for Gaussians [first, end).
 void requantise(SplatCloud& cloud, std::uint64_t first, std::uint64_t end, const ShStepSet& set) {
   const auto floats = 3 * static_cast<std::uint64_t>(sh_coefficients(cloud.sh_degree));
@@ -48,11 +40,11 @@ void requantise(SplatCloud& cloud, bool by_chunk) {
   const auto end = [&](std::uint64_t chunk) { return std::min(cloud.size(), (chunk + 1) * kChunk); };
   if (by_chunk) {
     tbb::parallel_for(std::uint64_t{0}, n_chunks, [&](std::uint64_t chunk) {
-      requantise(cloud, chunk * kChunk, end(chunk), steps_of(magnitudes_of(cloud, chunk * kChunk, end(chunk))));
+      requantise(cloud, chunk * kChunk, end(chunk), magnitudes_of(cloud, chunk * kChunk, end(chunk)).steps());
     });
     return;
   }
-  const ShStepSet set = steps_of(magnitudes_of(cloud, 0, cloud.size()));
+  const ShStepSet set = magnitudes_of(cloud, 0, cloud.size()).steps();
   tbb::parallel_for(std::uint64_t{0}, n_chunks,
                     [&](std::uint64_t chunk) { requantise(cloud, chunk * kChunk, end(chunk), set); });
 }

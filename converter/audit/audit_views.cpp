@@ -92,7 +92,7 @@ Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& o
 
 }  // namespace
 
-Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const Vec3& up) {
+Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const glm::dvec3& up) {
   std::vector<Camera> cameras;
   if (options.cameras.empty()) {
     ViewFormat format;

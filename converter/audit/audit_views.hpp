@@ -20,7 +20,7 @@ struct View {
 /// around `bounds`. With options.photos every view has its photograph, of the camera's size.
 /// Errors: those of read_camera_set(); bad_argument (no camera of the split; photographs that are missing or of another
 /// size, each named in the subject); read errors of the photographs.
-Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const Vec3& up);
+Outcome<std::vector<View>> choose_views(const Options& options, const SceneBounds& bounds, const glm::dvec3& up);
 
 /// A photograph as RGB.
 Outcome<Image> read_photo(const View& view);

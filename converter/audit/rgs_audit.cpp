@@ -20,6 +20,7 @@
 #include "console.hpp"
 #include "info_escape.hpp"
 #include "rgs/file.hpp"
+#include "rgs/version.hpp"
 
 namespace {
 

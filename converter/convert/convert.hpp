@@ -53,7 +53,7 @@ struct ConvertSummary {
 
 /// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two
 /// threads. The bytes do not depend on the number of threads (which the caller limits through oneTBB's global_control).
-/// Errors: those of PlyFile, make_plan, depth_range_from_cameras, AtomicFile; limit_exceeded for more than 2^32 - 1
+/// Errors: those of PlyFile, SceneWriter, depth_range_from_cameras, AtomicFile; limit_exceeded for more than 2^32 - 1
 /// Gaussians.
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});

@@ -3,6 +3,7 @@
 #include "depth_range.hpp"
 
 #include <algorithm>
+#include <glm/mat4x3.hpp>
 #include <vector>
 
 namespace rgs {
@@ -16,25 +17,21 @@ constexpr double kMargin = 0.1;     // cameras between and around the given ones
 }  // namespace
 
 Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std::span<const float> mean) {
-  const std::size_t n = mean.size() / 3;
+  const auto points = as_points(mean);
+  const std::size_t n = points.size();
   const std::size_t n_cameras = std::min(cameras.size(), kMaxCameras);
   const std::size_t n_means = std::min(n, kMaxMeans);
   std::vector<float> depths;
   for (std::size_t c = 0; c < n_cameras; ++c) {
     const Camera& camera = cameras[c * cameras.size() / n_cameras];
     if (const Status s = validate(camera); !s) return tl::unexpected(s.error());
-    const auto& m = camera.world_to_camera;
+    const glm::dmat4x3 m(camera.world_to_camera);
     for (std::size_t k = 0; k < n_means; ++k) {
-      const float* p = &mean[3 * (k * n / n_means)];
-      double in_camera[3];
-      for (std::size_t row = 0; row < 3; ++row) {
-        in_camera[row] = m[4 * row] * static_cast<double>(p[0]) + m[4 * row + 1] * static_cast<double>(p[1]) +
-                         m[4 * row + 2] * static_cast<double>(p[2]) + m[4 * row + 3];
-      }
-      const double z = in_camera[2];
+      const glm::dvec3 p = m * glm::dvec4(points[k * n / n_means], 1);
+      const double z = p.z;
       if (!(z > kNearPlane)) continue;
-      const double u = camera.fx * in_camera[0] / z + camera.cx;
-      const double v = camera.fy * in_camera[1] / z + camera.cy;
+      const double u = camera.fx * p.x / z + camera.cx;
+      const double v = camera.fy * p.y / z + camera.cy;
       if (u >= 0 && u < camera.width && v >= 0 && v < camera.height) depths.push_back(static_cast<float>(z));
     }
   }

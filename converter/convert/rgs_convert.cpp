@@ -22,6 +22,7 @@
 #include "convert_summary.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/spool_file.hpp"
+#include "rgs/version.hpp"
 #include "sibling_program.hpp"
 #include "stage_clock.hpp"
 

@@ -8,6 +8,9 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <glm/geometric.hpp>
+#include <glm/gtc/type_ptr.hpp>
+#include <glm/matrix.hpp>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <optional>
@@ -202,62 +205,50 @@ Result<SplatCloud> read_primitive(const Glb& glb, const json& primitive, std::ui
   return cloud;
 }
 
-template <std::size_t n>
-bool read_numbers(const json& object, const char* name, std::array<double, n>& out) {
+bool read_numbers(const json& object, const char* name, std::span<double> out) {
   const json* array = json_member(object, name);
   if (array == nullptr) return true;
-  if (!array->is_array() || array->size() != n) return false;
-  for (std::size_t i = 0; i < n; ++i) {
+  if (!array->is_array() || array->size() != out.size()) return false;
+  for (std::size_t i = 0; i < out.size(); ++i) {
     if (!(*array)[i].is_number()) return false;
-    out[i] = (*array)[i].template get<double>();
+    out[i] = (*array)[i].get<double>();
     if (!std::isfinite(out[i])) return false;
   }
   return true;
 }
 
-// Column-major 4x4 as turn, uniform scale and shift; nothing if it is anything else.
-std::optional<Similarity> similarity_of(const std::array<double, 16>& m) {
-  Similarity s;
+// As turn, uniform scale and shift; nothing if it is anything else.
+std::optional<Similarity> similarity_of(const glm::dmat4& m) {
   double length[3];
-  for (std::size_t column = 0; column < 3; ++column) {
-    length[column] = std::hypot(m[4 * column], m[4 * column + 1], m[4 * column + 2]);
-    s.translation[column] = m[12 + column];
-  }
-  s.scale = length[0];
+  for (int k = 0; k < 3; ++k) length[k] = std::hypot(m[k].x, m[k].y, m[k].z);
   constexpr double kTolerance = 1e-4;  // matrices come as rounded decimals
-  if (!(s.scale > 0) || std::abs(length[1] / s.scale - 1) > kTolerance ||
-      std::abs(length[2] / s.scale - 1) > kTolerance) {
+  if (!(length[0] > 0) || std::abs(length[1] / length[0] - 1) > kTolerance ||
+      std::abs(length[2] / length[0] - 1) > kTolerance) {
     return std::nullopt;
   }
-  for (std::size_t row = 0; row < 3; ++row) {
-    for (std::size_t column = 0; column < 3; ++column) s.rotation[3 * row + column] = m[4 * column + row] / s.scale;
-  }
-  const auto& r = s.rotation;
-  const double determinant =
-      r[0] * (r[4] * r[8] - r[5] * r[7]) - r[1] * (r[3] * r[8] - r[5] * r[6]) + r[2] * (r[3] * r[7] - r[4] * r[6]);
-  if (std::abs(determinant - 1) > kTolerance) return std::nullopt;
+  const Similarity s{glm::dmat3(m) / length[0], length[0], glm::dvec3(m[3])};
+  if (std::abs(glm::determinant(s.rotation) - 1) > kTolerance) return std::nullopt;
   return s;
 }
 
 Result<Similarity> node_transform(const json& node) {
-  std::array<double, 16> matrix{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
-  std::array<double, 3> translation{0, 0, 0}, scale{1, 1, 1};
-  std::array<double, 4> xyzw{0, 0, 0, 1};
-  if (!read_numbers(node, "matrix", matrix) || !read_numbers(node, "translation", translation) ||
-      !read_numbers(node, "scale", scale) || !read_numbers(node, "rotation", xyzw)) {
+  glm::dmat4 matrix(1.0);  // glTF's are column-major too
+  glm::dvec3 translation{0, 0, 0}, scale{1, 1, 1};
+  glm::dvec4 xyzw{0, 0, 0, 1};
+  if (!read_numbers(node, "matrix", {glm::value_ptr(matrix), 16}) ||
+      !read_numbers(node, "translation", {glm::value_ptr(translation), 3}) ||
+      !read_numbers(node, "scale", {glm::value_ptr(scale), 3}) ||
+      !read_numbers(node, "rotation", {glm::value_ptr(xyzw), 4})) {
     return bad_gltf("a node's transform is not made of numbers");
   }
   const auto from_matrix = similarity_of(matrix);
-  const double norm = xyzw[0] * xyzw[0] + xyzw[1] * xyzw[1] + xyzw[2] * xyzw[2] + xyzw[3] * xyzw[3];
-  if (!from_matrix || !(norm > 0) || !(scale[0] > 0) || scale[1] != scale[0] || scale[2] != scale[0]) {
+  if (!from_matrix || !(glm::dot(xyzw, xyzw) > 0) || !(scale.x > 0) || scale.y != scale.x || scale.z != scale.x) {
     return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
                       "a node shears, mirrors or scales unevenly, which Gaussians do not survive");
   }
-  Similarity parts;
-  parts.rotation = rotation_from_quaternion({xyzw[3], xyzw[0], xyzw[1], xyzw[2]});
-  parts.scale = scale[0];
-  parts.translation = translation;
-  return compose(*from_matrix, parts);  // a node has the one or the others
+  const glm::dquat q(xyzw.w, xyzw.x, xyzw.y, xyzw.z);
+  // A node has the one or the others.
+  return compose(*from_matrix, {rotation_from_quaternion(q), scale.x, translation});
 }
 
 class SceneWalk {

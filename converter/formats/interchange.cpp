@@ -14,6 +14,7 @@
 #include "gltf_splats.hpp"
 #include "ksplat.hpp"
 #include "rgs/encode.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_edit.hpp"
 #include "sog.hpp"
@@ -158,44 +159,50 @@ bool is_writable(SplatFormat format) {
 }
 
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options) {
-  if (bytes.size() > options.limits.max_file_bytes) {
-    return make_error(Errc::limit_exceeded, 0, "the file is larger than the caller allows",
-                      options.limits.max_file_bytes, bytes.size());
-  }
-  const SplatFormat format = options.format != SplatFormat::unknown ? options.format : detect_format(bytes);
-  if (format == SplatFormat::sog && detail::is_sog_meta(bytes)) {
-    return make_error(Errc::unsupported_feature, 0,
-                      "a SOG's meta.json without its images: name the file, or zip the folder");
-  }
-  return finish(decode_format(bytes, format, options.limits), format, bytes.size(), options);
+  return detail::guard_memory([&]() -> Result<SplatFile> {
+    if (bytes.size() > options.limits.max_file_bytes) {
+      return make_error(Errc::limit_exceeded, 0, "the file is larger than the caller allows",
+                        options.limits.max_file_bytes, bytes.size());
+    }
+    const SplatFormat format = options.format != SplatFormat::unknown ? options.format : detect_format(bytes);
+    if (format == SplatFormat::sog && detail::is_sog_meta(bytes)) {
+      return make_error(Errc::unsupported_feature, 0,
+                        "a SOG's meta.json without its images: name the file, or zip the folder");
+    }
+    return finish(decode_format(bytes, format, options.limits), format, bytes.size(), options);
+  });
 }
 
 Result<SplatFile> read_splats(const std::string& path, const ReadOptions& options) {
-  const auto file = MappedFile::open(path);
-  if (!file) return tl::unexpected(file.error());
-  if (!detail::is_sog_meta(file->bytes())) {
-    return read_splats(file->bytes(), options);
-  }
-  const std::string folder = std::filesystem::path(path).parent_path().string();
-  return finish(detail::decode_sog_folder(file->bytes(), folder.empty() ? "." : folder, options.limits),
-                SplatFormat::sog, 0, options);
+  return detail::guard_memory([&]() -> Result<SplatFile> {
+    const auto file = MappedFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    if (!detail::is_sog_meta(file->bytes())) {
+      return read_splats(file->bytes(), options);
+    }
+    const std::string folder = std::filesystem::path(path).parent_path().string();
+    return finish(detail::decode_sog_folder(file->bytes(), folder.empty() ? "." : folder, options.limits),
+                  SplatFormat::sog, 0, options);
+  });
 }
 
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
-  if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format is not written");
-  if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the sizes of the view disagree");
-  if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
-    return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
-                      std::numeric_limits<std::uint32_t>::max(), splats.n);
-  }
-  if (format == SplatFormat::ply) return encode_ply(splats);
-  if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
-  switch (format) {
-    case SplatFormat::compressed_ply: return detail::encode_compressed_ply(splats, options.keep_order);
-    case SplatFormat::spz: return detail::encode_spz(splats, options.aa_mode);
-    case SplatFormat::glb: return detail::encode_glb(splats, options.colour_space);
-    default: return detail::encode_splat_records(splats);
-  }
+  return detail::guard_memory([&]() -> Result<std::vector<std::byte>> {
+    if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format is not written");
+    if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the sizes of the view disagree");
+    if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
+      return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
+                        std::numeric_limits<std::uint32_t>::max(), splats.n);
+    }
+    if (format == SplatFormat::ply) return encode_ply(splats);
+    if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
+    switch (format) {
+      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(splats, options.keep_order);
+      case SplatFormat::spz: return detail::encode_spz(splats, options.aa_mode);
+      case SplatFormat::glb: return detail::encode_glb(splats, options.colour_space);
+      default: return detail::encode_splat_records(splats);
+    }
+  });
 }
 
 }  // namespace rgs

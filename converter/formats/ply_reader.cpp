@@ -21,6 +21,7 @@
 #include <vector>
 
 #include "ply_header.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/spool_file.hpp"
 
@@ -425,43 +426,48 @@ Result<PlyFile> PlyFile::open(const std::string& path) {
 }
 
 Result<PlyFile> PlyFile::open(int fd) {
-  auto impl = std::make_unique<Impl>();
-  struct stat info {};
-  if (::fstat(fd, &info) != 0) {
-    return make_error(Errc::open_failed, Error::kNone, "cannot read the file's size", Error::kNone, Error::kNone,
-                      errno);
-  }
-  const bool at_start = ::lseek(fd, 0, SEEK_CUR) == 0;
-  if (S_ISDIR(info.st_mode) || (S_ISREG(info.st_mode) && at_start)) {
-    auto mapped = MappedFile::map(fd);
-    if (!mapped) return tl::unexpected(mapped.error());
-    impl->file = std::move(*mapped);
-    impl->source = impl->file.bytes();
-  } else {
-    std::vector<std::byte> chunk(std::size_t{1} << 18);
-    while (true) {
-      const ssize_t got = ::read(fd, chunk.data(), chunk.size());
-      if (got < 0 && errno == EINTR) continue;
-      if (got < 0) {
-        return make_error(Errc::read_failed, Error::kNone, "cannot read the input", Error::kNone, Error::kNone, errno);
-      }
-      if (got == 0) break;
-      if (auto ok = impl->pipe.append(std::span(chunk).first(static_cast<std::size_t>(got))); !ok) {
-        return tl::unexpected(ok.error());
-      }
+  return detail::guard_memory([&]() -> Result<PlyFile> {
+    auto impl = std::make_unique<Impl>();
+    struct stat info {};
+    if (::fstat(fd, &info) != 0) {
+      return make_error(Errc::open_failed, Error::kNone, "cannot read the file's size", Error::kNone, Error::kNone,
+                        errno);
     }
-    if (auto ok = impl->pipe.finish(); !ok) return tl::unexpected(ok.error());
-    impl->source = impl->pipe.bytes();
-  }
-  if (auto ok = impl->parse(); !ok) return tl::unexpected(ok.error());
-  return PlyFile(std::move(impl));
+    const bool at_start = ::lseek(fd, 0, SEEK_CUR) == 0;
+    if (S_ISDIR(info.st_mode) || (S_ISREG(info.st_mode) && at_start)) {
+      auto mapped = MappedFile::map(fd);
+      if (!mapped) return tl::unexpected(mapped.error());
+      impl->file = std::move(*mapped);
+      impl->source = impl->file.bytes();
+    } else {
+      std::vector<std::byte> chunk(std::size_t{1} << 18);
+      while (true) {
+        const ssize_t got = ::read(fd, chunk.data(), chunk.size());
+        if (got < 0 && errno == EINTR) continue;
+        if (got < 0) {
+          return make_error(Errc::read_failed, Error::kNone, "cannot read the input", Error::kNone, Error::kNone,
+                            errno);
+        }
+        if (got == 0) break;
+        if (auto ok = impl->pipe.append(std::span(chunk).first(static_cast<std::size_t>(got))); !ok) {
+          return tl::unexpected(ok.error());
+        }
+      }
+      if (auto ok = impl->pipe.finish(); !ok) return tl::unexpected(ok.error());
+      impl->source = impl->pipe.bytes();
+    }
+    if (auto ok = impl->parse(); !ok) return tl::unexpected(ok.error());
+    return PlyFile(std::move(impl));
+  });
 }
 
 Result<PlyFile> PlyFile::open(std::span<const std::byte> bytes) {
-  auto impl = std::make_unique<Impl>();
-  impl->source = bytes;
-  if (auto ok = impl->parse(); !ok) return tl::unexpected(ok.error());
-  return PlyFile(std::move(impl));
+  return detail::guard_memory([&]() -> Result<PlyFile> {
+    auto impl = std::make_unique<Impl>();
+    impl->source = bytes;
+    if (auto ok = impl->parse(); !ok) return tl::unexpected(ok.error());
+    return PlyFile(std::move(impl));
+  });
 }
 
 PlyFile::PlyFile(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -531,17 +537,19 @@ void PlyFile::advise(MappedFile::Access access, std::uint64_t first, std::uint64
 }
 
 Result<SplatCloud> read_ply(const std::string& path) {
-  const auto ply = PlyFile::open(path);
-  if (!ply) return tl::unexpected(ply.error());
-  SplatCloud cloud;
-  cloud.resize(ply->size(), ply->sh_degree());
-  std::vector<Splat> batch(static_cast<std::size_t>(std::min<std::uint64_t>(ply->size(), 1024)));
-  for (std::uint64_t first = 0; first < ply->size(); first += batch.size()) {
-    const auto part = std::span(batch).first(std::min<std::uint64_t>(batch.size(), ply->size() - first));
-    ply->read(first, part);
-    for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
-  }
-  return cloud;
+  return detail::guard_memory([&]() -> Result<SplatCloud> {
+    const auto ply = PlyFile::open(path);
+    if (!ply) return tl::unexpected(ply.error());
+    SplatCloud cloud;
+    cloud.resize(ply->size(), ply->sh_degree());
+    std::vector<Splat> batch(static_cast<std::size_t>(std::min<std::uint64_t>(ply->size(), 1024)));
+    for (std::uint64_t first = 0; first < ply->size(); first += batch.size()) {
+      const auto part = std::span(batch).first(std::min<std::uint64_t>(batch.size(), ply->size() - first));
+      ply->read(first, part);
+      for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
+    }
+    return cloud;
+  });
 }
 
 }  // namespace rgs

@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "rgs/guard_memory.hpp"
 #include "rgs/ply.hpp"
 
 namespace rgs {
@@ -72,42 +73,46 @@ void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std
 
 Result<PlyWriter> PlyWriter::create(const std::string& path, std::uint64_t n, int sh_degree,
                                     const AtomicFile::Options& options) {
-  if (sh_degree < 0 || sh_degree > kMaxShDegree) {
-    return make_error(Errc::bad_argument, Error::kNone, "the SH degree is not 0 to 3");
-  }
-  const std::string header = ply_header(n, sh_degree);
-  constexpr auto kMaxFile = static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max());
-  if (n > (kMaxFile - header.size()) / ply_row_bytes(sh_degree)) {
-    return make_error(Errc::bad_argument, Error::kNone, "too many Gaussians for one file", Error::kNone, n);
-  }
-  auto file = AtomicFile::create(path, options);
-  if (!file) return tl::unexpected(file.error());
-  PlyWriter writer;
-  writer.file_ = std::move(*file);
-  writer.n_ = n;
-  writer.header_bytes_ = header.size();
-  writer.sh_degree_ = sh_degree;
-  if (auto ok = writer.file_.reserve(header.size() + n * ply_row_bytes(sh_degree)); !ok) {
-    return tl::unexpected(ok.error());
-  }
-  if (auto ok = writer.file_.write_at(0, std::as_bytes(std::span(header))); !ok) return tl::unexpected(ok.error());
-  return writer;
+  return detail::guard_memory([&]() -> Result<PlyWriter> {
+    if (sh_degree < 0 || sh_degree > kMaxShDegree) {
+      return make_error(Errc::bad_argument, Error::kNone, "the SH degree is not 0 to 3");
+    }
+    const std::string header = ply_header(n, sh_degree);
+    constexpr auto kMaxFile = static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max());
+    if (n > (kMaxFile - header.size()) / ply_row_bytes(sh_degree)) {
+      return make_error(Errc::bad_argument, Error::kNone, "too many Gaussians for one file", Error::kNone, n);
+    }
+    auto file = AtomicFile::create(path, options);
+    if (!file) return tl::unexpected(file.error());
+    PlyWriter writer;
+    writer.file_ = std::move(*file);
+    writer.n_ = n;
+    writer.header_bytes_ = header.size();
+    writer.sh_degree_ = sh_degree;
+    if (auto ok = writer.file_.reserve(header.size() + n * ply_row_bytes(sh_degree)); !ok) {
+      return tl::unexpected(ok.error());
+    }
+    if (auto ok = writer.file_.write_at(0, std::as_bytes(std::span(header))); !ok) return tl::unexpected(ok.error());
+    return writer;
+  });
 }
 
 Status PlyWriter::write(std::uint64_t first, std::span<const Splat> splats) {
-  assert(first <= n_ && splats.size() <= n_ - first);
-  constexpr std::size_t kBatch = 1024;  // 248 KiB at degree 3: encoded and copied to the kernel within L2
-  const std::uint64_t row = ply_row_bytes(sh_degree_);
-  std::vector<std::byte> buffer(std::min(splats.size(), kBatch) * row);
-  while (!splats.empty()) {
-    const auto part = splats.first(std::min(splats.size(), kBatch));
-    const auto bytes = std::span(buffer).first(part.size() * row);
-    encode_ply_rows(part, sh_degree_, bytes);
-    if (auto ok = file_.write_at(header_bytes_ + first * row, bytes); !ok) return ok;
-    splats = splats.subspan(part.size());
-    first += part.size();
-  }
-  return {};
+  return detail::guard_memory([&]() -> Status {
+    assert(first <= n_ && splats.size() <= n_ - first);
+    constexpr std::size_t kBatch = 1024;  // 248 KiB at degree 3: encoded and copied to the kernel within L2
+    const std::uint64_t row = ply_row_bytes(sh_degree_);
+    std::vector<std::byte> buffer(std::min(splats.size(), kBatch) * row);
+    while (!splats.empty()) {
+      const auto part = splats.first(std::min(splats.size(), kBatch));
+      const auto bytes = std::span(buffer).first(part.size() * row);
+      encode_ply_rows(part, sh_degree_, bytes);
+      if (auto ok = file_.write_at(header_bytes_ + first * row, bytes); !ok) return ok;
+      splats = splats.subspan(part.size());
+      first += part.size();
+    }
+    return {};
+  });
 }
 
 Result<double> PlyWriter::commit() {

@@ -16,13 +16,6 @@
 namespace rgs::detail {
 namespace {
 
-using Direction = math::Vec3<double>;
-
-Direction rotate_back(const Matrix3& r, const Direction& d) {
-  return {r[0] * d.x + r[3] * d.y + r[6] * d.z, r[1] * d.x + r[4] * d.y + r[7] * d.z,
-          r[2] * d.x + r[5] * d.y + r[8] * d.z};
-}
-
 // Entries of axis flips and permutations are exact: what rounding leaves of them must not pollute zeros.
 double snap(double entry) {
   const double nearest = std::round(entry);
@@ -49,7 +42,7 @@ void apply_block(const double (&block)[n][n], float* sh) {
 
 }  // namespace
 
-ShRotation::ShRotation(const Matrix3& rotation) {
+ShRotation::ShRotation(const glm::dmat3& rotation) {
   constexpr int kSteps = 8;
   constexpr double kNodes[4] = {-0.8611363115940526, -0.3399810435848563, 0.3399810435848563, 0.8611363115940526};
   constexpr double kWeights[4] = {0.3478548451374538, 0.6521451548625461, 0.6521451548625461, 0.3478548451374538};
@@ -57,9 +50,10 @@ ShRotation::ShRotation(const Matrix3& rotation) {
   for (int i = 0; i < 4; ++i) {
     for (int step = 0; step < kSteps; ++step) {
       const double angle = 2 * std::numbers::pi * step / kSteps, radius = std::sqrt(1 - kNodes[i] * kNodes[i]);
-      const Direction d{radius * std::cos(angle), radius * std::sin(angle), kNodes[i]};
-      const auto here = math::sh_basis(kMaxShDegree, d);
-      const auto there = math::sh_basis(kMaxShDegree, rotate_back(rotation, d));
+      const glm::dvec3 d{radius * std::cos(angle), radius * std::sin(angle), kNodes[i]};
+      const glm::dvec3 back = d * rotation;  // by the transposed matrix, which is the inverse
+      const auto here = math::sh_basis(kMaxShDegree, math::Vec3<double>{d.x, d.y, d.z});
+      const auto there = math::sh_basis(kMaxShDegree, math::Vec3<double>{back.x, back.y, back.z});
       const double weight = kWeights[i] * 2 * std::numbers::pi / kSteps;
       for (int j = 0; j < 16; ++j) {
         for (int k = 0; k < 16; ++k) all[j][k] += weight * here.y[j] * there.y[k];

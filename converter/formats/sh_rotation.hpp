@@ -2,18 +2,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
+#include <glm/mat3x3.hpp>
 
 namespace rgs::detail {
-
-/// Row-major 3x3.
-using Matrix3 = std::array<double, 9>;
 
 /// Turns SH coefficients of degree 0..3 with the scene: colour(R d) after = colour(d) before.
 class ShRotation {
  public:
   /// `rotation`: orthogonal, of either handedness.
-  explicit ShRotation(const Matrix3& rotation);
+  explicit ShRotation(const glm::dmat3& rotation);
   /// sh: [sh_coefficients(degree), 3], coefficient-major, in place.
   void apply(float* sh, int degree) const;
 

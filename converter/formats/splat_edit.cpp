@@ -3,67 +3,48 @@
 #include "rgs/splat_edit.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
+#include <glm/gtc/type_ptr.hpp>
+#include <glm/matrix.hpp>
 #include <numbers>
 #include <numeric>
 #include <utility>
 #include <vector>
 
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 #include "sh_rotation.hpp"
 
 namespace rgs {
 
-using detail::Matrix3;
-
 namespace {
 
-constexpr Matrix3 kIdentity{1, 0, 0, 0, 1, 0, 0, 0, 1};
-
-Matrix3 multiply(const Matrix3& a, const Matrix3& b) {
-  Matrix3 product{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    for (std::size_t j = 0; j < 3; ++j) {
-      for (std::size_t k = 0; k < 3; ++k) product[3 * i + j] += a[3 * i + k] * b[3 * k + j];
-    }
-  }
-  return product;
-}
-
-std::array<double, 3> apply(const Matrix3& m, const std::array<double, 3>& v) {
-  return {m[0] * v[0] + m[1] * v[1] + m[2] * v[2], m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
-          m[6] * v[0] + m[7] * v[1] + m[8] * v[2]};
-}
-
-// Quaternion w, x, y, z of a rotation matrix; the branch with the largest square keeps the division well-conditioned
-// (Shepperd 1978).
-std::array<double, 4> quaternion_of(const Matrix3& m) {
-  const double squares[4] = {1 + m[0] + m[4] + m[8], 1 + m[0] - m[4] - m[8], 1 - m[0] + m[4] - m[8],
-                             1 - m[0] - m[4] + m[8]};
-  const auto largest = static_cast<std::size_t>(std::max_element(squares, squares + 4) - squares);
-  const double x = m[7] - m[5], y = m[2] - m[6], z = m[3] - m[1];
-  const double xy = m[1] + m[3], xz = m[2] + m[6], yz = m[5] + m[7];
-  const std::array<double, 4> rows[4] = {
+// Quaternion of a rotation matrix; the branch with the largest square keeps the division well-conditioned (Shepperd
+// 1978). Written out, as are the products below: GLM's add in other orders, and files keep their bytes.
+glm::dquat quaternion_of(const glm::dmat3& m) {
+  const double xx = m[0][0], yy = m[1][1], zz = m[2][2];
+  const double squares[4] = {1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz};
+  const auto largest = std::max_element(squares, squares + 4) - squares;
+  const double x = m[1][2] - m[2][1], y = m[2][0] - m[0][2], z = m[0][1] - m[1][0];
+  const double xy = m[1][0] + m[0][1], xz = m[2][0] + m[0][2], yz = m[2][1] + m[1][2];
+  const glm::dquat rows[4] = {
       {squares[0], x, y, z}, {x, squares[1], xy, xz}, {y, xy, squares[2], yz}, {z, xz, yz, squares[3]}};
-  std::array<double, 4> q = rows[largest];
-  const double factor = 0.5 / std::sqrt(squares[largest]);
-  for (double& component : q) component *= factor;
-  return q;
+  return rows[largest] * (0.5 / std::sqrt(squares[largest]));
 }
 
-// q <- turn * q.
-void turn_quaternion(const std::array<double, 4>& turn, float* q) {
-  const double a = turn[0], b = turn[1], c = turn[2], d = turn[3];
-  const double w = static_cast<double>(q[0]), x = static_cast<double>(q[1]), y = static_cast<double>(q[2]),
-               z = static_cast<double>(q[3]);
+// q <- turn * q; q: w, x, y, z.
+void turn_quaternion(const glm::dquat& turn, float* q) {
+  const double a = turn.w, b = turn.x, c = turn.y, d = turn.z;
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
   q[0] = static_cast<float>(a * w - b * x - c * y - d * z);
   q[1] = static_cast<float>(a * x + b * w + c * z - d * y);
   q[2] = static_cast<float>(a * y - b * z + c * w + d * x);
   q[3] = static_cast<float>(a * z + b * y - c * x + d * w);
 }
 
-void turn_harmonics(SplatCloud& cloud, const Matrix3& rotation) {
+void turn_harmonics(SplatCloud& cloud, const glm::dmat3& rotation) {
   if (cloud.sh_degree == 0) return;
   const detail::ShRotation turn(rotation);
   const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree));
@@ -71,7 +52,7 @@ void turn_harmonics(SplatCloud& cloud, const Matrix3& rotation) {
 }
 
 // Unit vector of a direction, in a basis of right, up and forward.
-std::array<double, 3> direction(Axis axis) {
+glm::dvec3 direction(Axis axis) {
   switch (axis) {
     case Axis::undeclared: break;
     case Axis::right: return {1, 0, 0};
@@ -84,20 +65,9 @@ std::array<double, 3> direction(Axis axis) {
   return {0, 0, 0};
 }
 
-// Coordinates in `to` of a point given in `from`: a signed permutation.
-Matrix3 change_of_axes(const Axes& from, const Axes& to) {
-  Matrix3 m{};
-  for (std::size_t i = 0; i < 3; ++i) {
-    for (std::size_t j = 0; j < 3; ++j) {
-      const auto a = direction(to[i]), b = direction(from[j]);
-      m[3 * i + j] = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-    }
-  }
-  return m;
-}
-
-double determinant(const Matrix3& m) {
-  return m[0] * (m[4] * m[8] - m[5] * m[7]) - m[1] * (m[3] * m[8] - m[5] * m[6]) + m[2] * (m[3] * m[7] - m[4] * m[6]);
+// Its columns are the directions of the axes.
+glm::dmat3 frame(const Axes& axes) {
+  return {direction(axes[0]), direction(axes[1]), direction(axes[2])};
 }
 
 bool is_declared(const Axes& axes) {
@@ -122,50 +92,43 @@ double weight(const SplatCloud& cloud, std::uint64_t i) {
 
 }  // namespace
 
-std::array<double, 9> rotation_from_euler(const std::array<double, 3>& degrees) {
-  Matrix3 product = kIdentity;
-  for (std::size_t axis = 0; axis < 3; ++axis) {
+glm::dmat3 rotation_from_euler(const glm::dvec3& degrees) {
+  glm::dmat3 product(1.0);
+  for (int axis = 0; axis < 3; ++axis) {
     const double angle = degrees[axis] * std::numbers::pi / 180;
-    const std::size_t u = (axis + 1) % 3, v = (axis + 2) % 3;
-    Matrix3 turn = kIdentity;
-    turn[4 * u] = turn[4 * v] = std::cos(angle);
-    turn[3 * v + u] = std::sin(angle);
-    turn[3 * u + v] = -std::sin(angle);
-    product = multiply(turn, product);
+    const int u = (axis + 1) % 3, v = (axis + 2) % 3;
+    glm::dmat3 turn(1.0);
+    turn[u][u] = turn[v][v] = std::cos(angle);
+    turn[u][v] = std::sin(angle);
+    turn[v][u] = -std::sin(angle);
+    product = turn * product;
   }
   return product;
 }
 
-std::array<double, 9> rotation_from_quaternion(const std::array<double, 4>& q) {
-  const double w = q[0], x = q[1], y = q[2], z = q[3], s = 2 / (w * w + x * x + y * y + z * z);
-  return {1 - s * (y * y + z * z), s * (x * y - w * z),     s * (x * z + w * y),
-          s * (x * y + w * z),     1 - s * (x * x + z * z), s * (y * z - w * x),
-          s * (x * z - w * y),     s * (y * z + w * x),     1 - s * (x * x + y * y)};
+glm::dmat3 rotation_from_quaternion(const glm::dquat& q) {
+  const double w = q.w, x = q.x, y = q.y, z = q.z, s = 2 / (w * w + x * x + y * y + z * z);
+  return {1 - s * (y * y + z * z), s * (x * y + w * z),     s * (x * z - w * y),  //
+          s * (x * y - w * z),     1 - s * (x * x + z * z), s * (y * z + w * x),  //
+          s * (x * z + w * y),     s * (y * z - w * x),     1 - s * (x * x + y * y)};
 }
 
 Similarity compose(const Similarity& outer, const Similarity& inner) {
-  Similarity both;
-  both.rotation = multiply(outer.rotation, inner.rotation);
-  both.scale = outer.scale * inner.scale;
-  both.translation = apply(outer.rotation, inner.translation);
-  for (std::size_t k = 0; k < 3; ++k) {
-    both.translation[k] = both.translation[k] * outer.scale + outer.translation[k];
-  }
-  return both;
+  // + 0.0: no negative zeros, which would reach the means.
+  return {outer.rotation * inner.rotation + 0.0, outer.scale * inner.scale,
+          outer.rotation * inner.translation * outer.scale + outer.translation};
 }
 
 void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
-  const bool turns = similarity.rotation != kIdentity;
-  const std::array<double, 4> turn = quaternion_of(similarity.rotation);
+  const bool turns = similarity.rotation != glm::dmat3(1.0);
+  const glm::dquat turn = quaternion_of(similarity.rotation);
   const auto log_factor = static_cast<float>(std::log(similarity.scale));
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
     float* mean = &cloud.mean[3 * i];
-    const auto turned = apply(similarity.rotation, {static_cast<double>(mean[0]), static_cast<double>(mean[1]),
-                                                    static_cast<double>(mean[2])});
-    for (std::size_t k = 0; k < 3; ++k) {
-      mean[k] = static_cast<float>(turned[k] * similarity.scale + similarity.translation[k]);
-      cloud.log_scale[3 * i + k] += log_factor;
-    }
+    const glm::vec3 moved =
+        similarity.rotation * glm::dvec3(glm::make_vec3(mean)) * similarity.scale + similarity.translation;
+    for (int k = 0; k < 3; ++k) mean[k] = moved[k];
+    for (int k = 0; k < 3; ++k) cloud.log_scale[3 * i + static_cast<std::size_t>(k)] += log_factor;
     if (turns) turn_quaternion(turn, &cloud.rotation[4 * i]);
   }
   if (turns) turn_harmonics(cloud, similarity.rotation);
@@ -173,18 +136,18 @@ void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
 
 void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to) {
   if (from == to || !is_declared(from) || !is_declared(to)) return;
-  const Matrix3 change = change_of_axes(from, to);
-  const double handedness = determinant(change);
-  std::array<std::size_t, 3> source{};  // of each new axis
+  const glm::dmat3 change = glm::transpose(frame(to)) * frame(from);  // a signed permutation
+  std::array<std::size_t, 3> source{};                                // of each new axis
   std::array<float, 3> sign{};
   for (std::size_t i = 0; i < 3; ++i) {
     for (std::size_t j = 0; j < 3; ++j) {
-      if (change[3 * i + j] == 0) continue;
+      const double entry = change[static_cast<int>(j)][static_cast<int>(i)];
+      if (entry == 0) continue;
       source[i] = j;
-      sign[i] = static_cast<float>(change[3 * i + j]);
+      sign[i] = static_cast<float>(entry);
     }
   }
-  const auto hand = static_cast<float>(handedness);
+  const auto hand = static_cast<float>(glm::determinant(change));
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
     const Splat old = cloud.view().splat(i);
     // C R C^T turns the rotation; the local axes are exchanged alike, and their scales with them. Its quaternion's
@@ -267,21 +230,23 @@ void filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
 }
 
 Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) {
-  SceneScan scan(cloud.sh_degree, options);
-  std::vector<std::uint64_t> kept;
-  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
-    Splat s = cloud.view().splat(i);
-    const std::uint64_t sound = scan.n_kept() - scan.n_repaired();
-    const bool keeps = scan.add(s);
-    if (options.on_bad == BadPolicy::refuse && !keeps)
-      return make_error(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
-    if (!keeps) continue;
-    if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
-    kept.push_back(i);
-  }
-  if (const auto plan = make_plan(scan, options); !plan) return tl::unexpected(plan.error());
-  keep_splats(cloud, kept);
-  return scan;
+  return detail::guard_memory([&]() -> Result<SceneScan> {
+    SceneScan scan(std::min(cloud.sh_degree, options.sh_degree), options.on_bad);
+    std::vector<std::uint64_t> kept;
+    for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+      Splat s = cloud.view().splat(i);
+      const std::uint64_t sound = scan.n_kept() - scan.n_repaired();
+      const bool keeps = scan.add(s);
+      if (options.on_bad == BadPolicy::refuse && !keeps)
+        return make_error(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
+      if (!keeps) continue;
+      if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
+      kept.push_back(i);
+    }
+    if (const Status s = check_encodable(scan, options); !s) return tl::unexpected(s.error());
+    keep_splats(cloud, kept);
+    return scan;
+  });
 }
 
 }  // namespace rgs

@@ -280,7 +280,7 @@ std::uint32_t encode_rotation(const float (&rotation)[4]) {
 
 // Gaussians as a Morton curve meets them.
 std::vector<std::uint32_t> spatial_order(const SplatView& splats) {
-  SceneScan scan(splats.sh_degree, {});
+  SceneScan scan(splats.sh_degree);
   for (std::uint64_t i = 0; i < splats.n; ++i) {
     Splat splat = splats.splat(i);
     scan.add(splat);

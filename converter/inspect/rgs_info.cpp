@@ -10,6 +10,7 @@
 #include "info_report.hpp"
 #include "info_text.hpp"
 #include "rgs/file.hpp"
+#include "rgs/version.hpp"
 
 namespace {
 

@@ -24,6 +24,7 @@
 #include "rgs/renderer.hpp"
 #include "rgs/splat_edit.hpp"
 #include "scene_file.hpp"
+#include "rgs/version.hpp"
 
 namespace {
 

@@ -9,16 +9,6 @@
 namespace rgs {
 namespace {
 
-// Where up is in the scene, by the axis that points up or down; a scene without one is taken for a 3DGS world.
-Vec3 declared_up(const Declarations& declarations) {
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    Vec3 up{0, 0, 0};
-    up[axis] = declarations.axes[axis] == Axis::up ? 1 : -1;
-    if (declarations.axes[axis] == Axis::up || declarations.axes[axis] == Axis::down) return up;
-  }
-  return kWorldUp;
-}
-
 Result<SceneFile> load_rgs(MappedFile file) {
   SceneFile out;
   out.format = SplatFormat::rgs;
@@ -27,10 +17,7 @@ Result<SceneFile> load_rgs(MappedFile file) {
   if (!scene) return tl::unexpected(scene.error());
   const Declarations& declarations = *scene->declarations();
   out.up = declared_up(declarations);
-  for (std::size_t axis = 0; axis < 3; ++axis) {
-    out.bounds.low[axis] = declarations.robust.min[axis];
-    out.bounds.high[axis] = declarations.robust.max[axis];
-  }
+  out.bounds = declared_bounds(declarations);
   out.scene = std::move(*scene);
   return out;
 }

@@ -17,7 +17,7 @@ struct SceneFile {
   Scene scene;
   std::uint64_t file_bytes = 0;  ///< of a SOG folder, of all its files
   SceneBounds bounds;            ///< robust extent: what an .rgs states, or robust_bounds()
-  Vec3 up = kWorldUp;            ///< what an .rgs states, or that of 3DGS worlds
+  glm::dvec3 up = kWorldUp;      ///< what an .rgs states, or that of 3DGS worlds
 };
 
 /// What a file of another format than .rgs says of itself, for Scene::load(); all else as in the original 3DGS code.

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "parallel.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -117,45 +118,49 @@ class RowMoments {
 }  // namespace
 
 Result<ImageDifference> difference(const Image& a, const Image& b) {
-  if (const Status ok = check(a, b); !ok) return tl::unexpected(ok.error());
-  const std::size_t length = row_length(a);
-  std::vector<ImageDifference> rows(static_cast<std::size_t>(a.height));  // mse holds a row's sum
-  detail::parallel_ranges(rows.size(), kRows, [&](std::uint64_t begin, std::uint64_t end) {
-    for (std::size_t y = begin; y < end; ++y) {
-      for (std::size_t i = y * length; i < (y + 1) * length; ++i) {
-        const double d = static_cast<double>(a.pixels[i]) - static_cast<double>(b.pixels[i]);
-        rows[y].mse += d * d;
-        const float magnitude = std::abs(a.pixels[i] - b.pixels[i]);
-        if (magnitude > rows[y].largest) rows[y].largest = magnitude, rows[y].largest_index = i;
+  return detail::guard_memory([&]() -> Result<ImageDifference> {
+    if (const Status ok = check(a, b); !ok) return tl::unexpected(ok.error());
+    const std::size_t length = row_length(a);
+    std::vector<ImageDifference> rows(static_cast<std::size_t>(a.height));  // mse holds a row's sum
+    detail::parallel_ranges(rows.size(), kRows, [&](std::uint64_t begin, std::uint64_t end) {
+      for (std::size_t y = begin; y < end; ++y) {
+        for (std::size_t i = y * length; i < (y + 1) * length; ++i) {
+          const double d = static_cast<double>(a.pixels[i]) - static_cast<double>(b.pixels[i]);
+          rows[y].mse += d * d;
+          const float magnitude = std::abs(a.pixels[i] - b.pixels[i]);
+          if (magnitude > rows[y].largest) rows[y].largest = magnitude, rows[y].largest_index = i;
+        }
       }
+    });
+    ImageDifference out;
+    double sum = 0;
+    for (const ImageDifference& row : rows) {
+      sum += row.mse;
+      if (row.largest > out.largest) out.largest = row.largest, out.largest_index = row.largest_index;
     }
+    if (!std::isfinite(sum)) return not_finite(a, b);
+    out.mse = sum / static_cast<double>(a.pixels.size());
+    out.psnr = out.mse > 0 ? -10 * std::log10(out.mse) : std::numeric_limits<double>::infinity();
+    return out;
   });
-  ImageDifference out;
-  double sum = 0;
-  for (const ImageDifference& row : rows) {
-    sum += row.mse;
-    if (row.largest > out.largest) out.largest = row.largest, out.largest_index = row.largest_index;
-  }
-  if (!std::isfinite(sum)) return not_finite(a, b);
-  out.mse = sum / static_cast<double>(a.pixels.size());
-  out.psnr = out.mse > 0 ? -10 * std::log10(out.mse) : std::numeric_limits<double>::infinity();
-  return out;
 }
 
 Result<double> ssim(const Image& a, const Image& b) {
-  if (const Status ok = check(a, b); !ok) return tl::unexpected(ok.error());
-  const auto half = window();
-  std::vector<double> rows(static_cast<std::size_t>(a.height));
-  detail::parallel_ranges(rows.size(), kRows, [&](std::uint64_t begin, std::uint64_t end) {
-    RowMoments moments(a);
-    for (std::uint64_t y = begin; y < end; ++y) {
-      moments.compute(a, b, y, half);
-      rows[y] = moments.sum_of_ssim();
-    }
+  return detail::guard_memory([&]() -> Result<double> {
+    if (const Status ok = check(a, b); !ok) return tl::unexpected(ok.error());
+    const auto half = window();
+    std::vector<double> rows(static_cast<std::size_t>(a.height));
+    detail::parallel_ranges(rows.size(), kRows, [&](std::uint64_t begin, std::uint64_t end) {
+      RowMoments moments(a);
+      for (std::uint64_t y = begin; y < end; ++y) {
+        moments.compute(a, b, y, half);
+        rows[y] = moments.sum_of_ssim();
+      }
+    });
+    const double mean = std::accumulate(rows.begin(), rows.end(), 0.0) / static_cast<double>(a.pixels.size());
+    if (!std::isfinite(mean)) return not_finite(a, b);
+    return mean;
   });
-  const double mean = std::accumulate(rows.begin(), rows.end(), 0.0) / static_cast<double>(a.pixels.size());
-  if (!std::isfinite(mean)) return not_finite(a, b);
-  return mean;
 }
 
 }  // namespace rgs

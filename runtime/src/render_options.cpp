@@ -117,7 +117,7 @@ Status validate(const RenderTarget& t, const Camera& camera) {
 
 math::View<float> make_view(const Camera& camera, const FrameSettings& settings) {
   double matrix[16];
-  std::copy(camera.world_to_camera.begin(), camera.world_to_camera.end(), matrix);
+  std::ranges::copy(row_major(camera.world_to_camera), matrix);
   return math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
                                 settings.near_plane, settings.far_plane);
 }

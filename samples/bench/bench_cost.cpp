@@ -108,17 +108,17 @@ constexpr PairOps folded_ops(math::Exp exp, int pixels) {
 // and the colour where it is blended.
 constexpr double kSharedBytes = 6 * kWord, kSharedColorBytes = 3 * kWord;
 
-// Turbo blends a cell of 16x8 pixels without a branch: what is evaluated takes all operations.
-constexpr double kTurboCellPixels = math::kCellWidth * math::kCellHeight;
+// Turbo blends a cell without a branch: what is evaluated takes all operations.
+constexpr double kTurboCellPixels = cuda::kTurboCellWidth * cuda::kTurboCellHeight;
 
-// In FP32: a thread's column of four pixels has 3 FMA in x, then a pixel 2 FMA; ex2; test and select; weight, difference,
+// In FP32: a thread's column of pixels has 3 FMA in x, then a pixel 2 FMA; ex2; test and select; weight, difference,
 // three FMA. The clamp is for rare Gaussians and not counted.
-constexpr double kTurboColumn = 4;
+constexpr double kTurboColumn = kTurboCellPixels / 32;
 constexpr Ops kTurboOps{2 * (3 / kTurboColumn + 2) + 1 + 1 + 6, 3 / kTurboColumn + 2 + 1 + 2 + 1 + 1 + 3, 1};
 constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP16
 
 // By matrix products, whose exponents and colours are not counted: they have units of their own, which are busy for a
-// shorter time than those of the exponentials (docs/KERNELS.md, "Roofline"). A lane has 16 (pixel, Gaussian) pairs of a row
+// shorter time than those of the exponentials (docs/MEASUREMENTS.md, "Roofline"). A lane has 16 (pixel, Gaussian) pairs of a row
 // and 32 Gaussians, two in an instruction: eight times the test's FMA, opacity, weight and what it lets through, but the
 // first of a chain has its weight already; eight products with the chain's transmittance; seven products and two
 // selections over the chains. ex2.approx.f16x2 takes the special function units twice, once a pair.

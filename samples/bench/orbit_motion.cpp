@@ -40,12 +40,11 @@ std::vector<Camera> turntable(const Camera& camera, double distance, double degr
     const double angle = degrees * (frame - 0.5 * (frames - 1)) * std::numbers::pi / 180;
     const double s = std::sin(angle), c = std::cos(angle);
     Camera turned = camera;
-    const auto& from = camera.world_to_camera;
-    auto& to = turned.world_to_camera;
-    for (std::size_t k = 0; k < 4; ++k) {
-      const double x = from[k], z = from[8 + k] - (k == 3 ? distance : 0);
-      to[k] = c * x + s * z;
-      to[8 + k] = c * z - s * x + (k == 3 ? distance : 0);
+    for (int column = 0; column < 4; ++column) {
+      glm::dvec4& v = turned.world_to_camera[column];
+      const double ahead = column == 3 ? distance : 0, x = v.x, z = v.z - ahead;
+      v.x = c * x + s * z;
+      v.z = c * z - s * x + ahead;
     }
     path.push_back(std::move(turned));
   }

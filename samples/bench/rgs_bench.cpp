@@ -23,6 +23,7 @@
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/file.hpp"
 #include "rgs/ply.hpp"
+#include "rgs/version.hpp"
 
 namespace {
 

@@ -5,6 +5,12 @@
 #include <rgs/encode.hpp>
 #include <rgs/file.hpp>
 #include <rgs/splat_cloud.hpp>
+#include <rgs/version.hpp>
+#include <string_view>
+
+#ifdef PACKAGE_VERSION
+static_assert(std::string_view(RGS_VERSION) == PACKAGE_VERSION);
+#endif
 
 namespace {
 

@@ -21,6 +21,7 @@
 #include "image_file.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/version.hpp"
 #include "scene_file.hpp"
 
 namespace {
@@ -120,7 +121,7 @@ int make_shots(const Options& options, const rgs::SceneFile& scene, std::vector<
     if (!keys) return tool::report(options.path, keys.error());
     cameras = rgs::interpolated_path(*keys, options.frames);
   } else {
-    rgs::Vec3 up = scene.up;
+    glm::dvec3 up = scene.up;
     if (!options.cameras.empty()) {
       const auto set = rgs::read_camera_set(options.cameras);
       if (!set) return tool::report(options.cameras, set.error());

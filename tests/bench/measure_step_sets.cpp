@@ -1,4 +1,4 @@
-// measure_step_sets.cpp - what one SH scale set for the file, and sets per chunk of several sizes, lose and cost on a
+// measure_step_sets.cpp - what one SH step set for the file, and sets per chunk of several sizes, lose and cost on a
 // scene: prints the table of docs/QUANTISATION.md.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
@@ -121,7 +121,7 @@ int main(int argc, char** argv) {
   if (!source)
     return std::fprintf(stderr, "%s: %s\n", argv[1], source.error().what), rgs::exit_code(source.error().code);
   std::printf(
-      "| scale sets | bytes per Gaussian | degree 0 | degree 1 | degree 2 | degree 3 | colour (8-bit levels) |\n");
+      "| step sets | bytes per Gaussian | degree 0 | degree 1 | degree 2 | degree 3 | colour (8-bit levels) |\n");
   std::printf("|---|---|---|---|---|---|---|\n");
   rgs::EncodeOptions options;
   options.chunk_step_sets = false;

@@ -2,7 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // rgs_dump_file FILE > DUMP: per array a line `NAME TYPE SIZE...` (numpy's type codes) and its bytes, little-endian,
-// rows one after the other. A file that is refused gives the one line `error CODE OFFSET` and its exit code.
+// rows one after the other. A file that is refused gives the one line `error CODE OFFSET` and its exit code. It needs of
+// the library only what opens and decodes a file, and is linked with that part alone as well (RGS_FORMAT_PORTABLE).
 
 #include <array>
 #include <bit>
@@ -12,7 +13,6 @@
 #include <vector>
 
 #include "rgs/decode.hpp"
-#include "rgs/file.hpp"
 
 namespace {
 
@@ -22,6 +22,18 @@ static_assert(std::endian::native == std::endian::little);
 constexpr std::uint64_t kSplatFloats = 3 + 4 + 3 + 1 + 48;
 static_assert(sizeof(ActivatedSplat) == 4 * kSplatFloats && sizeof(Splat) == 4 * kSplatFloats);
 static_assert(sizeof(ShStepSet) == 48 && sizeof(Box) == 24);
+
+bool read_file(const char* path, std::vector<std::byte>& bytes) {
+  std::FILE* file = std::fopen(path, "rb");
+  if (file == nullptr) return false;
+  std::array<std::byte, 4096> part;
+  for (std::size_t n; (n = std::fread(part.data(), 1, part.size(), file)) != 0;) {
+    bytes.insert(bytes.end(), part.begin(), part.begin() + static_cast<std::ptrdiff_t>(n));
+  }
+  const bool complete = std::ferror(file) == 0;
+  std::fclose(file);
+  return complete;
+}
 
 int report(const Error& error) {
   std::printf("error %s %" PRIu64 "\n", errc_name(error.code), error.offset);
@@ -124,9 +136,12 @@ int main(int argc, char** argv) {
     std::fputs("usage: rgs_dump_file FILE > DUMP\n", stderr);
     return 2;
   }
-  const auto file = MappedFile::open(argv[1]);
-  if (!file) return report(file.error());
-  const auto view = FileView::open(file->bytes());
+  std::vector<std::byte> bytes;
+  if (!read_file(argv[1], bytes)) {
+    std::fputs("rgs_dump_file: the file cannot be read\n", stderr);
+    return 3;
+  }
+  const auto view = FileView::open(bytes);
   if (!view) return report(view.error());
   if (auto ok = validate(*view); !ok) return report(ok.error());
   put_head(*view);

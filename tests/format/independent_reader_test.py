@@ -14,10 +14,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
+from skip import skip_without_tool
 
-import rgs_reader
+try:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    import rgs_reader
+except ImportError as error:
+    skip_without_tool(f"{error} (Debian: python3-numpy, python3-xxhash, python3-zstandard)")
 
 SPLAT = {"mean": 3, "rotation": 4, "scale": 3, "opacity": 1, "sh": 48}
 TRAINED = {"mean": 3, "log_scale": 3, "rotation": 4, "logit": 1, "sh": 48}

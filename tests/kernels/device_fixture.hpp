@@ -5,6 +5,7 @@
 #include <cuda_runtime_api.h>
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <cstdio>
@@ -18,16 +19,17 @@
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/renderer.hpp"
+#include "skip.hpp"
 #include "sorted/front_end.hpp"
 
 namespace rgs::test {
 
-/// Whether a CUDA device answers. If none does, a line says so, by which ctest knows that the case was skipped.
+/// Whether a CUDA device answers. If none does, the case is skipped.
 inline bool device_answers() {
   int n = 0;
   if (cudaGetDeviceCount(&n) == cudaSuccess && n > 0) return true;
   cudaGetLastError();
-  std::puts("skipped: no CUDA device answers");
+  skip("no CUDA device answers");
   return false;
 }
 
@@ -164,15 +166,16 @@ inline Camera random_camera(Random& random, int width, int height) {
   camera.cy += random.uniform(-0.1, 0.1) * height;
   const double angle = random.uniform(-0.4, 0.4), x = random.uniform(-1, 1), y = random.uniform(-1, 1);
   const double z = random.uniform(-1, 1), length = std::sqrt(x * x + y * y + z * z), s = std::sin(angle / 2) / length;
-  camera.world_to_camera = rigid({std::cos(angle / 2), s * x, s * y, s * z},
-                                 {random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5)});
+  camera.world_to_camera =
+      from_row_major(rigid({std::cos(angle / 2), s * x, s * y, s * z},
+                           {random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5), random.uniform(-0.5, 0.5)}));
   return camera;
 }
 
 /// What CudaRenderer hands to the kernels for a view.
 inline cuda::ViewParameters view_parameters(const Camera& camera, const Arithmetic& options, int sh_degree) {
   Matrix4 m;
-  for (std::size_t i = 0; i < 16; ++i) m[i] = camera.world_to_camera[i];
+  std::ranges::copy(row_major(camera.world_to_camera), m);
   cuda::ViewParameters v{};
   v.view = math::make_view<float>(m, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
                                   options.near_plane, options.far_plane);

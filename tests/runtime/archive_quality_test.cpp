@@ -28,7 +28,7 @@ std::vector<Image> pictures(const Scene& scene) {
   auto renderer = Renderer::create({.backend = Backend::cpu});
   REQUIRE(renderer);
   std::vector<Image> images;
-  for (const Vec3 eye : {Vec3{7, -2, -5}, Vec3{-6, -3, -6}, Vec3{0, -4, 9}}) {
+  for (const glm::dvec3 eye : {glm::dvec3{7, -2, -5}, glm::dvec3{-6, -3, -6}, glm::dvec3{0, -4, 9}}) {
     const Camera camera = look_at(eye, {0, -1, 0}, kWorldUp, {.width = 320, .height = 240});
     Image& image = images.emplace_back(Image::make(320, 240, 3));
     REQUIRE(renderer->render(scene, camera, {.rgb = image.pixels}));

@@ -12,11 +12,12 @@ import subprocess
 import sys
 import tempfile
 
+from skip import skip_without_tool
+
 try:
     import numpy as np
 except ImportError:
-    print("skipped: numpy is missing (Debian: python3-numpy)")
-    sys.exit(0)
+    skip_without_tool("numpy is missing (Debian: python3-numpy)")
 try:
     from skimage.metrics import mean_squared_error, peak_signal_noise_ratio, structural_similarity
 except ImportError:

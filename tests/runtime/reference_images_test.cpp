@@ -1,23 +1,24 @@
 // reference_images_test.cpp - a trained scene against images of an independent renderer of the original definition.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Needs south/ of the measurement data: in the folder $RGS_DATA_DIR, or in ../shared/data beside the source tree.
+// Needs south/ of the measurement data (data_folder.hpp).
 #include <doctest/doctest.h>
 #include <zstd.h>
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <string>
 #include <vector>
 
+#include "data_folder.hpp"
 #include "image_file.hpp"
 #include "renderer_fixture.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/file.hpp"
 #include "rgs/ply.hpp"
+#include "skip.hpp"
 
 namespace fs = std::filesystem;
 using namespace rgs;
@@ -26,8 +27,7 @@ using namespace rgs::test;
 namespace {
 
 fs::path south() {
-  const char* folder = std::getenv("RGS_DATA_DIR");
-  return (folder != nullptr ? fs::path(folder) : fs::path(RGS_SOURCE_DIR) / ".." / "shared" / "data") / "south";
+  return data_folder() / "south";
 }
 
 // The scene as a PLY file in the build folder, unpacked once.
@@ -59,10 +59,8 @@ std::string unpacked_scene() {
 }  // namespace
 
 TEST_CASE("a trained scene matches images of the original definition to 60 dB in 8 bits") {
-  if (!fs::exists(south() / "south.ply.zst")) {
-    MESSAGE("skipped: no measurement data in ", south().string(), "; set RGS_DATA_DIR");
-    return;
-  }
+  if (!fs::exists(south() / "south.ply.zst"))
+    return skip_without_data("there is no measurement data in " + south().string() + "; set RGS_DATA_DIR");
   auto cloud = read_ply(unpacked_scene());
   REQUIRE(cloud);
   const auto scene = Scene::load(std::move(*cloud));

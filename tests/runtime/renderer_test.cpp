@@ -96,7 +96,7 @@ TEST_CASE("moving camera and scene together leaves the image") {
     s.rotation[2] = static_cast<float>(q.y), s.rotation[3] = static_cast<float>(q.z);
   }
   const auto back = transform(rigid({turn.w, -turn.x, -turn.y, -turn.z}, {0, 0, 0}), {0.5, -1, 2});
-  camera.world_to_camera = rigid({turn.w, -turn.x, -turn.y, -turn.z}, {-back.x, -back.y, -back.z});
+  camera.world_to_camera = from_row_major(rigid({turn.w, -turn.x, -turn.y, -turn.z}, {-back.x, -back.y, -back.z}));
   const Frame b = render(scene_of(cloud_of(flat)), camera);
   CHECK(psnr(a.rgb, b.rgb) > 60);
 }
@@ -516,7 +516,7 @@ TEST_CASE("refusals: cameras, options, targets, scenes, backends") {
   Camera bad = good;
   bad.fx = nan;
   CHECK(code(bad) == Errc::bad_camera);
-  bad = good, bad.world_to_camera[3] = nan;
+  bad = good, bad.world_to_camera[3].x = nan;
   CHECK(code(bad) == Errc::bad_camera);
   bad = good, bad.width = 0;
   CHECK(code(bad) == Errc::bad_camera);

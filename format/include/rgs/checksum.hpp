@@ -2,12 +2,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
-#include <memory>
 #include <span>
 
-namespace rgs {
+#include "rgs/api.hpp"
+
+namespace RGS_API rgs {
 
 std::uint64_t xxh3(std::span<const std::byte> bytes);
 
@@ -19,10 +21,7 @@ class Hasher {
   std::uint64_t digest() const;
 
  private:
-  struct Free {
-    void operator()(void* state) const;
-  };
-  std::unique_ptr<void, Free> state_;
+  alignas(64) std::array<std::byte, 1024> state_;  // xxHash's, in place so that nothing has to be allocated
 };
 
 }  // namespace rgs

@@ -13,7 +13,7 @@
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// Bounds that a caller puts on files he does not trust; more is limit_exceeded.
 struct DecodeLimits {
@@ -76,7 +76,7 @@ class FileView {
   bool coded() const;
   /// Where byte `byte` of row `row` of a section is in the file: itself if the section is stored as is, else its frame.
   std::uint64_t place(SectionType type, std::uint64_t row, std::uint64_t byte = 0) const;
-  /// Decoded bytes of the chunk table [n_chunks, 48] or the scale sets [n_step_sets, 48].
+  /// Decoded bytes of the chunk table [n_chunks, 48] or the SH steps [n_step_sets, 48].
   std::span<const std::byte> chunk_table() const { return table(SectionType::chunks); }
   std::span<const std::byte> step_table() const { return table(SectionType::sh_steps); }
 
@@ -101,6 +101,7 @@ class FileView {
 
  private:
   friend const detail::ArchiveTables* detail::archive_tables(const FileView& view);
+  static Result<FileView> parse(std::span<const std::byte> bytes, const DecodeLimits& limits);
   std::span<const std::byte> table(SectionType type) const;
   Status open_coded(const DecodeLimits& limits);
   Status open_archive();
@@ -134,7 +135,7 @@ class DirectData {
   std::span<const std::byte> means() const { return means_; }        ///< FP32 [size, 3]
   std::span<const std::byte> geometry() const { return geometry_; }  ///< FP16 [size, 8], 16-byte aligned
   std::span<const std::byte> sh() const { return sh_; }              ///< INT8 [size, sh_bytes], 16-byte aligned
-  /// Chunk table and scale sets of the whole file: [n_chunks, 48], [n_step_sets, 48] bytes.
+  /// Chunk table and SH steps of the whole file: [n_chunks, 48], [n_step_sets, 48] bytes.
   std::span<const std::byte> chunk_table() const { return view_.chunk_table(); }
   std::span<const std::byte> step_table() const { return view_.step_table(); }
 
@@ -145,6 +146,8 @@ class DirectData {
  private:
   friend Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
                                         const LoadOptions& options);
+  static Result<DirectData> load(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                                 const LoadOptions& options);
   struct Free {
     void operator()(std::byte* memory) const;
   };

@@ -10,7 +10,7 @@
 
 #include "rgs/result.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// A whole regular file mapped read-only. Pages are read when touched. Move-only.
 class MappedFile {
@@ -71,6 +71,8 @@ class AtomicFile {
   int descriptor() const { return fd_; }
 
  private:
+  static Result<AtomicFile> begin(const std::string& path, const Options& options);
+  Result<double> finish();
   void discard();
   Status copy_to_stdout();
   std::string path_, temporary_;

@@ -1,4 +1,8 @@
-// layout.hpp - what an .rgs file holds, byte by byte. docs/FORMAT.md is the specification; where they differ, it wins.
+// layout.hpp - what an .rgs file holds, in the terms of a program: the sizes and numbers of the file's layout (magic,
+// versions, record sizes, section types, codecs, limits), and a struct for each of its records as parsed (header, section
+// and frame tables, declarations, chunks, SH steps, archive parameters, provenance). The structs are not the bytes:
+// file/layout_io.cpp reads and writes those field by field. Gaussians are in splat_cloud.hpp, their quantisation in
+// quantize.hpp. docs/FORMAT.md is the specification; where they differ, it wins.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -10,7 +14,7 @@
 
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
@@ -86,7 +90,7 @@ struct CodedFrame {
 };
 
 /// Frame i of a section holds rows i * rows .. min(n, (i + 1) * rows) - 1; a row is a Gaussian, a chunk, or a
-/// scale set.
+/// set of SH steps.
 struct FrameTable {
   std::uint32_t rows = 0;
   std::vector<CodedFrame> frames;  ///< empty in a section that is stored as is
@@ -192,7 +196,7 @@ struct ArchiveClass {
   float sh_step = 0;             ///< of the other degrees
   float bound_rotation = 0;      ///< angle, radians
   float bound_scale = 0;         ///< of ln(scale), where it is a normal FP16 number as stored
-  float bound_dc = 0;            ///< of each coefficient of degree 0; half a step of the chunk's scale set comes on top
+  float bound_dc = 0;            ///< of each coefficient of degree 0; half the chunk's SH step comes on top
   float bound_sh = 0;            ///< of the other coefficients, likewise
 };
 inline constexpr std::uint32_t kMaxArchiveClasses = 32;

@@ -7,9 +7,10 @@
 #include <cstdint>
 #include <cstring>
 
+#include "rgs/api.hpp"
 #include "rgs/hd.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 namespace detail {
 

@@ -5,7 +5,9 @@
 #include <cstdint>
 #include <tl/expected.hpp>
 
-namespace rgs {
+#include "rgs/api.hpp"
+
+namespace RGS_API rgs {
 
 /// Closed list of failures. The hundreds digit is the class, and the class is the exit code of every program:
 /// 1xx internal, 2xx usage, 3xx input/output, 4xx malformed or unsupported input, 5xx quality gate.

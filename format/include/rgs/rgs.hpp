@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include "rgs/api.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
@@ -9,5 +10,8 @@
 #include "rgs/layout.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/result.hpp"
+#include "rgs/scene_scan.hpp"
+#include "rgs/scene_writer.hpp"
 #include "rgs/spatial_order.hpp"
 #include "rgs/splat_cloud.hpp"
+#include "rgs/version.hpp"

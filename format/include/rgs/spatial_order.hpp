@@ -9,7 +9,7 @@
 
 #include "rgs/layout.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// 63-bit Morton key of a point: 21 bits an axis, x lowest. Each axis is mapped linearly inside `robust` and contracted
 /// outside it (t -> 1 - 1/(2t) beyond half-width 1), so that a distant background does not coarsen the scene.

@@ -7,7 +7,9 @@
 #include <span>
 #include <vector>
 
-namespace rgs {
+#include "rgs/api.hpp"
+
+namespace RGS_API rgs {
 
 inline constexpr int kMaxShDegree = 3;
 

@@ -4,9 +4,11 @@
 // Fit:   classes, steps, transforms from the whole scene.
 // Codes: each frame's attributes on the grids of their classes.
 // Tables and streams: distributions of all frames together, then each frame's bytes.
-// Rows:  what a reader will decode; from these come the scale sets, the chunk table and the bounds that are stated.
+// Rows:  what a reader will decode; from these come the step sets, the chunk table and the bounds that are stated.
 // The finished file is decoded once more and compared with its source.
 // SPDX-License-Identifier: Apache-2.0
+#include "archive/archive_encode.hpp"
+
 #include <algorithm>
 #include <cassert>
 #include <cmath>
@@ -18,9 +20,12 @@
 #include "archive/archive_codec.hpp"
 #include "archive/archive_errors.hpp"
 #include "archive/archive_fit.hpp"
+#include "file/chunk_summary.hpp"
+#include "file/encode_plan.hpp"
+#include "file/section_writer.hpp"
 #include "file/workers.hpp"
 #include "packed/packed.hpp"
-#include "rgs/encode.hpp"
+#include "rgs/checksum.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -53,6 +58,12 @@ struct Frame {
   FrameCodes codes;
   std::int32_t min_octaves = std::numeric_limits<std::int32_t>::max();
   std::int32_t max_octaves = std::numeric_limits<std::int32_t>::min();
+};
+
+// What one thread sums up over chunks.
+struct Totals {
+  ValueCounts counts;
+  ShMagnitudes magnitudes;
 };
 
 // Cell of a mean on one axis, counted from the centre: the inverse of grid_mean().
@@ -91,7 +102,7 @@ class Encoder {
     }
   }
 
-  Result<std::vector<std::byte>> run(std::span<const std::uint32_t> source_index) {
+  Result<WrittenScene> run(Sink sink, std::span<const std::uint32_t> source_index) {
     if (const auto huge = std::ranges::find_if(splats_.sh, [](float x) { return !(std::abs(x) <= kLargestSh); });
         huge != splats_.sh.end()) {
       const auto value = static_cast<std::size_t>(huge - splats_.sh.begin());
@@ -105,15 +116,21 @@ class Encoder {
     }
     fit_tables();
     if (Status s = reconstruct(); !s) return tl::unexpected(s.error());
-    std::vector<std::byte> file = assemble(source_index);
-    if (Status s = verify_archive(file, splats_, order_, plan_.archive.threads); !s) return tl::unexpected(s.error());
-    return file;
+    std::vector<std::byte> bytes;
+    auto written = assemble(bytes, source_index);
+    if (!written) return written;
+    if (Status s = verify_archive(bytes, splats_, order_, n_threads()); !s) return tl::unexpected(s.error());
+    if (Status s = sink.write_at(0, bytes); !s) return tl::unexpected(s.error());
+    if (Status s = sink.truncate(bytes.size()); !s) return tl::unexpected(s.error());
+    return written;
   }
 
  private:
+  unsigned n_threads() const { return plan_.options.archive.threads; }
+
   template <class Job>
   Status each_frame(const Job& job) {
-    return run_jobs(frames_.size(), plan_.archive.threads, [&](unsigned, std::uint64_t i) { return job(frames_[i]); });
+    return run_jobs(frames_.size(), n_threads(), [&](unsigned, std::uint64_t i) { return job(frames_[i]); });
   }
 
   void fit() {
@@ -121,7 +138,7 @@ class Encoder {
     fit_grid(plan_.declarations.robust, plan_.declarations.full, p);
     const std::vector<float> seen = importance(splats_, p);
     classes_ = fit_classes(seen, kClassOctaves);
-    fit_steps(plan_.archive, splats_, classes_, kClassOctaves, p);
+    fit_steps(plan_.options.archive, splats_, classes_, kClassOctaves, p);
     fit_transforms(splats_, seen, tables_);
     std::uint64_t largest = 0;
     for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
@@ -263,7 +280,7 @@ class Encoder {
   // ---- tables and streams --------------------------------------------------------------------------------------------
 
   void fit_tables() {
-    const unsigned n_workers = worker_count(frames_.size(), plan_.archive.threads);
+    const unsigned n_workers = worker_count(frames_.size(), n_threads());
     std::vector<RansCounter> counters(n_workers, RansCounter(tables_.contexts().count));
     std::vector<CodeSizes> sizes(n_workers);
     static_cast<void>(run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) -> Status {
@@ -304,22 +321,24 @@ class Encoder {
   Status reconstruct() {
     choose_exponent();
     const std::size_t n_classes = tables_.parameters.classes.size();
-    chunks_.resize(plan_.header.n_chunks);
-    scales_.resize(plan_.header.n_chunks);
-    const unsigned n_workers = worker_count(frames_.size(), plan_.archive.threads);
+    scene_.chunks.resize(plan_.header.n_chunks);
+    scene_.steps.resize(plan_.header.n_chunks);
+    const unsigned n_workers = worker_count(frames_.size(), n_threads());
     std::vector<ErrorMaxima> errors(n_workers, ErrorMaxima(n_classes));
-    std::vector<EncodeCounts> counts(n_workers);
+    std::vector<Totals> totals(n_workers);
     const std::vector<std::int16_t> matrix = paired_matrix(tables_);
     const Status done = run_jobs(frames_.size(), n_workers, [&](unsigned worker, std::uint64_t i) {
-      return reconstruct_frame(frames_[i], matrix, errors[worker], counts[worker]);
+      return reconstruct_frame(frames_[i], matrix, errors[worker], totals[worker]);
     });
     if (!done) return done;
     for (unsigned w = 1; w < n_workers; ++w) {
       errors[0].merge(errors[w]);
-      counts[0].add(counts[w]);
+      totals[0].counts.add(totals[w].counts);
+      totals[0].magnitudes.merge(totals[w].magnitudes);
     }
     errors[0].state(tables_.parameters);
-    counts_ = counts[0];
+    scene_.counts = totals[0].counts;
+    plan_.file_steps = totals[0].magnitudes.steps();
     if (!steps_explain_bounds()) {
       return make_error(Errc::internal, Error::kNone, "an archive's errors are larger than its steps explain");
     }
@@ -355,7 +374,7 @@ class Encoder {
     return explained;
   }
 
-  Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, EncodeCounts& counts) {
+  Status reconstruct_frame(Frame& f, std::span<const std::int16_t> matrix, ErrorMaxima& errors, Totals& totals) {
     std::vector<GridPoint> points(f.count);
     if (Status s = decode_points(f.means, 0, tables_.parameters.mean_bits, points); !s) return s;
     std::vector<std::int32_t> dc;
@@ -380,88 +399,61 @@ class Encoder {
         errors.add(f.codes.classes[at + i], splat_errors(tables_.parameters, plan_.header.scale_exponent, degree_,
                                                          splats_.splat(order_[f.first + at + i]), stored[i]));
       }
-      describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), counts);
+      describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), totals);
     }
     return {};
   }
 
   // Entry and SH steps of a chunk by its decoded Gaussians.
-  void describe_chunk(std::uint64_t index, std::span<const StoredSplat> splats, EncodeCounts& counts) {
-    ChunkEntry& entry = chunks_[index];
-    entry.count = static_cast<std::uint32_t>(splats.size());
-    std::ranges::copy(splats[0].mean, entry.means.min.begin());
-    entry.means.max = entry.means.min;
-    std::uint16_t scale = 0, opacity = 0;  // FP16 bits of non-negative numbers order as the numbers do
+  void describe_chunk(std::uint64_t index, std::span<const StoredSplat> splats, Totals& totals) {
+    ChunkSummary summary;
     ShMagnitudes magnitudes;
     for (const StoredSplat& s : splats) {
-      for (std::size_t k = 0; k < 3; ++k) {
-        entry.means.min[k] = std::min(entry.means.min[k], s.mean[k]);
-        entry.means.max[k] = std::max(entry.means.max[k], s.mean[k]);
-        const std::uint16_t code = s.geometry[4 + k];
-        counts.scale_zero += code == 0;
-        counts.scale_subnormal += code != 0 && code < 0x0400;
-        scale = std::max(scale, code);
-      }
-      counts.opacity_zero += s.geometry[7] == 0;
-      counts.opacity_one += s.geometry[7] == 0x3C00;
-      opacity = std::max(opacity, s.geometry[7]);
+      summary.add(s.mean, s.geometry, totals.counts);
       magnitudes.add(s.sh, degree_);
     }
-    entry.radius = 3.f * dequantize_scale(scale, plan_.header.scale_exponent);
-    entry.max_opacity = float_from_half(opacity);
-    scales_[index] = magnitudes.max_abs();
+    scene_.chunks[index] = summary.entry(plan_.header.scale_exponent);
+    scene_.steps[index] = magnitudes.steps();
+    totals.magnitudes.merge(magnitudes);
   }
 
-  // Boxes of the decoded means, and steps of the largest magnitudes.
+  // Boxes of the decoded means.
   void describe_scene() {
-    Declarations& d = plan_.declarations;
-    d.full = chunks_[0].means;
-    for (const ChunkEntry& chunk : chunks_) {
-      for (std::size_t k = 0; k < 3; ++k) {
-        d.full.min[k] = std::min(d.full.min[k], chunk.means.min[k]);
-        d.full.max[k] = std::max(d.full.max[k], chunk.means.max[k]);
-      }
-    }
-    SceneScan scan(0, {});
+    SceneScan scan(0);
     for (std::uint64_t i = 0; i < splats_.n; ++i) {
       Splat splat;
       std::copy_n(&means_[3 * i], 3, splat.mean);
       scan.add(splat);
     }
-    d.robust = scan.robust();
-    ShStepSet largest;
-    for (ShStepSet& set : scales_) {
-      for (std::size_t degree = 0; degree < 4; ++degree) {
-        for (std::size_t c = 0; c < 3; ++c) {
-          largest.step[degree][c] = std::max(largest.step[degree][c], set.step[degree][c]);
-          set.step[degree][c] = sh_step(set.step[degree][c]);
-        }
-      }
-    }
-    for (std::size_t degree = 0; degree < 4; ++degree) {
-      for (std::size_t c = 0; c < 3; ++c) plan_.file_scales.step[degree][c] = sh_step(largest.step[degree][c]);
-    }
+    plan_.declarations.full = scan.full();
+    plan_.declarations.robust = scan.robust();
   }
 
-  std::vector<std::byte> assemble(std::span<const std::uint32_t> source_index) {
+  Result<WrittenScene> assemble(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
     describe_scene();
-    FramedFile file;
-    for (const Frame& f : frames_) {
-      file.means.append(f.means);
-      file.geometry.append(f.geometry);
-      file.sh.append(f.sh);
+    const std::vector<std::byte> parameters = write_archive_tables(tables_);
+    std::vector<std::uint32_t> permutation(order_.size());
+    std::ranges::transform(order_, permutation.begin(), [&](std::uint32_t i) { return source_index[i]; });
+    scene_.archive = parameters;
+    scene_.source_index = permutation;
+
+    const auto stream = [](const Frame& f, SectionType type) -> std::span<const std::byte> {
+      return type == SectionType::means ? f.means : type == SectionType::geometry ? f.geometry : f.sh;
+    };
+    for (SectionEntry& entry : plan_.sections) {
+      const auto type = static_cast<SectionType>(entry.type);
+      if (type == SectionType::archive) entry.stored_bytes = entry.decoded_bytes = parameters.size();
+      if (!archive_type(type)) continue;
+      entry.stored_bytes = frame_table_bytes(frames_.size());
+      for (const Frame& f : frames_) entry.stored_bytes += stream(f, type).size();
     }
-    std::vector<std::uint32_t> permutation;
-    if (plan_.keep_permutation) {
-      for (const std::uint32_t i : order_) permutation.push_back(source_index[i]);
+    SectionWriter file(bytes, plan_.sections, frames_.size());
+    for (const SectionType type : {SectionType::means, SectionType::geometry, SectionType::sh}) {
+      for (const Frame& f : frames_) {
+        if (Status s = file.grow(type, stream(f, type), xxh3(stream(f, type))); !s) return tl::unexpected(s.error());
+      }
     }
-    const std::vector<std::byte> tables = write_archive_tables(tables_);
-    file.permutation = std::as_bytes(std::span(permutation));
-    file.tables = tables;
-    file.chunks = chunks_;
-    file.scales = scales_;
-    file.counts = counts_;
-    return assemble_frames(plan_, std::move(file));
+    return finish_file(file, plan_, scene_);
   }
 
   EncodePlan plan_;
@@ -472,19 +464,21 @@ class Encoder {
   std::vector<Frame> frames_;
   std::vector<std::uint32_t> order_;  // position in splats_ of each Gaussian of the file
   std::vector<float> means_;          // [n, 3] decoded, in the order of the file
-  std::vector<ChunkEntry> chunks_;
-  std::vector<ShStepSet> scales_;  // of each chunk; until describe_scene() the largest magnitudes
-  EncodeCounts counts_;
+  SceneTables scene_;
 };
 
 }  // namespace
 
-Result<std::vector<std::byte>> encode_archive(const EncodePlan& plan, const SplatView& splats,
-                                              std::span<const std::uint32_t> source_index) {
-  assert(plan.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
+namespace detail {
+
+Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const SplatView& splats,
+                                   std::span<const std::uint32_t> source_index) {
+  assert(plan.options.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
   assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
-  return Encoder(plan, splats).run(source_index);
+  return Encoder(plan, splats).run(sink, source_index);
 }
+
+}  // namespace detail
 
 std::array<float, 3> archive_mean(const ArchiveParameters& p, const float mean[3]) {
   std::array<float, 3> decoded;

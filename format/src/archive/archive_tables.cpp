@@ -1,20 +1,16 @@
-// archive_tables.cpp - section ARCH to bytes and back.
+// archive_tables.cpp - section ARCH from bytes.
 // SPDX-License-Identifier: Apache-2.0
 #include "archive/archive_tables.hpp"
 
-#include <zstd.h>
-
 #include <algorithm>
 #include <cmath>
-#include <new>
+#include <cstring>
 
 #include "file/byte_reader.hpp"
-#include "file/byte_writer.hpp"
+#include "packed/inflater.hpp"
 
 namespace rgs::detail {
 namespace {
-
-constexpr std::size_t kFixedBytes = 128, kClassBytes = 36;
 
 // Bytes of the frame of tables once decoded.
 std::size_t content_bytes(std::size_t n_classes, std::size_t n_sh, std::size_t n_distributions) {
@@ -22,29 +18,11 @@ std::size_t content_bytes(std::size_t n_classes, std::size_t n_sh, std::size_t n
          2 * kRansTokens * n_distributions;
 }
 
-std::uint64_t bits_of_double(double value) {
-  std::uint64_t bits;
-  std::memcpy(&bits, &value, sizeof bits);
-  return bits;
-}
-
 double read_double(ByteReader& in) {
   const std::uint64_t bits = in.u64();
   double value;
   std::memcpy(&value, &bits, sizeof value);
   return value;
-}
-
-std::vector<std::byte> write_content(const ArchiveTables& t) {
-  ByteWriter out;
-  for (const float value : t.dc_centre) out.f32(value);
-  for (const float value : t.sh_centre) out.f32(value);
-  for (const std::int16_t value : t.dc_matrix) out.i16(value);
-  for (const std::int16_t value : t.dc_weights) out.i16(value);
-  for (const std::int16_t value : t.sh_matrix) out.i16(value);
-  for (const std::uint8_t value : t.map) out.u8(value);
-  for (const std::uint16_t value : t.frequencies) out.u16(value);
-  return out.take();
 }
 
 // One field after the other; remembers the first that is out of range.
@@ -133,43 +111,9 @@ Status parse_content(std::span<const std::byte> content, std::uint64_t offset, s
 
 }  // namespace
 
-std::vector<std::byte> write_archive_tables(const ArchiveTables& t) {
-  const ArchiveParameters& p = t.parameters;
-  ByteWriter out;
-  for (const std::uint32_t value : {p.mean_cells, p.mean_bits, static_cast<std::uint32_t>(p.classes.size()),
-                                    p.opacity_levels, static_cast<std::uint32_t>(t.n_distributions()), 0u}) {
-    out.u32(value);
-  }
-  for (const double value : p.centre) out.u64(bits_of_double(value));
-  for (const double value : p.half_width) out.u64(bits_of_double(value));
-  for (const float value :
-       {p.sh_step, p.dc_step, p.rotation_step, p.scale_step, p.slope, p.class_octaves, p.bound_mean, p.bound_opacity}) {
-    out.f32(value);
-  }
-  out.pad_to(kFixedBytes);
-  for (const ArchiveClass& c : p.classes) {
-    out.f32(c.rotation_step);
-    out.u32(c.scale_step);
-    out.u32(static_cast<std::uint32_t>(c.scale_base));
-    out.u32(c.dc_step);
-    out.f32(c.sh_step);
-    for (const float bound : {c.bound_rotation, c.bound_scale, c.bound_dc, c.bound_sh}) out.f32(bound);
-  }
-  std::vector<std::byte> bytes = out.take();
-  const std::vector<std::byte> content = write_content(t);
-  const std::size_t fixed = bytes.size();
-  bytes.resize(fixed + ZSTD_compressBound(content.size()));
-  constexpr int kLevel = 19;  // a few KB, once a file
-  const std::size_t size =
-      ZSTD_compress(bytes.data() + fixed, bytes.size() - fixed, content.data(), content.size(), kLevel);
-  if (ZSTD_isError(size) != 0) throw std::bad_alloc();  // the only failure with room for the worst case
-  bytes.resize(fixed + size);
-  return bytes;
-}
-
 Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std::uint64_t offset, int sh_degree) {
   const auto too_short = [&] { return make_error(Errc::size_mismatch, offset, "section ARCH ends before its tables"); };
-  if (bytes.size() < kFixedBytes) return too_short();
+  if (bytes.size() < kArchiveFixedBytes) return too_short();
   ByteReader reader(bytes, offset);
   Fields in(reader);
   ArchiveTables t;
@@ -193,7 +137,7 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
   p.bound_opacity = in.bound();
   in.reserved(24);
   if (!in.status()) return tl::unexpected(in.status().error());
-  const std::size_t fixed = kFixedBytes + kClassBytes * std::size_t{n_classes};
+  const std::size_t fixed = kArchiveFixedBytes + kArchiveClassBytes * std::size_t{n_classes};
   if (bytes.size() < fixed) return too_short();
   p.classes.resize(n_classes);
   std::ranges::generate(p.classes, [&] { return parse_class(in); });
@@ -202,16 +146,7 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
   const std::uint64_t at = offset + fixed;
   const auto frame = bytes.subspan(fixed);
   std::vector<std::byte> content(content_bytes(p.classes.size(), t.n_sh, n_distributions));
-  // A frame's own magic: Zstandard's library takes skippable frames and several of them too.
-  constexpr std::uint32_t kFrameMagic = 0xFD2FB528u;
-  const bool one_frame = ByteReader(frame).u32() == kFrameMagic &&
-                         ZSTD_findFrameCompressedSize(frame.data(), frame.size()) == frame.size();
-  if (!one_frame) return make_error(Errc::corrupt_data, at, "the tables of ARCH are not one Zstandard frame");
-  const std::size_t found = ZSTD_decompress(content.data(), content.size(), frame.data(), frame.size());
-  if (ZSTD_isError(found) != 0) return make_error(Errc::corrupt_data, at, "the tables of ARCH cannot be decompressed");
-  if (found != content.size()) {
-    return make_error(Errc::corrupt_data, at, "the tables of ARCH have the wrong size", content.size(), found);
-  }
+  if (const Status s = Inflater().inflate(frame, at, content); !s) return tl::unexpected(s.error());
   if (const Status s = parse_content(content, at, n_distributions, t); !s) return tl::unexpected(s.error());
   return t;
 }

@@ -29,6 +29,8 @@ struct ArchiveContexts {
   std::size_t opacity, largest, rotation, scale0, scale1, scale2, dc, sh, count;
 };
 
+/// Bytes of ARCH before its classes, and of each of them.
+inline constexpr std::size_t kArchiveFixedBytes = 128, kArchiveClassBytes = 36;
 inline constexpr int kMatrixBits = 14;  ///< matrices are times 2^14
 
 struct ArchiveTables {

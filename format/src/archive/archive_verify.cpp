@@ -1,5 +1,7 @@
 // archive_verify.cpp - a file of Codec::archive against its source and the bounds that it states.
 // SPDX-License-Identifier: Apache-2.0
+#include "archive/archive_encode.hpp"
+
 #include <algorithm>
 #include <cassert>
 #include <cmath>
@@ -10,11 +12,9 @@
 #include "archive/archive_errors.hpp"
 #include "file/workers.hpp"
 #include "rgs/decode.hpp"
-#include "rgs/encode.hpp"
 #include "rgs/quantize.hpp"
 
-namespace rgs {
-namespace detail {
+namespace rgs::detail {
 namespace {
 
 // Angle between two rotations, accurate for small ones: 2 asin of half the chord, for the nearer of q and -q.
@@ -111,13 +111,11 @@ bool within_bounds(const ArchiveParameters& p, std::size_t class_index, const Sp
          holds(e.scale, c.bound_scale) && holds(e.dc, c.bound_dc) && holds(e.sh, c.bound_sh);
 }
 
-}  // namespace detail
-
 namespace {
 
 // Frame `index` of `data`, the whole file.
 Status verify_frame(const DirectData& data, const SplatView& splats, std::span<const std::uint32_t> order,
-                    std::uint64_t index, detail::ArchiveDecoder& decoder) {
+                    std::uint64_t index, ArchiveDecoder& decoder) {
   const FileView& view = data.file();
   const Header& h = view.header();
   const FrameTable& frames = view.frames(SectionType::geometry);
@@ -138,14 +136,14 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
         slack[k] = step[k] * (0.5f + 0x1p-16f) + kShFlush;
       }
     }
-    detail::StoredSplat stored{};
+    StoredSplat stored{};
     std::memcpy(stored.mean, data.means().data() + i * kMeanBytes, kMeanBytes);
     std::memcpy(stored.geometry, data.geometry().data() + i * kGeometryBytes, kGeometryBytes);
     const auto* codes = reinterpret_cast<const std::int8_t*>(data.sh().data() + i * sh_bytes(h.sh_degree));
     for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) stored.sh[k] = dequantize_sh(codes[k], step[k]);
     const Splat source = splats.splat(order[i]);
-    const auto errors = detail::splat_errors(*view.archive(), h.scale_exponent, h.sh_degree, source, stored, slack);
-    if (!detail::within_bounds(*view.archive(), decoder.codes().classes[i - first], errors)) {
+    const auto errors = splat_errors(*view.archive(), h.scale_exponent, h.sh_degree, source, stored, slack);
+    if (!within_bounds(*view.archive(), decoder.codes().classes[i - first], errors)) {
       return make_error(Errc::internal, i, "a decoded Gaussian is outside the bounds that its archive states");
     }
   }
@@ -167,13 +165,13 @@ Status verify_archive(std::span<const std::byte> file, const SplatView& splats, 
   const auto data = load_direct(*view, {.validate = true, .threads = threads});
   if (!data) return tl::unexpected(data.error());
   const std::uint64_t n_frames = view->frames(SectionType::geometry).frames.size();
-  std::vector<detail::ArchiveDecoder> decoders;
-  for (unsigned i = detail::worker_count(n_frames, threads); i > 0; --i) {
-    decoders.emplace_back(*detail::archive_tables(*view));
+  std::vector<ArchiveDecoder> decoders;
+  for (unsigned i = worker_count(n_frames, threads); i > 0; --i) {
+    decoders.emplace_back(*archive_tables(*view));
   }
-  return detail::run_jobs(n_frames, threads, [&](unsigned worker, std::uint64_t index) {
+  return run_jobs(n_frames, threads, [&](unsigned worker, std::uint64_t index) {
     return verify_frame(*data, splats, order, index, decoders[worker]);
   });
 }
 
-}  // namespace rgs
+}  // namespace rgs::detail

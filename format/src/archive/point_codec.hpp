@@ -1,4 +1,4 @@
-// point_codec.hpp - points with integer coordinates through Draco's kd-tree; docs/ARCHIVE.md "MEAN".
+// point_codec.hpp - points with integer coordinates as streams of Draco's kd-tree; docs/ARCHIVE.md "MEAN".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -17,9 +17,11 @@ using GridPoint = std::array<std::uint32_t, 3>;
 /// A Draco stream of the points, at least one, in an order of its own. Deterministic. Errors: internal.
 Result<std::vector<std::byte>> encode_points(std::span<const GridPoint> points);
 
-/// Fills `points`, in the stream's order. Safe on untrusted bytes: Draco is called only if the stream begins as
-/// encode_points() makes it, with the count of `points` and coordinates of at most `max_bits` bits. Errors: corrupt_data
-/// at `offset`, the frame's place in the file.
+/// The head of a stream of n points, coordinates of at most `max_bits` bits.
+bool legal_point_head(std::span<const std::byte> stream, std::uint32_t n, std::uint32_t max_bits);
+
+/// Fills `points`, in the stream's order. Allocates nothing. Safe on untrusted bytes. Errors: corrupt_data at `offset`, the
+/// frame's place in the file.
 Status decode_points(std::span<const std::byte> stream, std::uint64_t offset, std::uint32_t max_bits,
                      std::span<GridPoint> points);
 

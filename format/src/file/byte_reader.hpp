@@ -26,6 +26,11 @@ class ByteReader {
     if (!take(length)) return {};
     return {reinterpret_cast<const char*>(bytes_.data() + position_ - length), static_cast<std::size_t>(length)};
   }
+  /// The next `count` bytes; none if there are fewer.
+  std::span<const std::byte> bytes(std::uint64_t count) {
+    if (!take(count)) return {};
+    return bytes_.subspan(static_cast<std::size_t>(position_ - count), static_cast<std::size_t>(count));
+  }
   /// Consumes `count` bytes; false (and ok() still true) if they are there but not all zero.
   bool zeros(std::uint64_t count) {
     if (!take(count)) return true;

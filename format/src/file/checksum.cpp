@@ -2,31 +2,40 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/checksum.hpp"
 
+#define XXH_STATIC_LINKING_ONLY  // for the size of the state: 576 bytes in the releases of 0.8
 #include <xxhash.h>
 
 #include <new>
 
 namespace rgs {
+namespace {
+
+static_assert(sizeof(XXH3_state_t) <= sizeof(Hasher) && alignof(XXH3_state_t) <= alignof(Hasher));
+
+XXH3_state_t* state_in(std::byte* memory) {
+  return std::launder(reinterpret_cast<XXH3_state_t*>(memory));
+}
+
+const XXH3_state_t* state_in(const std::byte* memory) {
+  return std::launder(reinterpret_cast<const XXH3_state_t*>(memory));
+}
+
+}  // namespace
 
 std::uint64_t xxh3(std::span<const std::byte> bytes) {
   return XXH3_64bits(bytes.data(), bytes.size());
 }
 
-Hasher::Hasher() : state_(XXH3_createState()) {
-  if (!state_) throw std::bad_alloc();
-  XXH3_64bits_reset(static_cast<XXH3_state_t*>(state_.get()));
+Hasher::Hasher() {
+  XXH3_64bits_reset(new (state_.data()) XXH3_state_t{});
 }
 
 void Hasher::update(std::span<const std::byte> bytes) {
-  XXH3_64bits_update(static_cast<XXH3_state_t*>(state_.get()), bytes.data(), bytes.size());
+  XXH3_64bits_update(state_in(state_.data()), bytes.data(), bytes.size());
 }
 
 std::uint64_t Hasher::digest() const {
-  return XXH3_64bits_digest(static_cast<XXH3_state_t*>(state_.get()));
-}
-
-void Hasher::Free::operator()(void* state) const {
-  XXH3_freeState(static_cast<XXH3_state_t*>(state));
+  return XXH3_64bits_digest(state_in(state_.data()));
 }
 
 }  // namespace rgs

@@ -3,11 +3,13 @@
 #include "rgs/decode.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cassert>
 #include <cmath>
 #include <cstring>
 
 #include "file/layout_io.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -158,10 +160,12 @@ Status FileView::read(std::uint64_t first, std::span<ActivatedSplat> out) const 
 }
 
 Status FileView::preload(const LoadOptions& options) {
-  auto data = load_direct(*this, options);
-  if (!data) return tl::unexpected(data.error());
-  preloaded_ = std::make_shared<const DirectData>(std::move(*data));
-  return {};
+  return detail::guard_memory([&]() -> Status {
+    auto data = load_direct(*this, options);
+    if (!data) return tl::unexpected(data.error());
+    preloaded_ = std::make_shared<const DirectData>(std::move(*data));
+    return {};
+  });
 }
 
 Status DirectData::read(std::uint64_t first, std::span<Splat> out) const {
@@ -173,19 +177,21 @@ Status DirectData::read(std::uint64_t first, std::span<ActivatedSplat> out) cons
 }
 
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  const auto view = FileView::open(bytes, limits);
-  if (!view) return tl::unexpected(view.error());
-  const auto data = load_direct(*view);
-  if (!data) return tl::unexpected(data.error());
-  SplatCloud cloud;
-  cloud.resize(view->header().n_gaussians, view->header().sh_degree);
-  std::vector<Splat> buffer(std::min<std::uint64_t>(cloud.size(), 256));
-  for (std::uint64_t first = 0; first < cloud.size(); first += buffer.size()) {
-    const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), cloud.size() - first));
-    if (const Status s = data->read(first, part); !s) return tl::unexpected(s.error());
-    for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
-  }
-  return cloud;
+  return detail::guard_memory([&]() -> Result<SplatCloud> {
+    const auto view = FileView::open(bytes, limits);
+    if (!view) return tl::unexpected(view.error());
+    const auto data = load_direct(*view);
+    if (!data) return tl::unexpected(data.error());
+    SplatCloud cloud;
+    cloud.resize(view->header().n_gaussians, view->header().sh_degree);
+    std::array<Splat, 256> buffer;
+    for (std::uint64_t first = 0; first < cloud.size(); first += buffer.size()) {
+      const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), cloud.size() - first));
+      if (const Status s = data->read(first, part); !s) return tl::unexpected(s.error());
+      for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
+    }
+    return cloud;
+  });
 }
 
 }  // namespace rgs

@@ -19,6 +19,8 @@
 #include <utility>
 #include <vector>
 
+#include "rgs/guard_memory.hpp"
+
 namespace rgs {
 namespace {
 
@@ -76,6 +78,21 @@ std::string folder_of(const std::string& path) {
   const std::size_t slash = path.find_last_of('/');
   if (slash == std::string::npos) return ".";
   return slash == 0 ? "/" : path.substr(0, slash);
+}
+
+// Opens a new file and replaces the Xs at the end of `name`; -1 and errno if none can be created. mkostemp() would give it
+// mode 0600, and a process cannot be asked for its umask without setting it; open() applies that, or the folder's ACL.
+int create_new(std::string& name) {
+  constexpr char kLetters[] = "abcdefghijklmnopqrstuvwxyz012345";
+  constexpr int kAttempts = 100;
+  for (int attempt = 0; attempt < kAttempts; ++attempt) {
+    std::uint32_t random = 0;
+    if (::getentropy(&random, sizeof random) != 0) return -1;
+    for (std::size_t i = 1; i <= 6; ++i, random >>= 5) name[name.size() - i] = kLetters[random & 31u];
+    const int fd = ::open(name.c_str(), O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+    if (fd >= 0 || errno != EEXIST) return fd;
+  }
+  return -1;
 }
 
 // Masks the handled signals while a temporary is created, so that none dies between the file and its table entry.
@@ -166,6 +183,10 @@ void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t lengt
 }
 
 Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& options) {
+  return detail::guard_memory([&] { return begin(path, options); });
+}
+
+Result<AtomicFile> AtomicFile::begin(const std::string& path, const Options& options) {
   struct stat info {};
   if (path != kStdout && ::stat(path.c_str(), &info) == 0) {
     if (S_ISDIR(info.st_mode)) return make_error(Errc::output_unusable, Error::kNone, "the output is a directory");
@@ -178,14 +199,15 @@ Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& op
   AtomicFile file;
   file.path_ = path;
   file.options_ = options;
+  const SignalGuard guard;
   if (path == kStdout) {
     const char* folder = std::getenv("TMPDIR");
     file.temporary_ = std::string(folder != nullptr && *folder != '\0' ? folder : "/tmp") + "/rgs-output-XXXXXX";
+    file.fd_ = ::mkostemp(file.temporary_.data(), O_CLOEXEC);
   } else {
     file.temporary_ = path + ".tmp-XXXXXX";
+    file.fd_ = create_new(file.temporary_);
   }
-  const SignalGuard guard;
-  file.fd_ = ::mkostemp(file.temporary_.data(), O_CLOEXEC);
   if (file.fd_ < 0) {
     file.temporary_.clear();
     return system_error(Errc::write_failed, path == kStdout
@@ -199,9 +221,6 @@ Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& op
     return file;
   }
   file.slot_ = claim_slot(file.temporary_);
-  const mode_t mask = ::umask(0);
-  ::umask(mask);
-  ::fchmod(file.fd_, 0666 & ~mask);  // mkostemp made it 0600
   return file;
 }
 
@@ -288,6 +307,10 @@ Status AtomicFile::copy_to_stdout() {
 }
 
 Result<double> AtomicFile::commit() {
+  return detail::guard_memory([this] { return finish(); });
+}
+
+Result<double> AtomicFile::finish() {
   for (const MappedFile* input : options_.inputs) {
     if (const Status s = input->check_size(); !s) return tl::unexpected(s.error());
   }
@@ -297,6 +320,7 @@ Result<double> AtomicFile::commit() {
     if (!copied) return tl::unexpected(copied.error());
     return 0.0;
   }
+  const std::string folder_path = folder_of(path_);  // now: nothing may fail behind the renaming
   double seconds = 0;
   const auto timed_sync = [&seconds](int fd) {
     const auto start = std::chrono::steady_clock::now();
@@ -328,7 +352,7 @@ Result<double> AtomicFile::commit() {
   temporary_.clear();
   release_slot(std::exchange(slot_, -1));
   if (options_.sync) {
-    const int folder = ::open(folder_of(path_).c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    const int folder = ::open(folder_path.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder >= 0) {
       timed_sync(folder);  // some file systems refuse to sync a folder; the file itself is on disk
       ::close(folder);

@@ -1,20 +1,20 @@
 // load_direct.cpp - chunks in the layout that a GPU reads: borrowed from the file, or decoded on all threads.
 // SPDX-License-Identifier: Apache-2.0
-#include <sys/mman.h>
-
 #include <algorithm>
 #include <array>
 #include <cassert>
 #include <cstdlib>
-#include <new>
+#include <limits>
 
 #include "archive/archive_codec.hpp"
 #include "file/checked.hpp"
+#include "file/large_pages.hpp"
 #include "file/value_checks.hpp"
 #include "file/workers.hpp"
 #include "packed/frame_codec.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -29,18 +29,13 @@ struct CodedPart {
   std::byte* rows = nullptr;         // [end - first, row_bytes]
 };
 
-// Uninitialised, for vector loads. Large blocks ask for large pages: most of the time of touching memory for the first
-// time is spent on page faults.
+// Uninitialised, for vector loads; null if there is not as much.
 std::byte* allocate(std::uint64_t bytes) {
-  constexpr std::uint64_t kLargePage = std::uint64_t{2} << 20;
-  const std::uint64_t alignment = bytes >= 2 * kLargePage ? kLargePage : 64;
-  if (bytes > ~std::uint64_t{0} - alignment) throw std::bad_alloc();
-  const std::uint64_t size = detail::align_up(std::max<std::uint64_t>(bytes, 1), alignment);
-  void* memory = std::aligned_alloc(alignment, size);
-  if (memory == nullptr) throw std::bad_alloc();
-#ifdef MADV_HUGEPAGE
-  if (alignment == kLargePage) ::madvise(memory, size, MADV_HUGEPAGE);  // a hint
-#endif
+  const std::uint64_t alignment = bytes >= 2 * detail::kLargePage ? detail::kLargePage : 64;
+  if (bytes > std::numeric_limits<std::size_t>::max() - alignment) return nullptr;
+  const auto size = static_cast<std::size_t>(detail::align_up(std::max<std::uint64_t>(bytes, 1), alignment));
+  void* memory = std::aligned_alloc(static_cast<std::size_t>(alignment), size);
+  if (memory != nullptr && alignment == detail::kLargePage) detail::ask_for_large_pages(memory, size);
   return static_cast<std::byte*>(memory);
 }
 
@@ -149,6 +144,11 @@ void DirectData::Free::operator()(std::byte* memory) const {
 
 Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
                                const LoadOptions& options) {
+  return detail::guard_memory([&] { return DirectData::load(view, first_chunk, n_chunks, options); });
+}
+
+Result<DirectData> DirectData::load(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                                    const LoadOptions& options) {
   const Header& h = view.header();
   assert(first_chunk <= h.n_chunks && n_chunks <= h.n_chunks - first_chunk);
   DirectData data;
@@ -168,6 +168,7 @@ Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, 
                                Section{SectionType::geometry, kGeometryBytes, &data.geometry_},
                                Section{SectionType::means, kMeanBytes, &data.means_}};
   std::vector<CodedPart> parts;
+  data.memory_.reserve(sections.size());
   for (const Section& s : sections) {
     const FrameTable& table = view.frames(s.type);
     if (table.rows == 0) {
@@ -179,9 +180,9 @@ Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, 
     part.n_frames = (data.first_ + data.n_ - 1) / table.rows + 1 - part.first_frame;
     part.first = part.first_frame * table.rows;
     part.end = std::min((part.first_frame + part.n_frames) * table.rows, h.n_gaussians);
-    data.memory_.emplace_back(allocate((part.end - part.first) * s.row_bytes));
-    part.rows = data.memory_.back().get();
-    *s.rows = {part.rows + (data.first_ - part.first) * s.row_bytes, data.n_ * s.row_bytes};
+    part.rows = data.memory_.emplace_back(allocate((part.end - part.first) * s.row_bytes)).get();
+    if (part.rows == nullptr) return detail::out_of_memory();
+    *s.rows = std::span(part.rows + (data.first_ - part.first) * s.row_bytes, data.n_ * s.row_bytes);
     parts.push_back(part);
   }
   if (!parts.empty()) {
@@ -198,11 +199,13 @@ Result<DirectData> read_chunks(const FileView& view, std::uint64_t first_chunk, 
 }
 
 Result<DirectData> load_direct(const FileView& view, const LoadOptions& options) {
-  auto data = read_chunks(view, 0, view.header().n_chunks, {false, options.threads});
-  if (data && options.validate) {
-    if (const Status s = detail::check_file(*data, options.threads); !s) return tl::unexpected(s.error());
-  }
-  return data;
+  return detail::guard_memory([&]() -> Result<DirectData> {
+    auto data = read_chunks(view, 0, view.header().n_chunks, {false, options.threads});
+    if (data && options.validate) {
+      if (const Status s = detail::check_file(*data, options.threads); !s) return tl::unexpected(s.error());
+    }
+    return data;
+  });
 }
 
 }  // namespace rgs

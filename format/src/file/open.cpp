@@ -8,6 +8,7 @@
 #include "file/layout_io.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -99,7 +100,7 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
 // Codec::archive is that of MEAN, GEOM and SHI8 together, with ARCH, or of none.
 Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
   constexpr auto kArchive = static_cast<std::uint32_t>(Codec::archive);
-  // Of a type that is not known, the codec is nobody's business.
+  // The codec of an unknown type is not looked at.
   const bool archive = std::ranges::any_of(sections, [](const SectionEntry& s) {
     return s.codec == kArchive && archive_type(static_cast<SectionType>(s.type));
   });
@@ -178,6 +179,10 @@ std::span<const std::byte> FileView::stored(SectionType type) const {
 }
 
 Result<FileView> FileView::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  return detail::guard_memory([&] { return parse(bytes, limits); });
+}
+
+Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto header = detail::parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->file_bytes > limits.max_file_bytes) {

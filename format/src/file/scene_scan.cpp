@@ -1,11 +1,12 @@
 // scene_scan.cpp - damaged Gaussians and the first pass of the encoder.
 // SPDX-License-Identifier: Apache-2.0
+#include "rgs/scene_scan.hpp"
+
 #include <algorithm>
 #include <cassert>
 #include <cmath>
 #include <limits>
 
-#include "rgs/encode.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -44,6 +45,14 @@ ShStepSet ShMagnitudes::max_abs() const {
   for (std::size_t i = 0; i < bits_.size(); ++i) {
     float& value = set.step[sh_degree_of(static_cast<int>(i / 3))][i % 3];
     value = std::max(value, detail::float_of(static_cast<std::uint32_t>(bits_[i])));
+  }
+  return set;
+}
+
+ShStepSet ShMagnitudes::steps() const {
+  ShStepSet set = max_abs();
+  for (auto& degree : set.step) {
+    for (float& step : degree) step = sh_step(step);
   }
   return set;
 }
@@ -103,9 +112,9 @@ bool repair(Splat& s, std::uint32_t defects) {
   return true;
 }
 
-SceneScan::SceneScan(int sh_degree, const EncodeOptions& options)
-    : sh_degree_(std::clamp(std::min(sh_degree, options.sh_degree), 0, kMaxShDegree)),
-      on_bad_(options.on_bad),
+SceneScan::SceneScan(int sh_degree, BadPolicy on_bad)
+    : sh_degree_(std::clamp(sh_degree, 0, kMaxShDegree)),
+      on_bad_(on_bad),
       min_log_scale_(kInfinity),
       max_log_scale_(-kInfinity),
       min_opacity_logit_(kInfinity),

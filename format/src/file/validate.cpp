@@ -5,11 +5,13 @@
 #include <cmath>
 #include <cstring>
 
+#include "file/chunk_summary.hpp"
 #include "file/value_checks.hpp"
+#include "file/value_counts.hpp"
 #include "file/workers.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
-#include "rgs/encode.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -17,7 +19,7 @@ namespace detail {
 
 // What the declarations state about all Gaussians, summed up in any order.
 struct ValueTotals {
-  EncodeCounts counts;
+  ValueCounts counts;
   Box full;
   bool empty = true;
 
@@ -37,6 +39,7 @@ namespace {
 
 using detail::run_jobs;
 using detail::threads_for;
+using detail::ValueCounts;
 using detail::worker_count;
 using Totals = detail::ValueTotals;
 
@@ -45,7 +48,7 @@ constexpr double kNormTolerance = 0x1p-8;
 
 // `place` gives the offset in the file of a byte of the row.
 template <class Place>
-Status check_geometry(const std::uint16_t codes[8], const Place& place, EncodeCounts& counts,
+Status check_geometry(const std::uint16_t codes[8], const Place& place, ValueCounts& counts,
                       std::uint16_t& largest_scale, std::uint16_t& largest_opacity) {
   double squared = 0;  // exact: squares of FP16 numbers and their sums fit into 53 bits
   for (int i = 0; i < 4; ++i) {
@@ -193,7 +196,7 @@ Status check_declarations(const FileView& view, const Totals& totals) {
       return make_error(Errc::bad_value, at + 68, "the declared robust box reaches beyond the full box");
     }
   }
-  const EncodeCounts& counts = totals.counts;
+  const ValueCounts& counts = totals.counts;
   const std::uint64_t found[4] = {counts.scale_subnormal, counts.scale_zero, counts.opacity_zero, counts.opacity_one};
   const std::uint64_t declared[4] = {d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one};
   for (std::size_t i = 0; i < 4; ++i) {
@@ -265,18 +268,22 @@ Validation& Validation::operator=(Validation&&) noexcept = default;
 Validation::~Validation() = default;
 
 Result<Validation> Validation::begin(const FileView& view) {
-  if (const Status s = check_sections(view, 0, true); !s) return tl::unexpected(s.error());
-  if (const Status s = check_step_sets(view); !s) return tl::unexpected(s.error());
-  return Validation(view);
+  return detail::guard_memory([&]() -> Result<Validation> {
+    if (const Status s = check_sections(view, 0, true); !s) return tl::unexpected(s.error());
+    if (const Status s = check_step_sets(view); !s) return tl::unexpected(s.error());
+    return Validation(view);
+  });
 }
 
 Status Validation::check(const DirectData& next) {
-  return check_chunks(next, 0, *totals_);
+  return detail::guard_memory([&] { return check_chunks(next, 0, *totals_); });
 }
 
 Status Validation::finish() const {
-  if (Status s = check_declarations(*view_, *totals_); !s) return s;
-  return check_permutation(*view_);
+  return detail::guard_memory([&] {
+    if (Status s = check_declarations(*view_, *totals_); !s) return s;
+    return check_permutation(*view_);
+  });
 }
 
 std::uint64_t Validation::chunks_at_a_time() const {

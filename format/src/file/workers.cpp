@@ -6,7 +6,6 @@
 #include <atomic>
 #include <exception>
 #include <mutex>
-#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -47,7 +46,7 @@ Status run_jobs(std::uint64_t n, unsigned threads, const std::function<Status(un
   others.reserve(count);
   try {
     for (unsigned worker = 1; worker < count; ++worker) others.emplace_back(work, worker);
-  } catch (const std::system_error&) {  // no more threads: those there are do the work
+  } catch (...) {  // no more threads, or no memory for one: those there are do the work
   }
   work(0);
   for (std::thread& thread : others) thread.join();

@@ -1,4 +1,6 @@
-// workers.hpp - independent jobs on a few threads.
+// workers.hpp - independent jobs on a few threads. Not on oneTBB, which runtime and converter use: the format library
+// would take a dependency along wherever it goes, for one loop whose jobs are whole frames, that starts its threads once
+// a file and, unlike tbb::parallel_for, returns the failure of the lowest job. single_thread.cpp does without threads.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

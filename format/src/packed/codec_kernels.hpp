@@ -58,14 +58,4 @@ struct CodecKernels {
 /// For the machine that this runs on. All give the same bits.
 const CodecKernels& codec_kernels();
 
-namespace kernels_base {
-extern const CodecKernels kKernels;
-}
-namespace kernels_avx2 {
-extern const CodecKernels kKernels;
-}
-namespace kernels_avx512 {
-extern const CodecKernels kKernels;
-}
-
 }  // namespace rgs::detail

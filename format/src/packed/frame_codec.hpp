@@ -9,11 +9,11 @@
 #include <vector>
 
 #include "packed/codec_kernels.hpp"
+#include "packed/inflater.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/result.hpp"
 
 struct ZSTD_CCtx_s;
-struct ZSTD_DCtx_s;
 
 namespace rgs::detail {
 
@@ -41,10 +41,7 @@ class FrameDecoder {
 
  private:
   Status inflate(std::span<const std::byte> stored, std::uint64_t offset, std::size_t content_bytes);
-  struct Free {
-    void operator()(ZSTD_DCtx_s* context) const;
-  };
-  std::unique_ptr<ZSTD_DCtx_s, Free> context_;
+  Inflater inflater_;
   std::unique_ptr<ShLanes> lanes_;
   std::vector<std::uint8_t> content_;
 };

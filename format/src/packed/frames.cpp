@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cassert>
+#include <limits>
 
 #include "archive/archive_tables.hpp"
 #include "file/checked.hpp"
@@ -153,6 +154,7 @@ Status FileView::open_coded(const DecodeLimits& limits) {
   std::uint64_t budget = 0;
   if (!detail::multiply(bytes_.size(), limits.max_expansion, budget) || budget > ~kAlways) budget = ~kAlways;
   budget += kAlways;
+  budget = std::min<std::uint64_t>(budget, std::numeric_limits<std::size_t>::max() / 2);  // sizes below are size_t
   std::vector<FrameTable> tables(sections_.size());
   for (std::size_t i = 0; i < sections_.size(); ++i) {
     const SectionEntry& s = sections_[i];

@@ -1,4 +1,4 @@
-// packed.hpp - what the encoder's profiles share.
+// packed.hpp - sections with a frame table, as they are stored.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -7,32 +7,25 @@
 #include <span>
 #include <vector>
 
-#include "rgs/encode.hpp"
+#include "rgs/layout.hpp"
 
 namespace rgs::detail {
 
-/// Decoded bytes of DECL, SHSC, CHNK or PROV.
-std::vector<std::byte> small_section(const EncodePlan& plan, SectionType type, std::span<const ChunkEntry> chunks,
-                                     std::span<const ShStepSet> scales, const EncodeCounts& counts);
+/// What stands before the frames of a section; their offsets do not matter.
+std::vector<std::byte> write_frame_table(std::uint32_t rows, std::span<const CodedFrame> frames);
+constexpr std::uint64_t frame_table_bytes(std::uint64_t n_frames) {
+  return kFrameTableBytes + n_frames * kFrameEntryBytes + 8;
+}
 
-/// Frames of a large section, one behind the other.
-struct FrameBytes {
-  std::vector<CodedFrame> frames;
+/// A table of 48-byte records as a coded section, or as it is if that is no larger.
+struct StoredTable {
   std::vector<std::byte> bytes;
-  void append(std::span<const std::byte> frame);
+  Codec codec = Codec::none;
 };
+StoredTable code_table(std::vector<std::byte> records, int level);
 
-/// The whole file of a profile that codes frames. `tables`: content of ARCH, for Profile::archive.
-struct FramedFile {
-  FrameBytes means, geometry, sh;
-  std::span<const std::byte> permutation, tables;
-  std::span<const ChunkEntry> chunks;
-  std::span<const ShStepSet> scales;
-  EncodeCounts counts;
-};
-std::vector<std::byte> assemble_frames(const EncodePlan& plan, FramedFile file);
-
-/// What a coded section of this size can take at most: noise is stored as it is, with Zstandard's and our own headers.
+/// What a section of Codec::planes can take at most, its table included: noise is stored as it is, with Zstandard's and our
+/// own headers.
 constexpr std::uint64_t coded_bound(std::uint64_t decoded_bytes, std::uint64_t n_frames) {
   return decoded_bytes + decoded_bytes / 128 + 4096 * n_frames + 64;
 }

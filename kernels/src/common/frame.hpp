@@ -53,6 +53,11 @@ struct TileRange {
   std::uint32_t begin, end;
 };
 
+/// Bytes from a row to the next of each output; multiples of its element's size.
+struct RowPitches {
+  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
+};
+
 /// Outputs [height, width(, 3)], rows from top to bottom; null where not wanted.
 struct PixelArrays {
   float* rgb = nullptr;
@@ -62,6 +67,22 @@ struct PixelArrays {
   std::uint32_t* blended = nullptr;
   void* packed = nullptr;  ///< pixels of `format`, aligned to math::pixel_bytes() of it
   math::PixelFormat format = math::PixelFormat::rgba8;
+  std::uint64_t surface = 0;  ///< cudaSurfaceObject_t that takes the packed pixels in place of `packed`; 0 = none
+  RowPitches pitch = {};      ///< kernels want them all; see with_pitches()
+
+  /// The same; where a pitch is 0, rows of `width` pixels follow each other.
+  PixelArrays with_pitches(int width) const {
+    PixelArrays a = *this;
+    const auto w = static_cast<std::uint64_t>(width);
+    const auto fill = [](std::uint64_t& p, std::uint64_t row_bytes) { p = p == 0 ? row_bytes : p; };
+    fill(a.pitch.rgb, w * 3 * sizeof(float));
+    fill(a.pitch.alpha, w * sizeof(float));
+    fill(a.pitch.depth, w * sizeof(float));
+    fill(a.pitch.evaluated, w * sizeof(std::uint32_t));
+    fill(a.pitch.blended, w * sizeof(std::uint32_t));
+    fill(a.pitch.packed, w * math::pixel_bytes(format));
+    return a;
+  }
 };
 
 }  // namespace rgs::cuda

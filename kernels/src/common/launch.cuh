@@ -1,8 +1,12 @@
-// launch.cuh - checks a launch.
+// launch.cuh - how many blocks to launch, and whether the launch succeeded.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <cuda_runtime.h>
+
+#include <array>
+#include <atomic>
+#include <cstdint>
 
 #include "rgs/result.hpp"
 
@@ -26,6 +30,51 @@ constexpr int resident_blocks(int wanted, int threads) {
 }
 constexpr std::uint32_t blocks_for(std::uint64_t n, std::uint32_t threads) {
   return static_cast<std::uint32_t>((n + threads - 1) / threads);
+}
+
+/// A number that each device has of its own, asked for once and kept. Thread-safe.
+class DeviceNumber {
+ public:
+  /// That of the current device. `ask`: cudaError_t(int device, int& number). Errors: device_failed.
+  template <class Ask>
+  Result<std::uint32_t> get(const Ask& ask) {
+    int device = 0, number = 0;
+    cudaError_t error = cudaGetDevice(&device);
+    const bool is_kept = error == cudaSuccess && device < kDevices;
+    if (is_kept) number = known_[static_cast<std::size_t>(device)].load(std::memory_order_relaxed);
+    if (error == cudaSuccess && number == 0) error = ask(device, number);
+    if (const auto ok = checked(error, "the device does not say how many blocks it has room for"); !ok) {
+      return tl::unexpected(ok.error());
+    }
+    if (is_kept) known_[static_cast<std::size_t>(device)].store(number, std::memory_order_relaxed);
+    return static_cast<std::uint32_t>(number);
+  }
+
+ private:
+  static constexpr int kDevices = 64;  // further ones are asked every time
+  std::array<std::atomic<int>, kDevices> known_{};
+};
+
+inline cudaError_t ask_multiprocessors(int device, int& number) {
+  return cudaDeviceGetAttribute(&number, cudaDevAttrMultiProcessorCount, device);
+}
+/// Of the current device. Errors: device_failed.
+inline Result<std::uint32_t> multiprocessors() {
+  static DeviceNumber known;
+  return known.get(ask_multiprocessors);
+}
+/// As many blocks of kKernel, without dynamic shared memory, as the current device holds at a time: for kernels that learn
+/// on the device how much there is to do, and whose blocks take it in turn. Errors: device_failed.
+template <auto kKernel>
+Result<std::uint32_t> resident_grid(int threads) {
+  static DeviceNumber known;
+  return known.get([threads](int device, int& number) {
+    int blocks = 0;
+    cudaError_t error = cudaOccupancyMaxActiveBlocksPerMultiprocessor(&blocks, kKernel, threads, 0);
+    if (error == cudaSuccess) error = ask_multiprocessors(device, number);
+    number *= blocks;
+    return error;
+  });
 }
 
 }  // namespace rgs::cuda

@@ -78,7 +78,7 @@ __device__ inline math::Vec3<float> load_color(const CompactAttributes& a, std::
 #pragma unroll
     for (int k = 0; k < kWords; ++k) words[k] = __ldg(from + k);
   }
-  // Entry of CHNK: its index of a scale set lies at byte 32.
+  // Entry of CHNK: its index of a step set lies at byte 32.
   const std::uint32_t set = __ldg(a.chunks + 12 * (i / a.chunk_size) + 8);
   const float* steps = a.sh_steps + 12 * set;
   float step[Degree + 1][3];

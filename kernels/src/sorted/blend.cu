@@ -115,7 +115,7 @@ __global__ void __launch_bounds__(kTilePixels / N) blend_kernel(BlendArguments a
 #pragma unroll
   for (int k = 0; k < N; ++k) {
     if (at.inside(k, a.width, a.height)) {
-      store_pixel<Details>(a.target, a.background, at.index(k, a.width), pixel[k], n_evaluated[k], n_blended[k]);
+      store_pixel<Details>(a.target, a.background, at.image_x(), at.image_y(k), pixel[k], n_evaluated[k], n_blended[k]);
     }
   }
   if constexpr (Details) {

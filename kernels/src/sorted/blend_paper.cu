@@ -88,7 +88,7 @@ __global__ void __launch_bounds__(kThreads) paper_kernel(BlendArguments a) {
   const auto store = [&](int k, const Accumulated& p) {
     if (!at.inside(k, a.width, a.height)) return;
     const math::Pixel<float> pixel{-p.r, -p.g, -p.b, 0, fabsf(p.t)};
-    store_pixel<false>(a.target, a.background, at.index(k, a.width), pixel, 0, 0);
+    store_pixel<false>(a.target, a.background, at.image_x(), at.image_y(k), pixel, 0, 0);
   };
   store(0, above);
   store(1, below);

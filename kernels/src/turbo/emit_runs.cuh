@@ -17,12 +17,9 @@ struct RunPlaces {
   std::uint64_t entry_base, run_base;
 };
 
-__device__ inline TurboEntry make_entry(std::uint32_t depth, std::uint32_t index, std::uint32_t cells) {
-  return static_cast<std::uint64_t>(depth) << (kTurboIndexBits + 8) | static_cast<std::uint64_t>(index) << 8 | cells;
-}
-
 /// Gives the `n` entries that the block has for the thread's tile a place, and writes their run. Returns where they begin.
-/// At most 2^16 - 1 entries a block. All threads of the block call it, with 0 if there is nothing, and pass a barrier before the next call.
+/// At most 2^16 - 1 entries a block. All threads of the block call it, with 0 if there is nothing, and pass a barrier before
+/// the next call.
 template <int Threads>
 __device__ std::uint32_t reserve_runs(RunPlaces<Threads>& s, std::uint32_t n, std::uint32_t tile,
                                       const TurboArrays& out) {

@@ -1,25 +1,17 @@
-// turbo.hpp - launches of the turbo pipeline: lists per tile of 32x32 pixels, each ordered on its own and dealt out to the
-// cells of 16x8 pixels that are blended. No sort over the frame, and nothing that the host must know before the last kernel
-// is queued.
+// turbo.hpp - launches of the turbo pipeline: lists per tile, each ordered on its own and dealt out to the cells that are
+// blended. No sort over the frame, and nothing that the host must know before the last kernel is queued. README.md has the
+// words, turbo_geometry.hpp the sizes of tiles and cells.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
 #include <cstdint>
 
 #include "common/frame.hpp"
-#include "rgs/hd.hpp"
 #include "rgs/result.hpp"
 #include "sorted/front_end.hpp"
+#include "turbo/turbo_geometry.hpp"
 
 namespace rgs::cuda {
-
-inline constexpr int kTurboTile = math::kCellTile;  ///< pixels along a tile's side
-
-/// What a list holds of a Gaussian: bits of its depth (positive: 31), its index, and the cells of the tile that it
-/// touches (math::cells_of()). Entries order by depth, then by index.
-using TurboEntry = std::uint64_t;
-inline constexpr int kTurboIndexBits = 25;
-inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;
 
 /// Entries begin .. begin + n - 1 of one tile, written by one block.
 struct TurboRun {
@@ -29,42 +21,41 @@ struct TurboRun {
 struct alignas(16) TurboTileRun {
   TurboRun run;
   std::uint32_t tile;
-  std::uint32_t rank;  ///< among the tile's runs
+  std::uint32_t in_tile;  ///< place among the tile's runs
 };
 static_assert(sizeof(TurboTileRun) == 16);
 
 /// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `long_list` is its place among the long
-/// lists, if it is one: if it has kTurboEntries or more.
+/// lists, if it is one: if it has kTurboRound or more.
 struct TurboList {
   std::uint32_t begin, n_runs, n_entries, long_list;
 };
-inline constexpr std::uint32_t kTurboEntries = 2048;  ///< ordered at a time; a power of two
+inline constexpr std::uint32_t kTurboRound = 2048;  ///< that a block orders at a time; a power of two
 
-/// What a cell of 16x8 pixels shows: Gaussians begin .. begin + n - 1 of TurboArrays::cell_gaussians, in order.
+/// What a cell shows: Gaussians begin .. begin + n - 1 of TurboArrays::cell_gaussians, in order.
 struct alignas(16) TurboCell {
   std::uint32_t begin, n;
   std::uint32_t x, y;  ///< its first pixel
 };
 static_assert(sizeof(TurboCell) == 16);
-inline constexpr int kTurboCells = 8;  ///< of a tile
 
 /// A Gaussian whose bounding box has many tiles: kept for a kernel in which tiles look for theirs.
-struct alignas(16) TurboLarge {
+struct alignas(16) TurboLargeGaussian {
   math::Ellipse<float> ellipse;
   std::uint32_t depth;  ///< bits
   std::uint32_t index;
   std::uint32_t listed;  ///< 1 once it has an entry
   std::uint32_t unused[4];
 };
-static_assert(sizeof(TurboLarge) == 64);
+static_assert(sizeof(TurboLargeGaussian) == 64);
 /// Its bounding box: tiles x0 <= x < x1, y0 <= y < y1.
 struct alignas(8) TurboBox {
   std::uint16_t x0, y0, x1, y1;
 };
 
-/// A long list is moved to scratch memory in the order of kTurboBins bins of depth, slice by slice, and then ordered in
-/// units: bins next to each other, or a share of such bins where they hold more than can be ordered at a time.
-struct alignas(16) TurboLong {
+/// A long list is moved to scratch memory in the order of kTurboBins bins of depth, slice by slice, and cut in parts, bins
+/// next to each other. It is then ordered in units: parts, or a share of one that holds more than is ordered at a time.
+struct alignas(16) TurboLongList {
   std::uint32_t tile;
   std::uint32_t in_class;                 ///< place of the tile in its class, see below
   std::uint32_t scratch;                  ///< place of its n_entries in TurboArrays::scratch
@@ -78,20 +69,20 @@ struct alignas(16) TurboLong {
 inline constexpr std::uint32_t kTurboBins = 1024;
 inline constexpr std::uint32_t kTurboSlice = 4096;     ///< entries of a list's slices on average, or fewer
 inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, or fewer
-inline constexpr std::uint32_t kTurboUnit = 1024;      ///< entries of a unit, but for the length of a bin
+inline constexpr std::uint32_t kTurboPart = 1024;      ///< entries of a part, but for the length of a bin
 inline constexpr std::uint32_t kTurboShare = 1024;     ///< entries of a share, but for what a sample misses
 
-/// Entries begin .. end - 1 of TurboArrays::scratch; of more than kTurboEntries, those of one share alone.
+/// Of the part begin .. end - 1 of TurboArrays::scratch: all entries, or one share of more than kTurboRound.
 struct alignas(16) TurboUnit {
   std::uint32_t begin, end;
   std::uint32_t long_list;
   std::uint32_t share;
 };
-/// How many units order n entries of neighbouring bins.
+/// How many units order a part of n entries.
 RGS_HD constexpr std::uint32_t turbo_shares(std::uint32_t n) {
-  if (n <= kTurboEntries) return 1;
+  if (n <= kTurboRound) return 1;
   const std::uint32_t shares = (n + kTurboShare - 1) / kTurboShare;
-  return shares < kTurboEntries / 2 ? shares : kTurboEntries / 2;
+  return shares < kTurboRound / 2 ? shares : kTurboRound / 2;
 }
 
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
@@ -109,13 +100,13 @@ RGS_HD constexpr int turbo_class(std::uint32_t length) {
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
   Counters counters;
-  std::uint64_t runs;     ///< written or not
-  std::uint32_t n_large;  ///< the same of TurboArrays::large
-  std::uint32_t placed;   ///< runs that have a place in their tile's list
-  std::uint32_t scratch;  ///< entries of the long lists
-  std::uint32_t ordered;  ///< tiles
-  std::uint32_t n_long, n_slices, n_units;
-  std::uint32_t taken;     ///< units that a block has begun
+  std::uint64_t runs;               ///< written or not
+  std::uint32_t n_large_gaussians;  ///< the same of TurboArrays::large_gaussians
+  std::uint32_t n_placed;           ///< runs that have a place in their tile's list
+  std::uint32_t n_scratch;          ///< entries of the long lists
+  std::uint32_t n_ordered;          ///< tiles whose cells have their places
+  std::uint32_t n_long_lists, n_slices, n_units;
+  std::uint32_t n_taken;   ///< units that a block has begun
   std::uint64_t in_cells;  ///< Gaussians of all cells, written or not
   std::uint32_t class_size[kTurboClasses];
 
@@ -130,13 +121,13 @@ static_assert(sizeof(TurboState) % 16 == 0);
 struct TurboArrays {
   TurboState* state;
   std::uint32_t n_tiles;
-  TurboEntry* entries;    ///< [entry_capacity]
-  TurboTileRun* runs;     ///< [run_capacity]
-  TurboRun* tile_runs;    ///< [run_capacity] the same by tile
-  TurboLarge* large;      ///< [large_capacity]
-  TurboBox* large_boxes;  ///< [large_capacity]
-  TurboEntry* scratch;    ///< [entry_capacity] of the long lists
-  TurboLong* long_lists;  ///< [TurboLongSizes::lists], and so on
+  TurboEntry* entries;                  ///< [entry_capacity]
+  TurboTileRun* runs;                   ///< [run_capacity]
+  TurboRun* tile_runs;                  ///< [run_capacity] the same by tile
+  TurboLargeGaussian* large_gaussians;  ///< [large_capacity]
+  TurboBox* large_boxes;                ///< [large_capacity]
+  TurboEntry* scratch;                  ///< [entry_capacity] of the long lists
+  TurboLongList* long_lists;            ///< [TurboLongListSizes::lists], and so on
   TurboUnit* units;
   std::uint32_t* unit_cells;      ///< [units, kTurboCells] entries that touch each cell, and 1; 0 while not known
   std::uint32_t* bins;            ///< [lists, kTurboBins] entries of each bin; then the place of its next one
@@ -149,32 +140,33 @@ struct TurboArrays {
 };
 
 /// How many long lists, and parts of them, there can be at most among so many entries and runs.
-struct TurboLongSizes {
+struct TurboLongListSizes {
   std::uint64_t lists, units, slices;
 
-  static constexpr TurboLongSizes of(std::uint64_t entries, std::uint64_t runs) {
-    const std::uint64_t lists = entries / kTurboEntries;
+  static constexpr TurboLongListSizes of(std::uint64_t entries, std::uint64_t runs) {
+    const std::uint64_t lists = entries / kTurboRound;
     return {lists, 2 * (entries / kTurboShare) + 2 * lists, entries / kTurboSlice + runs / kTurboSliceRuns + 2 * lists};
   }
   /// Of all five arrays.
   constexpr std::uint64_t bytes() const {
-    return lists * (sizeof(TurboLong) + 4 * kTurboBins) + units * (sizeof(TurboUnit) + 4 * kTurboCells) + 4 * slices;
+    return lists * (sizeof(TurboLongList) + 4 * kTurboBins) + units * (sizeof(TurboUnit) + 4 * kTurboCells) +
+           4 * slices;
   }
   /// One after the other in `memory`, of so many bytes.
   void lay_out(void* memory, TurboArrays& to) const {
     if (memory == nullptr) return;
-    to.long_lists = static_cast<TurboLong*>(memory);
+    to.long_lists = static_cast<TurboLongList*>(memory);
     to.units = reinterpret_cast<TurboUnit*>(to.long_lists + lists);
-    to.unit_cells = reinterpret_cast<std::uint32_t*>(to.units + units);
-    to.bins = to.unit_cells + units * kTurboCells;
-    to.slices = to.bins + lists * kTurboBins;
+    to.bins = reinterpret_cast<std::uint32_t*>(to.units + units);  // aligned to 16 bytes: four at a time
+    to.unit_cells = to.bins + lists * kTurboBins;
+    to.slices = to.unit_cells + units * kTurboCells;
   }
 };
 
 /// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
 /// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
 /// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
-/// and have no entries. v.grid is that of 32x32 tiles. n < kMaxTurboGaussians. Errors: device_failed.
+/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -186,20 +178,20 @@ Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 
 /// Writes the entries and runs of the large Gaussians. launch_turbo_emit(), which has set them aside, calls it.
 /// Errors: device_failed.
-Status launch_turbo_large(const TurboArrays& arrays, math::TileGrid grid, Stream stream);
+Status launch_turbo_large_gaussians(const TurboArrays& arrays, math::TileGrid grid, Stream stream);
 
 /// Gives every tile its runs and its class. If a capacity was exceeded, all lists are empty. `seen` gets a copy of the
 /// state for the host to read: page-locked memory that the device reaches. Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, Stream stream);
 
 /// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of tiles
-/// that do not fit are empty. `seen`, see above, gets the Gaussians of all cells once both this and launch_turbo_long()
-/// have found places for theirs. Errors: device_failed.
+/// that do not fit are empty. `seen`, see above, gets the Gaussians of all cells once both this and
+/// launch_turbo_long_lists() have found places for theirs. Errors: device_failed.
 Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
 
 /// The same for the long lists; the two may run side by side. Moves them to scratch memory, cut in units. Errors:
 /// device_failed.
-Status launch_turbo_long(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
+Status launch_turbo_long_lists(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
 /// Then this orders the units. Errors: device_failed.
 Status launch_turbo_units(const TurboArrays& arrays, Stream stream);
 
@@ -208,7 +200,7 @@ Status launch_turbo_units(const TurboArrays& arrays, Stream stream);
 struct TurboBlendArguments {
   TurboArrays arrays;
   const ScreenSplat* splats;
-  math::TileGrid grid;  ///< of 32x32 tiles
+  math::TileGrid grid;  ///< of tiles of kTurboTile
   int width, height;    ///< px
   math::Vec3<float> background;
   PixelArrays target;

@@ -1,12 +1,12 @@
-// turbo_blend.cu - blends the cells in FP32, with depth and counts if they are wanted: a warp a cell of 16x8 pixels.
+// turbo_blend.cu - blends the cells in FP32, with depth and counts if they are wanted: a warp a cell.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/blend.hpp: fold(), its polynomial by columns; docs/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
-// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane, 32 B of shared memory to each lane, and about 12
+// Cost    a Gaussian of a cell: 52 B gathered by one lane, 32 B of shared memory to each lane, and about 12
 //         instructions a pixel
 // Launch  256 threads a tile: eight warps, each with a cell; a thread has four pixels of one column: what it reads of a
-//         Gaussian, and its polynomial in y, serve all four
+//         Gaussian, and its polynomial in y, serve all four (numbers for cells of 16x8)
 // Shared  32 Gaussians a warp: 8 KiB
 // Order   that of the cells' lists: deterministic
 #include <cuda_fp16.h>
@@ -24,13 +24,11 @@
 namespace rgs::cuda {
 namespace {
 
-constexpr int kThreads = 256;
-constexpr int kWarps = kThreads / 32;
-static_assert(kWarps == kTurboCells);
-constexpr int kRows = 4;  // pixels of a thread
-using math::kCellHeight;
-using math::kCellWidth;
-static_assert(kCellHeight == 2 * kRows);
+constexpr int kWarps = kTurboCells;
+constexpr int kThreads = 32 * kWarps;
+constexpr int kRows = kTurboCellWidth * kTurboCellHeight / 32;  // pixels of a thread
+static_assert(32 % kTurboCellWidth == 0 && kTurboCellHeight % kRows == 0,
+              "a warp has whole rows of pixels, and a thread its share of one column");
 
 // A Gaussian as a cell's pixels need it; coordinates relative to the cell's first pixel.
 struct Staged {
@@ -55,7 +53,8 @@ struct Accumulated {
 __device__ inline bool may_exceed(const ScreenSplat& splat, float corner_x, float corner_y) {
   constexpr float kLog2AlphaMax = -0.0144996F;
   constexpr float kRounding = 4 * math::kLog2E * 6e-8F;
-  const float dx = fabsf(splat.mean.u - corner_x) + kCellWidth, dy = fabsf(splat.mean.v - corner_y) + kCellHeight;
+  const float dx = fabsf(splat.mean.u - corner_x) + kTurboCellWidth,
+              dy = fabsf(splat.mean.v - corner_y) + kTurboCellHeight;
   const float terms = splat.conic.a * dx * dx + splat.conic.c * dy * dy;
   return !(splat.log2_opacity + kRounding * terms < kLog2AlphaMax);
 }
@@ -125,13 +124,13 @@ class Cell {
   __device__ Cell(int corner_x, int corner_y, int width, int height)
       : corner_x_(static_cast<float>(corner_x)), corner_y_(static_cast<float>(corner_y)) {
     const int lane = static_cast<int>(threadIdx.x % 32);
-    x_ = static_cast<float>(lane % kCellWidth);
+    x_ = static_cast<float>(lane % kTurboCellWidth);
 #pragma unroll
     for (int k = 0; k < kRows; ++k) {
-      const int y = kRows * (lane / kCellWidth) + k;
+      const int y = kRows * (lane / kTurboCellWidth) + k;
       y_[k] = static_cast<float>(y);
       // A pixel outside the image keeps nobody waiting.
-      pixel_[k].t = corner_x + lane % kCellWidth < width && corner_y + y < height ? 1.0F : 0.0F;
+      pixel_[k].t = corner_x + lane % kTurboCellWidth < width && corner_y + y < height ? 1.0F : 0.0F;
     }
   }
 
@@ -163,8 +162,7 @@ class Cell {
       if (y + k >= a.height) return;
       const Accumulated& p = pixel_[k];
       const math::Pixel<float> pixel{p.r, p.g, p.b, p.depth, p.t};
-      const auto i = static_cast<std::size_t>(y + k) * static_cast<std::size_t>(a.width) + static_cast<std::size_t>(x);
-      store_pixel<Details>(a.target, a.background, i, pixel, p.evaluated, p.blended);
+      store_pixel<Details>(a.target, a.background, x, y + k, pixel, p.evaluated, p.blended);
       if constexpr (Details) {
         if (a.count_pairs) {
           atomic_add(a.arrays.state->counters.evaluated, p.evaluated);
@@ -192,14 +190,14 @@ template <bool Details>
 __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArguments a) {
   __shared__ typename Cell<Details>::Staging staging[kWarps];
   const std::uint32_t warp = threadIdx.x / 32;
-  const TurboCell head = a.arrays.cells[kTurboCells * blockIdx.x + warp];
-  const int corner_x = static_cast<int>(head.x), corner_y = static_cast<int>(head.y);
+  const TurboCell own = a.arrays.cells[kTurboCells * blockIdx.x + warp];
+  const int corner_x = static_cast<int>(own.x), corner_y = static_cast<int>(own.y);
   if (corner_x >= a.width || corner_y >= a.height) return;
   Cell<Details> cell(corner_x, corner_y, a.width, a.height);
-  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + head.begin;
+  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + own.begin;
   bool opaque = false;
-  for (std::uint32_t k = 0; k < head.n && !opaque; k += 32) {
-    opaque = cell.blend(a.splats, gaussians + k, static_cast<int>(math::min(head.n - k, 32u)), staging[warp]);
+  for (std::uint32_t k = 0; k < own.n && !opaque; k += 32) {
+    opaque = cell.blend(a.splats, gaussians + k, static_cast<int>(math::min(own.n - k, 32u)), staging[warp]);
     __syncwarp();
   }
   cell.store(a);

@@ -1,20 +1,20 @@
 // turbo_emit.cu - attributes to the entries of the tiles' lists, in runs of one tile each.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp
+// Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; turbo_geometry.hpp
 // In/Out  attributes [n] -> splats [n], entries, runs, large
 // Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
 // Launch  256 threads, ceil(n / 256) blocks
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
-//         words between counting and placing; 33 KiB
+//         candidates between counting and placing; 33 KiB
 // Order   of entries and runs: any. The lists' order is made later, by depth and index, so that the image is the same
 //         on every run. Compiled without contraction to FMA, see project.cu.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
-// block sorts its entries by tile before they leave it, by counting. What their rows show is kept meanwhile, in a word for
-// each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted 1,024 at a time; most
-// blocks have fewer. A Gaussian of many tiles would keep its block long after the others: it waits for turbo_large.cu, as
-// does one for whose words there is no room.
+// block sorts its entries by tile before they leave it, by counting. What their rows show is kept meanwhile: a candidate
+// for each tile of a Gaussian's bounding box. The tiles of the block's own bounding box are counted 1,024 at a time; most
+// blocks have fewer. A Gaussian of many tiles would keep its block long after the others: it waits for
+// turbo_large_gaussians.cu, as does one for whose candidates there is no room.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -32,13 +32,30 @@ namespace {
 constexpr int kThreads = 256;
 constexpr std::uint32_t kWindow = 4 * kThreads;  // tiles that are counted at a time
 constexpr std::uint32_t kLargeTiles = 64;        // of a bounding box that a block's own Gaussian may have
-constexpr std::uint32_t kWords = 4096;           // tiles of bounding boxes that a block has room for
-constexpr std::uint32_t kBlockTiles = 1u << 16;  // that a word can tell apart
+constexpr std::uint32_t kCandidates = 4096;      // that a block has room for
+
+// A candidate for an entry: a tile of a Gaussian's bounding box, numbered within the block's; whose box, of the block's
+// Gaussians; and which cells of the tile it touches, none where it has no entry.
+constexpr int kOwnerBits = 8, kOwnerAt = kTurboCellBits, kTileAt = kOwnerAt + kOwnerBits;
+constexpr std::uint32_t kBlockTiles = 1u << (32 - kTileAt);  // that a candidate can tell apart
+static_assert(kThreads <= 1 << kOwnerBits);
+__device__ inline std::uint32_t make_candidate(std::uint32_t tile, std::uint32_t owner, std::uint32_t cells) {
+  return tile << kTileAt | owner << kOwnerAt | cells;
+}
+__device__ inline std::uint32_t tile_in(std::uint32_t candidate) {
+  return candidate >> kTileAt;
+}
+__device__ inline std::uint32_t owner_in(std::uint32_t candidate) {
+  return candidate >> kOwnerAt & ((1u << kOwnerBits) - 1);
+}
+__device__ inline std::uint32_t cells_in(std::uint32_t candidate) {
+  return candidate & ((1u << kTurboCellBits) - 1);
+}
 
 // Tiles of a Gaussian's bounding box.
 struct Box {
   std::uint16_t x, y;
-  std::uint16_t first;  // of its words
+  std::uint16_t first;  // of its candidates
   std::uint8_t columns, rows;
 };
 static_assert(kLargeTiles < 256 && kThreads * kLargeTiles < 1 << 15);
@@ -50,18 +67,18 @@ struct Shared {
   std::uint16_t row_end[kThreads];            // inclusive sums of the Gaussians' rows after the first
   std::uint8_t listed[kThreads];              // the Gaussian has an entry
   alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of its next one
-  std::uint32_t words[kWords];  // tile of the block's bounding box << 16 | owner << 8 | cells; without cells: none
-  std::uint32_t n_words;
+  std::uint32_t candidates[kCandidates];
+  std::uint32_t n_candidates;
   std::uint32_t bounds[4];  // of the block: largest 2^15 - x0, 2^15 - y0, x1, y1
   RunPlaces<kThreads> places;
 };
 constexpr std::uint32_t kOrigin = 1u << 15;
 
-// Fills the words of the block's bounding boxes, and calls f(tile) for every entry among them. The first rows of the 256
-// Gaussians come first, a thread each, then all other rows side by side.
+// Fills in the candidates, and calls f(tile) for every entry among them. The first rows of the 256 Gaussians come first, a
+// thread each, then all other rows side by side.
 template <class F>
-__device__ void fill_words(Shared& s, std::uint32_t n_rows, const math::TileRect& block, math::TileGrid grid,
-                           const F& f) {
+__device__ void fill_candidates(Shared& s, std::uint32_t n_rows, const math::TileRect& block, math::TileGrid grid,
+                                const F& f) {
   for (std::uint32_t r = threadIdx.x; r < n_rows; r += kThreads) {
     std::uint32_t owner = r, row = 0;
     if (r >= kThreads) {
@@ -71,16 +88,16 @@ __device__ void fill_words(Shared& s, std::uint32_t n_rows, const math::TileRect
     const Box box = s.box[owner];
     if (row >= box.rows) continue;
     const int y = box.y + static_cast<int>(row);
-    const auto cells = math::cell_rows(s.ellipse[owner], y);
-    std::uint32_t* const words = s.words + box.first + row * box.columns;
+    const auto cells = cell_rows(s.ellipse[owner], y);
+    std::uint32_t* const own = s.candidates + box.first + row * box.columns;
     const auto first = static_cast<std::uint32_t>((y - block.y0) * (block.x1 - block.x0) + box.x - block.x0);
-    for (std::uint32_t k = 0; k < box.columns; k += 4) {
-      const std::uint32_t four = math::cells_of_four(cells, box.x + static_cast<int>(k));
+    for (std::uint32_t k = 0; k < box.columns; k += kTurboStripTiles) {
+      const std::uint32_t strip = cells_of_strip(cells, box.x + static_cast<int>(k));
 #pragma unroll
-      for (std::uint32_t j = 0; j < 4; ++j) {
+      for (std::uint32_t j = 0; j < kTurboStripTiles; ++j) {
         if (k + j >= box.columns) break;
-        const std::uint32_t touched = math::cells_of_first(four >> (2 * j)), tile = first + k + j;
-        words[k + j] = tile << 16 | owner << 8 | touched;
+        const std::uint32_t touched = cells_in_strip(strip, static_cast<int>(j)), tile = first + k + j;
+        own[k + j] = make_candidate(tile, owner, touched);
         if (touched != 0) f(tile);
       }
     }
@@ -106,12 +123,12 @@ __device__ void place_window(Shared& s, std::uint32_t window, const math::TileRe
   }
 }
 
-// Leaves a Gaussian to turbo_large.cu.
+// Leaves a Gaussian to turbo_large_gaussians.cu.
 __device__ void set_aside(const TurboArrays& out, const math::Ellipse<float>& ellipse, const math::TileRect& rect,
                           std::uint32_t depth, std::uint32_t i) {
-  const std::uint32_t at = atomicAdd(&out.state->n_large, 1u);
+  const std::uint32_t at = atomicAdd(&out.state->n_large_gaussians, 1u);
   if (at >= out.large_capacity) return;
-  out.large[at] = {ellipse, depth, i, 0, {}};
+  out.large_gaussians[at] = {ellipse, depth, i, 0, {}};
   out.large_boxes[at] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0),
                          static_cast<std::uint16_t>(rect.x1), static_cast<std::uint16_t>(rect.y1)};
 }
@@ -158,21 +175,21 @@ __global__ void __launch_bounds__(kThreads)
     n_columns = n_rows = 0;
   };
   if (n_columns * n_rows > kLargeTiles) leave();
-  // Sums of rows and of words in one.
-  const std::uint32_t n_words = n_columns * n_rows;
+  // Sums of rows and of candidates in one.
+  const std::uint32_t n_candidates = n_columns * n_rows;
   const std::uint32_t sums =
-      inclusive_block_sum<kThreads>((n_rows > 0 ? n_rows - 1 : 0) | n_words << 16, s.places.warp_sums);
-  const std::uint32_t words_end = sums >> 16, words_begin = words_end - n_words;
+      inclusive_block_sum<kThreads>((n_rows > 0 ? n_rows - 1 : 0) | n_candidates << 16, s.places.warp_sums);
+  const std::uint32_t candidates_end = sums >> 16, candidates_begin = candidates_end - n_candidates;
   s.row_end[threadIdx.x] = static_cast<std::uint16_t>(sums & 0xFFFFu);
-  // Of the Gaussians whose words find no room the first tells how many words there are.
-  if (words_end > kWords) {
-    if (words_begin <= kWords && n_words > 0) s.n_words = words_begin;
-    if (n_words > 0) leave();
+  // Of the Gaussians whose candidates find no room the first tells how many there are.
+  if (candidates_end > kCandidates) {
+    if (candidates_begin <= kCandidates && n_candidates > 0) s.n_candidates = candidates_begin;
+    if (n_candidates > 0) leave();
   } else if (threadIdx.x == kThreads - 1) {
-    s.n_words = words_end;
+    s.n_candidates = candidates_end;
   }
   s.box[threadIdx.x] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0),
-                        static_cast<std::uint16_t>(words_begin), static_cast<std::uint8_t>(n_columns),
+                        static_cast<std::uint16_t>(candidates_begin), static_cast<std::uint8_t>(n_columns),
                         static_cast<std::uint8_t>(n_rows)};
   const bool listed = n_rows > 0;
   const std::uint32_t bounds[4] = {warp_max(listed ? kOrigin - static_cast<std::uint32_t>(rect.x0) : 0),
@@ -184,8 +201,8 @@ __global__ void __launch_bounds__(kThreads)
     for (int k = 0; k < 4; ++k) atomicMax(s.bounds + k, bounds[k]);
   }
   __syncthreads();
-  const std::uint32_t n_all_words = s.n_words;
-  if (n_all_words == 0) return;
+  const std::uint32_t n_in_block = s.n_candidates;
+  if (n_in_block == 0) return;
   const math::TileRect block{static_cast<int>(kOrigin - s.bounds[0]), static_cast<int>(kOrigin - s.bounds[1]),
                              static_cast<int>(s.bounds[2]), static_cast<int>(s.bounds[3])};
   const auto n_tiles = static_cast<std::uint32_t>((block.x1 - block.x0) * (block.y1 - block.y0));
@@ -194,27 +211,28 @@ __global__ void __launch_bounds__(kThreads)
     return;
   }
 
-  fill_words(s, kThreads + s.row_end[kThreads - 1], block, v.grid, [&s](std::uint32_t tile) {
+  fill_candidates(s, kThreads + s.row_end[kThreads - 1], block, v.grid, [&s](std::uint32_t tile) {
     if (tile < kWindow) atomicAdd(s.counts + tile, 1u);
   });
   __syncthreads();
   for (std::uint32_t window = 0;;) {
     place_window(s, window, block, a.arrays, v.grid);
-    for (std::uint32_t k = threadIdx.x; k < n_all_words; k += kThreads) {
-      const std::uint32_t word = s.words[k], tile = (word >> 16) - window, owner = word >> 8 & 0xFFu;
-      if ((word & 0xFFu) == 0 || tile >= kWindow) continue;
+    for (std::uint32_t k = threadIdx.x; k < n_in_block; k += kThreads) {
+      const std::uint32_t candidate = s.candidates[k], tile = tile_in(candidate) - window, owner = owner_in(candidate);
+      if (cells_in(candidate) == 0 || tile >= kWindow) continue;
       s.listed[owner] = 1;
       const std::uint32_t at = atomicAdd(s.counts + tile, 1u);
-      if (at < a.arrays.entry_capacity) a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, word & 0xFFu);
+      if (at < a.arrays.entry_capacity)
+        a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells_in(candidate));
     }
     window += kWindow;
     if (window >= n_tiles) break;
     __syncthreads();
     clear_counts();
     __syncthreads();
-    for (std::uint32_t k = threadIdx.x; k < n_all_words; k += kThreads) {
-      const std::uint32_t word = s.words[k], tile = (word >> 16) - window;
-      if ((word & 0xFFu) != 0 && tile < kWindow) atomicAdd(s.counts + tile, 1u);
+    for (std::uint32_t k = threadIdx.x; k < n_in_block; k += kThreads) {
+      const std::uint32_t candidate = s.candidates[k], tile = tile_in(candidate) - window;
+      if (cells_in(candidate) != 0 && tile < kWindow) atomicAdd(s.counts + tile, 1u);
     }
     __syncthreads();
   }
@@ -236,7 +254,7 @@ Status launch_turbo_emit(const TurboEmitArguments& a, Stream stream) {
       },
       a.attributes);
   if (const auto ok = launched("the turbo front end could not be launched"); !ok) return ok;
-  return launch_turbo_large(a.arrays, a.view.grid, stream);
+  return launch_turbo_large_gaussians(a.arrays, a.view.grid, stream);
 }
 
 }  // namespace rgs::cuda

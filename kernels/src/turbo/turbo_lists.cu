@@ -4,37 +4,36 @@
 // In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes; long_lists and their slices, bins set to 0
 // Cost    16 B read, 16 B gathered and 8 B written anywhere a run; of a long list, 8 B read of the first and every 64th
 //         entry of each run
-// Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as keep the device busy, each
-//         taking runs in turn, because their number is known on the device alone
+// Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as the device holds at a
+//         time, which take runs in turn, because their number is known on the device alone
 // Order   of runs within a list, of lists and of tiles within a class: any
 #include <cstdint>
 
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
+#include "turbo/read_list.cuh"
 #include "turbo/turbo.hpp"
-#include "turbo/turbo_list.cuh"
 
 namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr int kPlaceBlocks = 132 * 8;
 
 // Whether the front end could write all that it had.
 __device__ bool turbo_fits(const TurboArrays& a) {
   const TurboState& state = *a.state;
   return state.counters.instances <= a.entry_capacity && state.runs <= a.run_capacity &&
-         state.n_large <= a.large_capacity;
+         state.n_large_gaussians <= a.large_capacity;
 }
 
 // Its number among the long lists.
 __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std::uint32_t in_class, std::uint32_t n,
                                   std::uint32_t n_runs) {
-  const std::uint32_t own = atomicAdd(&a.state->n_long, 1u);
-  TurboLong list{};
+  const std::uint32_t own = atomicAdd(&a.state->n_long_lists, 1u);
+  TurboLongList list{};
   list.tile = tile;
   list.in_class = in_class;
-  list.scratch = atomicAdd(&a.state->scratch, n);
+  list.scratch = atomicAdd(&a.state->n_scratch, n);
   list.n_slices = math::max((n + kTurboSlice - 1) / kTurboSlice, (n_runs + kTurboSliceRuns - 1) / kTurboSliceRuns);
   list.first_slice = atomicAdd(&a.state->n_slices, list.n_slices);
   list.nearest = ~0u;
@@ -44,7 +43,7 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
 }
 
 // Takes the first and every 64th of a run's entries into the range of its list.
-__device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLong& list) {
+__device__ void add_sample(const TurboEntry* entries, TurboRun run, TurboLongList& list) {
   std::uint32_t nearest = ~0u, farthest = 0;
   for (std::uint32_t k = 0; k < run.n; k += 64) {
     const std::uint32_t depth = depth_of(entries[run.begin + k]);
@@ -73,18 +72,18 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   const TurboCount count = tile < a.n_tiles && fits ? counts[tile] : 0;
   const auto n = static_cast<std::uint32_t>(count), runs = static_cast<std::uint32_t>(count >> 32);
   const std::uint32_t end = inclusive_block_sum<kThreads>(runs, warp_sums);
-  if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.placed, end);
-  const int length = turbo_class(n);
-  const std::uint32_t rank = tile < a.n_tiles ? atomicAdd(class_size + length, 1u) : 0;
+  if (threadIdx.x == kThreads - 1) base = atomicAdd(&state.n_placed, end);
+  const int own_class = turbo_class(n);
+  const std::uint32_t in_block = tile < a.n_tiles ? atomicAdd(class_size + own_class, 1u) : 0;
   __syncthreads();
   if (threadIdx.x < kTurboClasses) {
     class_base[threadIdx.x] = atomicAdd(state.class_size + threadIdx.x, class_size[threadIdx.x]);
   }
   __syncthreads();
   if (tile >= a.n_tiles) return;
-  const std::uint32_t in_class = class_base[length] + rank;
-  a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + in_class] = tile;
-  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboEntries ? add_long(a, tile, in_class, n, runs) : 0};
+  const std::uint32_t in_class = class_base[own_class] + in_block;
+  a.classes[static_cast<std::uint32_t>(own_class) * a.n_tiles + in_class] = tile;
+  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboRound ? add_long(a, tile, in_class, n, runs) : 0};
 }
 
 __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
@@ -94,11 +93,12 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
   for (std::uint64_t k = first; k < n; k += step) {
     const TurboTileRun run = a.runs[k];
     const TurboList list = a.lists[run.tile];
-    a.tile_runs[list.begin + run.rank] = run.run;
-    if (list.n_entries >= kTurboEntries) add_sample(a.entries, run.run, a.long_lists[list.long_list]);
+    a.tile_runs[list.begin + run.in_tile] = run.run;
+    if (list.n_entries >= kTurboRound) add_sample(a.entries, run.run, a.long_lists[list.long_list]);
   }
   auto* const bins = reinterpret_cast<uint4*>(a.bins);
-  for (std::uint64_t k = first; k < state.n_long * std::uint64_t{kTurboBins / 4}; k += step) bins[k] = {0, 0, 0, 0};
+  for (std::uint64_t k = first; k < state.n_long_lists * std::uint64_t{kTurboBins / 4}; k += step)
+    bins[k] = {0, 0, 0, 0};
 }
 
 }  // namespace
@@ -106,7 +106,9 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
 Status launch_turbo_lists(const TurboArrays& a, TurboState* seen, Stream stream) {
   plan_kernel<<<blocks_for(a.n_tiles, kThreads) + 1, kThreads, 0, stream>>>(a, seen);
   if (const auto ok = launched("the kernel that plans the lists could not be launched"); !ok) return ok;
-  place_kernel<<<kPlaceBlocks, kThreads, 0, stream>>>(a);
+  const auto blocks = resident_grid<place_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  place_kernel<<<*blocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that fills the lists could not be launched");
 }
 

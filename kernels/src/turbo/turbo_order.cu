@@ -1,47 +1,46 @@
 // turbo_order.cu - orders each tile's list by depth and deals it out to the tile's cells.
 // SPDX-License-Identifier: Apache-2.0
 //
-// In/Out  lists, entries; units, scratch -> cells [tiles, 8], cell_gaussians
+// In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
 // Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
-// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as keep the device busy. A
-//         warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
+// Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
+//         time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
 // Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
 //
-// Units of a list (turbo_long.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from those
-// before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
+// Units of a list (turbo_long_lists.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from
+// those before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
+#include "turbo/place_cells.cuh"
+#include "turbo/read_list.cuh"
 #include "turbo/turbo.hpp"
-#include "turbo/turbo_list.cuh"
 
 namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
-constexpr std::uint32_t kEntries = kTurboEntries;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
-constexpr unsigned kUnitBlocks = 132 * 5;
-static_assert(kEntries == 8 * kThreads && kThreads == 1 << kBinBits && kWarps == kTurboCells);
+static_assert(kTurboRound == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
 
 struct Shared {
-  TurboEntry entries[kEntries];
-  alignas(16) std::uint32_t exchange[2][kEntries];  // keys: depth above, position among the entries below
-  std::uint32_t* order;                             // the one of the two that is in order
-  std::uint32_t positions;                          // mask of a key's position
+  TurboEntry entries[kTurboRound];
+  alignas(16) std::uint32_t exchange[2][kTurboRound];  // keys: depth above, position among the entries below
+  std::uint32_t* order;                                // the one of the two that is in order
+  std::uint32_t positions;                             // mask of a key's position
   TurboRuns::Places<kThreads> places;
   std::uint32_t warp_sums[kWarps];
   std::uint32_t lows[kWarps], highs[kWarps];
   std::uint32_t n;                        // entries that are ordered
   std::uint32_t cell_n[kTurboCells];      // of them, or of the unit
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
-  std::uint32_t chunks[kTurboCells]
-                      [kEntries / 32];  // of each 32 entries, how many touch a cell; then sums of those before
-  TurboList head;
+  // Of each group of 32 entries in order, how many touch a cell; then the sums of those before.
+  std::uint32_t groups[kTurboCells][kTurboRound / 32];
+  TurboList list;
   std::uint32_t tile, unit;
   bool fits;
 };
@@ -55,22 +54,22 @@ __device__ inline void store_keys(const std::uint32_t (&keys)[kKeys], std::uint3
 }
 
 // Orders the keys of a warp's lanes; in the end element k of lane l is number kKeys l + k. A bitonic network (Batcher
-// 1968): its short strides are between elements of one lane, its long ones between lanes. Where a run is to descend,
+// 1968): its short strides are between elements of one lane, its long ones between lanes. Where a stretch is to descend,
 // keys are inverted for its time, so that every comparison is an ascending one.
 template <std::uint32_t kKeys>
 __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
   const std::uint32_t lane = threadIdx.x % 32;
   std::uint32_t inverted = 0;  // all ones where keys are
 #pragma unroll
-  for (std::uint32_t run = 2; run <= 32 * kKeys; run *= 2) {
-    if (run >= kKeys) {
-      const std::uint32_t invert = (lane & (run / kKeys)) != 0 && run < 32 * kKeys ? ~0u : 0;
+  for (std::uint32_t length = 2; length <= 32 * kKeys; length *= 2) {
+    if (length >= kKeys) {
+      const std::uint32_t invert = (lane & (length / kKeys)) != 0 && length < 32 * kKeys ? ~0u : 0;
 #pragma unroll
       for (std::uint32_t& k : key) k ^= inverted ^ invert;
       inverted = invert;
     }
 #pragma unroll
-    for (std::uint32_t stride = run / 2; stride > 0; stride /= 2) {
+    for (std::uint32_t stride = length / 2; stride > 0; stride /= 2) {
       if (stride >= kKeys) {
         const bool smaller = (lane & (stride / kKeys)) == 0;
 #pragma unroll
@@ -83,7 +82,7 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
         for (std::uint32_t k = 0; k < kKeys; ++k) {
           if ((k & stride) != 0) continue;
           const std::uint32_t low = math::min(key[k], key[k + stride]), high = math::max(key[k], key[k + stride]);
-          const bool ascending = run >= kKeys || (k & run) == 0;
+          const bool ascending = length >= kKeys || (k & length) == 0;
           key[k] = ascending ? low : high;
           key[k + stride] = ascending ? high : low;
         }
@@ -92,17 +91,16 @@ __device__ inline void sort_warp(std::uint32_t (&key)[kKeys]) {
   }
 }
 
-// Merges neighbouring runs of `run` ordered keys, of `total` in all; a thread has kKeys places of the result and looks
-// for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
+// Merges neighbouring stretches of `length` ordered keys, of `total` in all; a thread has kKeys places of the result and
+// looks for where they begin in both (Odeh, Green, Mwassi, Shmueli, Birk 2012).
 template <std::uint32_t kKeys>
-__device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, std::uint32_t run,
-                                  std::uint32_t total) {
+__device__ inline void merge(const std::uint32_t* from, std::uint32_t* to, std::uint32_t length, std::uint32_t total) {
   const std::uint32_t first = kKeys * threadIdx.x;
   if (first >= total) return;
-  const std::uint32_t base = first & ~(2 * run - 1), place = first - base;
+  const std::uint32_t base = first & ~(2 * length - 1), place = first - base;
   const std::uint32_t* const a = from + base;
-  const std::uint32_t* const b = a + run;
-  std::uint32_t low = place > run ? place - run : 0, high = math::min(place, run);
+  const std::uint32_t* const b = a + length;
+  std::uint32_t low = place > length ? place - length : 0, high = math::min(place, length);
   while (low < high) {
     const std::uint32_t middle = (low + high) / 2;
     if (a[middle] < b[place - 1 - middle]) {
@@ -112,7 +110,7 @@ __device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, 
     }
   }
   std::uint32_t i = low, j = place - low;
-  std::uint32_t next_a = i < run ? a[i] : ~0u, next_b = j < run ? b[j] : ~0u;
+  std::uint32_t next_a = i < length ? a[i] : ~0u, next_b = j < length ? b[j] : ~0u;
   std::uint32_t merged[kKeys];
 #pragma unroll
   for (std::uint32_t& k : merged) {
@@ -120,10 +118,10 @@ __device__ inline void merge_runs(const std::uint32_t* from, std::uint32_t* to, 
     k = is_a ? next_a : next_b;
     if (is_a) {
       ++i;
-      next_a = i < run ? a[i] : ~0u;
+      next_a = i < length ? a[i] : ~0u;
     } else {
       ++j;
-      next_b = j < run ? b[j] : ~0u;
+      next_b = j < length ? b[j] : ~0u;
     }
   }
   store_keys(merged, to + first);
@@ -134,7 +132,7 @@ struct DepthRange {
   std::uint32_t low = ~0u, high = 0;
 
   __device__ void add(std::uint32_t depth) { low = math::min(low, depth), high = math::max(high, depth); }
-  __device__ void share(Shared& s) {
+  __device__ void combine(Shared& s) {
     low = reduce_warp(low, [](std::uint32_t a, std::uint32_t b) { return math::min(a, b); });
     high = reduce_warp(high, [](std::uint32_t a, std::uint32_t b) { return math::max(a, b); });
     if (threadIdx.x % 32 == 0) s.lows[threadIdx.x / 32] = low, s.highs[threadIdx.x / 32] = high;
@@ -148,24 +146,25 @@ struct DepthRange {
 // they are then.
 template <std::uint32_t kKeys>
 __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t low, int shift, int position_bits) {
-  constexpr std::uint32_t kRun = 32 * kKeys;
+  constexpr std::uint32_t kWarpKeys = 32 * kKeys;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  const std::uint32_t total = s.n <= kRun ? kRun : kRun << (32 - __clz(static_cast<int>((s.n - 1) / kRun)));
-  if (kRun * warp < total) {
+  const std::uint32_t total =
+      s.n <= kWarpKeys ? kWarpKeys : kWarpKeys << (32 - __clz(static_cast<int>((s.n - 1) / kWarpKeys)));
+  if (kWarpKeys * warp < total) {
     std::uint32_t key[kKeys];
 #pragma unroll
     for (std::uint32_t k = 0; k < kKeys; ++k) {
-      const std::uint32_t position = kRun * warp + 32 * k + lane;
+      const std::uint32_t position = kWarpKeys * warp + 32 * k + lane;
       const auto value = static_cast<std::uint32_t>(s.entries[position] >> from);
       key[k] = position < s.n ? (value - low) >> shift << position_bits | position : ~0u;
     }
-    if (kRun * warp < s.n) sort_warp(key);
-    store_keys(key, s.exchange[0] + kRun * warp + kKeys * lane);
+    if (kWarpKeys * warp < s.n) sort_warp(key);
+    store_keys(key, s.exchange[0] + kWarpKeys * warp + kKeys * lane);
   }
   __syncthreads();
   int at = 0;
-  for (std::uint32_t run = kRun; run < total; run *= 2, at ^= 1) {
-    merge_runs<kKeys>(s.exchange[at], s.exchange[at ^ 1], run, total);
+  for (std::uint32_t length = kWarpKeys; length < total; length *= 2, at ^= 1) {
+    merge<kKeys>(s.exchange[at], s.exchange[at ^ 1], length, total);
     __syncthreads();
   }
   return s.exchange[at];
@@ -175,10 +174,10 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t lo
 // depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
 // by looking at the entries themselves. `range` is that of the depths that the thread has seen.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
-  range.share(s);
-  int from = kTurboIndexBits + 8;
+  range.combine(s);
+  int from = kTurboIndexBits + kTurboCellBits;
   if (range.low == range.high) {  // one depth: by index
-    from = 8;
+    from = kTurboCellBits;
     range.low = static_cast<std::uint32_t>(s.entries[0] >> from) & ~static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
     range.high = range.low + static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
   }
@@ -210,34 +209,34 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
   }
 }
 
-// The cells of 32 entries in order, from position `begin` on; 0 past the last.
+// The lane's of a group of 32 entries in order, which begins at position `begin`; 0 past the last.
 __device__ inline TurboEntry ordered_entry(const Shared& s, std::uint32_t begin) {
   const std::uint32_t k = begin + threadIdx.x % 32;
   return k < s.n ? s.entries[s.order[k] & s.positions] : 0;
 }
 
-// How many of each 32 ordered entries touch each cell: a warp counts 32 of them, then sums up a cell. s.cell_n becomes the
-// sums over the round.
-__device__ inline void count_chunks(Shared& s) {
+// How many of each group touch each cell: a warp counts a group, then sums up a cell. s.cell_n becomes the sums over the
+// round.
+__device__ inline void count_groups(Shared& s) {
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
-  for (std::uint32_t chunk = warp; 32 * chunk < s.n; chunk += kWarps) {
-    const auto cells = static_cast<std::uint32_t>(ordered_entry(s, 32 * chunk));
+  for (std::uint32_t group = warp; 32 * group < s.n; group += kWarps) {
+    const TurboEntry entry = ordered_entry(s, 32 * group);
     std::uint32_t own = 0;
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, (cells >> c & 1) != 0);
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, touches(entry, c));
       if (lane == c) own = lanes;
     }
-    if (lane < kTurboCells) s.chunks[lane][chunk] = static_cast<std::uint32_t>(__popc(static_cast<int>(own)));
+    if (lane < kTurboCells) s.groups[lane][group] = static_cast<std::uint32_t>(__popc(static_cast<int>(own)));
   }
   __syncthreads();
-  const std::uint32_t n_chunks = (s.n + 31) / 32;
+  const std::uint32_t n_groups = (s.n + 31) / 32;
   for (std::uint32_t c = warp; c < kTurboCells; c += kWarps) {
     std::uint32_t sum = 0;
-    for (std::uint32_t begin = 0; begin < n_chunks; begin += 32) {
-      const std::uint32_t n = begin + lane < n_chunks ? s.chunks[c][begin + lane] : 0;
+    for (std::uint32_t begin = 0; begin < n_groups; begin += 32) {
+      const std::uint32_t n = begin + lane < n_groups ? s.groups[c][begin + lane] : 0;
       const std::uint32_t end = inclusive_warp_sum(n);
-      s.chunks[c][begin + lane] = sum + end - n;
+      s.groups[c][begin + lane] = sum + end - n;
       sum += __shfl_sync(kFullWarp, end, 31);
     }
     if (lane == 0) s.cell_n[c] = sum;
@@ -245,66 +244,32 @@ __device__ inline void count_chunks(Shared& s) {
   __syncthreads();
 }
 
-// Places for the cells' Gaussians, and their heads.
-__device__ inline void reserve_cells(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const std::uint32_t own = threadIdx.x;
-  if (own < kTurboCells) {
-    std::uint32_t before = 0, total = 0;
-    for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      if (c < own) before += s.cell_n[c];
-      total += s.cell_n[c];
-    }
-    std::uint64_t base = 0;
-    if (own == 0 && total > 0) base = atomic_add(a.state->in_cells, total);
-    base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
-    const bool fits = base + total <= a.cell_capacity;
-    const auto begin = static_cast<std::uint32_t>(base) + before;
-    s.cell_begin[own] = begin;
-    if (own == 0) s.fits = fits;
-    put_head(a, grid, rank, s.tile, own, begin, fits ? s.cell_n[own] : 0);
-  }
-  __syncthreads();
-}
-
 // Writes the round's ordered entries to the cells from s.cell_begin on.
 __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
-  for (std::uint32_t chunk = threadIdx.x / 32; 32 * chunk < s.n; chunk += kWarps) {
-    const TurboEntry entry = ordered_entry(s, 32 * chunk);
-    const auto cells = static_cast<std::uint32_t>(entry);
-    const auto gaussian = static_cast<std::uint32_t>(entry >> 8) & static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
+  for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += kWarps) {
+    const TurboEntry entry = ordered_entry(s, 32 * group);
     const std::uint32_t own = lane % kTurboCells;
-    const std::uint32_t begin = s.cell_begin[own] + s.chunks[own][chunk];  // of cell `own`
+    const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
 #pragma unroll
     for (std::uint32_t c = 0; c < kTurboCells; ++c) {
-      const bool touches = (cells >> c & 1) != 0;
-      const std::uint32_t lanes = __ballot_sync(kFullWarp, touches);
+      const bool own_entry = touches(entry, c);
+      const std::uint32_t lanes = __ballot_sync(kFullWarp, own_entry);
       const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
-      if (touches)
-        a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = gaussian;
+      if (!own_entry) continue;
+      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index_of(entry);
     }
   }
 }
-
-// The tile of a rank: the longest lists come first. A warp calls it.
-__device__ std::uint32_t tile_of_rank(const TurboArrays& a, std::uint32_t rank) {
-  const std::uint32_t lane = threadIdx.x % 32;
-  const std::uint32_t size = a.state->class_size[lane];
-  const std::uint32_t end = inclusive_warp_sum(size);
-  const int length = __ffs(static_cast<int>(__ballot_sync(kFullWarp, end > rank))) - 1;
-  const std::uint32_t begin = __shfl_sync(kFullWarp, end - size, length);
-  return a.classes[static_cast<std::uint32_t>(length) * a.n_tiles + rank - begin];
-}
-static_assert(kTurboClasses == 32, "a lane a class");
 
 // All threads call it.
 __device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t rank) {
   if (threadIdx.x < 32) {
-    const std::uint32_t tile = tile_of_rank(a, rank);
+    const std::uint32_t tile = tile_of(a, rank);
     if (threadIdx.x == 0) {
       s.tile = tile;
-      s.head = a.lists[tile];
-      s.n = s.head.n_entries;
+      s.list = a.lists[tile];
+      s.n = s.list.n_entries;
     }
   }
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
@@ -313,15 +278,20 @@ __device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t
 
 // A list that fits shared memory.
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const TurboRuns list{a.tile_runs + s.head.begin, a.entries, s.head.n_runs};
+  const TurboRuns runs{a.tile_runs + s.list.begin, a.entries, s.list.n_runs};
   DepthRange range;
-  list.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
+  runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
   if (s.n > 0) sort_entries(s, range);
-  count_chunks(s);
-  reserve_cells(s, a, grid, rank);
+  count_groups(s);
+  if (threadIdx.x < kTurboCells) {
+    const CellPlace place = place_cells(a, grid, rank, s.tile, s.cell_n);
+    s.cell_begin[threadIdx.x] = place.begin;
+    if (threadIdx.x == 0) s.fits = place.fits;
+  }
+  __syncthreads();
   if (s.fits) deal_out(s, a);
 }
 
@@ -336,14 +306,14 @@ struct Part {
 // are cut, too.
 __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
-  for (std::uint32_t k = threadIdx.x; k < kEntries; k += kThreads) {
-    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kEntries];
+  for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
+    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
     range.add(depth_of(s.entries[k]));
   }
-  if (threadIdx.x == 0) s.n = kEntries;
+  if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
   sort_entries(s, range);
-  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kEntries / n_shares] & s.positions]; };
+  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
   if (share > 0) part.from = cut(share);
   if (share + 1 < n_shares) part.to = cut(share + 1);
   __syncthreads();
@@ -354,15 +324,15 @@ __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::
 // s.cell_n; and the range of their depths.
 __device__ inline DepthRange load(Shared& s, const Part& part) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
-  if (threadIdx.x == 0) s.n = part.n <= kEntries ? part.n : 0;
+  if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
   __syncthreads();
   DepthRange range;
   CellCounter cells(s.cell_n);
   for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
     const TurboEntry entry = part.entries[k];
     if (entry < part.from || entry >= part.to) continue;
-    const std::uint32_t at = part.n <= kEntries ? k : atomicAdd(&s.n, 1u);
-    if (at < kEntries) s.entries[at] = entry;
+    const std::uint32_t at = part.n <= kTurboRound ? k : atomicAdd(&s.n, 1u);
+    if (at < kTurboRound) s.entries[at] = entry;
     range.add(depth_of(entry));
     cells.add(entry);
   }
@@ -371,7 +341,7 @@ __device__ inline DepthRange load(Shared& s, const Part& part) {
   return range;
 }
 
-// End of the round that begins at part.from, where the part has more than kEntries entries: at most kEntries of them, and
+// End of the round that begins at part.from, where the part has more than kTurboRound entries: at most kTurboRound of them, and
 // at least one, lie in part.from <= entry < end. Looks for it among kBins bins of equal width, then in the one that holds
 // too many, and so on: entries are unique, so that bins of width 1 hold one each.
 __device__ inline TurboEntry round_end(Shared& s, const Part& part) {
@@ -389,8 +359,8 @@ __device__ inline TurboEntry round_end(Shared& s, const Part& part) {
     }
     __syncthreads();
     const std::uint32_t end = inclusive_block_sum<kThreads>(bins[threadIdx.x], s.warp_sums);
-    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kEntries));
-    const bool any = __syncthreads_or(end > 0 && end <= kEntries) != 0;
+    const auto fitting = static_cast<TurboEntry>(__syncthreads_count(end <= kTurboRound));
+    const bool any = __syncthreads_or(end > 0 && end <= kTurboRound) != 0;
     begin += fitting << shift;
     if (any) return begin;
     shift = shift > kBinBits ? shift - kBinBits : 0;
@@ -404,8 +374,9 @@ __device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t
     static_cast<volatile std::uint32_t*>(a.unit_cells)[kTurboCells * unit + threadIdx.x] = s.cell_n[threadIdx.x] + 1;
   }
 }
-__device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLong& list) {
+__device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLongList& list) {
   const std::uint32_t cell = threadIdx.x / 32, lane = threadIdx.x % 32;
+  if (kTurboCells < kWarps && cell >= kTurboCells) return;
   std::uint32_t before = 0;
   for (std::uint32_t k = list.first_unit + lane; k < unit; k += 32) {
     const volatile std::uint32_t& told = a.unit_cells[kTurboCells * k + cell];
@@ -427,18 +398,18 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   tell(s, a, unit);
   place_in_cells(s, a, unit, a.long_lists[own.long_list]);
   std::uint32_t left = s.n;
-  const bool at_once = left <= kEntries;
+  const bool at_once = left <= kTurboRound;
   while (left > 0) {
     __syncthreads();
     if (!at_once) {
       Part round = part;
-      if (left > kEntries) round.to = round_end(s, part);
+      if (left > kTurboRound) round.to = round_end(s, part);
       range = load(s, round);
       part.from = round.to;
     }
     left -= s.n;
     sort_entries(s, range);
-    count_chunks(s);
+    count_groups(s);
     deal_out(s, a);
     __syncthreads();
     if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
@@ -448,7 +419,7 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
 // Units, until there are no more.
 __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   for (const std::uint32_t n = a.state->n_units;;) {
-    if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->taken, 1u) : 0;
+    if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->n_taken, 1u) : 0;
     __syncthreads();
     if (s.unit >= n) return;
     deal_out_unit(s, a, s.unit);
@@ -466,7 +437,7 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
   __shared__ Shared s;
   const std::uint32_t rank = blockIdx.x;
   begin_tile(s, a, rank);
-  if (s.head.n_entries >= kTurboEntries) return;  // a long list
+  if (s.list.n_entries >= kTurboRound) return;  // a long list
   deal_out_short(s, a, grid, rank);
   if (threadIdx.x == 0) end_tile(a, seen);
 }
@@ -479,7 +450,9 @@ Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState*
 }
 
 Status launch_turbo_units(const TurboArrays& a, Stream stream) {
-  turbo_unit_kernel<<<kUnitBlocks, kThreads, 0, stream>>>(a);
+  const auto blocks = resident_grid<turbo_unit_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_unit_kernel<<<*blocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that orders the long lists could not be launched");
 }
 

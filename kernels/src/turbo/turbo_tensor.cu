@@ -1,12 +1,12 @@
-// turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell of 16x8 pixels.
+// turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/blend.hpp: fold(); docs/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
-// Cost    a (cell, Gaussian) pair: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
+// Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
 //         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each
 // Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell
-// Shared  Staging: 128 Gaussians; 5 KiB
+// Shared  Staging: 128 Gaussians; 5 KiB (numbers for cells 8 high)
 // Order   that of the cells' lists: deterministic
 //
 // Blending 32 Gaussians into 16 pixels is two matrix products with something in between, as attention is (the register
@@ -38,12 +38,16 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kRows = 2;  // of a warp
-constexpr int kWarps = math::kCellHeight / kRows;
+constexpr int kWarps = kTurboCellHeight / kRows;
 constexpr int kThreads = 32 * kWarps;
+static_assert(kTurboCellWidth == 16, "a row of a cell's pixels is the 16 rows of a product's left operand");
+static_assert(kTurboCellHeight % kRows == 0, "a warp has whole rows");
 // Transmittance below which a warp's pixels are finished: what comes after adds less to one than half of what FP16 tells
 // apart at 1, an eighth of a step of 8 bits.
 constexpr float kOpaque = 1.0F / 2048;
-constexpr float kCenterX = 7.5F, kCenterY = 3.5F;
+constexpr float kCenterX = 0.5F * (kTurboCellWidth - 1), kCenterY = 0.5F * (kTurboCellHeight - 1);
+// Squares and products are odd numbers over 4.
+static_assert((kTurboCellHeight - 1) * (kTurboCellHeight - 1) < 1 << 11, "the basis is exact in FP16's 11 bits");
 
 // D = A B, FP16, [16, 16] x [16, 8]; the rows of A repeat in k: columns 8 .. 15 are columns 0 .. 7.
 __device__ inline void multiply_repeated(__half2 (&d)[2], const uint4& a, uint2 b) {
@@ -215,31 +219,32 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   }
 }
 
-__global__ void __launch_bounds__(kThreads, resident_blocks(10, kThreads)) turbo_tensor_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kThreads))
+    turbo_tensor_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
-  const TurboCell head = a.arrays.cells[blockIdx.x];
-  const int x = static_cast<int>(head.x), y = static_cast<int>(head.y);
+  const TurboCell cell = a.arrays.cells[blockIdx.x];
+  const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
   if (x >= a.width || y >= a.height) return;
   Row rows[kRows] = {Row(x, y + kRows * warp, kRows * warp, a.width, a.height),
                      Row(x, y + kRows * warp + 1, kRows * warp + 1, a.width, a.height)};
-  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + head.begin;
+  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + cell.begin;
   bool opaque = false;
-  for (std::uint32_t begin = 0; begin < head.n; begin += kThreads) {
+  for (std::uint32_t begin = 0; begin < cell.n; begin += kThreads) {
     const std::uint32_t own = begin + 32 * static_cast<std::uint32_t>(warp);
-    if (own < head.n) {
-      stage(a.splats, gaussians + own, math::min(head.n - own, 32u), static_cast<float>(x), static_cast<float>(y),
+    if (own < cell.n) {
+      stage(a.splats, gaussians + own, math::min(cell.n - own, 32u), static_cast<float>(x), static_cast<float>(y),
             staged[warp]);
     }
     __syncthreads();
-    for (int k = 0; k < kWarps && begin + 32 * static_cast<std::uint32_t>(k) < head.n && !opaque; ++k) {
+    for (int k = 0; k < kWarps && begin + 32 * static_cast<std::uint32_t>(k) < cell.n && !opaque; ++k) {
       const Staging& from = staged[k];
       uint2 coefficients[4];
 #pragma unroll
       for (int j = 0; j < 4; ++j) coefficients[j] = from.coefficients[8 * j + lane / 4][lane % 4];
       uint4 colors{0, 0, 0, 0};
       if (lane / 4 < 3) colors = *reinterpret_cast<const uint4*>(from.color[lane / 4] + 8 * (lane % 4));
-      if (head.n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
+      if (cell.n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
 #pragma unroll
         for (Row& row : rows) row.blend<4>(coefficients, colors);
       } else {
@@ -259,11 +264,9 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(10, kThreads)) turbo
   for (int k = 0; k < kRows; ++k) pixels[k] = rows[k].pixel(q % 2 != 0);
   const int own_x = x + lane / 4 + 8 * q, own_y = y + kRows * warp;
   if (q > 1 || own_x >= a.width) return;
-#pragma unroll
-  for (int k = 0; k < kRows; ++k) {
-    if (own_y + k >= a.height) return;
-    const auto i = static_cast<std::size_t>(own_y + k) * static_cast<std::size_t>(a.width);
-    store_pixel<false>(a.target, a.background, i + static_cast<std::size_t>(own_x), pixels[k], 0, 0);
+#pragma unroll 1  // the code of two stores at once would take more registers than the loops above have
+  for (int k = 0; k < kRows && own_y + k < a.height; ++k) {
+    store_pixel<false>(a.target, a.background, own_x, own_y + k, k == 0 ? pixels[0] : pixels[1], 0, 0);
   }
 }
 

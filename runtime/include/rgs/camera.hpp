@@ -10,26 +10,43 @@
 
 #include <array>
 #include <cstdint>
+#include <glm/mat4x4.hpp>
+#include <glm/vec3.hpp>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "rgs/result.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
-inline constexpr std::array<double, 16> kIdentity4x4{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1};
+struct Declarations;
+
 inline constexpr int kMaxImageSide = 65536;
 
 struct Camera {
-  std::string name;                                      ///< usually the photograph's file name; may be empty
-  int width = 0, height = 0;                             ///< pixels
-  double fx = 0, fy = 0;                                 ///< focal lengths, pixels
-  double cx = 0, cy = 0;                                 ///< principal point, pixels from the left and upper edges
-  std::array<double, 16> world_to_camera{kIdentity4x4};  ///< row-major rigid motion, last row 0 0 0 1
+  std::string name;                ///< usually the photograph's file name; may be empty
+  int width = 0, height = 0;       ///< pixels
+  double fx = 0, fy = 0;           ///< focal lengths, pixels
+  double cx = 0, cy = 0;           ///< principal point, pixels from the left and upper edges
+  glm::dmat4 world_to_camera{1.};  ///< rigid motion, last row 0 0 0 1; as in all of GLM, [i] is a column and t is [3]
 };
 
-using Vec3 = std::array<double, 3>;
+/// Files, documents and kernels have matrices row by row.
+std::array<double, 16> row_major(const glm::dmat4& matrix);
+glm::dmat4 from_row_major(const std::array<double, 16>& matrix);
+
+struct Intrinsics {
+  int width = 0, height = 0;
+  double fx = 0, fy = 0, cx = 0, cy = 0;  ///< as in Camera
+};
+
+/// Where a camera's own x, y and z point: right, down, forward, or right, up, backward as for glm::lookAt.
+enum class CameraAxes : std::uint8_t { opencv, opengl };
+
+/// Camera from a view matrix, glm::mat4 too. Errors: bad_camera, see validate().
+Result<Camera> make_camera(const glm::dmat4& world_to_camera, const Intrinsics& intrinsics,
+                           CameraAxes axes = CameraAxes::opencv);
 
 /// bad_camera unless sides are 1..kMaxImageSide, focal lengths positive, all finite, the upper 3x3 a rotation
 /// (orthonormal to 1e-3, determinant +1) and the last row 0 0 0 1.
@@ -40,9 +57,9 @@ Status validate(const Camera& camera);
 Camera resized(const Camera& camera, int width, int height);
 
 /// Position of the camera in the world: -R^T t.
-Vec3 camera_centre(const Camera& camera);
+glm::dvec3 camera_centre(const Camera& camera);
 /// Unit directions of the camera's axes in the world: right, down, forward.
-Vec3 camera_axis(const Camera& camera, int axis);
+glm::dvec3 camera_axis(const Camera& camera, int axis);
 
 /// Image format of a view that no camera file describes. Angles in degrees.
 struct ViewFormat {
@@ -52,28 +69,36 @@ struct ViewFormat {
 
 /// Camera at `eye` that sees `target` in the image centre, with `up` pointing up in the image. An `up` along the line
 /// of sight is replaced by the world axis that is farthest from it. eye == target looks along +z.
-Camera look_at(const Vec3& eye, const Vec3& target, const Vec3& up, const ViewFormat& format = {});
+Camera look_at(const glm::dvec3& eye, const glm::dvec3& target, const glm::dvec3& up, const ViewFormat& format = {});
 
 /// Axis-aligned box that holds the bulk of a scene.
 struct SceneBounds {
-  Vec3 low{0, 0, 0}, high{0, 0, 0};
+  glm::dvec3 low{0, 0, 0}, high{0, 0, 0};
 };
+
+/// Points [n, 3], such as a scene's means, as vectors without a copy.
+std::span<const glm::vec3> as_points(std::span<const float> coordinates);
 
 /// Box of the 2nd to 98th percentile of each coordinate of `mean` [n, 3]; non-finite points are left out. Floaters
 /// far away, which every trained scene has, do not count. No points: the unit box around the origin.
 SceneBounds robust_bounds(std::span<const float> mean);
 
 /// Up direction of worlds with 3DGS/COLMAP axes (y down); what the views below assume unless told better.
-inline constexpr Vec3 kWorldUp{0, -1, 0};
+inline constexpr glm::dvec3 kWorldUp{0, -1, 0};
+
+/// What an .rgs file states: its robust box, and where up is by the axis that points up or down; kWorldUp if none does.
+SceneBounds declared_bounds(const Declarations& declarations);
+glm::dvec3 declared_up(const Declarations& declarations);
 
 /// Mean up direction of the cameras (a walk around an object agrees on it); kWorldUp if there is none.
-Vec3 mean_up(std::span<const Camera> cameras);
+glm::dvec3 mean_up(std::span<const Camera> cameras);
 
 /// The view of a scene without cameras: from the front (-z side) and 20 degrees above, far enough to see the box whole.
-Camera default_view(const SceneBounds& bounds, const ViewFormat& format = {}, const Vec3& up = kWorldUp);
+Camera default_view(const SceneBounds& bounds, const ViewFormat& format = {}, const glm::dvec3& up = kWorldUp);
 
 /// `n` cameras on a circle around the box at default_view's distance and elevation; camera 0 is default_view.
-std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& format = {}, const Vec3& up = kWorldUp);
+std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& format = {},
+                          const glm::dvec3& up = kWorldUp);
 
 /// `n_frames` cameras along a smooth path through `keys` in their order, first and last included. Positions follow a
 /// centripetal Catmull-Rom spline (Barry and Goldman 1988; Yuksel et al. 2011), orientations a spherical linear

@@ -12,7 +12,7 @@
 #include "rgs/camera.hpp"
 #include "rgs/result.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// Whether a photograph was trained on or held out to measure quality.
 enum class Split : std::uint8_t { train, test };

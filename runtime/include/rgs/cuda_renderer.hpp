@@ -18,24 +18,51 @@
 
 struct CUstream_st;
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// cudaStream_t; null is the default stream.
 using CudaStream = CUstream_st*;
+
+/// Where device memory comes from; both functions or none. By default it comes in the order of streams from a pool of the
+/// library's own, so that taking it and giving it back stops no stream of the caller's; where the driver has no pools,
+/// from cudaMalloc(). The functions are called on the thread that calls the library and must not throw.
+struct DeviceAllocator {
+  /// `bytes` > 0 of the current device's memory, aligned to 256 bytes, for what is queued on `stream` from now on; null
+  /// if there is not that much.
+  void* (*allocate)(void* user, std::uint64_t bytes, CudaStream stream) = nullptr;
+  /// Takes it back. Nothing on the device uses it any longer.
+  void (*free)(void* user, void* memory, std::uint64_t bytes) = nullptr;
+  void* user = nullptr;  ///< handed to both; must outlive all memory that is not taken back
+};
+
+struct UploadOptions {
+  CudaStream stream = nullptr;  ///< for the copies
+  /// Return once the copies are queued. What is uploaded must keep its place and its values, and the stream must live,
+  /// until the stream has done its work. Frames on any stream wait for the copies, on the device.
+  bool asynchronous = false;
+  DeviceAllocator allocator = {};
+};
+
+namespace detail {
+struct SceneStorage;
+}
 
 /// Gaussians in the current device's memory. Copies share them; the last one frees them. Reading is thread-safe.
 class DeviceScene {
  public:
   DeviceScene() = default;  ///< no Gaussians
 
-  /// Activated FP32 attributes, 236 bytes a Gaussian at SH degree 3: the original's layout. Waits for the copy.
-  /// Errors: limit_exceeded (2^31 Gaussians or more), device_out_of_memory, device_failed.
-  static Result<DeviceScene> upload(const SceneView& scene);
-  /// The sections of an .rgs file byte for byte, 76 bytes a Gaussian at SH degree 3; the file is validated first.
-  /// Errors: those of validate() and of the other overload.
-  static Result<DeviceScene> upload(const FileView& file);
-  /// The same of a whole file that somebody has loaded, and validated if it needs to be.
-  static Result<DeviceScene> upload(const DirectData& data);
+  /// Activated FP32 attributes, 236 bytes a Gaussian at SH degree 3: the original's layout. Waits for the copy unless
+  /// it is asynchronous. Errors: bad_argument (sizes that contradict each other, an SH degree not 0..3, half an
+  /// allocator), limit_exceeded (2^31 Gaussians or more), device_out_of_memory, device_failed.
+  static Result<DeviceScene> upload(const SceneView& scene, const UploadOptions& options = {});
+  /// The sections of an .rgs file, or of some of its chunks, byte for byte: 76 bytes a Gaussian at SH degree 3. They are
+  /// what load_direct() or read_chunks() has validated: of values only what the kernels use as an index is checked
+  /// again. Errors: those of FileView::chunk() and of the other overload.
+  static Result<DeviceScene> upload(const DirectData& data, const UploadOptions& options = {});
+  /// The same of a whole file, which is validated first. Always waits for the copy: what it decodes is gone on return.
+  /// Errors: those of load_direct() and of the other overloads.
+  static Result<DeviceScene> upload(const FileView& file, const UploadOptions& options = {});
 
   std::uint64_t size() const;
   int sh_degree() const;
@@ -46,12 +73,16 @@ class DeviceScene {
 
  private:
   friend class CudaRenderer;
-  struct Storage;
-  std::shared_ptr<const Storage> storage_;
+  std::shared_ptr<const detail::SceneStorage> storage_;
 };
 
-/// Device memory for a frame: arrays of camera.width * camera.height pixels as in RenderTarget, null where an output is
-/// not wanted.
+/// Bytes from a row to the next of each output, a multiple of its element's size; 0 = rows follow each other.
+struct RowPitches {
+  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
+};
+
+/// Device memory of the caller's for a frame: arrays of camera.width * camera.height pixels as in RenderTarget, null
+/// where an output is not wanted. Nothing is written between rows.
 struct DeviceTarget {
   float* rgb = nullptr;                ///< [height, width, 3]
   float* alpha = nullptr;              ///< [height, width]
@@ -59,29 +90,41 @@ struct DeviceTarget {
   std::uint32_t* evaluated = nullptr;  ///< [height, width]
   std::uint32_t* blended = nullptr;    ///< [height, width]
   void* packed = nullptr;              ///< [height, width] colour and alpha in one word each, aligned to its size
-  math::PixelFormat format = math::PixelFormat::rgba8;  ///< of `packed`
+  math::PixelFormat format = math::PixelFormat::rgba8;  ///< of `packed` or `surface`
+  /// A cudaSurfaceObject_t that takes the packed pixels in place of `packed`: a two-dimensional array of at least the
+  /// image's size whose elements are as large as the format's. 0 = none.
+  std::uint64_t surface = 0;
+  RowPitches pitch = {};
+};
+
+struct CudaRendererOptions {
+  DeviceAllocator allocator = {};  ///< of the workspace
 };
 
 /// Renders frames into device memory. Holds the workspace, which is sized for the first scene and grows by half when a
-/// frame needs more, or by what it needs where that is all there is; no frame allocates otherwise. One CudaRenderer serves one thread at a time; its frames follow each
-/// other also on different streams. Several may run on streams of their own and share scenes. The device current at
-/// create() must be current at every call. Everything is freed with it; a moved-from one may only be destroyed or
+/// frame needs more, or by what it needs where that is all there is; no frame allocates otherwise. To grow, it waits for
+/// its own last frame alone. One CudaRenderer serves one thread at a time; its frames follow each other also on different
+/// streams. Several may run on streams of their own and share scenes. The device current at create() must be current at
+/// every call. Everything is freed with it, once its last frame is made; a moved-from one may only be destroyed or
 /// assigned to.
 class CudaRenderer {
  public:
-  /// On the current device. Errors: unavailable (no device or driver answers), device_out_of_memory, device_failed.
-  static Result<CudaRenderer> create();
+  /// On the current device. Errors: unavailable (no device or driver answers), bad_argument (half an allocator),
+  /// device_failed.
+  static Result<CudaRenderer> create(const CudaRendererOptions& options = {});
 
   CudaRenderer(CudaRenderer&&) noexcept;
   CudaRenderer& operator=(CudaRenderer&&) noexcept;
   ~CudaRenderer();
 
-  /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. Waits once,
-  /// for the number of (tile, Gaussian) pairs, and once more if they did not fit and the frame is made again; with
-  /// options.measure.timings or .count_pairs also for the end of the frame. All counts but evaluated and blended (0 unless
-  /// counted) are exact on return. Errors: bad_camera, bad_argument (see Renderer::render(); a packed target that is not
-  /// aligned), limit_exceeded (2^31 pairs or more), device_out_of_memory (Error::expected: bytes wanted; the renderer
-  /// remains usable), device_failed; also those of the frame before, if that was asynchronous: it is given up then.
+  /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. Waits for the
+  /// number of (tile, Gaussian) pairs; where the workspace is too small it grows, and the frame is made and waited for
+  /// again. That can happen three times in a row, each time for another of turbo's counts. With options.measure.timings or
+  /// .count_pairs also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are exact
+  /// on return. Errors: bad_camera, bad_argument (see Renderer::render(); a target that is not aligned, a pitch smaller
+  /// than a row, a surface that does not hold the image), limit_exceeded (2^31 pairs or more), device_out_of_memory
+  /// (Error::expected: bytes wanted; the renderer remains usable), device_failed; also those of the frame before, if that
+  /// was asynchronous: it is given up then.
   ///
   /// With options.turbo.asynchronous nothing is waited for. The stream and the target must live until finish() or the
   /// next render() has returned, which first learns whether the frame fitted, and if not makes it again on its stream:

@@ -7,7 +7,9 @@
 #include <span>
 #include <vector>
 
-namespace rgs {
+#include "rgs/api.hpp"
+
+namespace RGS_API rgs {
 
 /// Floating-point picture, rows from top to bottom, channels interleaved: pixels [height, width, channels].
 /// Colours are display-referred values (what 3DGS trains on 8-bit photographs: 0..1 with their sRGB encoding), so

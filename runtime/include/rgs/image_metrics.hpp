@@ -11,7 +11,7 @@
 #include "rgs/image.hpp"
 #include "rgs/result.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 struct ImageDifference {
   double mse = 0;                 ///< mean of the squared differences over all pixels and channels

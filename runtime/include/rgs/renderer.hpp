@@ -14,7 +14,7 @@
 #include "rgs/result.hpp"
 #include "rgs/scene.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 enum class Backend { automatic, cpu, cuda };
 

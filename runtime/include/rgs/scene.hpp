@@ -13,7 +13,7 @@
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 class MappedFile;
 

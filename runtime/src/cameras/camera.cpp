@@ -3,105 +3,85 @@
 #include "rgs/camera.hpp"
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
+#include <glm/geometric.hpp>
+#include <glm/gtc/matrix_access.hpp>
+#include <glm/gtc/quaternion.hpp>
+#include <glm/gtc/type_ptr.hpp>
 #include <numbers>
 
 #include "cameras/camera_records.hpp"
+#include "rgs/layout.hpp"
 
 namespace rgs {
 namespace {
 
-using Quaternion = std::array<double, 4>;  // w, x, y, z
+using Vec3 = glm::dvec3;
 
 // A 3x3 rotation that was written with single precision or five decimals passes; a scaled or mirrored one does not.
 constexpr double kRotationTolerance = 1e-3;
 constexpr double kElevation = 20 * std::numbers::pi / 180;
 
-Vec3 operator+(const Vec3& a, const Vec3& b) {
-  return {a[0] + b[0], a[1] + b[1], a[2] + b[2]};
-}
-Vec3 operator-(const Vec3& a, const Vec3& b) {
-  return {a[0] - b[0], a[1] - b[1], a[2] - b[2]};
-}
-Vec3 operator*(double s, const Vec3& a) {
-  return {s * a[0], s * a[1], s * a[2]};
-}
-double dot(const Vec3& a, const Vec3& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-Vec3 cross(const Vec3& a, const Vec3& b) {
-  return {a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]};
-}
-double length(const Vec3& a) {
-  return std::hypot(a[0], a[1], a[2]);
+// Not glm::length, whose squares overflow or vanish where numbers are very large or small.
+double norm(const Vec3& a) {
+  return std::hypot(a.x, a.y, a.z);
 }
 
 // Unit vector along `a`, or `otherwise` if `a` has no direction.
 Vec3 normalized(const Vec3& a, const Vec3& otherwise) {
-  const double l = length(a);
+  const double l = norm(a);
   return l > 0 && std::isfinite(l) ? (1 / l) * a : otherwise;
 }
 
 // Unit vector perpendicular to the unit vector `axis`, as close to `wish` as possible.
 Vec3 perpendicular(const Vec3& wish, const Vec3& axis) {
   const Vec3 unit = normalized(wish, kWorldUp);
-  const Vec3 rejected = unit - dot(unit, axis) * axis;
-  if (length(rejected) > 1e-6) return normalized(rejected, kWorldUp);
+  const Vec3 rejected = unit - glm::dot(unit, axis) * axis;
+  if (norm(rejected) > 1e-6) return normalized(rejected, kWorldUp);
+  const Vec3 size = glm::abs(axis);
   Vec3 other{0, 0, 0};
-  const auto smallest =
-      std::min_element(axis.begin(), axis.end(), [](double a, double b) { return std::abs(a) < std::abs(b); });
-  other[static_cast<std::size_t>(smallest - axis.begin())] = -1;
-  return normalized(other - dot(other, axis) * axis, kWorldUp);
-}
-
-void set_pose(Camera& camera, const Vec3& eye, const Vec3& right, const Vec3& down, const Vec3& forward) {
-  auto& m = camera.world_to_camera;
-  m = {right[0],   right[1],   right[2],   -dot(right, eye),    //
-       down[0],    down[1],    down[2],    -dot(down, eye),     //
-       forward[0], forward[1], forward[2], -dot(forward, eye),  //
-       0,          0,          0,          1};
+  other[size.x <= size.y && size.x <= size.z ? 0 : size.y <= size.z ? 1 : 2] = -1;
+  return normalized(other - glm::dot(other, axis) * axis, kWorldUp);
 }
 
 // Rotation matrix to quaternion by the largest component (Shepperd 1978): never divides by a small number.
-Quaternion quaternion(const std::array<double, 16>& m) {
-  const double xx = m[0], yy = m[5], zz = m[10];
-  const std::array<double, 4> squares{1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz};
-  const auto largest = std::max_element(squares.begin(), squares.end()) - squares.begin();
-  const double r = std::sqrt(squares[static_cast<std::size_t>(largest)]), s = 0.5 / r;
+glm::dquat quaternion(const glm::dmat4& m) {
+  const double xx = m[0][0], yy = m[1][1], zz = m[2][2];
+  const double squares[4] = {1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz};
+  const auto largest = std::max_element(squares, squares + 4) - squares;
+  const double r = std::sqrt(squares[largest]), s = 0.5 / r;
+  const Vec3 difference = s * Vec3(m[1][2] - m[2][1], m[2][0] - m[0][2], m[0][1] - m[1][0]);
+  const double xy = s * (m[1][0] + m[0][1]), xz = s * (m[2][0] + m[0][2]), yz = s * (m[2][1] + m[1][2]);
   switch (largest) {
-    case 0: return {r / 2, (m[9] - m[6]) * s, (m[2] - m[8]) * s, (m[4] - m[1]) * s};
-    case 1: return {(m[9] - m[6]) * s, r / 2, (m[1] + m[4]) * s, (m[2] + m[8]) * s};
-    case 2: return {(m[2] - m[8]) * s, (m[1] + m[4]) * s, r / 2, (m[6] + m[9]) * s};
-    default: return {(m[4] - m[1]) * s, (m[2] + m[8]) * s, (m[6] + m[9]) * s, r / 2};
+    case 0: return {r / 2, difference};
+    case 1: return {difference.x, r / 2, xy, xz};
+    case 2: return {difference.y, xy, r / 2, yz};
+    default: return {difference.z, xz, yz, r / 2};
   }
 }
 
-// Spherical linear interpolation on the shorter arc (Shoemake 1985); nearly equal ends fall back to the chord.
-Quaternion slerp(const Quaternion& a, Quaternion b, double t) {
-  double cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3];
-  if (cosine < 0) {
-    cosine = -cosine;
-    for (double& x : b) x = -x;
-  }
-  const double angle = std::acos(std::min(cosine, 1.0));
+// Not glm::dot, which adds in pairs: paths keep their last bits.
+double dot(const glm::dquat& a, const glm::dquat& b) {
+  return a.w * b.w + a.x * b.x + a.y * b.y + a.z * b.z;
+}
+
+// Spherical linear interpolation on the shorter arc (Shoemake 1985); nearly equal ends fall back to the chord. Unlike
+// glm::slerp's, its result has length 1.
+glm::dquat slerp(const glm::dquat& a, const glm::dquat& b, double t) {
+  const double cosine = dot(a, b), angle = std::acos(std::min(std::abs(cosine), 1.0));
   const bool near = angle < 1e-6;
   const double wa = near ? 1 - t : std::sin((1 - t) * angle) / std::sin(angle);
   const double wb = near ? t : std::sin(t * angle) / std::sin(angle);
-  Quaternion q;
-  double norm = 0;
-  for (std::size_t i = 0; i < 4; ++i) {
-    q[i] = wa * a[i] + wb * b[i];
-    norm += q[i] * q[i];
-  }
-  for (double& x : q) x /= std::sqrt(norm);
-  return q;
+  const glm::dquat q = wa * a + wb * (cosine < 0 ? -b : b);
+  return q / std::sqrt(dot(q, q));
 }
 
 // Centripetal Catmull-Rom point between p1 and p2 by the pyramid of Barry and Goldman (1988). Knots are spaced by the
 // square root of the distance, which rules out loops and overshoot between unevenly spaced keys (Yuksel et al. 2011).
 Vec3 catmull_rom(const Vec3& p0, const Vec3& p1, const Vec3& p2, const Vec3& p3, double t) {
   const auto knot = [](double from, const Vec3& a, const Vec3& b) {
-    return from + std::max(std::sqrt(length(b - a)), 1e-12);
+    return from + std::max(std::sqrt(norm(b - a)), 1e-12);
   };
   const double t0 = 0, t1 = knot(t0, p0, p1), t2 = knot(t1, p1, p2), t3 = knot(t2, p2, p3);
   const double x = t1 + t * (t2 - t1);
@@ -136,13 +116,13 @@ Defect defect(const Camera& camera) {
   if (!side(camera.width) || !side(camera.height)) return Defect::side;
   if (!(camera.fx > 0) || !(camera.fy > 0) || !finite(camera.fx) || !finite(camera.fy)) return Defect::focal;
   if (!finite(camera.cx) || !finite(camera.cy)) return Defect::principal;
-  const auto& m = camera.world_to_camera;
-  if (!std::all_of(m.begin(), m.end(), finite)) return Defect::pose;
+  const double* m = glm::value_ptr(camera.world_to_camera);
+  if (!std::all_of(m, m + 16, finite)) return Defect::pose;
   const Vec3 x = camera_axis(camera, 0), y = camera_axis(camera, 1), z = camera_axis(camera, 2);
-  const double off = std::max({std::abs(dot(x, x) - 1), std::abs(dot(y, y) - 1), std::abs(dot(z, z) - 1),
-                               std::abs(dot(x, y)), std::abs(dot(y, z)), std::abs(dot(z, x))});
-  const bool last_row = m[12] == 0 && m[13] == 0 && m[14] == 0 && m[15] == 1;
-  return last_row && off <= kRotationTolerance && dot(cross(x, y), z) > 0 ? Defect::none : Defect::rigid;
+  const double off = std::max({std::abs(glm::dot(x, x) - 1), std::abs(glm::dot(y, y) - 1), std::abs(glm::dot(z, z) - 1),
+                               std::abs(glm::dot(x, y)), std::abs(glm::dot(y, z)), std::abs(glm::dot(z, x))});
+  const bool last_row = glm::row(camera.world_to_camera, 3) == glm::dvec4(0, 0, 0, 1);
+  return last_row && off <= kRotationTolerance && glm::dot(glm::cross(x, y), z) > 0 ? Defect::none : Defect::rigid;
 }
 
 }  // namespace
@@ -159,6 +139,37 @@ Status detail::validate_record(const Camera& camera, std::uint64_t offset, std::
   return make_error(Errc::bad_value, offset, kRecordDefectText[static_cast<std::size_t>(found)], Error::kNone, index);
 }
 
+glm::dmat4 detail::rigid_motion(const glm::dmat3& rotation, const Vec3& translation) {
+  glm::dmat4 motion(rotation);
+  motion[3] = glm::dvec4(translation, 1);
+  return motion;
+}
+
+glm::dmat4 detail::world_to_camera(const glm::dmat3& axes, const Vec3& centre) {
+  return rigid_motion(glm::transpose(axes), -(centre * axes));
+}
+
+std::array<double, 16> row_major(const glm::dmat4& matrix) {
+  return std::bit_cast<std::array<double, 16>>(glm::transpose(matrix));
+}
+
+glm::dmat4 from_row_major(const std::array<double, 16>& matrix) {
+  return glm::transpose(glm::make_mat4(matrix.data()));
+}
+
+Result<Camera> make_camera(const glm::dmat4& world_to_camera, const Intrinsics& intrinsics, CameraAxes axes) {
+  const auto& [width, height, fx, fy, cx, cy] = intrinsics;
+  Camera camera{{}, width, height, fx, fy, cx, cy, world_to_camera};
+  if (axes == CameraAxes::opengl) {
+    for (int column = 0; column < 4; ++column) {
+      camera.world_to_camera[column].y *= -1;
+      camera.world_to_camera[column].z *= -1;
+    }
+  }
+  if (const Status valid = validate(camera); !valid) return tl::unexpected(valid.error());
+  return camera;
+}
+
 Camera resized(const Camera& camera, int width, int height) {
   Camera out = camera;
   const double s = static_cast<double>(width) / camera.width;
@@ -172,13 +183,12 @@ Camera resized(const Camera& camera, int width, int height) {
 }
 
 Vec3 camera_axis(const Camera& camera, int axis) {
-  const auto* row = camera.world_to_camera.data() + 4 * axis;
-  return {row[0], row[1], row[2]};
+  return Vec3(glm::row(camera.world_to_camera, axis));
 }
 
+// A vector left of a matrix is one right of the transposed matrix.
 Vec3 camera_centre(const Camera& camera) {
-  const auto& m = camera.world_to_camera;
-  return -1.0 * (m[3] * camera_axis(camera, 0) + m[7] * camera_axis(camera, 1) + m[11] * camera_axis(camera, 2));
+  return -(Vec3(camera.world_to_camera[3]) * glm::dmat3(camera.world_to_camera));
 }
 
 Camera look_at(const Vec3& eye, const Vec3& target, const Vec3& up, const ViewFormat& format) {
@@ -189,20 +199,24 @@ Camera look_at(const Vec3& eye, const Vec3& target, const Vec3& up, const ViewFo
   camera.cx = 0.5 * format.width;
   camera.cy = 0.5 * format.height;
   const Vec3 forward = normalized(target - eye, {0, 0, 1});
-  const Vec3 down = -1.0 * perpendicular(up, forward);
-  set_pose(camera, eye, cross(down, forward), down, forward);
+  const Vec3 down = -perpendicular(up, forward);
+  camera.world_to_camera = detail::world_to_camera({glm::cross(down, forward), down, forward}, eye);
   return camera;
+}
+
+std::span<const glm::vec3> as_points(std::span<const float> coordinates) {
+  static_assert(sizeof(glm::vec3) == 3 * sizeof(float) && alignof(glm::vec3) == alignof(float));
+  return {reinterpret_cast<const glm::vec3*>(coordinates.data()), coordinates.size() / 3};
 }
 
 SceneBounds robust_bounds(std::span<const float> mean) {
   SceneBounds bounds{{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
   std::vector<float> values;
   values.reserve(mean.size() / 3);
-  for (std::size_t axis = 0; axis < 3; ++axis) {
+  for (int axis = 0; axis < 3; ++axis) {
     values.clear();
-    for (std::size_t i = 0; i + 2 < mean.size(); i += 3)
-      if (std::isfinite(mean[i]) && std::isfinite(mean[i + 1]) && std::isfinite(mean[i + 2]))
-        values.push_back(mean[i + axis]);
+    for (const glm::vec3& p : as_points(mean))
+      if (std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z)) values.push_back(p[axis]);
     if (values.empty()) return bounds;
     const std::size_t cut = values.size() / 50;
     const auto low = values.begin() + static_cast<std::ptrdiff_t>(cut);
@@ -215,6 +229,22 @@ SceneBounds robust_bounds(std::span<const float> mean) {
   return bounds;
 }
 
+SceneBounds declared_bounds(const Declarations& declarations) {
+  const auto& [low, high] = declarations.robust;
+  return {glm::make_vec3(low.data()), glm::make_vec3(high.data())};
+}
+
+Vec3 declared_up(const Declarations& declarations) {
+  for (int k = 0; k < 3; ++k) {
+    const Axis axis = declarations.axes[static_cast<std::size_t>(k)];
+    if (axis != Axis::up && axis != Axis::down) continue;
+    Vec3 up{0, 0, 0};
+    up[k] = axis == Axis::up ? 1 : -1;
+    return up;
+  }
+  return kWorldUp;
+}
+
 Vec3 mean_up(std::span<const Camera> cameras) {
   Vec3 sum{0, 0, 0};
   for (const Camera& camera : cameras) sum = sum - camera_axis(camera, 1);
@@ -224,12 +254,12 @@ Vec3 mean_up(std::span<const Camera> cameras) {
 std::vector<Camera> orbit(const SceneBounds& bounds, int n, const ViewFormat& format, const Vec3& up_wish) {
   const Vec3 up = normalized(up_wish, kWorldUp);
   const Vec3 target = 0.5 * (bounds.low + bounds.high);
-  const double radius = std::max(0.5 * length(bounds.high - bounds.low), 1e-6);
+  const double radius = std::max(0.5 * norm(bounds.high - bounds.low), 1e-6);
   // The box's sphere fits the narrower of the two fields of view.
   const double tan_x = std::tan(format.horizontal_fov * std::numbers::pi / 360);
   const double half_angle = std::atan(tan_x * std::min(1.0, static_cast<double>(format.height) / format.width));
   const double distance = radius / std::sin(half_angle);
-  const Vec3 front = perpendicular({0, 0, -1}, up), side = cross(up, front);
+  const Vec3 front = perpendicular({0, 0, -1}, up), side = glm::cross(up, front);
   std::vector<Camera> cameras;
   for (int i = 0; i < n; ++i) {
     const double angle = 2 * std::numbers::pi * i / n;
@@ -249,7 +279,7 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
   if (keys.empty() || n_frames < 1) return path;
   const std::size_t last = keys.size() - 1;
   std::vector<Vec3> centres;
-  std::vector<Quaternion> rotations;
+  std::vector<glm::dquat> rotations;
   for (const Camera& key : keys) {
     centres.push_back(camera_centre(key));
     rotations.push_back(quaternion(key.world_to_camera));
@@ -266,17 +296,15 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
   // one radian as much as the mean distance between keys, so that pure rotations take time as well.
   constexpr std::size_t kSteps = 32;
   double mean_distance = 0;
-  for (std::size_t i = 0; i < last; ++i)
-    mean_distance += length(centres[i + 1] - centres[i]) / static_cast<double>(last);
+  for (std::size_t i = 0; i < last; ++i) mean_distance += norm(centres[i + 1] - centres[i]) / static_cast<double>(last);
   std::vector<double> travelled{0};
   for (std::size_t segment = 0; segment < last; ++segment) {
-    const Quaternion &a = rotations[segment], &b = rotations[segment + 1];
-    const double cosine = std::abs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]);
+    const double cosine = std::abs(dot(rotations[segment], rotations[segment + 1]));
     const double turn = 2 * std::acos(std::min(cosine, 1.0)) * std::max(mean_distance, 1e-12) / kSteps;
     for (std::size_t i = 0; i < kSteps; ++i) {
       const Vec3 step =
           position(segment, static_cast<double>(i + 1) / kSteps) - position(segment, static_cast<double>(i) / kSteps);
-      travelled.push_back(travelled.back() + std::hypot(length(step), turn));
+      travelled.push_back(travelled.back() + std::hypot(norm(step), turn));
     }
   }
 
@@ -290,11 +318,8 @@ std::vector<Camera> interpolated_path(std::span<const Camera> keys, int n_frames
       const double inside = width > 0 ? std::clamp((wanted - travelled[cell]) / width, 0.0, 1.0) : 0;
       const std::size_t segment = cell / kSteps;
       const double t = (static_cast<double>(cell % kSteps) + inside) / kSteps;
-      const Quaternion q = slerp(rotations[segment], rotations[segment + 1], t);
-      const double w = q[0], x = q[1], y = q[2], z = q[3];
-      set_pose(camera, position(segment, t), {1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
-               {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
-               {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)});
+      const glm::dmat3 rotation = glm::mat3_cast(slerp(rotations[segment], rotations[segment + 1], t));
+      camera.world_to_camera = detail::world_to_camera(glm::transpose(rotation), position(segment, t));
       const Camera a = resized(keys[segment], camera.width, camera.height);
       const Camera b = resized(keys[segment + 1], camera.width, camera.height);
       camera.fx = std::lerp(a.fx, b.fx, t);

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <glm/mat3x3.hpp>
 
 #include "rgs/camera_file.hpp"
 
@@ -11,11 +12,10 @@ namespace rgs::detail {
 /// As validate(), but as the error of camera `index` of a file whose record starts at byte `offset`: bad_value.
 Status validate_record(const Camera& camera, std::uint64_t offset, std::uint64_t index);
 
-/// Sets the rotation (row-major 3x3) and the translation of world_to_camera.
-void set_world_to_camera(Camera& camera, const double (&rotation)[9], const double (&translation)[3]);
+glm::dmat4 rigid_motion(const glm::dmat3& rotation, const glm::dvec3& translation);
 
-/// Inverse of the above: the camera's axes are the columns of `rotation`, its centre is `position`.
-void set_camera_to_world(Camera& camera, const double (&rotation)[9], const double (&position)[3]);
+/// World to camera of a camera at `centre` whose axes in the world are the columns of `axes`.
+glm::dmat4 world_to_camera(const glm::dmat3& axes, const glm::dvec3& centre);
 
 /// Every eighth camera in name order becomes a test camera.
 void split_by_name(CameraSet& set);

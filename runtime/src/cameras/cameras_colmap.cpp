@@ -8,10 +8,12 @@
 #include <charconv>
 #include <cmath>
 #include <cstring>
+#include <glm/ext/quaternion_double.hpp>
 #include <map>
 #include <utility>
 
 #include "cameras/camera_records.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -83,15 +85,12 @@ bool set_lens(Camera& camera, std::uint64_t width, std::uint64_t height, std::sp
   return validate(camera).has_value();  // the pose is still the identity
 }
 
-void set_pose(Camera& camera, const double (&q)[4], const double (&t)[3]) {
-  // Division by the squared norm instead of normalising first; a zero or non-finite quaternion fails validation.
-  const double n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3], s = 2 / n;
-  const double w = q[0], x = q[1], y = q[2], z = q[3];
-  detail::set_world_to_camera(camera,
-                              {1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y),  //
-                               s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x),  //
-                               s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)},
-                              t);
+// Division by the squared norm instead of normalising first; a zero or non-finite quaternion fails validation.
+glm::dmat3 rotation_of(const glm::dquat& q) {
+  const double w = q.w, x = q.x, y = q.y, z = q.z, s = 2 / (w * w + x * x + y * y + z * z);
+  return {1 - s * (y * y + z * z), s * (x * y + w * z),     s * (x * z - w * y),  //
+          s * (x * y - w * z),     1 - s * (x * x + z * z), s * (y * z + w * x),  //
+          s * (x * z + w * y),     s * (y * z - w * x),     1 - s * (x * x + y * y)};
 }
 
 Result<CameraSet> finish(std::vector<Camera> cameras) {
@@ -223,71 +222,75 @@ Result<Lenses> text_lenses(std::string_view text) {
 }  // namespace
 
 Result<CameraSet> parse_colmap_binary(std::span<const std::byte> cameras_bin, std::span<const std::byte> images_bin) {
-  const auto lenses = binary_lenses(cameras_bin);
-  if (!lenses) return tl::unexpected(lenses.error());
-  Cursor in(images_bin);
-  const auto n = in.read<std::uint64_t>();
-  if (!in.ok()) return make_error(Errc::truncated, images_bin.size(), "images.bin: no count", 8, images_bin.size());
-  if (n > in.left() / kImageBytes)
-    return make_error(Errc::truncated, 0, "images.bin: more images announced than the file can hold", n,
-                      in.left() / kImageBytes);
-  std::vector<Camera> cameras;
-  for (std::uint64_t i = 0; i < n; ++i) {
-    const std::uint64_t start = in.offset();
-    in.read<std::uint32_t>();  // image id
-    double q[4], t[3];
-    for (double& x : q) x = in.read<double>();
-    for (double& x : t) x = in.read<double>();
-    const auto id = in.read<std::uint32_t>();
-    std::string name = in.text();
-    const auto n_points = in.read<std::uint64_t>();
-    constexpr std::uint64_t kPointBytes = 24;
-    if (!in.ok() || n_points > in.left() / kPointBytes)
-      return make_error(Errc::truncated, images_bin.size(), "images.bin: ends inside an image");
-    in.skip(n_points * kPointBytes);
-    const auto lens = lenses->find(id);
-    if (lens == lenses->end())
-      return make_error(Errc::bad_value, start, "images.bin: an image of a camera that cameras.bin does not have",
-                        Error::kNone, id);
-    Camera camera = lens->second;
-    camera.name = std::move(name);
-    set_pose(camera, q, t);
-    if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
-    cameras.push_back(std::move(camera));
-  }
-  if (in.left() != 0) return make_error(Errc::trailing_bytes, in.offset(), "images.bin: bytes after the last image");
-  return finish(std::move(cameras));
+  return detail::guard_memory([&]() -> Result<CameraSet> {
+    const auto lenses = binary_lenses(cameras_bin);
+    if (!lenses) return tl::unexpected(lenses.error());
+    Cursor in(images_bin);
+    const auto n = in.read<std::uint64_t>();
+    if (!in.ok()) return make_error(Errc::truncated, images_bin.size(), "images.bin: no count", 8, images_bin.size());
+    if (n > in.left() / kImageBytes)
+      return make_error(Errc::truncated, 0, "images.bin: more images announced than the file can hold", n,
+                        in.left() / kImageBytes);
+    std::vector<Camera> cameras;
+    for (std::uint64_t i = 0; i < n; ++i) {
+      const std::uint64_t start = in.offset();
+      in.read<std::uint32_t>();  // image id
+      glm::dquat q;
+      glm::dvec3 t;
+      for (double* x : {&q.w, &q.x, &q.y, &q.z, &t.x, &t.y, &t.z}) *x = in.read<double>();
+      const auto id = in.read<std::uint32_t>();
+      std::string name = in.text();
+      const auto n_points = in.read<std::uint64_t>();
+      constexpr std::uint64_t kPointBytes = 24;
+      if (!in.ok() || n_points > in.left() / kPointBytes)
+        return make_error(Errc::truncated, images_bin.size(), "images.bin: ends inside an image");
+      in.skip(n_points * kPointBytes);
+      const auto lens = lenses->find(id);
+      if (lens == lenses->end())
+        return make_error(Errc::bad_value, start, "images.bin: an image of a camera that cameras.bin does not have",
+                          Error::kNone, id);
+      Camera camera = lens->second;
+      camera.name = std::move(name);
+      camera.world_to_camera = detail::rigid_motion(rotation_of(q), t);
+      if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
+      cameras.push_back(std::move(camera));
+    }
+    if (in.left() != 0) return make_error(Errc::trailing_bytes, in.offset(), "images.bin: bytes after the last image");
+    return finish(std::move(cameras));
+  });
 }
 
 Result<CameraSet> parse_colmap_text(std::string_view cameras_txt, std::string_view images_txt) {
-  const auto lenses = text_lenses(cameras_txt);
-  if (!lenses) return tl::unexpected(lenses.error());
-  std::vector<Camera> cameras;
-  Lines in(images_txt);
-  for (std::uint64_t i = 0; in.next_record(); ++i) {
-    const std::uint64_t start = in.line_offset();
-    std::uint32_t image_id = 0, id = 0;
-    double q[4] = {}, t[3] = {};
-    bool ok = in.number(image_id);
-    for (double& x : q) ok = ok && in.number(x);
-    for (double& x : t) ok = ok && in.number(x);
-    ok = ok && in.number(id);
-    if (!ok)
-      return make_error(Errc::bad_syntax, in.word_offset(),
-                        "images.txt: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
-    const std::string name(in.rest());
-    const auto lens = lenses->find(id);
-    if (lens == lenses->end())
-      return make_error(Errc::bad_value, start, "images.txt: an image of a camera that cameras.txt does not have",
-                        Error::kNone, id);
-    Camera camera = lens->second;
-    camera.name = name;
-    set_pose(camera, q, t);
-    if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
-    cameras.push_back(std::move(camera));
-    in.next();  // 2D points of the image; the line is empty if there are none
-  }
-  return finish(std::move(cameras));
+  return detail::guard_memory([&]() -> Result<CameraSet> {
+    const auto lenses = text_lenses(cameras_txt);
+    if (!lenses) return tl::unexpected(lenses.error());
+    std::vector<Camera> cameras;
+    Lines in(images_txt);
+    for (std::uint64_t i = 0; in.next_record(); ++i) {
+      const std::uint64_t start = in.line_offset();
+      std::uint32_t image_id = 0, id = 0;
+      glm::dquat q{};
+      glm::dvec3 t{};
+      bool ok = in.number(image_id);
+      for (double* x : {&q.w, &q.x, &q.y, &q.z, &t.x, &t.y, &t.z}) ok = ok && in.number(*x);
+      ok = ok && in.number(id);
+      if (!ok)
+        return make_error(Errc::bad_syntax, in.word_offset(),
+                          "images.txt: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME");
+      const std::string name(in.rest());
+      const auto lens = lenses->find(id);
+      if (lens == lenses->end())
+        return make_error(Errc::bad_value, start, "images.txt: an image of a camera that cameras.txt does not have",
+                          Error::kNone, id);
+      Camera camera = lens->second;
+      camera.name = name;
+      camera.world_to_camera = detail::rigid_motion(rotation_of(q), t);
+      if (const auto valid = detail::validate_record(camera, start, i); !valid) return tl::unexpected(valid.error());
+      cameras.push_back(std::move(camera));
+      in.next();  // 2D points of the image; the line is empty if there are none
+    }
+    return finish(std::move(cameras));
+  });
 }
 
 }  // namespace rgs

@@ -9,6 +9,7 @@
 
 #include "cameras/camera_records.hpp"
 #include "rgs/file.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -44,16 +45,6 @@ Result<CameraSet> read_colmap(const std::filesystem::path& folder) {
 
 namespace detail {
 
-void set_world_to_camera(Camera& camera, const double (&r)[9], const double (&t)[3]) {
-  camera.world_to_camera = {r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], 0, 0, 0, 1};
-}
-
-void set_camera_to_world(Camera& camera, const double (&r)[9], const double (&p)[3]) {
-  set_world_to_camera(camera, {r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]},
-                      {-(r[0] * p[0] + r[3] * p[1] + r[6] * p[2]), -(r[1] * p[0] + r[4] * p[1] + r[7] * p[2]),
-                       -(r[2] * p[0] + r[5] * p[1] + r[8] * p[2])});
-}
-
 void split_by_name(CameraSet& set) {
   std::vector<std::size_t> order(set.cameras.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
@@ -66,21 +57,23 @@ void split_by_name(CameraSet& set) {
 }  // namespace detail
 
 Result<CameraSet> read_camera_set(const std::string& path) {
-  std::error_code ignored;
-  if (std::filesystem::is_directory(path, ignored)) return read_colmap(path);
-  const auto file = MappedFile::open(path);
-  if (!file) return tl::unexpected(file.error());
-  std::string_view text = text_of(*file);
-  const std::size_t mark = text.starts_with("\xef\xbb\xbf") ? 3 : 0;
-  const std::size_t first = text.find_first_not_of(" \t\r\n", mark);
-  if (first == std::string_view::npos)
-    return make_error(Errc::truncated, text.size(), "an empty file; expected JSON with cameras");
-  if (text[first] != '[' && text[first] != '{')
-    return make_error(Errc::bad_syntax, first,
-                      "not a camera file: expected JSON, or the folder of a COLMAP sparse model");
-  if (text.size() > kMaxJsonBytes)
-    return make_error(Errc::limit_exceeded, Error::kNone, "too large for a camera file", kMaxJsonBytes, text.size());
-  return parse_camera_json(text);
+  return detail::guard_memory([&]() -> Result<CameraSet> {
+    std::error_code ignored;
+    if (std::filesystem::is_directory(path, ignored)) return read_colmap(path);
+    const auto file = MappedFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    std::string_view text = text_of(*file);
+    const std::size_t mark = text.starts_with("\xef\xbb\xbf") ? 3 : 0;
+    const std::size_t first = text.find_first_not_of(" \t\r\n", mark);
+    if (first == std::string_view::npos)
+      return make_error(Errc::truncated, text.size(), "an empty file; expected JSON with cameras");
+    if (text[first] != '[' && text[first] != '{')
+      return make_error(Errc::bad_syntax, first,
+                        "not a camera file: expected JSON, or the folder of a COLMAP sparse model");
+    if (text.size() > kMaxJsonBytes)
+      return make_error(Errc::limit_exceeded, Error::kNone, "too large for a camera file", kMaxJsonBytes, text.size());
+    return parse_camera_json(text);
+  });
 }
 
 Result<std::vector<Camera>> read_cameras(const std::string& path) {

@@ -2,10 +2,12 @@
 // transforms.json. SPDX-License-Identifier: Apache-2.0
 #include <cmath>
 #include <exception>
+#include <glm/gtc/type_ptr.hpp>
 #include <nlohmann/json.hpp>
 #include <optional>
 
 #include "cameras/camera_records.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -106,10 +108,13 @@ class Fields {
   }
 
   // `rows` lists of `columns` numbers.
-  template <std::size_t rows, std::size_t columns>
-  void matrix(const json* value, double (&out)[rows * columns], const char* malformed) {
-    if (value == nullptr || !value->is_array() || value->size() < rows) return refuse(Errc::bad_syntax, malformed);
-    for (std::size_t r = 0; r < rows; ++r) list((*value)[r], std::span(out).subspan(r * columns, columns), malformed);
+  template <int rows, int columns>
+  glm::mat<columns, rows, double> matrix(const json* value, const char* malformed) {
+    glm::mat<rows, columns, double> transposed(0.0);
+    if (value == nullptr || !value->is_array() || value->size() < rows) refuse(Errc::bad_syntax, malformed);
+    for (int r = 0; r < rows && ok(); ++r)
+      list((*value)[static_cast<std::size_t>(r)], {glm::value_ptr(transposed[r]), columns}, malformed);
+    return glm::transpose(transposed);
   }
 
   void list(const json& value, std::span<double> out, const char* malformed) {
@@ -149,22 +154,20 @@ void read_list_entry(Fields& fields, Camera& camera, std::optional<Split>& split
     fields.refuse(Errc::bad_value, "the camera of this index has a split other than train and test");
   }
   read_size_and_focal(fields, camera);
-  double m[16] = {};
-  fields.matrix<4, 4>(fields.find("world_to_camera"), m, kShape);
-  std::copy(std::begin(m), std::end(m), camera.world_to_camera.begin());
+  camera.world_to_camera = fields.matrix<4, 4>(fields.find("world_to_camera"), kShape);
 }
 
 // {id, img_name, width, height, position, rotation, fx, fy}: the camera's centre and its axes as the matrix columns.
 void read_training_entry(Fields& fields, Camera& camera) {
   camera.name = fields.text("img_name");
   read_size_and_focal(fields, camera);
-  double rotation[9] = {}, position[3] = {};
-  fields.matrix<3, 3>(fields.find("rotation"), rotation,
-                      "the camera of this index has a rotation that is not 3 rows of 3 numbers");
+  const glm::dmat3 axes = fields.matrix<3, 3>(
+      fields.find("rotation"), "the camera of this index has a rotation that is not 3 rows of 3 numbers");
+  glm::dvec3 centre{};
   const json* place = fields.find("position");
-  fields.list(place != nullptr ? *place : json(), position,
+  fields.list(place != nullptr ? *place : json(), {glm::value_ptr(centre), 3},
               "the camera of this index has a position that is not 3 numbers");
-  detail::set_camera_to_world(camera, rotation, position);
+  camera.world_to_camera = detail::world_to_camera(axes, centre);
 }
 
 // A frame of transforms.json. Its camera axes are OpenGL's (x right, y up, z back), so two columns change sign.
@@ -203,16 +206,15 @@ void read_transforms_entry(Fields& fields, Camera& camera) {
 
   constexpr const char* kShape = "the camera of this index has a transform_matrix that is not 3 or 4 rows of 4 numbers";
   const json* pose = fields.find("transform_matrix");
-  double m[12] = {}, last[4] = {0, 0, 0, 1};
-  fields.matrix<3, 4>(pose, m, kShape);
+  const glm::dmat4x3 m = fields.matrix<3, 4>(pose, kShape);
   if (fields.ok() && pose->size() > 3) {
-    fields.list((*pose)[3], last, kShape);
+    glm::dvec4 last{0, 0, 0, 1};
+    fields.list((*pose)[3], {glm::value_ptr(last), 4}, kShape);
     if (pose->size() > 4) fields.refuse(Errc::bad_syntax, kShape);
-    if (last[0] != 0 || last[1] != 0 || last[2] != 0 || last[3] != 1)
+    if (last != glm::dvec4(0, 0, 0, 1))
       fields.refuse(Errc::bad_value, "the camera of this index has a transform_matrix whose last row is not 0 0 0 1");
   }
-  detail::set_camera_to_world(camera, {m[0], -m[1], -m[2], m[4], -m[5], -m[6], m[8], -m[9], -m[10]},
-                              {m[3], m[7], m[11]});
+  camera.world_to_camera = detail::world_to_camera({m[0], -m[1], -m[2]}, m[3]);
 }
 
 Result<CameraSet> read_all(std::string_view text, const json& root) {
@@ -263,18 +265,20 @@ Result<CameraSet> read_all(std::string_view text, const json& root) {
 }  // namespace
 
 Result<CameraSet> parse_camera_json(std::string_view text) {
-  json root;
-  try {
-    root = json::parse(text.begin(), text.end());
-  } catch (const json::parse_error& error) {
-    // The library counts bytes from 1 and names the last one it read.
-    const std::uint64_t offset = error.byte > 0 ? error.byte - 1 : 0;
-    if (offset >= text.size()) return make_error(Errc::truncated, text.size(), "the JSON text ends early");
-    return make_error(Errc::bad_syntax, offset, "the JSON text cannot be parsed here");
-  } catch (const json::exception&) {
-    return make_error(Errc::bad_value, Error::kNone, "the JSON text has a number that is too large");
-  }
-  return read_all(text, root);
+  return detail::guard_memory([&]() -> Result<CameraSet> {
+    json root;
+    try {
+      root = json::parse(text.begin(), text.end());
+    } catch (const json::parse_error& error) {
+      // The library counts bytes from 1 and names the last one it read.
+      const std::uint64_t offset = error.byte > 0 ? error.byte - 1 : 0;
+      if (offset >= text.size()) return make_error(Errc::truncated, text.size(), "the JSON text ends early");
+      return make_error(Errc::bad_syntax, offset, "the JSON text cannot be parsed here");
+    } catch (const json::exception&) {
+      return make_error(Errc::bad_value, Error::kNone, "the JSON text has a number that is too large");
+    }
+    return read_all(text, root);
+  });
 }
 
 }  // namespace rgs

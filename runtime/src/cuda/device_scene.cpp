@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/device_scene.hpp"
 
-#include <cassert>
+#include <array>
 #include <cmath>
 #include <memory>
 #include <span>
@@ -11,6 +11,7 @@ namespace rgs {
 namespace {
 
 using detail::device_status;
+using detail::SceneStorage;
 
 constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
 
@@ -20,92 +21,106 @@ Status check_size(std::uint64_t n) {
                     n);
 }
 
-// Copies from pageable memory may still be on their way when they return, and streams of the caller do not wait for them.
-Status wait_for_copies() {
-  return device_status(cudaStreamSynchronize(nullptr), "a scene could not be copied to the device");
+Status check(const SceneView& s) {
+  if (const auto ok = check_size(s.n); !ok) return ok;
+  if (s.sh_degree < 0 || s.sh_degree > kMaxShDegree) {
+    return make_error(Errc::bad_argument, Error::kNone, "the SH degree is not 0..3");
+  }
+  const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(s.sh_degree));
+  if (s.mean.size() != 3 * s.n || s.rotation.size() != 4 * s.n || s.scale.size() != 3 * s.n ||
+      s.opacity.size() != s.n || s.sh.size() != floats * s.n) {
+    return make_error(Errc::bad_argument, Error::kNone, "the sizes of the attributes contradict each other");
+  }
+  return {};
 }
 
-// One allocation for several arrays, each at a multiple of 256 bytes.
-class Uploader {
- public:
-  void add(std::span<const std::byte> bytes) { total_ += aligned(bytes.size()); }
-  Status allocate(detail::DeviceBuffer& buffer) {
-    if (const auto ok = buffer.reserve(total_); !ok) return ok;
-    base_ = buffer.as<std::byte>();
-    return {};
-  }
-  // Called in the order of add().
-  const std::byte* copy(std::span<const std::byte> bytes, Status& status) {
-    const std::byte* const place = base_;
-    if (status && !bytes.empty()) {
-      status = device_status(cudaMemcpy(base_, bytes.data(), bytes.size(), cudaMemcpyHostToDevice),
-                             "a scene could not be copied to the device");
-    }
-    base_ += aligned(bytes.size());
-    return place;
-  }
+using Sections = std::array<std::span<const std::byte>, 5>;
+using Places = std::array<const std::byte*, 5>;
 
- private:
-  static std::uint64_t aligned(std::uint64_t bytes) { return (bytes + 255) / 256 * 256; }
-  std::uint64_t total_ = 0;
-  std::byte* base_ = nullptr;
-};
+// Each section at a multiple of 256 bytes of one allocation.
+Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, const UploadOptions& options) {
+  const auto aligned = [](std::uint64_t bytes) { return (bytes + 255) / 256 * 256; };
+  const auto memory = detail::DeviceMemory::create(options.allocator);
+  if (!memory) return tl::unexpected(memory.error());
+  std::uint64_t total = 0;
+  for (const auto& section : sections) total += aligned(section.size());
+  Status ok = storage.memory.reserve(total, *memory, options.stream);
+  if (ok && options.asynchronous) ok = storage.copied.emplace().create();
+  if (!ok) return tl::unexpected(ok.error());
+
+  Places places{};
+  const std::byte* next = storage.memory.as<std::byte>();
+  for (std::size_t k = 0; k < sections.size(); ++k) {
+    places[k] = next;
+    next += aligned(sections[k].size());
+    if (!ok || sections[k].empty()) continue;
+    ok = device_status(cudaMemcpyAsync(const_cast<std::byte*>(places[k]), sections[k].data(), sections[k].size(),
+                                       cudaMemcpyHostToDevice, options.stream),
+                       "a scene could not be copied to the device");
+  }
+  if (ok && options.asynchronous) ok = storage.copied->record(options.stream);
+  if (!ok || !options.asynchronous) {  // after an error, too: the memory goes back
+    const Status done =
+        device_status(cudaStreamSynchronize(options.stream), "a scene could not be copied to the device");
+    if (ok) ok = done;
+  }
+  if (!ok) return tl::unexpected(ok.error());
+  return places;
+}
 
 }  // namespace
 
-Result<DeviceScene> DeviceScene::upload(const SceneView& scene) {
-  if (const auto ok = check_size(scene.n); !ok) return tl::unexpected(ok.error());
-  auto storage = std::make_shared<Storage>();
+Result<DeviceScene> DeviceScene::upload(const SceneView& scene, const UploadOptions& options) {
+  if (const auto ok = check(scene); !ok) return tl::unexpected(ok.error());
+  auto storage = std::make_shared<SceneStorage>();
   storage->n = scene.n;
   storage->sh_degree = scene.sh_degree;
-  Uploader uploader;
-  const std::span<const float> arrays[] = {scene.mean, scene.rotation, scene.scale, scene.opacity, scene.sh};
-  for (const auto& array : arrays) uploader.add(std::as_bytes(array));
-  Status ok = uploader.allocate(storage->memory);
-  if (!ok) return tl::unexpected(ok.error());
-  const float* placed[5];
-  for (int k = 0; k < 5; ++k) placed[k] = reinterpret_cast<const float*>(uploader.copy(std::as_bytes(arrays[k]), ok));
-  if (ok) ok = wait_for_copies();
-  if (!ok) return tl::unexpected(ok.error());
-  storage->attributes = cuda::Fp32Attributes{placed[0], placed[1], placed[2], placed[3], placed[4], scene.sh_degree};
+  const auto placed = copy_sections({std::as_bytes(scene.mean), std::as_bytes(scene.rotation),
+                                     std::as_bytes(scene.scale), std::as_bytes(scene.opacity), std::as_bytes(scene.sh)},
+                                    *storage, options);
+  if (!placed) return tl::unexpected(placed.error());
+  const auto floats = [&placed](std::size_t k) { return reinterpret_cast<const float*>((*placed)[k]); };
+  storage->attributes = cuda::Fp32Attributes{floats(0), floats(1), floats(2), floats(3), floats(4), scene.sh_degree};
   DeviceScene result;
   result.storage_ = std::move(storage);
   return result;
 }
 
-Result<DeviceScene> DeviceScene::upload(const FileView& file) {
+Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOptions& options) {
+  const Header& header = data.header();
+  if (const auto ok = check_size(data.size()); !ok) return tl::unexpected(ok.error());
+  for (std::uint64_t i = 0; i < data.n_chunks(); ++i) {  // its set of SH steps is an index
+    if (const auto entry = data.file().chunk(data.first_chunk() + i); !entry) return tl::unexpected(entry.error());
+  }
+  const auto chunks =
+      data.chunk_table().subspan(data.first_chunk() * kChunkEntryBytes, data.n_chunks() * kChunkEntryBytes);
+  auto storage = std::make_shared<SceneStorage>();
+  storage->n = data.size();
+  storage->sh_degree = header.sh_degree;
+  storage->declarations = data.file().declarations();
+  const auto placed =
+      copy_sections({data.means(), data.geometry(), data.sh(), data.step_table(), chunks}, *storage, options);
+  if (!placed) return tl::unexpected(placed.error());
+  storage->attributes = cuda::CompactAttributes{reinterpret_cast<const float*>((*placed)[0]),
+                                                reinterpret_cast<const std::uint16_t*>((*placed)[1]),
+                                                reinterpret_cast<const std::uint32_t*>((*placed)[2]),
+                                                reinterpret_cast<const float*>((*placed)[3]),
+                                                reinterpret_cast<const std::uint32_t*>((*placed)[4]),
+                                                header.chunk_size,
+                                                std::ldexp(1.0F, -header.scale_exponent),
+                                                header.sh_degree};
+  DeviceScene result;
+  result.storage_ = std::move(storage);
+  return result;
+}
+
+Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOptions& options) {
   if (const auto ok = check_size(file.header().n_gaussians); !ok) return tl::unexpected(ok.error());
   const auto data = load_direct(file);
   if (!data) return tl::unexpected(data.error());
-  return upload(*data);
-}
-
-Result<DeviceScene> DeviceScene::upload(const DirectData& data) {
-  const Header& header = data.header();
-  assert(data.size() == header.n_gaussians);
-  if (const auto ok = check_size(data.size()); !ok) return tl::unexpected(ok.error());
-  auto storage = std::make_shared<Storage>();
-  storage->n = header.n_gaussians;
-  storage->sh_degree = header.sh_degree;
-  storage->declarations = data.file().declarations();
-  Uploader uploader;
-  const std::span<const std::byte> sections[] = {data.means(), data.geometry(), data.sh(), data.step_table(),
-                                                 data.chunk_table()};
-  for (const auto& section : sections) uploader.add(section);
-  Status ok = uploader.allocate(storage->memory);
-  if (!ok) return tl::unexpected(ok.error());
-  const std::byte* placed[5];
-  for (int k = 0; k < 5; ++k) placed[k] = uploader.copy(sections[k], ok);
-  if (ok) ok = wait_for_copies();
-  if (!ok) return tl::unexpected(ok.error());
-  storage->attributes = cuda::CompactAttributes{
-      reinterpret_cast<const float*>(placed[0]),         reinterpret_cast<const std::uint16_t*>(placed[1]),
-      reinterpret_cast<const std::uint32_t*>(placed[2]), reinterpret_cast<const float*>(placed[3]),
-      reinterpret_cast<const std::uint32_t*>(placed[4]), header.chunk_size,
-      std::ldexp(1.0F, -header.scale_exponent),          header.sh_degree};
-  DeviceScene result;
-  result.storage_ = std::move(storage);
-  return result;
+  UploadOptions waiting = options;
+  waiting.asynchronous = false;
+  return upload(*data, waiting);
 }
 
 std::uint64_t DeviceScene::size() const {

@@ -5,18 +5,27 @@
 #include <cstdint>
 #include <optional>
 
-#include "cuda/device_buffer.hpp"
+#include "cuda/cuda_objects.hpp"
+#include "cuda/device_memory.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "sorted/front_end.hpp"
 
-namespace rgs {
+namespace rgs::detail {
 
-struct DeviceScene::Storage {
+struct SceneStorage {
+  SceneStorage() = default;
+  SceneStorage(const SceneStorage&) = delete;
+  SceneStorage& operator=(const SceneStorage&) = delete;
+  ~SceneStorage() {
+    if (copied) cudaEventSynchronize(copied->get());
+  }
+
   std::uint64_t n = 0;
   int sh_degree = 0;
   std::optional<Declarations> declarations;
   cuda::Attributes attributes;
-  detail::DeviceBuffer memory;
+  DeviceBuffer memory;
+  std::optional<Event> copied;  ///< the end of an upload that nobody has waited for
 };
 
-}  // namespace rgs
+}  // namespace rgs::detail

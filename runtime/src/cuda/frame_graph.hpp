@@ -4,7 +4,7 @@
 
 #include <cuda_runtime_api.h>
 
-#include "cuda/device_buffer.hpp"
+#include "cuda/cuda_objects.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs::detail {
@@ -17,20 +17,16 @@ class FrameGraph {
   FrameGraph() = default;
   FrameGraph(const FrameGraph&) = delete;
   FrameGraph& operator=(const FrameGraph&) = delete;
-  ~FrameGraph() {
-    discard();
-    if (launched_ != nullptr) cudaEventDestroy(launched_);
-    if (capture_ != nullptr) cudaStreamDestroy(capture_);
-  }
+  ~FrameGraph() { discard(); }
 
   /// Takes what record(s) enqueues on the stream s that it is given. record() returns a Status and does not wait,
   /// allocate or free. Errors: those of record(), device_failed.
   template <class Record>
   Status capture(const Record& record) {
     if (const auto ok = begin(); !ok) return ok;
-    const Status recorded = record(capture_);
+    const Status recorded = record(capture_.get());
     cudaGraph_t graph = nullptr;
-    Status ok = device_status(cudaStreamEndCapture(capture_, &graph), "a frame could not be captured");
+    Status ok = device_status(cudaStreamEndCapture(capture_.get(), &graph), "a frame could not be captured");
     if (!recorded) ok = recorded;
     if (ok) ok = adopt(graph);
     if (graph != nullptr) cudaGraphDestroy(graph);
@@ -40,23 +36,18 @@ class FrameGraph {
   /// Enqueues what was captured last, without an error, on `stream`. Errors: device_failed.
   Status launch(cudaStream_t stream) {
     const Status ok = device_status(cudaGraphLaunch(graph_, stream), "a frame's graph could not be launched");
-    if (!ok) return ok;
-    return device_status(cudaEventRecord(launched_, stream), "an event could not be recorded");
+    return ok ? launched_.record(stream) : ok;
   }
 
  private:
   Status begin() {
     Status ok;
     // Not the caller's stream: that may be the default one, which cannot be captured.
-    if (capture_ == nullptr) {
-      ok = device_status(cudaStreamCreateWithFlags(&capture_, cudaStreamNonBlocking), "a stream could not be made");
-    }
-    if (ok && launched_ == nullptr) {
-      ok = device_status(cudaEventCreateWithFlags(&launched_, cudaEventDisableTiming), "an event could not be made");
-    }
+    if (capture_.get() == nullptr) ok = capture_.create();
+    if (ok && launched_.get() == nullptr) ok = launched_.create();
     // Relaxed: other threads, and the loading of a kernel on its first launch, may do as they like.
     if (ok) {
-      ok = device_status(cudaStreamBeginCapture(capture_, cudaStreamCaptureModeRelaxed),
+      ok = device_status(cudaStreamBeginCapture(capture_.get(), cudaStreamCaptureModeRelaxed),
                          "a frame could not be captured");
     }
     return ok;
@@ -74,13 +65,13 @@ class FrameGraph {
 
   void discard() {
     if (graph_ == nullptr) return;
-    cudaEventSynchronize(launched_);  // it may still be at work
+    cudaEventSynchronize(launched_.get());  // it may still be at work
     cudaGraphExecDestroy(graph_);
     graph_ = nullptr;
   }
 
-  cudaStream_t capture_ = nullptr;
-  cudaEvent_t launched_ = nullptr;
+  OwnedStream capture_;
+  Event launched_;
   cudaGraphExec_t graph_ = nullptr;
 };
 

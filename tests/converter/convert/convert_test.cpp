@@ -17,6 +17,7 @@
 #include "convert_scenes.hpp"
 #include "edit_file.hpp"
 #include "rgs/checksum.hpp"
+#include "rgs/version.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 

@@ -22,6 +22,7 @@
 #include "rgs/decode.hpp"
 #include "rgs/interchange.hpp"
 #include "run_program.hpp"
+#include "skip.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
@@ -146,10 +147,9 @@ TEST_CASE("a full disk leaves the old output and no temporary file") {
   const TemporaryFolder folder;
   const fs::path disk = folder.path() / "disk";
   fs::create_directory(disk);
-  if (::mount("tmpfs", disk.c_str(), "tmpfs", 0, "size=1m") != 0) {
-    MESSAGE("skipped: a small file system cannot be mounted here (needs root); the limit of file sizes stands in");
-    return;
-  }
+  // Without it the limit of file sizes stands in, in a case of its own.
+  if (::mount("tmpfs", disk.c_str(), "tmpfs", 0, "size=1m") != 0)
+    return skip("a small file system cannot be mounted here (needs root)");
   struct Unmount {
     const fs::path& disk;
     ~Unmount() { ::umount2(disk.c_str(), MNT_DETACH); }
@@ -210,13 +210,10 @@ TEST_CASE("a folder without the right to write is reported and left as it is") {
     constexpr unsigned kNobody = 65534;
     if (root && (::setgid(kNobody) != 0 || ::setuid(kNobody) != 0)) ::_exit(126);
   });
+  fs::permissions(locked, fs::perms(0755));
+  if (run.exit_code == 126) return skip("root here cannot become another user");
   CHECK(is_old(out));
   CHECK(entries(locked) == 1);
-  fs::permissions(locked, fs::perms(0755));
-  if (run.exit_code == 126) {
-    MESSAGE("skipped: root here cannot become another user");
-    return;
-  }
   CHECK(run.exit_code == 3);
   CHECK(run.err.find("Permission denied") != std::string::npos);
 }
@@ -362,10 +359,7 @@ TEST_CASE("SIGINT and SIGKILL at random points leave the old output, none, or th
 }
 
 TEST_CASE("anonymous memory stays within 64 MB + 48 bytes a Gaussian") {
-  if (kSanitized) {
-    MESSAGE("skipped: sanitizers take memory of their own");
-    return;
-  }
+  if (kSanitized) return skip("sanitizers take memory of their own");
   // The limit counts every private writable page, touched or not, thread stacks included: stricter than what is
   // promised. At this size a copy of the rows (71 MB) does not fit below it.
   constexpr std::uint64_t kN = 300'000;

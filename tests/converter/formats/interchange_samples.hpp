@@ -16,11 +16,13 @@
 #include <utility>
 #include <vector>
 
+#include "data_folder.hpp"
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"
 #include "rgs/file.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/quantize.hpp"
+#include "skip.hpp"
 
 namespace rgs::test {
 
@@ -155,17 +157,13 @@ class Matcher {
   std::vector<bool> used_;
 };
 
-/// A file that the peer's tool wrote: in formats/ of $RGS_DATA_DIR, or of ../shared/data beside the source tree.
+/// A file that the peer's tool wrote.
 inline std::string peer_file(const std::string& name) {
-  const char* folder = std::getenv("RGS_DATA_DIR");
-  const std::filesystem::path data = folder != nullptr
-                                         ? std::filesystem::path(folder)
-                                         : std::filesystem::path(RGS_SOURCE_DIR) / ".." / "shared" / "data";
-  return (data / "formats" / name).string();
+  return (data_folder() / "formats" / name).string();
 }
 inline bool has_peer_files() {
   const bool found = std::filesystem::exists(peer_file("crop.ply"));
-  if (!found) MESSAGE("skipped: the peer's files are not here; set RGS_DATA_DIR to a folder with formats/crop.*");
+  if (!found) skip_without_data("the peer's files are not here; set RGS_DATA_DIR to a folder with formats/crop.*");
   return found;
 }
 

@@ -1,6 +1,8 @@
 // splat_edit_test.cpp - moving, turning, mirroring, merging, filtering and stripping: judged by the colours, shapes and
 // places that come out.
 // SPDX-License-Identifier: Apache-2.0
+#include <glm/geometric.hpp>
+#include <glm/matrix.hpp>
 #include <limits>
 
 #include "interchange_samples.hpp"
@@ -12,57 +14,38 @@ using namespace rgs::test;
 
 namespace {
 
-using Matrix = std::array<double, 9>;
-
-Matrix product(const Matrix& a, const Matrix& b) {
-  Matrix c{};
-  for (std::size_t i = 0; i < 9; ++i) {
-    for (std::size_t k = 0; k < 3; ++k) c[i] += a[i / 3 * 3 + k] * b[3 * k + i % 3];
-  }
-  return c;
-}
-Matrix transposed(const Matrix& m) {
-  return {m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]};
+glm::dmat3 covariance(const Splat& s) {
+  const glm::dmat3 r =
+      rotation_from_quaternion({static_cast<double>(s.rotation[0]), static_cast<double>(s.rotation[1]),
+                                static_cast<double>(s.rotation[2]), static_cast<double>(s.rotation[3])});
+  glm::dmat3 scale(0.0);
+  for (int k = 0; k < 3; ++k) scale[k][k] = std::exp(2 * static_cast<double>(s.log_scale[k]));
+  return r * scale * glm::transpose(r);
 }
 
-Matrix covariance(const Splat& s) {
-  const Matrix r = rotation_from_quaternion({static_cast<double>(s.rotation[0]), static_cast<double>(s.rotation[1]),
-                                             static_cast<double>(s.rotation[2]), static_cast<double>(s.rotation[3])});
-  Matrix scale{};
-  for (std::size_t k = 0; k < 3; ++k) scale[4 * k] = std::exp(2 * static_cast<double>(s.log_scale[k]));
-  return product(product(r, scale), transposed(r));
-}
-
-double colour(const Splat& s, int degree, const math::Vec3<double>& d, int channel) {
-  const auto basis = math::sh_basis(degree, d);
+double colour(const Splat& s, int degree, const glm::dvec3& d, int channel) {
+  const auto basis = math::sh_basis(degree, math::Vec3<double>{d.x, d.y, d.z});
   double sum = 0;
   for (int k = 0; k < sh_coefficients(degree); ++k) sum += basis.y[k] * static_cast<double>(s.sh[3 * k + channel]);
   return sum;
 }
 
 // `after` is `before` under x -> scale * m x + shift: places, shapes, and colours seen from turned directions.
-void check_moved(const SplatCloud& before, const SplatCloud& after, const Matrix& m, double scale,
-                 const std::array<double, 3>& shift) {
+void check_moved(const SplatCloud& before, const SplatCloud& after, const glm::dmat3& m, double scale,
+                 const glm::dvec3& shift) {
   REQUIRE(before.size() == after.size());
   SplitMix random(77);
   for (std::uint64_t i = 0; i < before.size(); ++i) {
     const Splat a = before.view().splat(i), b = after.view().splat(i);
-    for (std::size_t k = 0; k < 3; ++k) {
-      double expected = 0;
-      for (std::size_t j = 0; j < 3; ++j) expected += m[3 * k + j] * static_cast<double>(a.mean[j]);
-      CHECK(static_cast<double>(b.mean[k]) == doctest::Approx(expected * scale + shift[k]).epsilon(1e-5));
-    }
-    const Matrix expected = product(product(m, covariance(a)), transposed(m)), found = covariance(b);
+    const glm::dvec3 place = m * glm::dvec3(a.mean[0], a.mean[1], a.mean[2]) * scale + shift;
+    const glm::dmat3 expected = scale * scale * (m * covariance(a) * glm::transpose(m)), found = covariance(b);
     double largest = 0;
-    for (const double entry : expected) largest = std::max(largest, std::abs(entry));
-    for (std::size_t k = 0; k < 9; ++k) {
-      CHECK(std::abs(found[k] - scale * scale * expected[k]) <= 4e-6 * scale * scale * largest);
+    for (int j = 0; j < 9; ++j) largest = std::max(largest, std::abs(expected[j / 3][j % 3]));
+    for (int k = 0; k < 3; ++k) {
+      CHECK(static_cast<double>(b.mean[k]) == doctest::Approx(place[k]).epsilon(1e-5));
+      for (int j = 0; j < 3; ++j) CHECK(std::abs(found[k][j] - expected[k][j]) <= 4e-6 * largest);
     }
-    math::Vec3<double> d{static_cast<double>(random.dyadic(-1, 1)), static_cast<double>(random.dyadic(-1, 1)), 0.25};
-    const double length = std::sqrt(math::dot(d, d));
-    d = {d.x / length, d.y / length, d.z / length};
-    const math::Vec3<double> turned{m[0] * d.x + m[1] * d.y + m[2] * d.z, m[3] * d.x + m[4] * d.y + m[5] * d.z,
-                                    m[6] * d.x + m[7] * d.y + m[8] * d.z};
+    const glm::dvec3 d = glm::normalize(glm::dvec3(random.dyadic(-1, 1), random.dyadic(-1, 1), 0.25)), turned = m * d;
     for (int c = 0; c < 3; ++c) {
       CHECK(std::abs(colour(b, after.sh_degree, turned, c) - colour(a, before.sh_degree, d, c)) <= 3e-6);
     }
@@ -94,14 +77,8 @@ TEST_CASE("a similarity moves places, shapes and view-dependent colours together
 }
 
 TEST_CASE("Euler angles turn about x, then y, then z; composition is application in turn") {
-  const auto apply = [](const Matrix& m, std::array<double, 3> v) {
-    return std::array<double, 3>{m[0] * v[0] + m[1] * v[1] + m[2] * v[2], m[3] * v[0] + m[4] * v[1] + m[5] * v[2],
-                                 m[6] * v[0] + m[7] * v[1] + m[8] * v[2]};
-  };
-  const auto turned = apply(rotation_from_euler({90, 90, 0}), {0, 1, 0});  // y -> z by x, z -> x by y
-  CHECK(turned[0] == doctest::Approx(1));
-  CHECK(std::abs(turned[1]) < 1e-12);
-  CHECK(std::abs(turned[2]) < 1e-12);
+  const glm::dvec3 turned = rotation_from_euler({90, 90, 0}) * glm::dvec3(0, 1, 0);  // y -> z by x, z -> x by y
+  CHECK(glm::distance(turned, glm::dvec3(1, 0, 0)) < 1e-12);
   const Similarity a{rotation_from_euler({10, 20, 30}), 2, {1, 2, 3}},
       b{rotation_from_euler({-40, 50, 60}), 3, {4, 5, 6}};
   SplatCloud one = ordinary_cloud(10, 2, 4), two = one;
@@ -132,19 +109,18 @@ TEST_CASE("axes: every pair of frames, mirrored ones too, and exactly back") {
                                  {Axis::right, Axis::up, Axis::forward},    // left-handed
                                  {Axis::forward, Axis::left, Axis::down}};  // left-handed
   const auto direction = [](Axis axis) {
-    std::array<double, 3> d{0, 0, 0};
-    const auto index = static_cast<std::size_t>(axis) - 1;
+    glm::dvec3 d{0, 0, 0};
+    const int index = static_cast<int>(axis) - 1;
     const double sign = axis == Axis::right || axis == Axis::up || axis == Axis::forward ? 1 : -1;
     d[index / 2] = sign;
     return d;
   };
   for (const Axes& from : frames) {
     for (const Axes& to : frames) {
-      Matrix m{};
+      glm::dmat3 m;
       for (std::size_t i = 0; i < 3; ++i) {
-        for (std::size_t j = 0; j < 3; ++j) {
-          for (std::size_t k = 0; k < 3; ++k) m[3 * i + j] += direction(to[i])[k] * direction(from[j])[k];
-        }
+        for (std::size_t j = 0; j < 3; ++j)
+          m[static_cast<int>(j)][static_cast<int>(i)] = glm::dot(direction(to[i]), direction(from[j]));
       }
       const SplatCloud before = ordinary_cloud(10, 3, 6);
       SplatCloud after = before;

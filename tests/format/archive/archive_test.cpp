@@ -10,6 +10,7 @@
 #include <numeric>
 
 #include "archive/archive_codec.hpp"
+#include "archive/archive_encode.hpp"
 #include "archive/archive_tables.hpp"
 #include "archive/point_codec.hpp"
 #include "archive/rans.hpp"
@@ -22,6 +23,7 @@
 
 using namespace rgs;
 using namespace rgs::test;
+using rgs::detail::verify_archive;
 
 namespace {
 

@@ -3,6 +3,8 @@
 #include "rgs/file.hpp"
 
 #include <doctest/doctest.h>
+#include <sys/stat.h>
+#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -43,7 +45,33 @@ std::size_t entries(const fs::path& folder) {
   return static_cast<std::size_t>(std::distance(fs::directory_iterator(folder), fs::directory_iterator()));
 }
 
+int g_umask_calls = 0;
+
 }  // namespace
+
+// In place of libc's, for this whole program: who asks for the umask this way sets it for all threads meanwhile.
+extern "C" mode_t umask(mode_t mask) noexcept {
+  ++g_umask_calls;
+  return static_cast<mode_t>(::syscall(SYS_umask, mask));
+}
+
+TEST_CASE("an output has the mode that the umask gives, and the library never touches the umask") {
+  const TemporaryFolder folder;
+  for (const mode_t mask : {0022U, 0027U, 0077U, 0002U}) {
+    CAPTURE(mask);
+    const std::string path = folder.file("out");
+    const mode_t before = ::umask(mask);
+    const int calls = g_umask_calls;
+    auto file = AtomicFile::create(path, {.overwrite = true, .sync = false});
+    const bool committed = file && file->commit();
+    CHECK(g_umask_calls == calls);
+    ::umask(before);
+    REQUIRE(committed);
+    struct stat info {};
+    REQUIRE(::stat(path.c_str(), &info) == 0);
+    CHECK((info.st_mode & 07777) == (0666U & ~mask));
+  }
+}
 
 TEST_CASE("mapped file shows the bytes and tells empty from missing and folder inputs") {
   const TemporaryFolder folder;

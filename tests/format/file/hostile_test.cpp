@@ -18,6 +18,7 @@
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"
 #include "rgs/decode.hpp"
+#include "skip.hpp"
 
 #if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
 #define RGS_TEST_SANITIZED
@@ -409,7 +410,7 @@ TEST_CASE("of the enumerators in DECL every value that the specification does no
 
 TEST_CASE("a small file makes no large allocation") {
 #ifdef RGS_TEST_SANITIZED
-  MESSAGE("skipped: sanitizers reserve address space");
+  skip("sanitizers reserve address space");
 #else
   // Large counts, and the largest chunks over a handful of Gaussians.
   Bytes large_chunks = golden("two");

@@ -1,9 +1,9 @@
 // packed_test.cpp - Profile::packed decodes to the bytes of Profile::direct, as a whole and by chunk.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
+#include <hwy/targets.h>
 
 #include <algorithm>
-
 #include <cmath>
 #include <cstring>
 
@@ -205,10 +205,17 @@ TEST_CASE("prediction makes neighbouring Gaussians small") {
 
 TEST_CASE("every instruction set gives the same bits") {
   using namespace rgs::detail;
-  std::vector<const CodecKernels*> all{&kernels_base::kKernels};
+  std::vector<const CodecKernels*> all;
+  for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
+    hwy::SetSupportedTargetsForTest(left & -left);
+    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+    const CodecKernels* kernels = &codec_kernels();
+    if (std::ranges::find(all, kernels) == all.end()) all.push_back(kernels);
+  }
+  hwy::SetSupportedTargetsForTest(0);
+  hwy::GetChosenTarget().Update(hwy::SupportedTargets());
 #if defined(__x86_64__)
-  if (__builtin_cpu_supports("avx2") != 0) all.push_back(&kernels_avx2::kKernels);
-  if (__builtin_cpu_supports("avx512bw") != 0) all.push_back(&kernels_avx512::kKernels);
+  CHECK(all.size() >= 2);  // also without vectors
 #endif
   SplitMix random{15};
   const auto bits = [&random] { return static_cast<std::uint16_t>(random.below(65536)); };

@@ -39,20 +39,14 @@ inline DeviceFrame blend_on_device(const BlendInput& input, math::Exponent expon
   DeviceArray<cuda::Counters> counters(1);
   counters.fill(0);
   const auto given = [wanted](int bit, auto* pointer) { return (wanted >> bit & 1) != 0 ? pointer : nullptr; };
-  require_ok(cuda::launch_blend({input.ranges,
-                                 input.gaussians,
-                                 input.splats,
-                                 math::tile_grid(input.width, input.height),
-                                 input.width,
-                                 input.height,
-                                 input.background,
-                                 {given(0, rgb.data()), given(1, alpha.data()), given(2, depth.data()),
-                                  given(3, evaluated.data()), given(4, blended.data())},
-                                 details ? counters.data() : nullptr,
-                                 exponent,
-                                 exp,
-                                 pixels_per_thread},
-                                nullptr));
+  require_ok(
+      cuda::launch_blend({input.ranges, input.gaussians, input.splats, math::tile_grid(input.width, input.height),
+                          input.width, input.height, input.background,
+                          cuda::PixelArrays{given(0, rgb.data()), given(1, alpha.data()), given(2, depth.data()),
+                                            given(3, evaluated.data()), given(4, blended.data())}
+                              .with_pitches(input.width),
+                          details ? counters.data() : nullptr, exponent, exp, pixels_per_thread},
+                         nullptr));
   return {rgb.download(),       alpha.download(),   depth.download(),
           evaluated.download(), blended.download(), counters.download()[0]};
 }

@@ -227,7 +227,7 @@ TEST_CASE("packed pixels are the float ones, converted as on the host, beside th
                                              width,
                                              height,
                                              {0.1F, -0.2F, 0.7F},
-                                             target,
+                                             target.with_pitches(width),
                                              nullptr,
                                              exponent,
                                              exp,

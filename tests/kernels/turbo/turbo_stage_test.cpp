@@ -45,10 +45,6 @@ struct Room {
   std::uint64_t in_cells = 0;  // 0: for all
 };
 
-std::uint32_t depth_bits_of(TurboEntry entry) {
-  return static_cast<std::uint32_t>(entry >> (cuda::kTurboIndexBits + 8));
-}
-
 template <class T>
 std::vector<T> downloaded(const T* from, std::size_t n) {
   std::vector<T> values(n);
@@ -58,11 +54,12 @@ std::vector<T> downloaded(const T* from, std::size_t n) {
 
 /// Units of a long list follow each other in depth, hold together what the list holds, and none has more to order than it
 /// can but for chance. `entries` are the list's in order. Returns how many there are.
-std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
+std::uint32_t check_units(const cuda::TurboLongList& list, std::uint32_t own, const std::vector<cuda::TurboUnit>& units,
                           const std::vector<TurboEntry>& scratch, const std::vector<TurboEntry>& entries) {
   std::array<std::uint32_t, cuda::kTurboCells> in_cells{};
   for (const TurboEntry entry : entries) {
-    for (std::size_t c = 0; c < in_cells.size(); ++c) in_cells[c] += entry >> c & 1;
+    for (std::size_t c = 0; c < in_cells.size(); ++c)
+      in_cells[c] += cuda::touches(entry, static_cast<std::uint32_t>(c));
   }
   CHECK(std::equal(in_cells.begin(), in_cells.end(), std::begin(list.cell_n)));
   const auto n = static_cast<std::uint32_t>(entries.size());
@@ -84,9 +81,9 @@ std::uint32_t check_units(const cuda::TurboLong& list, std::uint32_t own, const 
     std::sort(part.begin(), part.end());
     CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
     // It is too long for the sake of its last bin alone.
-    if (end - begin > 2 * cuda::kTurboUnit) {
-      const auto within = [&](TurboEntry e) { return std::clamp(depth_bits_of(e), list.nearest, list.farthest); };
-      CHECK(within(part.back()) - within(part[cuda::kTurboUnit]) <=
+    if (end - begin > 2 * cuda::kTurboPart) {
+      const auto within = [&](TurboEntry e) { return std::clamp(cuda::depth_of(e), list.nearest, list.farthest); };
+      CHECK(within(part.back()) - within(part[cuda::kTurboPart]) <=
             2 * (list.farthest - list.nearest) / cuda::kTurboBins);
     }
     begin = end;
@@ -110,12 +107,12 @@ CellCount check_cells(const std::vector<cuda::TurboCell>& cells, const std::vect
       const cuda::TurboCell& cell = cells[cuda::kTurboCells * rank_of[t] + c];
       std::vector<std::uint32_t> expected;
       for (const TurboEntry entry : tiles[t]) {
-        if ((entry >> c & 1) == 0) continue;
-        expected.push_back(static_cast<std::uint32_t>(entry >> 8) &
-                           static_cast<std::uint32_t>(cuda::kMaxTurboGaussians - 1));
+        if (cuda::touches(entry, static_cast<std::uint32_t>(c))) expected.push_back(cuda::index_of(entry));
       }
       count.total += expected.size();
-      if (cell.x != t % columns * 32 + c % 2 * 16 || cell.y != t / columns * 32 + c / 2 * 8) ++n_wrong;
+      const std::size_t row = c / cuda::kTurboCellColumns, column = c % cuda::kTurboCellColumns;
+      n_wrong += cell.x != t % columns * cuda::kTurboTile + column * cuda::kTurboCellWidth ||
+                 cell.y != t / columns * cuda::kTurboTile + row * cuda::kTurboCellHeight;
       if (cell.n == 0) {
         count.refused += !expected.empty();
         continue;
@@ -137,9 +134,9 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const DeviceArray<TurboEntry> entries(room.entries), scratch(room.entries);
   const DeviceArray<cuda::TurboTileRun> runs(room.runs);
   const DeviceArray<cuda::TurboRun> tile_runs(room.runs);
-  const DeviceArray<cuda::TurboLarge> large(room.large);
+  const DeviceArray<cuda::TurboLargeGaussian> large(room.large);
   const DeviceArray<cuda::TurboBox> boxes(room.large);
-  const DeviceArray<cuda::TurboList> heads(n_tiles);
+  const DeviceArray<cuda::TurboList> tile_lists(n_tiles);
   const DeviceArray<std::uint32_t> classes(std::size_t{n_tiles} * cuda::kTurboClasses);
   const DeviceArray<ScreenSplat> splats(n);
   cuda::TurboArrays arrays{};
@@ -147,13 +144,13 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   arrays.n_tiles = n_tiles;
   arrays.entries = entries.data(), arrays.scratch = scratch.data();
   arrays.runs = runs.data(), arrays.tile_runs = tile_runs.data();
-  arrays.large = large.data(), arrays.large_boxes = boxes.data();
-  arrays.lists = heads.data(), arrays.classes = classes.data();
+  arrays.large_gaussians = large.data(), arrays.large_boxes = boxes.data();
+  arrays.lists = tile_lists.data(), arrays.classes = classes.data();
   arrays.entry_capacity = room.entries, arrays.run_capacity = room.runs, arrays.large_capacity = room.large;
   arrays.cell_capacity = room.in_cells > 0 ? room.in_cells : cuda::kTurboCells * room.entries;
   const DeviceArray<std::uint32_t> cell_gaussians(arrays.cell_capacity);
   arrays.cell_gaussians = cell_gaussians.data();
-  const auto sizes = cuda::TurboLongSizes::of(room.entries, room.runs);
+  const auto sizes = cuda::TurboLongListSizes::of(room.entries, room.runs);
   const DeviceArray<std::byte> long_lists(sizes.bytes());
   sizes.lay_out(long_lists.data(), arrays);
   const DeviceArray<cuda::TurboCell> cells(std::size_t{n_tiles} * cuda::kTurboCells);
@@ -161,7 +158,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   Seen seen;
   require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
   require_ok(cuda::launch_turbo_lists(arrays, seen.state(), nullptr));
-  require_ok(cuda::launch_turbo_long(arrays, v.grid, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_long_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_units(arrays, nullptr));
   require_ok(cuda::launch_turbo_order(arrays, v.grid, seen.state(), nullptr));
   synchronize();
@@ -171,7 +168,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   out.splats = splats.download();
   const auto host_entries = entries.download();
   const auto host_runs = tile_runs.download();
-  const auto host_heads = heads.download();
+  const auto host_lists = tile_lists.download();
   const auto host_classes = classes.download();
   const auto host_state = state.download();
   runs.check_guards();
@@ -179,15 +176,15 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   boxes.check_guards();
   scratch.check_guards();
   long_lists.check_guards();
-  const bool fits =
-      out.state.counters.instances <= room.entries && out.state.runs <= room.runs && out.state.n_large <= room.large;
+  const bool fits = out.state.counters.instances <= room.entries && out.state.runs <= room.runs &&
+                    out.state.n_large_gaussians <= room.large;
   out.tiles.resize(n_tiles);
   std::uint64_t n_listed = 0;
   for (std::uint32_t t = 0; t < n_tiles; ++t) {
-    const auto& head = host_heads[t];
-    n_listed += head.n_entries;
+    const auto& list = host_lists[t];
+    n_listed += list.n_entries;
     if (!fits) continue;
-    for (std::uint64_t r = head.begin; r < std::uint64_t{head.begin} + head.n_runs; ++r) {
+    for (std::uint64_t r = list.begin; r < std::uint64_t{list.begin} + list.n_runs; ++r) {
       REQUIRE_MESSAGE(r < host_runs.size(), "tile ", t, " has run ", r, " of ", host_runs.size());
       const auto& run = host_runs[r];
       REQUIRE_MESSAGE(std::uint64_t{run.begin} + run.n <= host_entries.size(), "tile ", t, ", run ", r, ": entries ",
@@ -195,8 +192,8 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
       out.tiles[t].insert(out.tiles[t].end(), host_entries.begin() + run.begin,
                           host_entries.begin() + run.begin + run.n);
     }
-    CHECK_MESSAGE(out.tiles[t].size() == head.n_entries, "tile ", t, ": runs of ", out.tiles[t].size(), " entries, ",
-                  head.n_entries, " counted");
+    CHECK_MESSAGE(out.tiles[t].size() == list.n_entries, "tile ", t, ": runs of ", out.tiles[t].size(), " entries, ",
+                  list.n_entries, " counted");
     std::sort(out.tiles[t].begin(), out.tiles[t].end());
   }
   CHECK(n_listed == (fits ? out.state.counters.instances : 0));
@@ -206,7 +203,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const auto host_scratch = scratch.download();
   const auto host_longs = downloaded(arrays.long_lists, sizes.lists);
   const auto host_units = downloaded(arrays.units, final_state.n_units);
-  REQUIRE(final_state.n_long <= sizes.lists);
+  REQUIRE(final_state.n_long_lists <= sizes.lists);
   REQUIRE(final_state.n_units <= sizes.units);
   CHECK(final_state.n_slices <= sizes.slices);
   std::vector<std::size_t> rank_of(n_tiles);
@@ -222,11 +219,11 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   CHECK((in_cells.refused > 0) == (in_cells.total > arrays.cell_capacity));
   if (in_cells.refused > 0) return out;  // lists that do not fit have no units
   for (std::uint32_t t = 0; t < n_tiles && fits; ++t) {
-    if (out.tiles[t].size() < cuda::kTurboEntries) continue;
-    REQUIRE(host_heads[t].long_list < final_state.n_long);
-    const cuda::TurboLong& list = host_longs[host_heads[t].long_list];
+    if (out.tiles[t].size() < cuda::kTurboRound) continue;
+    REQUIRE(host_lists[t].long_list < final_state.n_long_lists);
+    const cuda::TurboLongList& list = host_longs[host_lists[t].long_list];
     CHECK(list.tile == t);
-    out.n_units += check_units(list, host_heads[t].long_list, host_units, host_scratch, out.tiles[t]);
+    out.n_units += check_units(list, host_lists[t].long_list, host_units, host_scratch, out.tiles[t]);
   }
   CHECK(out.n_units == final_state.n_units);
   out.n_shares = static_cast<std::uint32_t>(
@@ -241,8 +238,8 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
       const std::uint32_t tile = host_classes[std::size_t{c} * n_tiles + k];
       REQUIRE(tile < n_tiles);
       ++seen_tiles[tile];
-      longest_here = std::max(longest_here, host_heads[tile].n_entries);
-      shortest_here = std::min(shortest_here, host_heads[tile].n_entries);
+      longest_here = std::max(longest_here, host_lists[tile].n_entries);
+      shortest_here = std::min(shortest_here, host_lists[tile].n_entries);
     }
     rising += longest_here > shortest;
     shortest = std::min(shortest, shortest_here);
@@ -268,14 +265,22 @@ void for_each_entry(const math::Projected<float>& p, const math::Ellipse<float>&
   const auto rect = math::bounding_tiles<cuda::kTurboTile>(ellipse, grid);
   if (rect.empty()) return;
   for (int row = rect.y0; row < rect.y1; ++row) {
-    const auto cells = math::cell_rows(ellipse, row);
+    const auto cells = cuda::cell_rows(ellipse, row);
     for (int column = rect.x0; column < rect.x1; ++column) {
-      const std::uint32_t touched = math::cells_of(cells, column);
+      const std::uint32_t touched = cuda::cells_of_tile(cells, column);
       if (touched == 0) continue;
       f(static_cast<std::size_t>(row * grid.columns + column),
-        TurboEntry{math::depth_bits(p.z)} << (cuda::kTurboIndexBits + 8) | i << 8 | touched);
+        cuda::make_entry(math::depth_bits(p.z), static_cast<std::uint32_t>(i), touched));
     }
   }
+}
+
+/// An image of so many pixels where tiles are 32 wide; of as many tiles in a build with others.
+Camera front_camera_of_tiles(int width, int height) {
+  return front_camera(width * cuda::kTurboTile / 32, height * cuda::kTurboTile / 32);
+}
+Camera one_tile() {
+  return front_camera(cuda::kTurboTile, cuda::kTurboTile);
 }
 
 Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Camera& camera) {
@@ -287,7 +292,7 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
   CAPTURE(std::holds_alternative<cuda::CompactAttributes>(attributes));
   // As the renderer finds its room: first the large Gaussians are counted, then all entries.
   Room room;
-  room.large = run(attributes, n, v, room).state.n_large;
+  room.large = run(attributes, n, v, room).state.n_large_gaussians;
   const TurboState counted = run(attributes, n, v, room).state;
   room.entries = counted.counters.instances, room.runs = counted.runs;
   if (room.entries > 0) (void)run(attributes, n, v, {room.entries - 1, room.runs, room.large});
@@ -378,7 +383,7 @@ TEST_CASE("chunks that are passed over hold nothing that the host lists") {
       // From within, in every direction and with narrow views, so that chunks lie across each edge of the image.
       Camera camera = front_camera(160, 130);
       camera.fx = camera.fy = random.log_uniform(60, 800);
-      camera.world_to_camera = rigid(random.rotation(), random.vector(-4, 4));
+      camera.world_to_camera = from_row_major(rigid(random.rotation(), random.vector(-4, 4)));
       check(attributes.get(), compact.scene.view().value(), camera);
     }
   }
@@ -425,18 +430,18 @@ TEST_CASE("blocks leave to the tiles what they have no room for, or what lies to
   if (!device_answers()) return;
   Random random(808);
   std::vector<Splat> splats;
-  for (int i = 0; i < 700; ++i) {  // about 30 tiles each at 1080p, which a block has not in words
+  for (int i = 0; i < 700; ++i) {  // about 30 tiles each at 1080p, for which a block has no room
     const double z = random.uniform(2, 9);
     splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
   }
   const Scene wide = scene_of(cloud_of(splats));
-  check(DeviceAttributes(wide.view().value()).get(), wide.view().value(), front_camera(1920, 1080));
+  check(DeviceAttributes(wide.view().value()).get(), wide.view().value(), front_camera_of_tiles(1920, 1080));
   if (small_sizes()) return;
   for (Splat& s : splats) {
     for (float& log_scale : s.log_scale) log_scale -= 5;
   }
-  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's words tell apart
-  check(DeviceAttributes(sparse.view().value()).get(), sparse.view().value(), front_camera(9000, 9000));
+  const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's candidates tell apart
+  check(DeviceAttributes(sparse.view().value()).get(), sparse.view().value(), front_camera_of_tiles(9000, 9000));
 }
 
 TEST_CASE("a frame of more entries than there is room for is made again, with room for large Gaussians' entries") {
@@ -445,7 +450,7 @@ TEST_CASE("a frame of more entries than there is room for is made again, with ro
   auto splats = large_splats(2000, random);
   for (Splat& s : splats) s.log_scale[0] += 3, s.log_scale[1] += 3, s.log_scale[2] += 3;
   const Scene scene = scene_of(cloud_of(splats));
-  const Camera camera = front_camera(1920, 1080);
+  const Camera camera = front_camera_of_tiles(1920, 1080);
   FrameStats stats;
   const auto draw = [&](const RenderOptions& options) {
     return render(scene, camera, options, {.backend = Backend::cuda});
@@ -482,10 +487,9 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
       CAPTURE(n);
       CAPTURE(far);
       const Scene scene = scene_of(cloud_of(crowd(n, far)));
-      const Lists lists =
-          check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), front_camera(32, 32));
+      const Lists lists = check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile());
       REQUIRE(lists.tiles.size() == 1);
-      CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboEntries));
+      CHECK((lists.n_units > 0) == (lists.tiles[0].size() >= cuda::kTurboRound));
       if (n > 4000) CHECK(lists.n_units > 0);
       if (n > 4000 && far) CHECK(lists.n_shares > 0);
     }
@@ -494,14 +498,14 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
 
 TEST_CASE("a list of more entries of one depth than a sample can tell apart is ordered in rounds") {
   if (!device_answers()) return;
-  if (small_sizes()) return;
+  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
   Random random(811);
   std::vector<Splat> splats;
   for (int i = 0; i < 1200000; ++i) {  // 1,024 shares of two samples each
     splats.push_back(splat_at(random.uniform(-2, 2), random.uniform(-2, 2), 4, 0.02, 0.03));
   }
   const Scene scene = scene_of(cloud_of(splats));
-  CHECK(check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), front_camera(32, 32)).n_units > 1000);
+  CHECK(check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile()).n_units > 1000);
 }
 
 TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {
@@ -536,7 +540,7 @@ TEST_CASE("a depth that FP32 does not hold is that of no pixel which its Gaussia
   }
   Camera camera = front_camera(64, 64);
   const double a = 1 / std::sqrt(2.0), b = 1 / std::sqrt(3.0), c = 1 / std::sqrt(6.0);
-  camera.world_to_camera = {a, -a, 0, 0, c, c, -2 * c, 0, b, b, b, 4, 0, 0, 0, 1};
+  camera.world_to_camera = from_row_major({a, -a, 0, 0, c, c, -2 * c, 0, b, b, b, 4, 0, 0, 0, 1});
   const Scene scene = scene_of(cloud_of(splats));
   const Frame host = render(scene, camera, turbo_options(), {.backend = Backend::cpu, .simd = false});
   const Frame device = render(scene, camera, turbo_options(), {.backend = Backend::cuda});
@@ -548,4 +552,54 @@ TEST_CASE("a depth that FP32 does not hold is that of no pixel which its Gaussia
   CHECK(n_infinite > 0);
   CHECK(n_infinite < 64 * 64 / 2);
   CHECK(n_wrong == 0);
+}
+
+namespace {
+
+/// Blocks of the largest launch that launch(stream) enqueues; nothing runs.
+template <class Launch>
+unsigned largest_grid(const Launch& launch) {
+  cudaStream_t stream = nullptr;
+  cudaGraph_t graph = nullptr;
+  require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+  require_cuda(cudaStreamBeginCapture(stream, cudaStreamCaptureModeRelaxed));
+  require_ok(launch(stream));
+  require_cuda(cudaStreamEndCapture(stream, &graph));
+  std::size_t n = 0;
+  require_cuda(cudaGraphGetNodes(graph, nullptr, &n));
+  std::vector<cudaGraphNode_t> nodes(n);
+  require_cuda(cudaGraphGetNodes(graph, nodes.data(), &n));
+  unsigned largest = 0;
+  for (cudaGraphNode_t node : nodes) {
+    cudaKernelNodeParams parameters{};
+    require_cuda(cudaGraphKernelNodeGetParams(node, &parameters));
+    largest = std::max(largest, parameters.gridDim.x);
+  }
+  require_cuda(cudaGraphDestroy(graph));
+  require_cuda(cudaStreamDestroy(stream));
+  return largest;
+}
+
+}  // namespace
+
+TEST_CASE("kernels that learn on the device how much there is to do have as many blocks as it holds") {
+  if (!device_answers()) return;
+  int device = 0, n_multiprocessors = 0;
+  require_cuda(cudaGetDevice(&device));
+  require_cuda(cudaDeviceGetAttribute(&n_multiprocessors, cudaDevAttrMultiProcessorCount, device));
+  const auto wanted = static_cast<unsigned>(n_multiprocessors);
+  cuda::TurboArrays arrays{};
+  arrays.n_tiles = 1;
+  for (int turn = 0; turn < 2; ++turn) {  // asked, then kept
+    const unsigned runs = largest_grid([&](auto on) { return cuda::launch_turbo_lists(arrays, nullptr, on); });
+    const unsigned slices = largest_grid([&](auto on) {
+      return cuda::launch_turbo_long_lists(arrays, {1, 1}, nullptr, on);
+    });
+    const unsigned units = largest_grid([&](auto on) { return cuda::launch_turbo_units(arrays, on); });
+    MESSAGE("blocks for runs, slices and units: ", runs, ", ", slices, ", ", units, " on ", wanted, " multiprocessors");
+    for (const unsigned blocks : {runs, slices, units}) {
+      CHECK(blocks >= wanted);
+      CHECK(blocks % wanted == 0);
+    }
+  }
 }

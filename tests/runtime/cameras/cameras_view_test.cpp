@@ -4,29 +4,22 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/gtc/matrix_transform.hpp>
 #include <limits>
 #include <numbers>
 #include <random>
 
 #include "rgs/camera.hpp"
+#include "rgs/layout.hpp"
 
 using namespace rgs;
 
 namespace {
 
-double distance(const Vec3& a, const Vec3& b) {
-  return std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
-}
-double dot(const Vec3& a, const Vec3& b) {
-  return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
-}
-
 // Image position and depth of a world point.
-Vec3 project(const Camera& camera, const Vec3& p) {
-  const auto& m = camera.world_to_camera;
-  Vec3 c{};
-  for (std::size_t r = 0; r < 3; ++r) c[r] = m[4 * r] * p[0] + m[4 * r + 1] * p[1] + m[4 * r + 2] * p[2] + m[4 * r + 3];
-  return {camera.fx * c[0] / c[2] + camera.cx, camera.fy * c[1] / c[2] + camera.cy, c[2]};
+glm::dvec3 project(const Camera& camera, const glm::dvec3& p) {
+  const glm::dvec3 c = camera.world_to_camera * glm::dvec4(p, 1);
+  return {camera.fx * c.x / c.z + camera.cx, camera.fy * c.y / c.z + camera.cy, c.z};
 }
 
 Camera some_camera() {
@@ -47,17 +40,77 @@ TEST_CASE("validate accepts a view and names what is wrong with every damaged on
   bad[5].fx = kInf;
   bad[6].cx = kNan;
   bad[7].cy = kInf;
-  bad[8].world_to_camera[3] = kNan;
-  bad[9].world_to_camera[0] *= 1.01;
-  bad[10].world_to_camera[15] = 2;
-  bad[11].world_to_camera[12] = 1e-9;
-  for (std::size_t i = 0; i < 3; ++i) bad[12].world_to_camera[i] *= -1;  // mirrored
-  bad[13].world_to_camera = {};
+  bad[8].world_to_camera[3].x = kNan;
+  bad[9].world_to_camera[0].x *= 1.01;
+  bad[10].world_to_camera[3].w = 2;
+  bad[11].world_to_camera[0].w = 1e-9;
+  for (int k = 0; k < 3; ++k) bad[12].world_to_camera[k].x *= -1;  // mirrored
+  bad[13].world_to_camera = glm::dmat4(0.0);
   for (std::size_t i = 0; i < bad.size(); ++i) {
     CAPTURE(i);
     REQUIRE_FALSE(validate(bad[i]));
     CHECK(validate(bad[i]).error().code == Errc::bad_camera);
+    const auto& [name, width, height, fx, fy, cx, cy, pose] = bad[i];
+    const auto made = make_camera(pose, {width, height, fx, fy, cx, cy});
+    REQUIRE_FALSE(made);
+    CHECK(std::string(made.error().what) == validate(bad[i]).error().what);
   }
+}
+
+TEST_CASE("a camera from GLM's matrices has their motion, in OpenCV's axes and in OpenGL's") {
+  const glm::dvec3 eye{1, -2, -5}, target{0.5, 0, 1};
+  const Camera expected = some_camera();
+  const Intrinsics lens{expected.width, expected.height, expected.fx, expected.fy, expected.cx, expected.cy};
+  const auto same = make_camera(expected.world_to_camera, lens);
+  REQUIRE(same);
+  CHECK(same->world_to_camera == expected.world_to_camera);
+  CHECK(same->width == 640);
+  CHECK(same->height == 480);
+  CHECK((same->fx == lens.fx && same->fy == lens.fy && same->cx == 320 && same->cy == 240));
+
+  const auto from_view = make_camera(glm::lookAt(eye, target, kWorldUp), lens, CameraAxes::opengl);
+  const auto from_floats =
+      make_camera(glm::lookAt(glm::vec3(eye), glm::vec3(target), glm::vec3(kWorldUp)), lens, CameraAxes::opengl);
+  REQUIRE(from_view);
+  REQUIRE(from_floats);
+  for (int k = 0; k < 4; ++k) {
+    CHECK(glm::distance(from_view->world_to_camera[k], expected.world_to_camera[k]) < 1e-14);
+    CHECK(glm::distance(from_floats->world_to_camera[k], expected.world_to_camera[k]) < 2e-6);
+  }
+  CHECK_FALSE(make_camera(glm::scale(expected.world_to_camera, glm::dvec3(1.01)), lens));
+  CHECK_FALSE(make_camera(glm::transpose(expected.world_to_camera), lens));  // rows taken for columns
+  CHECK_FALSE(make_camera(glm::perspective(1.0, 1.5, 0.1, 100.0), lens));
+}
+
+TEST_CASE("matrices go row by row and back") {
+  std::array<double, 16> rows;
+  for (std::size_t i = 0; i < 16; ++i) rows[i] = static_cast<double>(i);
+  const glm::dmat4 matrix = from_row_major(rows);
+  for (int row = 0; row < 4; ++row)
+    for (int column = 0; column < 4; ++column) CHECK(matrix[column][row] == 4 * row + column);
+  CHECK(row_major(matrix) == rows);
+}
+
+TEST_CASE("points are the coordinates themselves") {
+  const std::vector<float> mean{1, 2, 3, 4, 5, 6, 7};
+  const auto points = as_points(mean);
+  REQUIRE(points.size() == 2);
+  CHECK(static_cast<const void*>(points.data()) == mean.data());
+  CHECK(points[0] == glm::vec3(1, 2, 3));
+  CHECK(points[1] == glm::vec3(4, 5, 6));
+  CHECK(as_points({}).empty());
+}
+
+TEST_CASE("up and bounds are those that a file declares") {
+  Declarations declared;
+  declared.robust = {{-1, -2, -3}, {4, 5, 6}};
+  CHECK(declared_bounds(declared).low == glm::dvec3(-1, -2, -3));
+  CHECK(declared_bounds(declared).high == glm::dvec3(4, 5, 6));
+  CHECK(declared_up(declared) == glm::dvec3(0, -1, 0));
+  declared.axes = {Axis::right, Axis::forward, Axis::up};
+  CHECK(declared_up(declared) == glm::dvec3(0, 0, 1));
+  declared.axes = {Axis::undeclared, Axis::undeclared, Axis::undeclared};
+  CHECK(declared_up(declared) == kWorldUp);
 }
 
 TEST_CASE("resizing keeps the horizontal field of view and centres") {
@@ -78,18 +131,18 @@ TEST_CASE("look_at puts the target in the middle and up above it") {
   std::mt19937 generator(7);
   std::uniform_real_distribution<double> coordinate(-5, 5);
   for (int i = 0; i < 200; ++i) {
-    const Vec3 eye{coordinate(generator), coordinate(generator), coordinate(generator)};
-    const Vec3 target{coordinate(generator), coordinate(generator), coordinate(generator)};
-    const Vec3 up{coordinate(generator), coordinate(generator), coordinate(generator)};
+    const glm::dvec3 eye{coordinate(generator), coordinate(generator), coordinate(generator)};
+    const glm::dvec3 target{coordinate(generator), coordinate(generator), coordinate(generator)};
+    const glm::dvec3 up{coordinate(generator), coordinate(generator), coordinate(generator)};
     const Camera camera = look_at(eye, target, up, {640, 480, 75});
     REQUIRE(validate(camera));
-    CHECK(distance(camera_centre(camera), eye) < 1e-12);
-    const Vec3 middle = project(camera, target);
+    CHECK(glm::distance(camera_centre(camera), eye) < 1e-12);
+    const glm::dvec3 middle = project(camera, target);
     CHECK(middle[0] == doctest::Approx(320));
     CHECK(middle[1] == doctest::Approx(240));
-    CHECK(middle[2] == doctest::Approx(distance(eye, target)));
-    CHECK(dot(camera_axis(camera, 1), up) < 0);  // image down is against up
-    CHECK(std::abs(dot(camera_axis(camera, 0), up)) < 1e-9);
+    CHECK(middle[2] == doctest::Approx(glm::distance(eye, target)));
+    CHECK(glm::dot(camera_axis(camera, 1), up) < 0);  // image down is against up
+    CHECK(std::abs(glm::dot(camera_axis(camera, 0), up)) < 1e-9);
     CHECK(2 * std::atan(320 / camera.fx) * 180 / std::numbers::pi == doctest::Approx(75));
   }
   CHECK(validate(look_at({0, 0, 0}, {0, 5, 0}, {0, -1, 0})));  // up along the line of sight
@@ -119,25 +172,23 @@ TEST_CASE("robust bounds ignore floaters and non-finite points") {
 TEST_CASE("default view and orbit see all corners of the box from above") {
   for (const ViewFormat format : {ViewFormat{1280, 720, 60}, ViewFormat{300, 900, 40}}) {
     const SceneBounds box{{-3, -1, 4}, {2, 1, 9}};
-    for (const Vec3& up : {kWorldUp, Vec3{0, 0, 2}, Vec3{1, 1, 0}}) {
+    for (const glm::dvec3& up : {kWorldUp, glm::dvec3{0, 0, 2}, glm::dvec3{1, 1, 0}}) {
       const auto cameras = orbit(box, 7, format, up);
       REQUIRE(cameras.size() == 7);
       CHECK(cameras[0].world_to_camera == default_view(box, format, up).world_to_camera);
       for (const Camera& camera : cameras) {
         REQUIRE(validate(camera));
-        for (std::size_t corner = 0; corner < 8; ++corner) {
-          Vec3 p{};
-          for (std::size_t axis = 0; axis < 3; ++axis)
-            p[axis] = (corner >> axis & 1) != 0 ? box.high[axis] : box.low[axis];
-          const Vec3 seen = project(camera, p);
+        for (int corner = 0; corner < 8; ++corner) {
+          glm::dvec3 p{};
+          for (int axis = 0; axis < 3; ++axis) p[axis] = (corner >> axis & 1) != 0 ? box.high[axis] : box.low[axis];
+          const glm::dvec3 seen = project(camera, p);
           CHECK(seen[2] > 0);
           CHECK(seen[0] > 0);
           CHECK(seen[0] < format.width);
           CHECK(seen[1] > 0);
           CHECK(seen[1] < format.height);
         }
-        const Vec3 centre = camera_centre(camera), middle{-0.5, 0, 6.5};
-        CHECK(dot({centre[0] - middle[0], centre[1] - middle[1], centre[2] - middle[2]}, up) > 0);
+        CHECK(glm::dot(camera_centre(camera) - glm::dvec3(-0.5, 0, 6.5), up) > 0);
       }
     }
   }
@@ -147,7 +198,7 @@ TEST_CASE("default view and orbit see all corners of the box from above") {
 
 TEST_CASE("mean up is the direction that the cameras agree on") {
   const auto cameras = orbit({{-1, -1, -1}, {1, 1, 1}}, 12, {}, {0, 0, 1});
-  const Vec3 up = mean_up(cameras);
+  const glm::dvec3 up = mean_up(cameras);
   CHECK(up[2] == doctest::Approx(1));
   CHECK(mean_up({}) == kWorldUp);
 }
@@ -161,20 +212,20 @@ TEST_CASE("a path goes through its keys, is smooth, evenly timed and made of val
   for (std::size_t i = 0; i < path.size(); ++i) {
     REQUIRE(validate(path[i]));
     if (i == 0) continue;
-    const double step = distance(camera_centre(path[i]), camera_centre(path[i - 1]));
+    const double step = glm::distance(camera_centre(path[i]), camera_centre(path[i - 1]));
     shortest = std::min(shortest, step);
     longest = std::max(longest, step);
-    CHECK(dot(camera_axis(path[i], 2), camera_axis(path[i - 1], 2)) > 0.999);
+    CHECK(glm::dot(camera_axis(path[i], 2), camera_axis(path[i - 1], 2)) > 0.999);
   }
   CHECK(longest < 1.1 * shortest);
   for (const Camera& key : keys) {
     double nearest = 1e9;
-    for (const Camera& camera : path) nearest = std::min(nearest, distance(camera_centre(key), camera_centre(camera)));
+    for (const Camera& camera : path)
+      nearest = std::min(nearest, glm::distance(camera_centre(key), camera_centre(camera)));
     CHECK(nearest < longest);
   }
   const auto same_pose = [](const Camera& a, const Camera& b) {
-    for (std::size_t i = 0; i < 16; ++i)
-      CHECK(a.world_to_camera[i] == doctest::Approx(b.world_to_camera[i]).epsilon(1e-9));
+    for (int k = 0; k < 4; ++k) CHECK(glm::distance(a.world_to_camera[k], b.world_to_camera[k]) < 1e-9);
   };
   same_pose(path.front(), keys.front());
   same_pose(path.back(), keys.back());

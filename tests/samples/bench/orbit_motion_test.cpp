@@ -6,6 +6,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/geometric.hpp>
 #include <numbers>
 
 #include "renderer_fixture.hpp"
@@ -17,12 +18,6 @@ using namespace rgs;
 using namespace rgs::bench;
 
 namespace {
-
-Vec3 in_camera(const Camera& camera, const Vec3& p) {
-  const auto& m = camera.world_to_camera;
-  const auto row = [&](std::size_t r) { return m[r] * p[0] + m[r + 1] * p[1] + m[r + 2] * p[2] + m[r + 3]; };
-  return {row(0), row(4), row(8)};
-}
 
 /// A frame of `width` pixels of a wave that moves by `speed` pixels a frame.
 std::vector<float> wave(int width, int frame, double speed) {
@@ -69,23 +64,15 @@ TEST_CASE("the point looked at is at the median of what is shown") {
 TEST_CASE("an arc keeps the point it turns about, its distance and the pace") {
   const Camera camera = look_at({1, -2, -6}, {0.5, 0, 1}, kWorldUp, {.width = 200, .height = 100});
   const double distance = 5;
-  const Vec3 centre = camera_centre(camera), forward = camera_axis(camera, 2);
-  Vec3 target;
-  for (std::size_t k = 0; k < 3; ++k) target[k] = centre[k] + distance * forward[k];
+  const glm::dvec3 target = camera_centre(camera) + distance * camera_axis(camera, 2);
   const auto path = turntable(camera, distance, 0.5, 61);
   REQUIRE(path.size() == 61);
-  for (std::size_t k = 0; k < 16; ++k) {
-    CHECK(path[30].world_to_camera[k] == doctest::Approx(camera.world_to_camera[k]).epsilon(1e-12));
-  }
+  for (int k = 0; k < 4; ++k) CHECK(glm::distance(path[30].world_to_camera[k], camera.world_to_camera[k]) < 1e-11);
   for (std::size_t i = 0; i < path.size(); ++i) {
     CHECK(validate(path[i]));
-    const Vec3 seen = in_camera(path[i], target);
-    CHECK(std::abs(seen[0]) < 1e-9);
-    CHECK(std::abs(seen[1]) < 1e-9);
-    CHECK(seen[2] == doctest::Approx(distance));
+    CHECK(glm::distance(path[i].world_to_camera * glm::dvec4(target, 1), glm::dvec4(0, 0, distance, 1)) < 1e-9);
     if (i == 0) continue;
-    const Vec3 a = camera_axis(path[i - 1], 2), b = camera_axis(path[i], 2);
-    const double cosine = a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const double cosine = glm::dot(camera_axis(path[i - 1], 2), camera_axis(path[i], 2));
     CHECK(std::acos(std::min(1.0, cosine)) * 180 / std::numbers::pi == doctest::Approx(0.5).epsilon(1e-6));
   }
   CHECK(turntable(camera, 1, 1, 0).empty());

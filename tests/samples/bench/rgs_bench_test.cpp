@@ -2,15 +2,17 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
-#include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
+#include <functional>
 #include <iterator>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
 
 #include "run_program.hpp"
+#include "skip.hpp"
 #include "temporary_folder.hpp"
 
 namespace {
@@ -32,10 +34,11 @@ struct Stage {
     std::ofstream(cameras) << R"([{"name":"a.jpg","split":"test","width":64,"height":48,"fx":60,"fy":60,)"
                               R"("world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,8],[0,0,0,1]]}])";
   }
-  ProgramResult run(const std::vector<std::string>& more, const std::string& scene = kScene) const {
+  ProgramResult run(const std::vector<std::string>& more, const std::string& scene = kScene,
+                    const std::function<void()>& before_exec = {}) const {
     std::vector<std::string> arguments{RGS_BENCH, scene, "--cameras", cameras};
     arguments.insert(arguments.end(), more.begin(), more.end());
-    return rgs::test::run_program(arguments);
+    return rgs::test::run_program(arguments, before_exec);
   }
 };
 
@@ -65,18 +68,23 @@ TEST_CASE("rgs-bench keeps outputs that exist, and finds out before it measures"
   CHECK(stage.run({"--csv", stage.folder.file("no/such/folder.csv")}).exit_code == 3);
 }
 
-TEST_CASE("rgs-bench measures every mode, or says that no device answers") {
+TEST_CASE("without a device rgs-bench says so and writes nothing") {
+  const Stage stage;
+  const std::string json = stage.folder.file("b.json");
+  const ProgramResult result = stage.run({"--json", json}, kScene, [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); });
+  CHECK(result.exit_code == 2);
+  CHECK(result.err.find("no CUDA device answers") != std::string::npos);
+  CHECK_FALSE(std::filesystem::exists(json));
+}
+
+TEST_CASE("rgs-bench measures every mode") {
   const Stage stage;
   const std::string json = stage.folder.file("b.json"), csv = stage.folder.file("b.csv"),
                     svg = stage.folder.file("b.svg");
   const ProgramResult result = stage.run({"--quality-cameras", stage.cameras, "--size", "64x48,33x17", "--frames", "2",
                                           "--roofline", "--orbit", "5", "--json", json, "--csv", csv, "--svg", svg});
-  if (result.exit_code == 2) {
-    CHECK(result.err.find("no CUDA device answers") != std::string::npos);
-    CHECK_FALSE(std::filesystem::exists(json));
-    std::puts("skipped: no CUDA device answers");
-    return;
-  }
+  if (result.exit_code == 2 && result.err.find("no CUDA device answers") != std::string::npos)
+    return rgs::test::skip("no CUDA device answers");
   REQUIRE_MESSAGE(result.exit_code == 0, result.err);
   const auto report = nlohmann::json::parse(read_text(json));
   CHECK(report["scene"]["gaussians"] == 40);

@@ -15,7 +15,7 @@
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// docs/INTERCHANGE.md says what each format keeps and what it loses.
 enum class SplatFormat : std::uint8_t {

@@ -12,7 +12,7 @@
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// A 3DGS PLY opened for random access by Gaussian; attributes are read from the mapped file when asked for.
 /// Properties are found by name (x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*), in any order and of any scalar

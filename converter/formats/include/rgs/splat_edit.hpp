@@ -2,8 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <array>
 #include <cstdint>
+#include <glm/ext/quaternion_double.hpp>
+#include <glm/mat3x3.hpp>
+#include <glm/vec3.hpp>
 #include <optional>
 #include <span>
 
@@ -12,19 +14,19 @@
 #include "rgs/layout.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace rgs {
+namespace RGS_API rgs {
 
 /// x -> scale * rotation * x + translation.
 struct Similarity {
-  std::array<double, 9> rotation{1, 0, 0, 0, 1, 0, 0, 0, 1};  ///< row-major, proper
-  double scale = 1;                                           ///< above 0
-  std::array<double, 3> translation{0, 0, 0};
+  glm::dmat3 rotation{1.};  ///< proper
+  double scale = 1;         ///< above 0
+  glm::dvec3 translation{0, 0, 0};
 };
 
 /// Turns about x, then y, then z, each by so many degrees about the fixed axis.
-std::array<double, 9> rotation_from_euler(const std::array<double, 3>& degrees);
-/// From a quaternion w, x, y, z of any norm but 0.
-std::array<double, 9> rotation_from_quaternion(const std::array<double, 4>& wxyz);
+glm::dmat3 rotation_from_euler(const glm::dvec3& degrees);
+/// From a quaternion of any norm but 0.
+glm::dmat3 rotation_from_quaternion(const glm::dquat& q);
 /// First `inner`, then `outer`.
 Similarity compose(const Similarity& outer, const Similarity& inner);
 

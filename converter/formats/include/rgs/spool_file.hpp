@@ -14,7 +14,7 @@ namespace rgs::detail {
 
 /// Append, finish(), then read bytes() for the rest of its life. Holds at most 1 MiB in memory; more goes to $TMPDIR
 /// (/tmp if unset), to a file without a name that vanishes with the process, however that ends. Not copyable.
-class SpoolFile {
+class RGS_API SpoolFile {
  public:
   SpoolFile() = default;
   ~SpoolFile();

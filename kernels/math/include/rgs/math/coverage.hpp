@@ -79,20 +79,6 @@ RGS_HD inline int ceil_index(T x) {
   return floor + (x > static_cast<T>(floor) ? 1 : 0);
 }
 
-// 1 << n, where n is 8 x clamped to 0..8 and rounded up or down; 1 for NaN. The device rounds by adding 2^20, whose last
-// bit is 1/8, and shifts by the sum's last bits: all but the shift is arithmetic of the pipe that has room.
-template <bool Up, class T>
-RGS_HD inline std::uint32_t bit_of_eighth(T x) {
-#if defined(__CUDA_ARCH__)
-  if constexpr (std::is_same_v<T, float>) {
-    const float unit = __saturatef(x), sum = Up ? __fadd_ru(unit, 1048576.0F) : __fadd_rd(unit, 1048576.0F);
-    return __funnelshift_l(0u, 1u, __float_as_uint(sum));
-  }
-#endif
-  const T eighths = T(8) * clamp(x, T(0), T(1));
-  return 1u << (Up ? ceil_index(eighths) : floor_index(eighths));
-}
-
 // Tiles with a pixel centre in [low, high] along one axis: tile t has the centres Size t .. Size t + Size - 1.
 template <int Size, class T>
 RGS_HD inline TileSpan tiles_between(T low, T high, int limit) {
@@ -191,63 +177,6 @@ RGS_HD inline TileSpan tiles_in_row(const Ellipse<T>& e, int row, TileGrid grid)
   const Chord<T> c = chord(e, y_low, y_high);
   const T slack = T(1e-3) + T(1e-6) * e.half_width;  // rounding of the chord's ends, px
   return detail::tiles_between<Size>(e.mean.u + c.low - slack, e.mean.u + c.high + slack, grid.columns);
-}
-
-/// A row of tiles of 32x32 pixels, cut into four rows of cells of 16x8 pixels: where, from the image's left edge and in
-/// units of eight cells, the ellipse's first and last cells of each row lie. With c = 8 x, these are the cells
-/// ceil(c_first) <= c < floor(c_last); both are 0 where there is none.
-template <class T>
-struct CellRows {
-  T first[4], last[4];
-};
-inline constexpr int kCellTile = 32, kCellWidth = 16, kCellHeight = 8;
-
-/// Row `row` of tiles: the cells in which the ellipse has a point between their outermost pixel centres. As exact as
-/// tiles_in_row(). Without branches: of 32 neighbouring Gaussians one always touches a row.
-template <class T>
-RGS_HD inline CellRows<T> cell_rows(const Ellipse<T>& e, int row) {
-  constexpr T kUnit = T(1) / T(8 * kCellWidth);
-  const T slack = T(1e-3) + T(1e-6) * e.half_width;  // as in tiles_in_row()
-  // Of cells first <= c < last: where 16 c + 15 reaches the left end, and 16 (c + 1) is beyond the right one.
-  const T left = e.mean.u - slack - T(kCellWidth - 1), right = e.mean.u + slack + T(kCellWidth);
-  const T top = static_cast<T>(row * kCellTile) - e.mean.v;
-  CellRows<T> rows;
-  for (int r = 0; r < 4; ++r) {
-    const T y_low = max(top + T(kCellHeight * r), -e.half_height);
-    const T y_high = min(top + T(kCellHeight * r + kCellHeight - 1), e.half_height);
-    const Chord<T> c = chord(e, y_low, y_high);
-    const bool some = y_low <= y_high;
-    rows.first[r] = some ? (left + c.low) * kUnit : T(0);
-    rows.last[r] = some ? (right + c.high) * kUnit : T(0);
-  }
-  return rows;
-}
-
-/// Cells of four neighbouring tiles that are touched, from the tile in column `column` on: bit c of byte r for the c-th
-/// cell of row r.
-template <class T>
-RGS_HD inline std::uint32_t cells_of_four(const CellRows<T>& rows, int column) {
-  const T origin = T(0.25) * static_cast<T>(column);
-  std::uint32_t cells = 0;
-  for (int r = 0; r < 4; ++r) {
-    const std::uint32_t below_last = detail::bit_of_eighth<false>(rows.last[r] - origin);
-    cells |= (below_last - detail::bit_of_eighth<true>(rows.first[r] - origin)) << (8 * r);
-  }
-  return cells;
-}
-
-/// Of these, the cells of the first tile: bit c + 2 r for the cell in column c of row r. Those of the k-th are the first
-/// of cells >> 2 k.
-RGS_HD inline std::uint32_t cells_of_first(std::uint32_t cells) {
-  // Four pairs of bits, 8 apart, side by side in the product's last byte: its other terms meet neither them nor
-  // each other.
-  return (cells & 0x03030303u) * 0x01041040u >> 24;
-}
-
-/// Cells of the tile in column `column` that are touched.
-template <class T>
-RGS_HD inline std::uint32_t cells_of(const CellRows<T>& rows, int column) {
-  return cells_of_first(cells_of_four(rows, column));
 }
 
 }  // namespace rgs::math

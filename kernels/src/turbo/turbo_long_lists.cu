@@ -1,9 +1,9 @@
-// turbo_long.cu - long lists to scratch memory in the order of bins of depth, and cut in units that blocks order.
+// turbo_long_lists.cu - long lists to scratch memory in the order of bins of depth, and cut in units that blocks order.
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
 // Cost    an entry: 8 B read three times, 8 B written anywhere; an atomic addition a slice and bin, twice
-// Launch  256 threads a slice of about 4,096 entries; as many blocks as keep the device busy take slices in turn
+// Launch  256 threads a slice of about 4,096 entries; as many blocks as the device holds at a time take slices in turn
 // Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
 // Order   of entries in a bin, of lists' units and cells in memory: any
 //
@@ -13,13 +13,13 @@
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
-#include "turbo/turbo_list.cuh"
+#include "turbo/place_cells.cuh"
+#include "turbo/read_list.cuh"
 
 namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr unsigned kBlocks = 132 * 6;
 constexpr std::uint32_t kBinsPerThread = kTurboBins / kThreads;
 static_assert(kBinsPerThread == 4, "a vector of them");
 
@@ -28,7 +28,7 @@ struct DepthBins {
   std::uint32_t nearest;
   int shift;
 
-  __device__ explicit DepthBins(const TurboLong& list) : nearest(list.nearest) {
+  __device__ explicit DepthBins(const TurboLongList& list) : nearest(list.nearest) {
     constexpr int kBits = 10;
     static_assert(kTurboBins == 1 << kBits);
     shift = math::max(0, 32 - __clz(static_cast<int>(list.farthest - list.nearest)) - kBits);
@@ -40,11 +40,11 @@ struct DepthBins {
 };
 
 // The runs of a slice.
-__device__ TurboRuns runs_of(const TurboArrays& a, const TurboLong& list, std::uint32_t slice) {
-  const TurboList head = a.lists[list.tile];
-  const std::uint32_t share = (head.n_runs + list.n_slices - 1) / list.n_slices;
-  const std::uint32_t begin = math::min((slice - list.first_slice) * share, head.n_runs);
-  return {a.tile_runs + head.begin + begin, a.entries, math::min(share, head.n_runs - begin)};
+__device__ TurboRuns runs_of(const TurboArrays& a, const TurboLongList& list, std::uint32_t slice) {
+  const TurboList all = a.lists[list.tile];
+  const std::uint32_t each = (all.n_runs + list.n_slices - 1) / list.n_slices;
+  const std::uint32_t begin = math::min((slice - list.first_slice) * each, all.n_runs);
+  return {a.tile_runs + all.begin + begin, a.entries, math::min(each, all.n_runs - begin)};
 }
 
 struct Counting {
@@ -52,8 +52,8 @@ struct Counting {
   std::uint32_t bins[kTurboBins];  // entries of each; in the last block of a list, where each begins
   std::uint32_t cell_n[kTurboCells];
   // Of the last block of a list:
-  std::uint32_t groups[kTurboBins + 1];  // where each begins; in the end, where the list ends
-  std::uint32_t n_groups;
+  std::uint32_t parts[kTurboBins + 1];  // where each begins; in the end, where the list ends
+  std::uint32_t n_parts;
   std::uint32_t warp_sums[kThreads / 32];
   std::uint32_t first_unit;
   bool is_last, fits;
@@ -75,64 +75,37 @@ __device__ void place_bins(Counting& s, std::uint32_t first, std::uint32_t* bins
   __syncthreads();
 }
 
-// Rank of the list's tile: those of longer classes come before it. A warp calls it.
-__device__ std::uint32_t rank_of(const TurboArrays& a, const TurboLong& list) {
-  const std::uint32_t lane = threadIdx.x % 32;
-  const auto own = static_cast<std::uint32_t>(turbo_class(a.lists[list.tile].n_entries));
-  static_assert(kTurboClasses == 32, "a lane a class");
-  return warp_sum(lane < own ? a.state->class_size[lane] : 0) + list.in_class;
-}
-
-// Places for the Gaussians of the list's cells, and their heads; none, and no Gaussians, if there is no room.
-__device__ void place_cells(Counting& s, const TurboArrays& a, math::TileGrid grid, TurboLong& list, TurboState* seen) {
-  if (threadIdx.x < 32) {
-    const std::uint32_t lane = threadIdx.x, rank = rank_of(a, list);
-    const std::uint32_t n = lane < kTurboCells ? __ldcg(list.cell_n + lane) : 0;
-    const std::uint32_t end = inclusive_warp_sum(n), total = __shfl_sync(kFullWarp, end, 31);
-    std::uint64_t base = 0;
-    if (lane == 0) base = atomic_add(a.state->in_cells, total);
-    base = __shfl_sync(kFullWarp, base, 0);
-    s.fits = base + total <= a.cell_capacity;
-    if (lane < kTurboCells) {
-      list.cell_begin[lane] = static_cast<std::uint32_t>(base) + end - n;
-      put_head(a, grid, rank, list.tile, lane, list.cell_begin[lane], s.fits ? n : 0);
-    }
-    if (lane == 0) end_tile(a, seen);
-  }
-  __syncthreads();
-}
-
-// Where groups of bins begin: a bin begins one if it is the first past a multiple of kTurboUnit entries.
-__device__ void group_bins(Counting& s, std::uint32_t first, std::uint32_t n) {
+// Where parts begin: a bin begins one if it is the first past a multiple of kTurboPart entries.
+__device__ void cut_parts(Counting& s, std::uint32_t first, std::uint32_t n) {
   const std::uint32_t* const bins = s.bins + kBinsPerThread * threadIdx.x;
-  std::uint32_t before = threadIdx.x > 0 ? bins[-1] - first : 0, n_heads = 0;
-  bool is_head[kBinsPerThread];
+  std::uint32_t before = threadIdx.x > 0 ? bins[-1] - first : 0, n_begun = 0;
+  bool begins[kBinsPerThread];
 #pragma unroll
   for (std::uint32_t k = 0; k < kBinsPerThread; ++k) {
     const std::uint32_t begin = bins[k] - first;
-    is_head[k] = begin < n && (threadIdx.x + k == 0 || begin / kTurboUnit != before / kTurboUnit);
-    n_heads += is_head[k];
+    begins[k] = begin < n && (threadIdx.x + k == 0 || begin / kTurboPart != before / kTurboPart);
+    n_begun += begins[k];
     before = begin;
   }
-  const std::uint32_t end = inclusive_block_sum<kThreads>(n_heads, s.warp_sums);
-  std::uint32_t group = end - n_heads;
+  const std::uint32_t end = inclusive_block_sum<kThreads>(n_begun, s.warp_sums);
+  std::uint32_t part = end - n_begun;
 #pragma unroll
   for (std::uint32_t k = 0; k < kBinsPerThread; ++k) {
-    if (is_head[k]) s.groups[group++] = bins[k];
+    if (begins[k]) s.parts[part++] = bins[k];
   }
   if (threadIdx.x == kThreads - 1) {
-    s.n_groups = end;
-    s.groups[end] = first + n;
+    s.n_parts = end;
+    s.parts[end] = first + n;
   }
   __syncthreads();
 }
 
-// Makes units of a list's groups. `own`: its number.
+// Makes units of a list's parts. `own`: its number.
 __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own) {
-  const std::uint32_t first_group = kBinsPerThread * threadIdx.x;
-  const std::uint32_t end_group = math::min(first_group + kBinsPerThread, s.n_groups);
+  const std::uint32_t first_part = kBinsPerThread * threadIdx.x;
+  const std::uint32_t end_part = math::min(first_part + kBinsPerThread, s.n_parts);
   std::uint32_t n_units = 0;
-  for (std::uint32_t g = first_group; g < end_group; ++g) n_units += turbo_shares(s.groups[g + 1] - s.groups[g]);
+  for (std::uint32_t p = first_part; p < end_part; ++p) n_units += turbo_shares(s.parts[p + 1] - s.parts[p]);
   const std::uint32_t end = inclusive_block_sum<kThreads>(n_units, s.warp_sums);
   if (threadIdx.x == kThreads - 1) {
     s.first_unit = atomicAdd(&a.state->n_units, end);
@@ -140,10 +113,10 @@ __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own)
   }
   __syncthreads();
   std::uint32_t unit = s.first_unit + end - n_units;
-  for (std::uint32_t g = first_group; g < end_group; ++g) {
-    const std::uint32_t shares = turbo_shares(s.groups[g + 1] - s.groups[g]);
+  for (std::uint32_t p = first_part; p < end_part; ++p) {
+    const std::uint32_t shares = turbo_shares(s.parts[p + 1] - s.parts[p]);
     for (std::uint32_t share = 0; share < shares; ++share, ++unit) {
-      a.units[unit] = {s.groups[g], s.groups[g + 1], own, share};
+      a.units[unit] = {s.parts[p], s.parts[p + 1], own, share};
       for (std::uint32_t c = 0; c < kTurboCells; ++c) a.unit_cells[kTurboCells * unit + c] = 0;
     }
   }
@@ -153,7 +126,7 @@ __device__ void make_units(Counting& s, const TurboArrays& a, std::uint32_t own)
 __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t slice,
                             TurboState* seen) {
   const std::uint32_t own = a.slices[slice];
-  TurboLong& list = a.long_lists[own];
+  TurboLongList& list = a.long_lists[own];
   std::uint32_t* const sums = a.bins + std::uint64_t{kTurboBins} * own;
   clear(s.bins);
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
@@ -176,10 +149,21 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   __syncthreads();
   if (!s.is_last) return;
   __threadfence();
+  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = __ldcg(list.cell_n + threadIdx.x);  // with other blocks' sums
   place_bins(s, list.scratch, sums);
-  place_cells(s, a, grid, list, seen);
+  const std::uint32_t n_entries = a.lists[list.tile].n_entries;
+  const std::uint32_t rank = threadIdx.x < 32 ? rank_of(a, n_entries, list.in_class) : 0;
+  if (threadIdx.x < kTurboCells) {
+    const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
+    list.cell_begin[threadIdx.x] = place.begin;
+    if (threadIdx.x == 0) {
+      s.fits = place.fits;
+      end_tile(a, seen);
+    }
+  }
+  __syncthreads();
   if (!s.fits) return;
-  group_bins(s, list.scratch, a.lists[list.tile].n_entries);
+  cut_parts(s, list.scratch, n_entries);
   make_units(s, a, own);
 }
 
@@ -200,7 +184,7 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
   __shared__ Scattering s;
   for (std::uint32_t slice = blockIdx.x; slice < a.state->n_slices; slice += gridDim.x) {
     const std::uint32_t own = a.slices[slice];
-    const TurboLong& list = a.long_lists[own];
+    const TurboLongList& list = a.long_lists[own];
     const DepthBins bins(list);
     const TurboRuns runs = runs_of(a, list, slice);
     clear(s.bins);
@@ -218,10 +202,13 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
 
 }  // namespace
 
-Status launch_turbo_long(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
-  turbo_count_kernel<<<kBlocks, kThreads, 0, stream>>>(a, grid, seen);
+Status launch_turbo_long_lists(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
+  // Of the other kernel more would fit, but it goes through the same slices.
+  const auto blocks = resident_grid<turbo_count_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_count_kernel<<<*blocks, kThreads, 0, stream>>>(a, grid, seen);
   if (const auto ok = launched("the kernel that counts the long lists could not be launched"); !ok) return ok;
-  turbo_scatter_kernel<<<kBlocks, kThreads, 0, stream>>>(a);
+  turbo_scatter_kernel<<<*blocks, kThreads, 0, stream>>>(a);
   return launched("the kernel that moves the long lists could not be launched");
 }
 

@@ -1,16 +1,17 @@
-// turbo_large.cu - tiles look for the Gaussians that touch many of them, four blocks a region of tiles.
+// turbo_large_gaussians.cu - tiles look for the Gaussians that touch many of them, four blocks a region of tiles.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/coverage.hpp
+// Math    rgs/math/coverage.hpp, turbo_geometry.hpp
 // In/Out  large, large_boxes -> entries, runs
 // Cost    8 B read, from L2, a Gaussian and region; 64 B gathered and 8 B an entry written where they meet
-// Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles: about eight blocks a multiprocessor at 1080p, 4K
-//         and 8K
+// Launch  256 threads and four blocks a region of 4x2, 8x4 or 16x8 tiles (of 32, with cells 16 wide): about eight blocks a
+//         multiprocessor at 1080p, 4K and 8K
 // Shared  Shared: the Gaussians found, the cells that they touch, a counter a tile; 15 to 24 KiB
 // Order   of entries and runs: any. Compiled without contraction to FMA, see project.cu.
 //
 // The other way round, a Gaussian adding to each of its tiles, takes an atomic addition an entry in device memory, and
 // these wait for each other: large Gaussians touch the same tiles.
+#include <bit>
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -22,15 +23,15 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr std::uint32_t kShares = 4;        // blocks that share a region's Gaussians
+constexpr std::uint32_t kRegionBlocks = 4;  // of a region, each with its part of the Gaussians
 constexpr std::uint32_t kAhead = 4;         // boxes that a thread reads at a time
 constexpr std::uint32_t kBatchRows = 1024;  // rows of Gaussians that are placed together
 constexpr std::uint32_t kMaxBatch = 512;    // Gaussians
 
-// A region: Words times four tiles across, half as many down. A word holds the cells of four tiles of a row.
-template <int Words>
+// A region: so many strips across, half as many tiles down.
+template <int Strips>
 struct Region {
-  static constexpr int kColumns = 4 * Words, kRows = 2 * Words, kTiles = kColumns * kRows;
+  static constexpr int kColumns = kTurboStripTiles * Strips, kRows = 2 * Strips, kTiles = kColumns * kRows;
   static constexpr std::uint32_t kBatch = kBatchRows / kRows;
   static_assert(kTiles <= kThreads && kBatch <= kMaxBatch && kBatch * kTiles < 1 << 16);
   int x, y;  // first tile
@@ -40,46 +41,47 @@ struct Region {
   }
 };
 
-template <int Words>
+template <int Strips>
 struct Shared {
   std::uint32_t found[kMaxBatch + kAhead * kThreads];
   std::uint32_t n_found;
-  TurboEntry entry[Region<Words>::kBatch];  // of the batch's Gaussians, without cells
-  std::uint8_t listed[Region<Words>::kBatch];
-  std::uint32_t words[kBatchRows * Words];      // cells of four tiles
-  std::uint32_t counts[Region<Words>::kTiles];  // entries of each tile; then the place of its next one
+  TurboEntry entry[Region<Strips>::kBatch];  // of the batch's Gaussians, without cells
+  std::uint8_t listed[Region<Strips>::kBatch];
+  std::uint32_t strips[kBatchRows * Strips];
+  std::uint32_t counts[Region<Strips>::kTiles];  // entries of each tile; then the place of its next one
   RunPlaces<kThreads> places;
 };
 
 // Appends what meets the region of the kAhead * kThreads Gaussians from `first` on that are the block's: kThreads of every
-// kShares * kThreads.
-template <int Words>
-__device__ void find(Shared<Words>& s, const TurboArrays& a, Region<Words> region, std::uint32_t first,
+// kRegionBlocks * kThreads.
+template <int Strips>
+__device__ void find(Shared<Strips>& s, const TurboArrays& a, Region<Strips> region, std::uint32_t first,
                      std::uint32_t n) {
   TurboBox box[kAhead];
 #pragma unroll
   for (std::uint32_t j = 0; j < kAhead; ++j) {
-    const std::uint32_t k = first + j * kShares * kThreads;
+    const std::uint32_t k = first + j * kRegionBlocks * kThreads;
     box[j] = k < n ? a.large_boxes[k] : TurboBox{0, 0, 0, 0};
   }
 #pragma unroll
   for (std::uint32_t j = 0; j < kAhead; ++j) {
-    if (region.meets(box[j])) s.found[atomicAdd(&s.n_found, 1u)] = first + j * kShares * kThreads;
+    if (region.meets(box[j])) s.found[atomicAdd(&s.n_found, 1u)] = first + j * kRegionBlocks * kThreads;
   }
 }
 
-// Cells of four tiles that lie within the columns of a box.
-__device__ std::uint32_t cells_within(std::uint32_t four, int column, TurboBox box) {
-  const int low = math::clamp(2 * (box.x0 - column), 0, 8), high = math::clamp(2 * (box.x1 - column), low, 8);
-  return four & ((1u << high) - (1u << low)) * 0x01010101u;
+// Cells of a strip that lie within the columns of a box.
+__device__ std::uint32_t cells_within(std::uint32_t strip, int column, TurboBox box) {
+  const int low = math::clamp(kTurboCellColumns * (box.x0 - column), 0, kTurboStripCells);
+  const int high = math::clamp(kTurboCellColumns * (box.x1 - column), low, kTurboStripCells);
+  return strip & ((1u << high) - (1u << low)) * kTurboStripRows;
 }
 
 // Writes entries and runs of the found Gaussians begin .. begin + n - 1; n <= kBatch. Returns how many of the thread's
 // have an entry for the first time.
-template <int Words>
-__device__ std::uint32_t place(Shared<Words>& s, const TurboArrays& a, Region<Words> region, math::TileGrid grid,
+template <int Strips>
+__device__ std::uint32_t place(Shared<Strips>& s, const TurboArrays& a, Region<Strips> region, math::TileGrid grid,
                                std::uint32_t begin, std::uint32_t n) {
-  using R = Region<Words>;
+  using R = Region<Strips>;
   for (std::uint32_t t = threadIdx.x; t < R::kTiles; t += kThreads) s.counts[t] = 0;
   for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) s.listed[k] = 0;
   __syncthreads();
@@ -87,20 +89,20 @@ __device__ std::uint32_t place(Shared<Words>& s, const TurboArrays& a, Region<Wo
     const std::uint32_t k = item / R::kRows, row = item % R::kRows;
     const std::uint32_t at = s.found[begin + k];
     const TurboBox box = a.large_boxes[at];
-    const TurboLarge& large = a.large[at];
+    const TurboLargeGaussian& large = a.large_gaussians[at];
     if (row == 0) s.entry[k] = make_entry(large.depth, large.index, 0);
     const int y = region.y + static_cast<int>(row);
     const bool inside = y >= box.y0 && y < box.y1;
-    const auto rows = math::cell_rows(large.ellipse, y);
+    const auto rows = cell_rows(large.ellipse, y);
 #pragma unroll
-    for (int w = 0; w < Words; ++w) {
-      const int column = region.x + 4 * w;
-      const std::uint32_t four = inside ? cells_within(math::cells_of_four(rows, column), column, box) : 0;
-      s.words[item * Words + static_cast<std::uint32_t>(w)] = four;
+    for (int across = 0; across < Strips; ++across) {
+      const int column = region.x + kTurboStripTiles * across;
+      const std::uint32_t strip = inside ? cells_within(cells_of_strip(rows, column), column, box) : 0;
+      s.strips[item * Strips + static_cast<std::uint32_t>(across)] = strip;
 #pragma unroll
-      for (int j = 0; j < 4; ++j) {
-        if (math::cells_of_first(four >> (2 * j)) != 0) {
-          atomicAdd(s.counts + row * R::kColumns + static_cast<std::uint32_t>(4 * w + j), 1u);
+      for (int j = 0; j < kTurboStripTiles; ++j) {
+        if (cells_in_strip(strip, j) != 0) {
+          atomicAdd(s.counts + row * R::kColumns + static_cast<std::uint32_t>(kTurboStripTiles * across + j), 1u);
         }
       }
     }
@@ -113,15 +115,15 @@ __device__ std::uint32_t place(Shared<Words>& s, const TurboArrays& a, Region<Wo
       reserve_runs(s.places, n_entries, static_cast<std::uint32_t>(row * grid.columns + column), a);
   if (tile < R::kTiles) s.counts[tile] = first;
   __syncthreads();
-  for (std::uint32_t k = threadIdx.x; k < n * R::kRows * Words; k += kThreads) {
-    const std::uint32_t four = s.words[k];
-    if (four == 0) continue;
-    const std::uint32_t owner = k / (R::kRows * Words);
+  for (std::uint32_t k = threadIdx.x; k < n * R::kRows * Strips; k += kThreads) {
+    const std::uint32_t strip = s.strips[k];
+    if (strip == 0) continue;
+    const std::uint32_t owner = k / (R::kRows * Strips);
     s.listed[owner] = 1;
-    std::uint32_t* const next = s.counts + k % (R::kRows * Words) * 4;
+    std::uint32_t* const next = s.counts + k % (R::kRows * Strips) * kTurboStripTiles;
 #pragma unroll
-    for (int j = 0; j < 4; ++j) {
-      const std::uint32_t cells = math::cells_of_first(four >> (2 * j));
+    for (int j = 0; j < kTurboStripTiles; ++j) {
+      const std::uint32_t cells = cells_in_strip(strip, j);
       if (cells == 0) continue;
       const std::uint32_t at = atomicAdd(next + j, 1u);
       if (at < a.entry_capacity) a.entries[at] = s.entry[owner] | cells;
@@ -130,23 +132,23 @@ __device__ std::uint32_t place(Shared<Words>& s, const TurboArrays& a, Region<Wo
   __syncthreads();
   std::uint32_t visible = 0;
   for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
-    std::uint32_t& listed = a.large[s.found[begin + k]].listed;
+    std::uint32_t& listed = a.large_gaussians[s.found[begin + k]].listed;
     if (s.listed[k] != 0 && listed == 0 && atomicExch(&listed, 1u) == 0) ++visible;
   }
   return visible;
 }
 
-template <int Words>
-__global__ void __launch_bounds__(kThreads) turbo_large_kernel(TurboArrays a, math::TileGrid grid) {
-  using R = Region<Words>;
-  __shared__ Shared<Words> memory;
-  Shared<Words>& s = memory;
+template <int Strips>
+__global__ void __launch_bounds__(kThreads) turbo_large_gaussians_kernel(TurboArrays a, math::TileGrid grid) {
+  using R = Region<Strips>;
+  __shared__ Shared<Strips> memory;
+  Shared<Strips>& s = memory;
   const R region{static_cast<int>(blockIdx.x) * R::kColumns, static_cast<int>(blockIdx.y) * R::kRows};
-  const auto n = static_cast<std::uint32_t>(math::min(std::uint64_t{a.state->n_large}, a.large_capacity));
+  const auto n = static_cast<std::uint32_t>(math::min(std::uint64_t{a.state->n_large_gaussians}, a.large_capacity));
   std::uint32_t visible = 0;
   if (threadIdx.x == 0) s.n_found = 0;
   __syncthreads();
-  constexpr std::uint32_t kStep = kAhead * kShares * kThreads;
+  constexpr std::uint32_t kStep = kAhead * kRegionBlocks * kThreads;
   for (std::uint32_t first = blockIdx.z * kThreads; first < n; first += kStep) {
     find(s, a, region, first + threadIdx.x, n);
     __syncthreads();
@@ -165,21 +167,24 @@ __global__ void __launch_bounds__(kThreads) turbo_large_kernel(TurboArrays a, ma
   if (threadIdx.x % 32 == 0 && visible > 0) atomic_add(a.state->counters.visible, visible);
 }
 
-template <int Words>
+template <int Strips>
 void launch(const TurboArrays& a, math::TileGrid grid, Stream stream) {
-  using R = Region<Words>;
+  using R = Region<Strips>;
   const auto tiles = [](int n, int of_region) { return static_cast<unsigned>((n + of_region - 1) / of_region); };
-  const dim3 blocks{tiles(grid.columns, R::kColumns), tiles(grid.rows, R::kRows), kShares};
-  turbo_large_kernel<Words><<<blocks, kThreads, 0, stream>>>(a, grid);
+  const dim3 blocks{tiles(grid.columns, R::kColumns), tiles(grid.rows, R::kRows), kRegionBlocks};
+  turbo_large_gaussians_kernel<Strips><<<blocks, kThreads, 0, stream>>>(a, grid);
 }
 
 }  // namespace
 
-Status launch_turbo_large(const TurboArrays& a, math::TileGrid grid, Stream stream) {
-  constexpr std::uint32_t kMostTiles = 512 * Region<1>::kTiles;
-  if (a.n_tiles <= kMostTiles) {
+Status launch_turbo_large_gaussians(const TurboArrays& a, math::TileGrid grid, Stream stream) {
+  const auto n_multiprocessors = multiprocessors();
+  if (!n_multiprocessors) return tl::unexpected(n_multiprocessors.error());
+  // Regions grow where there would be more than about four of them, sixteen blocks, a multiprocessor; 512 on an H100.
+  const std::uint32_t most_tiles = std::bit_floor(4 * *n_multiprocessors) * Region<1>::kTiles;
+  if (a.n_tiles <= most_tiles) {
     launch<1>(a, grid, stream);
-  } else if (a.n_tiles <= 4 * kMostTiles) {
+  } else if (a.n_tiles <= 4 * most_tiles) {
     launch<2>(a, grid, stream);
   } else {
     launch<4>(a, grid, stream);

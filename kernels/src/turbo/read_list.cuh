@@ -9,28 +9,6 @@
 
 namespace rgs::cuda {
 
-__device__ inline std::uint32_t depth_of(TurboEntry entry) {
-  return static_cast<std::uint32_t>(entry >> (kTurboIndexBits + 8));
-}
-
-/// Head of a cell, among those of the tile of that rank.
-__device__ inline void put_head(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank, std::uint32_t tile,
-                                std::uint32_t cell, std::uint32_t begin, std::uint32_t n) {
-  const auto columns = static_cast<std::uint32_t>(grid.columns);
-  a.cells[kTurboCells * rank + cell] = {begin, n, tile % columns * kTurboTile + math::kCellWidth * (cell % 2),
-                                        tile / columns * kTurboTile + math::kCellHeight * (cell / 2)};
-}
-
-/// A tile's cells have their places. One thread calls it; the last tile tells the host.
-__device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
-  __threadfence();
-  if (atomicAdd(&a.state->ordered, 1u) == a.n_tiles - 1) {
-    __threadfence();
-    seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
-    __threadfence_system();
-  }
-}
-
 /// Runs of entries.
 struct TurboRuns {
   const TurboRun* runs;
@@ -78,18 +56,18 @@ struct TurboRuns {
   }
 };
 
-/// Adds up, over the block, how many entries touch each cell. An entry's eight bits go to eight counters of 16 bits in
-/// two words, which are passed on before one can overflow.
+/// Adds up, over the block, how many entries touch each cell. An entry's bits go to counters of 16 bits, four to a
+/// word, which are passed on before one can overflow.
 class CellCounter {
  public:
   /// `sums` [kTurboCells] in shared memory, zeroed before.
   __device__ explicit CellCounter(std::uint32_t* sums) : sums_(sums) {}
   __device__ void add(TurboEntry entry) {
-    constexpr std::uint64_t kSpread = 1 | 1u << 15 | 1u << 30 | std::uint64_t{1} << 45;
-    constexpr std::uint64_t kLowest = 0x0001000100010001;
-    low_ += (entry & 0xF) * kSpread & kLowest;
-    high_ += (entry >> 4 & 0xF) * kSpread & kLowest;
-    if (++n_ < 0xFFFF) return;
+    constexpr std::uint64_t kSpread = detail::bits_at(0, kBits - 1, kCounters), kMask = (1 << kCounters) - 1;
+    constexpr std::uint64_t kLowest = detail::bits_at(0, kBits, kCounters);
+    low_ += (entry & kMask) * kSpread & kLowest;
+    if constexpr (kTurboCells > kCounters) high_ += (entry >> kCounters & kMask) * kSpread & kLowest;
+    if (++n_ < kMost) return;
     for (int c = 0; c < kTurboCells; ++c) atomicAdd(sums_ + c, of(c));
     low_ = high_ = 0, n_ = 0;
   }
@@ -102,8 +80,12 @@ class CellCounter {
   }
 
  private:
+  static constexpr int kBits = 16, kCounters = 64 / kBits;
+  static constexpr std::uint32_t kMost = (1u << kBits) - 1;
+  static_assert(kTurboCells <= 2 * kCounters);
+
   __device__ std::uint32_t of(int cell) const {
-    return static_cast<std::uint32_t>((cell < 4 ? low_ : high_) >> (16 * (cell % 4))) & 0xFFFF;
+    return static_cast<std::uint32_t>((cell < kCounters ? low_ : high_) >> (kBits * (cell % kCounters))) & kMost;
   }
 
   std::uint32_t* sums_;

@@ -1,0 +1,92 @@
+// scene_scan.hpp - what there is to know of a scene before it is written: damage, bounds, ranges.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "rgs/layout.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace RGS_API rgs {
+
+/// What to do with Gaussians that cannot be drawn (see Defect).
+enum class BadPolicy : std::uint8_t {
+  refuse,  ///< any damaged Gaussian is an error
+  drop,    ///< leave damaged Gaussians out
+  repair   ///< mend what has an obvious meaning, leave out the rest
+};
+
+/// Kinds of damage, each counted once per Gaussian that has it.
+enum class Defect : std::uint8_t {
+  mean,   ///< a coordinate is not finite                                   repair: dropped
+  scale,  ///< log-scale is not finite or beyond +-60                       repair: -inf becomes -60; others dropped
+  rotation_nan,      ///< a rotation component is not finite                           repair: identity
+  rotation_zero,     ///< the quaternion is zero (norm below 2^-60)                    repair: identity
+  opacity_nan,       ///< the logit is NaN                                             repair: dropped
+  opacity_infinite,  ///< the logit is infinite                                        repair: +-20
+  sh,                ///< an SH coefficient is not finite or above kShLimit            repair: 0
+};
+inline constexpr int kDefectKinds = 7;
+/// "mean", "scale", "rotation_nan", ...
+const char* defect_name(Defect defect);
+
+/// Bit i is set if the Gaussian has Defect i; coefficients above `sh_degree` are not looked at.
+std::uint32_t find_defects(const Splat& splat, int sh_degree);
+/// Mends `splat` as listed at Defect; false if it has to be dropped.
+bool repair(Splat& splat, std::uint32_t defects);
+
+/// Largest |SH| of each coefficient over the Gaussians added.
+class ShMagnitudes {
+ public:
+  void add(const float* sh, int sh_degree);  ///< sh: [16, 3] as in Splat
+  void merge(const ShMagnitudes& other);
+  /// Largest |SH| per degree and channel.
+  ShStepSet max_abs() const;
+  /// The quantiser's steps for these.
+  ShStepSet steps() const;
+
+ private:
+  std::array<std::int32_t, 48> bits_{};  // magnitudes as integers, which order alike and vectorise on any x86-64
+};
+
+/// What a first pass over a scene learns. Every field is independent of the order in which Gaussians are added, and of how
+/// they are split between scans that are merged.
+class SceneScan {
+ public:
+  /// `sh_degree` that the file will have; coefficients above it do not count.
+  explicit SceneScan(int sh_degree, BadPolicy on_bad = BadPolicy::drop);
+
+  /// Examines one Gaussian, mends it under BadPolicy::repair, and says whether it is kept.
+  bool add(Splat& splat);
+  void merge(const SceneScan& other);
+
+  int sh_degree() const { return sh_degree_; }
+  std::uint64_t n_source() const { return n_source_; }
+  std::uint64_t n_kept() const { return n_kept_; }
+  std::uint64_t n_repaired() const { return n_repaired_; }
+  std::uint64_t defects(Defect defect) const { return defects_[static_cast<std::size_t>(defect)]; }
+  /// Of the kept Gaussians; boxes and ranges are zero if there are none.
+  Box full() const { return n_kept_ == 0 ? Box() : full_; }
+  /// Bounds that at least 99 of 100 means lie within on each axis; see FORMAT.md "Robust box".
+  Box robust() const;
+  float min_log_scale() const { return n_kept_ == 0 ? 0 : min_log_scale_; }
+  float max_log_scale() const { return n_kept_ == 0 ? 0 : max_log_scale_; }
+  float min_opacity_logit() const { return n_kept_ == 0 ? 0 : min_opacity_logit_; }
+  float max_opacity_logit() const { return n_kept_ == 0 ? 0 : max_opacity_logit_; }
+  const ShMagnitudes& sh_magnitudes() const { return sh_magnitudes_; }
+
+ private:
+  int sh_degree_;
+  BadPolicy on_bad_;
+  std::uint64_t n_source_ = 0, n_kept_ = 0, n_repaired_ = 0;
+  std::array<std::uint64_t, kDefectKinds> defects_{};
+  Box full_;
+  float min_log_scale_, max_log_scale_, min_opacity_logit_, max_opacity_logit_;
+  ShMagnitudes sh_magnitudes_;
+  std::vector<std::uint64_t> histogram_;  // [3, 65536] of the top 16 bits of each coordinate, order-preserving
+};
+
+}  // namespace rgs

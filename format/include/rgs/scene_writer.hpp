@@ -1,0 +1,108 @@
+// scene_writer.hpp - a scene of any size to one .rgs file, in two passes over its source and on any number of threads.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "rgs/encode.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+#include "rgs/scene_scan.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace RGS_API rgs {
+
+class AtomicFile;
+
+/// Where a file's bytes go: to a file on disk, which is the caller's to commit, or into memory. A view: what it is made of
+/// must outlive it.
+class Sink {
+ public:
+  Sink(AtomicFile& file) : file_(&file) {}                    // NOLINT: a file is a sink
+  Sink(std::vector<std::byte>& memory) : memory_(&memory) {}  // NOLINT: and so is memory
+  /// Sets `size` bytes aside, so that a full disk shows now. Errors: write_failed.
+  Status reserve(std::uint64_t size);
+  /// Errors: write_failed; offset is the file's.
+  Status write_at(std::uint64_t offset, std::span<const std::byte> bytes);
+  /// Bytes that have been written. Errors: read_failed.
+  Status read_at(std::uint64_t offset, std::span<std::byte> bytes) const;
+  /// Makes the output end at `size`. Errors: write_failed.
+  Status truncate(std::uint64_t size);
+
+ private:
+  AtomicFile* file_ = nullptr;
+  std::vector<std::byte>* memory_ = nullptr;
+};
+
+/// What is in a file that has been written.
+struct WrittenScene {
+  Header header;
+  Declarations declarations;
+  std::vector<SectionEntry> sections;
+};
+
+/// Writes one file. The steps:
+///   1. SceneScan::add() for every Gaussian of the source, in any split.                          (first pass)
+///   2. The order of those that were kept, for Order::morton by MortonKey(scan.robust()).
+///   3. create().
+///   4. Batches, each filled on a thread of its own if one likes, and add()ed in order.           (second pass)
+///   5. finish().
+/// encode() is this in a single thread. The bytes do not depend on threads. Memory: tables of 100 bytes a chunk, and
+/// batches; Profile::archive takes the scene as a whole, with about 300 bytes a Gaussian on top of it.
+class SceneWriter {
+ public:
+  class Batch;
+
+  /// `source_index` [scan.n_kept()]: positions in the source of the Gaussians in the order in which they are written (the
+  /// archive profile chooses its own); a permutation section and errors name them. Must outlive the writer.
+  /// Reserves space where the file's size is known. Errors: check_encodable()'s, Sink::reserve()'s.
+  static Result<SceneWriter> create(Sink sink, const SceneScan& scan, const EncodeOptions& options,
+                                    std::span<const std::uint32_t> source_index);
+  SceneWriter(SceneWriter&& other) noexcept;
+  ~SceneWriter();
+
+  std::uint64_t n_batches() const;
+  /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s.
+  Status add(const Batch& batch);
+  /// Tables, head and end of the file, once all batches are there. Errors: the sink's; for Profile::archive bad_value (a
+  /// value too large for the steps asked for; `found` is the Gaussian's source_index) and internal (the file, decoded
+  /// again, is not within the bounds that it states).
+  Result<WrittenScene> finish();
+
+ private:
+  struct State;
+  explicit SceneWriter(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+/// Some consecutive chunks of the file, being encoded one after the other:
+///   for (batch.begin(i); !batch.complete(); batch.encode_chunk()) gather(batch.source_index(), batch.splats());
+/// Takes a few MB, which the next begin() uses again. Batches of one writer may be filled side by side.
+class SceneWriter::Batch {
+ public:
+  /// The writer must outlive it, but may be moved.
+  explicit Batch(const SceneWriter& writer);
+  Batch(Batch&& other) noexcept;
+  ~Batch();
+
+  /// Starts on batch `index` of n_batches().
+  void begin(std::uint64_t index);
+  std::uint64_t n_gaussians() const;
+  bool complete() const;
+  /// Positions in the source of the next chunk's Gaussians, and where they have to be put.
+  std::span<const std::uint32_t> source_index() const;
+  std::span<Splat> splats();
+  /// Encodes what is in splats(), mended as the scan has mended it.
+  void encode_chunk();
+
+ private:
+  friend class SceneWriter;
+  struct State;
+  std::unique_ptr<State> state_;
+};
+
+}  // namespace rgs

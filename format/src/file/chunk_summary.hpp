@@ -1,0 +1,41 @@
+// chunk_summary.hpp - what a file states of its Gaussians, from their stored rows.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+
+#include "file/value_counts.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+
+/// A chunk's entry, from the mean and the row of GEOM of each of its Gaussians.
+class ChunkSummary {
+ public:
+  void add(const float mean[3], const std::uint16_t geometry[8], ValueCounts& counts) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      const float x = mean[k] + 0.f;  // boxes hold no -0
+      entry_.means.min[k] = entry_.count == 0 ? x : std::min(entry_.means.min[k], x);
+      entry_.means.max[k] = entry_.count == 0 ? x : std::max(entry_.means.max[k], x);
+      largest_scale_ = std::max(largest_scale_, geometry[4 + k]);
+    }
+    counts.add(geometry);
+    largest_opacity_ = std::max(largest_opacity_, geometry[7]);
+    ++entry_.count;
+  }
+  /// step_set is for the caller to fill in.
+  ChunkEntry entry(int scale_exponent) {
+    entry_.radius = 3.f * dequantize_scale(largest_scale_, scale_exponent);  // exact: 11-bit times 2-bit significand
+    entry_.max_opacity = float_from_half(largest_opacity_);
+    return entry_;
+  }
+
+ private:
+  ChunkEntry entry_;
+  std::uint16_t largest_scale_ = 0, largest_opacity_ = 0;  // FP16 bits of non-negative numbers order as the numbers do
+};
+
+}  // namespace rgs::detail

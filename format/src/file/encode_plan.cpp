@@ -1,0 +1,216 @@
+// encode_plan.cpp - options and a scene's scan to the shape of its file, and its small sections.
+// SPDX-License-Identifier: Apache-2.0
+#include "file/encode_plan.hpp"
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <utility>
+
+#include "file/layout_io.hpp"
+#include "packed/packed.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs {
+namespace {
+
+Status check_options(const EncodeOptions& o) {
+  const auto bad = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
+  if (o.chunk_size < kMinChunkSize || o.chunk_size > kMaxChunkSize || o.chunk_size % 32 != 0) {
+    return bad("the chunk size must be a multiple of 32 from 32 to 65536");
+  }
+  if (o.level < 1 || o.level > kMaxLevel) return bad("the level must be 1 to 19");
+  if (o.profile == Profile::archive) {
+    const ArchiveOptions& a = o.archive;
+    if (a.mean_cells < 4 || a.mean_cells > 20) return bad("archive: mean cells must be 2^4 to 2^20");
+    if (!(a.sh_step >= 0x1p-20f && a.sh_step <= 0x1p20f)) return bad("archive: the SH step must be 2^-20 to 2^20");
+    if (!(a.dc_step >= 0x1p-10f && a.dc_step <= 0x1p6f)) return bad("archive: the DC step must be 2^-10 to 64");
+    if (!(a.rotation_step >= 0x1p-10f && a.rotation_step <= 0.5f))
+      return bad("archive: the rotation step must be 2^-10 to 0.5");
+    if (!(a.scale_step >= 0x1p-10f && a.scale_step <= 2.f)) return bad("archive: the scale step must be 2^-10 to 2");
+    if (a.opacity_levels < 1 || a.opacity_levels > 4096) return bad("archive: opacity levels must be 1 to 4096");
+    if (!(a.slope >= 0 && a.slope <= 1)) return bad("archive: the slope must be 0 to 1");
+    if (o.order == Order::input) {
+      return bad("archive orders Gaussians itself: store their positions (keep_permutation) to find them again");
+    }
+  }
+  if (o.sh_degree < 0 || o.sh_degree > kMaxShDegree) return bad("the SH degree must be 0 to 3");
+  if (o.depth) {
+    const DepthRange& d = *o.depth;
+    if (!(d.z_near > 0 && d.z_near < d.z_far && std::isfinite(d.z_far))) {
+      return bad("the depth range must be 0 < near < far");
+    }
+  }
+  if (!(o.metres_per_unit >= 0 && std::isfinite(o.metres_per_unit))) return bad("metres per unit must not be negative");
+  if (o.provenance &&
+      (o.provenance->source_name.size() > kMaxProvenanceText || o.provenance->tool.size() > kMaxProvenanceText)) {
+    return bad("provenance texts are limited to 4096 bytes");
+  }
+  return {};
+}
+
+// Damage beyond what the options allow.
+Status check_damage(const SceneScan& scan, const EncodeOptions& options) {
+  const std::uint64_t damaged = scan.n_source() - scan.n_kept() + scan.n_repaired();
+  if (options.on_bad == BadPolicy::refuse && damaged != 0) {
+    return make_error(Errc::bad_value, Error::kNone,
+                      "the scene has damaged Gaussians; allow dropping or repairing them", 0, damaged);
+  }
+  const double allowed = options.max_bad_fraction * static_cast<double>(scan.n_source());
+  if (options.on_bad == BadPolicy::drop && static_cast<double>(damaged) > allowed) {
+    return make_error(Errc::too_many_bad, Error::kNone,
+                      "more damaged Gaussians than may be dropped without being told to; choose a policy explicitly",
+                      static_cast<std::uint64_t>(allowed), damaged);
+  }
+  return {};
+}
+
+Declarations declare(const SceneScan& scan, const EncodeOptions& options) {
+  Declarations d;
+  d.axes = options.axes;
+  d.colour_space = options.colour_space;
+  d.aa_mode = options.aa_mode;
+  d.order = options.order;
+  d.metres_per_unit = options.metres_per_unit;
+  d.full = scan.full();
+  d.robust = scan.robust();
+  const DepthRange depth = options.depth.value_or(depth_range_from_extent(d.robust, options.depth_mapping));
+  d.z_near = depth.z_near;
+  d.z_far = depth.z_far;
+  d.depth_source = depth.source;
+  d.depth_mapping = options.depth_mapping;
+  d.n_source = scan.n_source();
+  d.n_dropped = scan.n_source() - scan.n_kept();
+  d.n_repaired = scan.n_repaired();
+  return d;
+}
+
+SectionEntry section(SectionType type, std::uint64_t bytes, std::uint32_t flags = kSectionMustUnderstand) {
+  SectionEntry entry;
+  entry.type = static_cast<std::uint32_t>(type);
+  entry.flags = flags;
+  entry.stored_bytes = entry.decoded_bytes = bytes;
+  return entry;
+}
+
+}  // namespace
+
+// The diagonal of the robust box is what a camera at one end of the scene sees. Cameras may also stand far outside, and
+// what lies beyond the range loses its order (a crop seen from several diagonals away: 18 dB). With logarithmic bins ten
+// diagonals cost half a bit, so they are taken; linear ones would grow ten times as wide.
+DepthRange depth_range_from_extent(const Box& robust, DepthMapping mapping) {
+  double squared = 0;
+  for (std::size_t i = 0; i < 3; ++i) {
+    const double side = static_cast<double>(robust.max[i]) - static_cast<double>(robust.min[i]);
+    squared += side * side;
+  }
+  const double reach = mapping == DepthMapping::logarithmic ? 10 * std::sqrt(squared) : std::sqrt(squared);
+  return {0.2f, std::max(static_cast<float>(std::min(reach, 1e30)), 1.f), DepthSource::scene_extent};
+}
+
+Status check_encodable(const SceneScan& scan, const EncodeOptions& options) {
+  if (const Status s = check_options(options); !s) return s;
+  if (const Status s = check_damage(scan, options); !s) return s;
+  // What the reader would refuse is not written: axes that do not span space, numbers that are no enumerators.
+  if (const auto legal = detail::parse_declarations(detail::write_declarations(declare(scan, options)), 0); !legal) {
+    return make_error(Errc::bad_argument, Error::kNone, legal.error().what);
+  }
+  return {};
+}
+
+namespace detail {
+
+std::uint32_t EncodePlan::frame_rows() const {
+  // The smaller, the better weights and tables suit; below this they cost more than they save (docs/PROFILES.md).
+  constexpr std::uint32_t kPackedRows = 16384, kArchiveRows = 32768;
+  const std::uint32_t rows = options.profile == Profile::archive ? kArchiveRows : kPackedRows;
+  return std::max(1u, rows / header.chunk_size) * header.chunk_size;
+}
+
+Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options) {
+  if (const Status s = check_encodable(scan, options); !s) return tl::unexpected(s.error());
+  EncodePlan plan;
+  const std::uint64_t n = scan.n_kept();
+  plan.options = options;
+  if (n == 0 && options.profile == Profile::archive) plan.options.profile = Profile::packed;
+  const Profile profile = plan.options.profile;
+  Header& h = plan.header;
+  h.version_minor = profile == Profile::direct ? 0 : profile == Profile::packed ? 1 : 2;
+  h.n_gaussians = n;
+  h.chunk_size = options.chunk_size;
+  h.n_chunks = n / h.chunk_size + (n % h.chunk_size != 0 ? 1 : 0);
+  h.n_step_sets = options.chunk_step_sets ? h.n_chunks : std::min<std::uint64_t>(h.n_chunks, 1);
+  h.sh_degree = static_cast<std::uint8_t>(scan.sh_degree());
+  h.scale_exponent = n == 0 ? std::int16_t{0}
+                            : static_cast<std::int16_t>(choose_scale_exponent(scale_from_log(scan.min_log_scale()),
+                                                                              scale_from_log(scan.max_log_scale())));
+  plan.declarations = declare(scan, options);
+  plan.file_steps = scan.sh_magnitudes().steps();
+
+  // Small sections first: a client that fetches by chunk needs them before it can ask for anything else.
+  plan.sections = {section(SectionType::declarations, kDeclarationBytes),
+                   section(SectionType::sh_steps, h.n_step_sets * kStepSetBytes),
+                   section(SectionType::chunks, h.n_chunks * kChunkEntryBytes),
+                   section(SectionType::means, n * kMeanBytes),
+                   section(SectionType::geometry, n * kGeometryBytes),
+                   section(SectionType::sh, n * sh_bytes(h.sh_degree))};
+  if (profile == Profile::archive) plan.sections.push_back(section(SectionType::archive, 0));
+  if (options.keep_permutation) plan.sections.push_back(section(SectionType::permutation, n * 4, 0));
+  if (options.provenance) {
+    const std::uint64_t texts = options.provenance->source_name.size() + options.provenance->tool.size();
+    plan.sections.push_back(section(SectionType::provenance, 24 + texts, 0));
+  }
+  for (SectionEntry& entry : plan.sections) {
+    if (profile == Profile::direct || !archive_type(static_cast<SectionType>(entry.type))) continue;
+    entry.codec = static_cast<std::uint32_t>(profile == Profile::packed ? Codec::planes : Codec::archive);
+    entry.stored_bytes = coded_bound(entry.decoded_bytes, plan.n_frames());
+  }
+  return plan;
+}
+
+Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, const SceneTables& tables) {
+  assert(tables.chunks.size() == plan.header.n_chunks && tables.steps.size() == tables.chunks.size());
+  const bool chunk_sets = plan.options.chunk_step_sets;
+  WrittenScene written{plan.header, plan.declarations, {}};
+  Declarations& d = written.declarations;
+  d.n_scale_subnormal = tables.counts.scale_subnormal;
+  d.n_scale_zero = tables.counts.scale_zero;
+  d.n_opacity_zero = tables.counts.opacity_zero;
+  d.n_opacity_one = tables.counts.opacity_one;
+  ByteWriter steps, chunks;
+  for (std::size_t i = 0; i < tables.chunks.size(); ++i) {
+    if (chunk_sets || i == 0) write_step_set(steps, chunk_sets ? tables.steps[i] : plan.file_steps);
+    ChunkEntry chunk = tables.chunks[i];
+    chunk.step_set = chunk_sets ? i : 0;
+    write_chunk_entry(chunks, chunk);
+  }
+  const auto place_table = [&](SectionType type, std::vector<std::byte> records) {
+    if (plan.options.profile == Profile::direct) return file.place(type, records);
+    const StoredTable stored = code_table(std::move(records), plan.options.level);
+    return file.place(type, stored.bytes, stored.codec);
+  };
+  for (const SectionEntry& entry : plan.sections) {
+    const auto type = static_cast<SectionType>(entry.type);
+    Status s;
+    switch (type) {
+      case SectionType::declarations: s = file.place(type, write_declarations(d)); break;
+      case SectionType::sh_steps: s = place_table(type, steps.take()); break;
+      case SectionType::chunks: s = place_table(type, chunks.take()); break;
+      case SectionType::means:
+      case SectionType::geometry:
+      case SectionType::sh: s = file.place_grown(type, plan.frame_rows()); break;
+      case SectionType::archive: s = file.place(type, tables.archive); break;
+      case SectionType::permutation: s = file.place(type, std::as_bytes(tables.source_index)); break;
+      case SectionType::provenance: s = file.place(type, write_provenance(*plan.options.provenance)); break;
+    }
+    if (!s) return tl::unexpected(s.error());
+  }
+  auto sections = file.finish(written.header);
+  if (!sections) return tl::unexpected(sections.error());
+  written.sections = std::move(*sections);
+  return written;
+}
+
+}  // namespace detail
+
+}  // namespace rgs

@@ -1,0 +1,46 @@
+// encode_plan.hpp - what is known of a file before its Gaussians are encoded, and what completes it after them.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "file/chunk_summary.hpp"
+#include "file/section_writer.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+#include "rgs/scene_writer.hpp"
+
+namespace rgs::detail {
+
+struct EncodePlan {
+  EncodeOptions options;  ///< profile: packed instead of archive if there is nothing to fit steps to
+  Header header;          ///< file_bytes and n_sections still 0
+  Declarations declarations;
+  ShStepSet file_steps;                ///< the only set, unless chunks have their own
+  std::vector<SectionEntry> sections;  ///< in file order; stored_bytes: the most that it can take; hashes and offsets 0
+
+  /// Gaussians a frame of MEAN, GEOM and SHI8 where they are coded: whole chunks, at least one.
+  std::uint32_t frame_rows() const;
+  std::uint64_t n_frames() const { return (header.n_gaussians + frame_rows() - 1) / frame_rows(); }
+};
+
+/// Errors: check_encodable()'s.
+Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options);
+
+/// What is in a file beside the rows or frames of its Gaussians.
+struct SceneTables {
+  std::vector<ChunkEntry> chunks;  ///< in file order
+  std::vector<ShStepSet> steps;    ///< of each chunk
+  ValueCounts counts;
+  std::span<const std::uint32_t> source_index;  ///< of each Gaussian
+  std::span<const std::byte> archive;           ///< content of ARCH
+};
+
+/// Places all sections and writes the head, once the Gaussians are in `file`.
+Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, const SceneTables& tables);
+
+}  // namespace rgs::detail

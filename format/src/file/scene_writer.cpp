@@ -1,0 +1,204 @@
+// scene_writer.cpp - batches of chunks to the sections of a file.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/scene_writer.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cassert>
+#include <cstring>
+#include <optional>
+#include <utility>
+
+#include "archive/archive_encode.hpp"
+#include "file/chunk_summary.hpp"
+#include "file/encode_plan.hpp"
+#include "file/section_writer.hpp"
+#include "packed/frame_codec.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs {
+namespace {
+
+constexpr std::uint64_t kDirectRows = 8192;  // Gaussians a batch, or one chunk if larger
+constexpr std::array kLarge = {SectionType::means, SectionType::geometry, SectionType::sh};
+
+template <class T>
+void store(std::byte*& out, const T& value) {
+  std::memcpy(out, &value, sizeof value);
+  out += sizeof value;
+}
+
+// Rows of a chunk's Gaussians: means [n * 12], geometry [n * 16], sh [n * sh_bytes(degree)].
+ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, const ShStepSet& steps, std::byte* means,
+                       std::byte* geometry, std::byte* sh, detail::ValueCounts& counts) {
+  const auto floats = static_cast<std::size_t>(3 * sh_coefficients(header.sh_degree));
+  const std::size_t stride = sh_bytes(header.sh_degree);
+  float step[48];  // per coefficient and channel, so that the loop below has no look-up
+  for (std::size_t i = 0; i < floats; ++i) step[i] = steps.of_value(static_cast<int>(i));
+  detail::ChunkSummary summary;
+  auto* codes = reinterpret_cast<std::int8_t*>(sh);
+  for (const Splat& s : splats) {
+    std::uint16_t row[8];
+    quantize_rotation(s.rotation, row);
+    for (std::size_t i = 0; i < 3; ++i) {
+      row[4 + i] = quantize_scale(scale_from_log(s.log_scale[i]), header.scale_exponent);
+    }
+    row[7] = half_from_float(opacity_from_logit(s.opacity_logit));
+    store(means, s.mean);
+    store(geometry, row);
+    for (std::size_t i = 0; i < floats; ++i) codes[i] = quantize_sh(s.sh[i], step[i]);
+    for (std::size_t i = floats; i < stride; ++i) codes[i] = 0;
+    codes += stride;
+    summary.add(s.mean, row, counts);
+  }
+  return summary.entry(header.scale_exponent);
+}
+
+}  // namespace
+
+struct SceneWriter::State {
+  State(Sink to, detail::EncodePlan planned)
+      : sink(to), plan(std::move(planned)), file(to, plan.sections, plan.n_frames()) {}
+
+  Sink sink;
+  detail::EncodePlan plan;
+  detail::SectionWriter file;
+  detail::SceneTables tables;
+  SplatCloud scene;  // Profile::archive; batches fill their parts of it side by side
+  std::uint64_t batch_rows = 0;
+};
+
+struct SceneWriter::Batch::State {
+  explicit State(SceneWriter::State& of) : writer(of) {}
+
+  SceneWriter::State& writer;
+  std::uint64_t first = 0, n = 0;  // of the batch
+  std::uint64_t done = 0;          // Gaussians that are encoded
+  std::vector<Splat> splats;       // of the next chunk
+  std::vector<ChunkEntry> chunks;
+  std::vector<ShStepSet> steps;
+  detail::ValueCounts counts;
+  std::array<std::vector<std::byte>, kLarge.size()> rows, frames;
+  std::array<std::uint64_t, kLarge.size()> frame_hashes{};
+  std::optional<detail::FrameEncoder> encoder;
+};
+
+SceneWriter::SceneWriter(std::unique_ptr<State> state) : state_(std::move(state)) {}
+SceneWriter::SceneWriter(SceneWriter&& other) noexcept = default;
+SceneWriter::~SceneWriter() = default;
+
+Result<SceneWriter> SceneWriter::create(Sink sink, const SceneScan& scan, const EncodeOptions& options,
+                                        std::span<const std::uint32_t> source_index) {
+  assert(source_index.size() == scan.n_kept());
+  auto plan = detail::make_plan(scan, options);
+  if (!plan) return tl::unexpected(plan.error());
+  auto state = std::make_unique<State>(sink, std::move(*plan));
+  const Header& h = state->plan.header;
+  state->tables.source_index = source_index;
+  if (state->plan.options.profile == Profile::direct) {
+    state->batch_rows = std::max<std::uint64_t>(1, kDirectRows / h.chunk_size) * h.chunk_size;
+    if (const Status s = sink.reserve(state->file.largest_file_bytes()); !s) return tl::unexpected(s.error());
+  } else {
+    state->batch_rows = state->plan.frame_rows();
+  }
+  if (state->plan.options.profile == Profile::archive) state->scene.resize(h.n_gaussians, h.sh_degree);
+  return SceneWriter(std::move(state));
+}
+
+std::uint64_t SceneWriter::n_batches() const {
+  return (state_->plan.header.n_gaussians + state_->batch_rows - 1) / state_->batch_rows;
+}
+
+Status SceneWriter::add(const Batch& batch) {
+  const Batch::State& b = *batch.state_;
+  detail::SceneTables& tables = state_->tables;
+  assert(&b.writer == state_.get() && batch.complete());
+  if (state_->plan.options.profile == Profile::archive) return {};
+  assert(b.first == tables.chunks.size() * state_->plan.header.chunk_size);
+  const auto& bytes = state_->plan.options.profile == Profile::packed ? b.frames : b.rows;
+  for (std::size_t k = 0; k < kLarge.size(); ++k) {
+    if (Status s = state_->file.grow(kLarge[k], bytes[k], b.frame_hashes[k]); !s) return s;
+  }
+  tables.chunks.insert(tables.chunks.end(), b.chunks.begin(), b.chunks.end());
+  tables.steps.insert(tables.steps.end(), b.steps.begin(), b.steps.end());
+  tables.counts.add(b.counts);
+  return {};
+}
+
+Result<WrittenScene> SceneWriter::finish() {
+  if (state_->plan.options.profile == Profile::archive) {
+    return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
+  }
+  return detail::finish_file(state_->file, state_->plan, state_->tables);
+}
+
+SceneWriter::Batch::Batch(const SceneWriter& writer) : state_(std::make_unique<State>(*writer.state_)) {
+  const detail::EncodePlan& plan = state_->writer.plan;
+  if (plan.options.profile == Profile::packed) state_->encoder.emplace(plan.options.level);
+}
+SceneWriter::Batch::Batch(Batch&& other) noexcept = default;
+SceneWriter::Batch::~Batch() = default;
+
+void SceneWriter::Batch::begin(std::uint64_t index) {
+  State& b = *state_;
+  const Header& h = b.writer.plan.header;
+  b.first = index * b.writer.batch_rows;
+  assert(b.first < h.n_gaussians);
+  b.n = std::min(b.writer.batch_rows, h.n_gaussians - b.first);
+  b.done = 0;
+  b.chunks.clear();
+  b.steps.clear();
+  b.counts = {};
+  b.splats.resize(std::min<std::uint64_t>(h.chunk_size, b.n));
+  if (b.writer.plan.options.profile == Profile::archive) return;
+  b.rows[0].resize(b.n * kMeanBytes);
+  b.rows[1].resize(b.n * kGeometryBytes);
+  b.rows[2].resize(b.n * sh_bytes(h.sh_degree));
+}
+
+std::uint64_t SceneWriter::Batch::n_gaussians() const {
+  return state_->n;
+}
+
+bool SceneWriter::Batch::complete() const {
+  return state_->done == state_->n;
+}
+
+std::span<const std::uint32_t> SceneWriter::Batch::source_index() const {
+  const State& b = *state_;
+  return b.writer.tables.source_index.subspan(b.first + b.done, std::min<std::uint64_t>(b.splats.size(), b.n - b.done));
+}
+
+std::span<Splat> SceneWriter::Batch::splats() {
+  return std::span(state_->splats).first(source_index().size());
+}
+
+void SceneWriter::Batch::encode_chunk() {
+  State& b = *state_;
+  const detail::EncodePlan& plan = b.writer.plan;
+  const int degree = plan.header.sh_degree;
+  const std::span<Splat> chunk = splats();
+  if (plan.options.on_bad == BadPolicy::repair) {
+    for (Splat& s : chunk) repair(s, find_defects(s, degree));
+  }
+  if (plan.options.profile == Profile::archive) {
+    for (const Splat& s : chunk) b.writer.scene.set(b.first + b.done++, s);
+    return;
+  }
+  b.steps.push_back(plan.file_steps);
+  if (plan.options.chunk_step_sets) {
+    ShMagnitudes magnitudes;
+    for (const Splat& s : chunk) magnitudes.add(s.sh, degree);
+    b.steps.back() = magnitudes.steps();
+  }
+  b.chunks.push_back(encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
+                                 &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)], b.counts));
+  b.done += chunk.size();
+  if (!complete() || !b.encoder) return;
+  b.frames = {b.encoder->words(b.rows[0], kMeanBytes), b.encoder->geometry(b.rows[1]),
+              b.encoder->sh(b.rows[2], {degree, plan.header.chunk_size, b.steps})};
+  std::ranges::transform(b.frames, b.frame_hashes.begin(), [](const auto& frame) { return xxh3(frame); });
+}
+
+}  // namespace rgs

@@ -1,0 +1,22 @@
+// single_thread.cpp - stand-ins for workers.cpp and large_pages.cpp where there are neither threads nor pages: every job
+// on the caller's thread, one after the other.
+// SPDX-License-Identifier: Apache-2.0
+#include "file/large_pages.hpp"
+#include "file/workers.hpp"
+
+namespace rgs::detail {
+
+unsigned worker_count(std::uint64_t, unsigned) {
+  return 1;
+}
+
+Status run_jobs(std::uint64_t n, unsigned, const std::function<Status(unsigned worker, std::uint64_t i)>& job) {
+  for (std::uint64_t i = 0; i < n; ++i) {
+    if (Status s = job(0, i); !s) return s;
+  }
+  return {};
+}
+
+void ask_for_large_pages(void*, std::size_t) {}
+
+}  // namespace rgs::detail

@@ -1,4 +1,0 @@
-// codec_kernels_avx512.cpp - the SH codec's loops for x86-64 with AVX-512BW.
-// SPDX-License-Identifier: Apache-2.0
-#define RGS_KERNELS_NAMESPACE kernels_avx512
-#include "packed/codec_kernels_impl.inc"

@@ -1,0 +1,104 @@
+// frame_decoder.cpp - byte planes of a frame to rows of 32-bit words, of geometry and of SH; frame_encoder.cpp says why
+// they are planes.
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <array>
+#include <cassert>
+#include <cstring>
+
+#include "packed/frame_codec.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+namespace {
+
+constexpr std::size_t kHalves = kGeometryBytes / 2;
+constexpr std::size_t kBlock = 1024;  // rows whose intermediate results stay in the first-level cache
+
+// The inverses of what frame_encoder.cpp does to words.
+constexpr std::uint32_t unordered(std::uint32_t key) {
+  return (key & 0x80000000u) != 0 ? key & 0x7FFFFFFFu : ~key;
+}
+constexpr std::uint32_t unfold(std::uint32_t folded) {
+  return folded >> 1 ^ (0u - (folded & 1u));
+}
+constexpr std::uint16_t unfold16(std::uint16_t folded) {
+  return static_cast<std::uint16_t>((folded >> 1) ^ (0u - (folded & 1u)));
+}
+
+}  // namespace
+
+FrameDecoder::FrameDecoder() : lanes_(std::make_unique<ShLanes>()) {}
+
+Status FrameDecoder::inflate(std::span<const std::byte> stored, std::uint64_t offset, std::size_t content_bytes) {
+  content_.resize(std::max(content_.size(), content_bytes));
+  return inflater_.inflate(stored, offset, std::as_writable_bytes(std::span(content_).first(content_bytes)));
+}
+
+// ---- words ---------------------------------------------------------------------------------------------------------
+
+Status FrameDecoder::words(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
+                           std::uint64_t row_bytes, std::span<std::byte> out) {
+  assert(out.size() == n_rows * row_bytes && row_bytes % 4 == 0);
+  if (Status s = inflate(stored, offset, out.size()); !s) return s;
+  std::array<std::uint32_t, kBlock> differences;
+  const std::size_t n = n_rows, n_words = row_bytes / 4;
+  for (std::size_t word = 0; word < n_words; ++word) {
+    const std::uint8_t* plane = content_.data() + 4 * word * n;
+    std::byte* to = out.data() + 4 * word;
+    std::uint32_t key = 0;
+    for (std::size_t first = 0; first < n; first += kBlock) {
+      const std::size_t count = std::min(kBlock, n - first);
+      const std::uint8_t* p = plane + first;
+      for (std::size_t i = 0; i < count; ++i) {
+        differences[i] =
+            unfold(static_cast<std::uint32_t>(p[i]) | static_cast<std::uint32_t>(p[i + n]) << 8 |
+                   static_cast<std::uint32_t>(p[i + 2 * n]) << 16 | static_cast<std::uint32_t>(p[i + 3 * n]) << 24);
+      }
+      for (std::size_t i = 0; i < count; ++i, to += row_bytes) {
+        key += differences[i];
+        const std::uint32_t bits = unordered(key);
+        std::memcpy(to, &bits, sizeof bits);
+      }
+    }
+  }
+  return {};
+}
+
+// ---- geometry ------------------------------------------------------------------------------------------------------
+
+Status FrameDecoder::geometry(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
+                              std::span<std::byte> out) {
+  assert(out.size() == n_rows * kGeometryBytes);
+  if (Status s = inflate(stored, offset, out.size()); !s) return s;
+  const std::size_t n = n_rows;
+  std::array<std::uint16_t, kBlock> w;
+  for (std::size_t first = 0; first < n; first += kBlock) {
+    const std::size_t count = std::min(kBlock, n - first);
+    const std::uint8_t* block = content_.data() + first;
+    codec_kernels().unit_w(block + 2 * n, n, static_cast<int>(count), w.data());
+    for (std::size_t i = 0; i < count; ++i) {
+      std::uint16_t row[kHalves];
+      for (std::size_t k = 0; k < kHalves; ++k) {
+        const std::uint8_t* plane = block + 2 * k * n + i;
+        row[k] = static_cast<std::uint16_t>(plane[0] | plane[n] << 8);
+      }
+      row[0] = static_cast<std::uint16_t>(w[i] + unfold16(row[0]));
+      std::memcpy(out.data() + (first + i) * kGeometryBytes, row, sizeof row);
+    }
+  }
+  return {};
+}
+
+// ---- SH ---------------------------------------------------------------------------------------------------------------
+
+Status FrameDecoder::sh(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
+                        const ShFrame& frame, std::span<std::byte> out) {
+  const int n_codes = 3 * sh_coefficients(frame.degree);
+  const std::size_t content_bytes = sh_weight_bytes(n_codes) + static_cast<std::size_t>(n_codes) * n_rows;
+  if (Status s = inflate(stored, offset, content_bytes); !s) return s;
+  decode_sh_planes(*lanes_, std::span(content_).first(content_bytes), n_rows, frame, out);
+  return {};
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,68 @@
+// place_cells.cuh - the ranks of tiles, and where the Gaussians of a tile's cells go.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "common/atomic_add.cuh"
+#include "common/block_scan.cuh"
+#include "turbo/turbo.hpp"
+
+namespace rgs::cuda {
+
+/// Ranks begin <= rank < end of the tiles of class threadIdx.x % 32: those of longer lists come before them. All lanes of a
+/// warp call it, here and below.
+struct ClassRanks {
+  std::uint32_t begin, end;
+};
+__device__ inline ClassRanks class_ranks(const TurboArrays& a) {
+  static_assert(kTurboClasses == 32, "a lane a class");
+  const std::uint32_t size = a.state->class_size[threadIdx.x % 32], end = inclusive_warp_sum(size);
+  return {end - size, end};
+}
+/// The tile of a rank; and the rank of a tile, whose list has n_entries, from its place in its class.
+__device__ inline std::uint32_t tile_of(const TurboArrays& a, std::uint32_t rank) {
+  const ClassRanks own = class_ranks(a);
+  const int list_class = __ffs(static_cast<int>(__ballot_sync(kFullWarp, own.end > rank))) - 1;
+  const std::uint32_t begin = __shfl_sync(kFullWarp, own.begin, list_class);
+  return a.classes[static_cast<std::uint32_t>(list_class) * a.n_tiles + rank - begin];
+}
+__device__ inline std::uint32_t rank_of(const TurboArrays& a, std::uint32_t n_entries, std::uint32_t in_class) {
+  return __shfl_sync(kFullWarp, class_ranks(a).begin, turbo_class(n_entries)) + in_class;
+}
+
+/// Where the Gaussians of a thread's cell begin in TurboArrays::cell_gaussians, and whether there is room for the tile's.
+struct CellPlace {
+  std::uint32_t begin;
+  bool fits;
+};
+/// Finds places for the Gaussians of a tile's cells, cell_n [kTurboCells] in shared memory, and tells the blending kernels;
+/// without room, that there are none. Threads 0 .. kTurboCells - 1 call it, one for each cell.
+__device__ inline CellPlace place_cells(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
+                                        std::uint32_t tile, const std::uint32_t* cell_n) {
+  const std::uint32_t own = threadIdx.x;
+  std::uint32_t before = 0, total = 0;
+  for (std::uint32_t c = 0; c < kTurboCells; ++c) {
+    if (c < own) before += cell_n[c];
+    total += cell_n[c];
+  }
+  std::uint64_t base = 0;
+  if (own == 0 && total > 0) base = atomic_add(a.state->in_cells, total);
+  base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
+  const CellPlace place{static_cast<std::uint32_t>(base) + before, base + total <= a.cell_capacity};
+  const TurboCorner corner = cell_corner(grid, tile, own);
+  a.cells[kTurboCells * rank + own] = {place.begin, place.fits ? cell_n[own] : 0, corner.x, corner.y};
+  return place;
+}
+
+/// A tile's cells have their places. One thread calls it; the last tile tells the host.
+__device__ inline void end_tile(const TurboArrays& a, TurboState* seen) {
+  __threadfence();
+  if (atomicAdd(&a.state->n_ordered, 1u) == a.n_tiles - 1) {
+    __threadfence();
+    seen->in_cells = *static_cast<volatile std::uint64_t*>(&a.state->in_cells);
+    __threadfence_system();
+  }
+}
+
+}  // namespace rgs::cuda

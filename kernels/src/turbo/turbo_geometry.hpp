@@ -1,0 +1,182 @@
+// turbo_geometry.hpp - turbo's tiles and cells: their sizes, which cells an ellipse touches, and the words that hold them.
+// SPDX-License-Identifier: Apache-2.0
+//
+// A build with other sizes defines these macros; what is derived from them follows, and what cannot says so:
+//
+//   tile 32   cells of 16x8 (8 a tile), 16x16 (4), 16x32 (2)
+//   tile 16   cells of 16x4 (4 a tile), 16x8 (2), 16x16 (1)
+//   tile 64   cells of 16x32 (8 a tile)
+//
+// All that was measured is 16x8 on 32. The width is that of turbo_tensor.cu's matrix products; without them the rest would
+// take 8 and 32, too.
+#pragma once
+
+#include <bit>
+#include <cstdint>
+#include <type_traits>
+
+#include "rgs/hd.hpp"
+#include "rgs/math/coverage.hpp"
+
+#ifndef RGS_TURBO_TILE
+#define RGS_TURBO_TILE 32
+#endif
+#ifndef RGS_TURBO_CELL_WIDTH
+#define RGS_TURBO_CELL_WIDTH 16
+#endif
+#ifndef RGS_TURBO_CELL_HEIGHT
+#define RGS_TURBO_CELL_HEIGHT 8
+#endif
+
+namespace rgs::cuda {
+
+inline constexpr int kTurboTile = RGS_TURBO_TILE;  ///< pixels along a tile's side
+inline constexpr int kTurboCellWidth = RGS_TURBO_CELL_WIDTH, kTurboCellHeight = RGS_TURBO_CELL_HEIGHT;  ///< px
+inline constexpr int kTurboCellColumns = kTurboTile / kTurboCellWidth, kTurboCellRows = kTurboTile / kTurboCellHeight;
+inline constexpr int kTurboCells = kTurboCellColumns * kTurboCellRows;  ///< of a tile, numbered row by row
+
+static_assert(std::has_single_bit(unsigned{kTurboTile}) && std::has_single_bit(unsigned{kTurboCellWidth}) &&
+                  std::has_single_bit(unsigned{kTurboCellHeight}),
+              "quotients by them are shifts, and products with their inverses exact");
+static_assert(kTurboCellWidth <= kTurboTile && kTurboCellHeight <= kTurboTile, "cells fill a tile");
+
+/// What a list holds of a Gaussian: bits of its depth (positive: 31), its index, and the cells of the tile that it
+/// touches, a bit each. Entries order by depth, then by index.
+using TurboEntry = std::uint64_t;
+inline constexpr int kTurboDepthBits = 31, kTurboIndexBits = 25, kTurboCellBits = 8;
+inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;
+static_assert(kTurboDepthBits + kTurboIndexBits + kTurboCellBits == 64,
+              "an entry is one word, loaded and ordered as one");
+static_assert(kTurboCells <= kTurboCellBits, "an entry has a bit for each cell: larger cells or smaller tiles");
+
+RGS_HD constexpr TurboEntry make_entry(std::uint32_t depth, std::uint32_t index, std::uint32_t cells) {
+  return TurboEntry{depth} << (kTurboIndexBits + kTurboCellBits) | TurboEntry{index} << kTurboCellBits | cells;
+}
+RGS_HD constexpr std::uint32_t depth_of(TurboEntry entry) {
+  return static_cast<std::uint32_t>(entry >> (kTurboIndexBits + kTurboCellBits));
+}
+RGS_HD constexpr std::uint32_t index_of(TurboEntry entry) {
+  return static_cast<std::uint32_t>(entry >> kTurboCellBits) & static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
+}
+RGS_HD constexpr bool touches(TurboEntry entry, std::uint32_t cell) {
+  return (static_cast<std::uint32_t>(entry) >> cell & 1) != 0;
+}
+static_assert(depth_of(make_entry(0x7F7FFFFF, 5, 7)) == 0x7F7FFFFF &&
+              index_of(make_entry(1, 0x1FFFFFF, 255)) == 0x1FFFFFF);
+
+/// A strip: neighbouring tiles of a row whose cells fill one word, a byte for each row of cells. Bit c of byte r is the
+/// c-th cell of row r, counted from the strip's first tile.
+inline constexpr int kTurboStripCells = 8;  ///< of a row
+inline constexpr int kTurboStripTiles = kTurboStripCells / kTurboCellColumns;
+static_assert(kTurboCellRows <= 4,
+              "a strip is a word with a byte for each row of cells: higher cells or smaller tiles");
+
+namespace detail {
+
+/// Sum of 1 << (first + step k) for k = 0 .. n - 1.
+constexpr std::uint64_t bits_at(int first, int step, int n) {
+  std::uint64_t bits = 0;
+  for (int k = 0; k < n; ++k) bits |= std::uint64_t{1} << (first + step * k);
+  return bits;
+}
+
+// 1 << n, where n is 8 x clamped to 0..8 and rounded up or down; 1 for NaN. The device rounds by adding 2^20, whose last
+// bit is 1/8, and shifts by the sum's last bits: all but the shift is arithmetic of the pipe that has room.
+template <bool Up, class T>
+RGS_HD inline std::uint32_t bit_of_eighth(T x) {
+  static_assert(kTurboStripCells == 8, "2^20 is the float with this last bit");
+#if defined(__CUDA_ARCH__)
+  if constexpr (std::is_same_v<T, float>) {
+    const float unit = __saturatef(x), sum = Up ? __fadd_ru(unit, 1048576.0F) : __fadd_rd(unit, 1048576.0F);
+    return __funnelshift_l(0u, 1u, __float_as_uint(sum));
+  }
+#endif
+  const T eighths = T(kTurboStripCells) * math::clamp(x, T(0), T(1));
+  return 1u << (Up ? math::detail::ceil_index(eighths) : math::detail::floor_index(eighths));
+}
+
+}  // namespace detail
+
+/// A bit in each row of cells of a strip.
+inline constexpr auto kTurboStripRows =
+    static_cast<std::uint32_t>(detail::bits_at(0, kTurboStripCells, kTurboCellRows));
+
+/// A row of tiles, cut into its rows of cells: where, from the image's left edge and in units of a strip, the ellipse's
+/// first and last cells of each row lie. With c = 8 x, these are the cells ceil(c_first) <= c < floor(c_last); both are 0
+/// where there is none.
+template <class T>
+struct CellRows {
+  T first[kTurboCellRows], last[kTurboCellRows];
+};
+
+/// Row `row` of tiles: the cells in which the ellipse has a point between their outermost pixel centres. As exact as
+/// math::tiles_in_row(). Without branches: of 32 neighbouring Gaussians one always touches a row.
+template <class T>
+RGS_HD inline CellRows<T> cell_rows(const math::Ellipse<T>& e, int row) {
+  constexpr T kUnit = T(1) / T(kTurboStripCells * kTurboCellWidth);
+  const T slack = T(1e-3) + T(1e-6) * e.half_width;  // as in math::tiles_in_row()
+  // Of cells first <= c < last, of width w: where w c + w - 1 reaches the left end, and w (c + 1) is beyond the right one.
+  const T left = e.mean.u - slack - T(kTurboCellWidth - 1), right = e.mean.u + slack + T(kTurboCellWidth);
+  const T top = static_cast<T>(row * kTurboTile) - e.mean.v;
+  CellRows<T> rows;
+  for (int r = 0; r < kTurboCellRows; ++r) {
+    const T y_low = math::max(top + T(kTurboCellHeight * r), -e.half_height);
+    const T y_high = math::min(top + T(kTurboCellHeight * r + kTurboCellHeight - 1), e.half_height);
+    const math::Chord<T> c = math::chord(e, y_low, y_high);
+    const bool some = y_low <= y_high;
+    rows.first[r] = some ? (left + c.low) * kUnit : T(0);
+    rows.last[r] = some ? (right + c.high) * kUnit : T(0);
+  }
+  return rows;
+}
+
+/// Cells of the strip from the tile in column `column` on that are touched.
+template <class T>
+RGS_HD inline std::uint32_t cells_of_strip(const CellRows<T>& rows, int column) {
+  const T origin = T(1) / T(kTurboStripTiles) * static_cast<T>(column);
+  std::uint32_t cells = 0;
+  for (int r = 0; r < kTurboCellRows; ++r) {
+    const std::uint32_t below_last = detail::bit_of_eighth<false>(rows.last[r] - origin);
+    cells |= (below_last - detail::bit_of_eighth<true>(rows.first[r] - origin)) << (kTurboStripCells * r);
+  }
+  return cells;
+}
+
+/// Of these, the cells of tile `tile` of the strip, as in an entry: bit c + columns r for the cell in column c of row r.
+RGS_HD constexpr std::uint32_t cells_in_strip(std::uint32_t strip, int tile) {
+  constexpr std::uint32_t kFirstTile = ((1u << kTurboCellColumns) - 1) * kTurboStripRows;
+  // The rows of the first tile, side by side in the product's last byte.
+  constexpr auto kGather =
+      static_cast<std::uint32_t>(detail::bits_at(24, kTurboCellColumns - kTurboStripCells, kTurboCellRows));
+  return (strip >> (kTurboCellColumns * tile) & kFirstTile) * kGather >> 24;
+}
+static_assert(
+    [] {
+      for (std::uint32_t cells = 0; cells < 1u << kTurboCells; ++cells) {
+        std::uint32_t strip = 0;
+        for (int r = 0; r < kTurboCellRows; ++r) {
+          strip |= (cells >> (kTurboCellColumns * r) & ((1u << kTurboCellColumns) - 1)) << (kTurboStripCells * r);
+        }
+        if (cells_in_strip(strip, 0) != cells) return false;
+      }
+      return true;
+    }(),
+    "the product's other terms meet neither the last byte nor carry into it");
+
+/// Cells of the tile in column `column` that are touched.
+template <class T>
+RGS_HD inline std::uint32_t cells_of_tile(const CellRows<T>& rows, int column) {
+  return cells_in_strip(cells_of_strip(rows, column), 0);
+}
+
+/// First pixel of a cell of a tile.
+struct TurboCorner {
+  std::uint32_t x, y;
+};
+RGS_HD constexpr TurboCorner cell_corner(math::TileGrid grid, std::uint32_t tile, std::uint32_t cell) {
+  const auto columns = static_cast<std::uint32_t>(grid.columns);
+  return {tile % columns * kTurboTile + kTurboCellWidth * (cell % kTurboCellColumns),
+          tile / columns * kTurboTile + kTurboCellHeight * (cell / kTurboCellColumns)};
+}
+
+}  // namespace rgs::cuda

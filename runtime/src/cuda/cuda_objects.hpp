@@ -1,0 +1,85 @@
+// cuda_objects.hpp - owned objects of the CUDA runtime, and its errors as values.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cuda_runtime_api.h>
+
+#include <cstdint>
+
+#include "rgs/result.hpp"
+
+namespace rgs::detail {
+
+/// device_failed with the runtime's error number in Error::found. The runtime forgets the error: it is none of later calls.
+inline Status device_status(cudaError_t error, const char* what) {
+  if (error == cudaSuccess) return {};
+  cudaGetLastError();
+  return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
+}
+
+/// A point in a stream's work. Errors of all functions: device_failed.
+class Event {
+ public:
+  Event() = default;
+  Event(const Event&) = delete;
+  Event& operator=(const Event&) = delete;
+  ~Event() {
+    if (event_ != nullptr) cudaEventDestroy(event_);
+  }
+  Status create(unsigned flags = cudaEventDisableTiming) {
+    return device_status(cudaEventCreateWithFlags(&event_, flags), "an event could not be made");
+  }
+  Status record(cudaStream_t stream) const {
+    return device_status(cudaEventRecord(event_, stream), "an event could not be recorded");
+  }
+  /// What is queued on `stream` from now on waits for the event.
+  Status hold(cudaStream_t stream) const {
+    return device_status(cudaStreamWaitEvent(stream, event_), "a stream could not be made to wait");
+  }
+  /// The host waits for it; at once if it was never recorded.
+  Status wait() const { return device_status(cudaEventSynchronize(event_), "a kernel failed"); }
+  cudaEvent_t get() const { return event_; }
+
+ private:
+  cudaEvent_t event_ = nullptr;
+};
+
+/// A stream that the default stream does not wait for.
+class OwnedStream {
+ public:
+  OwnedStream() = default;
+  OwnedStream(const OwnedStream&) = delete;
+  OwnedStream& operator=(const OwnedStream&) = delete;
+  ~OwnedStream() {
+    if (stream_ != nullptr) cudaStreamDestroy(stream_);
+  }
+  Status create(int priority = 0) {
+    return device_status(cudaStreamCreateWithPriority(&stream_, cudaStreamNonBlocking, priority),
+                         "a stream could not be made");
+  }
+  cudaStream_t get() const { return stream_; }
+
+ private:
+  cudaStream_t stream_ = nullptr;
+};
+
+/// A value in host memory that the device writes asynchronously.
+template <class T>
+class PageLocked {
+ public:
+  PageLocked() = default;
+  PageLocked(const PageLocked&) = delete;
+  PageLocked& operator=(const PageLocked&) = delete;
+  ~PageLocked() { cudaFreeHost(value_); }
+  Status create() {
+    return device_status(cudaMallocHost(reinterpret_cast<void**>(&value_), sizeof(T)),
+                         "page-locked host memory could not be allocated");
+  }
+  T* get() const { return value_; }
+  T* operator->() const { return value_; }
+
+ private:
+  T* value_ = nullptr;
+};
+
+}  // namespace rgs::detail

@@ -1,0 +1,113 @@
+// device_memory.cpp - the pool that all renderers and scenes of a device share, and what stands in for it.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/device_memory.hpp"
+
+#include <map>
+#include <mutex>
+
+namespace rgs::detail {
+
+/// A pool of our own, so that no setting of the device's default pool, and nothing that others leave in it, counts. It
+/// keeps no memory that nobody holds: its release threshold is 0, and every free() is followed by a synchronisation,
+/// which is when a pool gives memory back.
+class DevicePool {
+ public:
+  DevicePool() = default;
+  DevicePool(const DevicePool&) = delete;
+  DevicePool& operator=(const DevicePool&) = delete;
+  ~DevicePool() {
+    if (pool_ != nullptr) cudaMemPoolDestroy(pool_);
+  }
+
+  /// The current device's, as long as anybody holds it; null where the driver has no pools. Errors: device_failed.
+  static Result<std::shared_ptr<const DevicePool>> shared() {
+    static std::mutex mutex;
+    static std::map<int, std::weak_ptr<const DevicePool>> pools;
+    int device = 0, is_supported = 0;
+    Status ok = device_status(cudaGetDevice(&device), "no device is current");
+    if (ok) {
+      ok = device_status(cudaDeviceGetAttribute(&is_supported, cudaDevAttrMemoryPoolsSupported, device),
+                         "the device does not describe itself");
+    }
+    if (!ok) return tl::unexpected(ok.error());
+    if (is_supported == 0) return nullptr;
+    const std::lock_guard lock(mutex);
+    if (auto pool = pools[device].lock()) return pool;
+    const auto pool = std::make_shared<DevicePool>();
+    if (ok = pool->create(device); !ok) return tl::unexpected(ok.error());
+    pools[device] = pool;
+    return pool;
+  }
+
+  cudaError_t allocate(void** memory, std::uint64_t bytes) const {
+    cudaError_t error = cudaMallocFromPoolAsync(memory, bytes, pool_, idle_.get());
+    if (error == cudaErrorMemoryAllocation) {
+      cudaMemPoolTrimTo(pool_, 0);  // what it could not use in one piece may do as new memory
+      cudaStreamSynchronize(idle_.get());
+      error = cudaMallocFromPoolAsync(memory, bytes, pool_, idle_.get());
+    }
+    return error == cudaSuccess ? cudaStreamSynchronize(idle_.get()) : error;
+  }
+  void free(void* memory) const {
+    cudaFreeAsync(memory, idle_.get());
+    cudaStreamSynchronize(idle_.get());
+  }
+
+ private:
+  Status create(int device) {
+    cudaMemPoolProps properties{};
+    properties.allocType = cudaMemAllocationTypePinned;
+    properties.location.type = cudaMemLocationTypeDevice;
+    properties.location.id = device;
+    const Status ok = idle_.create();
+    return ok ? device_status(cudaMemPoolCreate(&pool_, &properties), "a memory pool could not be made") : ok;
+  }
+
+  // What is taken and given back in the order of a stream on which nothing else is queued, and which is waited for, is
+  // so for all streams, and no other stream has to stop for it.
+  OwnedStream idle_;
+  cudaMemPool_t pool_ = nullptr;
+};
+
+Result<std::shared_ptr<const DeviceMemory>> DeviceMemory::create(const DeviceAllocator& allocator) {
+  auto memory = std::make_shared<DeviceMemory>();
+  memory->allocator_ = allocator;
+  if ((allocator.allocate == nullptr) != (allocator.free == nullptr)) {
+    return make_error(Errc::bad_argument, Error::kNone, "an allocator has one of its two functions only");
+  }
+  if (allocator.allocate == nullptr) {
+    auto pool = DevicePool::shared();
+    if (!pool) return tl::unexpected(pool.error());
+    memory->pool_ = *std::move(pool);
+  }
+  return memory;
+}
+
+Result<void*> DeviceMemory::allocate(std::uint64_t bytes, CudaStream stream) const {
+  void* memory = nullptr;
+  cudaError_t error = cudaSuccess;
+  if (allocator_.allocate != nullptr) {
+    memory = allocator_.allocate(allocator_.user, bytes, stream);
+    if (memory == nullptr) error = cudaErrorMemoryAllocation;
+  } else {
+    error = pool_ ? pool_->allocate(&memory, bytes) : cudaMalloc(&memory, bytes);
+    if (error != cudaSuccess) cudaGetLastError();  // it is no error of later calls
+  }
+  if (error == cudaSuccess) return memory;
+  if (error != cudaErrorMemoryAllocation) {
+    return tl::unexpected(device_status(error, "device memory cannot be allocated").error());
+  }
+  return make_error(Errc::device_out_of_memory, Error::kNone, "the device has not this much memory left", bytes);
+}
+
+void DeviceMemory::free(void* memory, std::uint64_t bytes) const {
+  if (allocator_.free != nullptr) {
+    allocator_.free(allocator_.user, memory, bytes);
+  } else if (pool_) {
+    pool_->free(memory);
+  } else {
+    cudaFree(memory);
+  }
+}
+
+}  // namespace rgs::detail

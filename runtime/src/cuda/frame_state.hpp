@@ -1,0 +1,94 @@
+// frame_state.hpp - a frame, and what both pipelines of a renderer share while they make it.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <memory>
+
+#include "common/frame.hpp"
+#include "cuda/cuda_objects.hpp"
+#include "cuda/device_memory.hpp"
+#include "cuda/device_scene.hpp"
+#include "render_options.hpp"
+#include "sorted/front_end.hpp"
+
+namespace rgs::detail {
+
+/// CUB counts pairs with 31 bits.
+inline constexpr std::uint64_t kMaxPairs = std::numeric_limits<std::int32_t>::max();
+/// Pairs that the workspace holds before a frame has shown how many there are.
+inline constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
+
+/// Ends of the stages, as FrameStats names them.
+enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
+
+/// A frame to be made, and all that it takes to make it again.
+struct Frame {
+  std::shared_ptr<const SceneStorage> scene;  ///< null: no Gaussians
+  int width, height;                          ///< px
+  cuda::PixelArrays target;
+  cuda::ViewParameters view;
+  FrameSettings settings;
+  CudaStream stream;
+
+  std::uint64_t n() const { return scene ? scene->n : 0; }
+  cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
+  std::uint32_t n_tiles() const { return static_cast<std::uint32_t>(view.grid.columns * view.grid.rows); }
+  math::Vec3<float> background() const {
+    return {settings.background[0], settings.background[1], settings.background[2]};
+  }
+};
+
+/// A renderer's frames follow each other, so that one of each serves all of them. Errors of all functions: device_failed.
+struct FrameState {
+  /// Numbers that the host waits for.
+  struct HostCounters {
+    cuda::Counters counters;
+    std::uint64_t pairs;  ///< of the separate front end: the last of its sums
+  };
+
+  Status create() {
+    Status ok = host.create();
+    for (Event& event : marks) {
+      if (ok) ok = event.create(cudaEventDefault);
+    }
+    return ok ? finished.create() : ok;
+  }
+
+  /// The last frame may be on another stream, and still at work; so may the scene's upload.
+  Status begin(const Frame& f) const {
+    const Status ok = finished.hold(f.stream);
+    return ok && f.scene && f.scene->copied ? f.scene->copied->hold(f.stream) : ok;
+  }
+  /// After every begin(), whatever became of the frame: nothing uses the workspace after it.
+  Status end(const Frame& f) const { return finished.record(f.stream); }
+
+  Status mark(Mark m, const Frame& f, CudaStream on) const {
+    const bool is_stage = m != kStart && m != kBlended;
+    if (!f.settings.cuda.timings || (is_stage && !f.settings.cuda.stage_timings)) return {};
+    return marks[m].record(on);
+  }
+  Status fetch(void* to, const void* from, std::uint64_t size, CudaStream stream) const {
+    return device_status(cudaMemcpyAsync(to, from, size, cudaMemcpyDeviceToHost, stream),
+                         "counters could not be copied from the device");
+  }
+  Status wait(CudaStream stream) const { return device_status(cudaStreamSynchronize(stream), "a kernel failed"); }
+
+  /// DeviceBuffer::reserve() of a part of the workspace. What the frame itself has launched with it must be over; the
+  /// frame before is waited for if there is anything to do. Errors: also those of DeviceMemory::allocate().
+  Status reserve(DeviceBuffer& buffer, std::uint64_t bytes, CudaStream stream) const {
+    if (bytes <= buffer.bytes()) return {};
+    const Status ok = finished.wait();
+    return ok ? buffer.reserve(bytes, memory, stream) : ok;
+  }
+
+  std::shared_ptr<const DeviceMemory> memory;
+  std::array<Event, kMarks> marks;
+  Event finished;  ///< the last frame no longer uses the workspace
+  PageLocked<HostCounters> host;
+  DeviceBuffer splats;  ///< [n]
+};
+
+}  // namespace rgs::detail

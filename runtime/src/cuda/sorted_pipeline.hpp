@@ -1,0 +1,41 @@
+// sorted_pipeline.hpp - the original's and the paper's pipelines: pairs, one sort over the frame, ranges, pixels.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "cuda/frame_state.hpp"
+#include "sorted/sort.hpp"
+
+namespace rgs::detail {
+
+/// Errors of all functions: device_out_of_memory (a workspace that did not grow fits earlier frames still, or is empty),
+/// device_failed.
+class SortedPipeline {
+ public:
+  explicit SortedPipeline(FrameState& state) : state_(state) {}
+
+  /// Enqueues a frame. Waits for the number of its pairs, which the last kernels' launches need.
+  Status queue(const Frame& frame);
+  /// Pairs of the frame queued last; above kMaxPairs it was not drawn.
+  Result<std::uint64_t> settle(const Frame&) const { return n_pairs_; }
+  /// Of the frame queued last, in device memory.
+  const cuda::Counters* counters() const { return counters_.as<cuda::Counters>(); }
+  std::uint64_t bytes() const;  ///< workspace held
+
+ private:
+  Status reserve_scene(const Frame& frame);
+  Status reserve_pairs(const Frame& frame, std::uint64_t needed, std::uint64_t generous);
+  cuda::PairArrays pair_arrays(const Frame& frame) const;
+  Status draw(const Frame& frame);
+  Status count_and_write(const Frame& frame);
+  Status count_then_write(const Frame& frame);
+  Status order(const Frame& frame, cuda::SortBuffers& sorted);
+
+  FrameState& state_;
+  std::uint64_t n_pairs_ = 0;
+  DeviceBuffer counters_, covers_, tiles_, sums_, sum_temporary_, block_state_;
+  DeviceBuffer keys_, spare_keys_, gaussians_, spare_gaussians_, sort_temporary_, ranges_;
+};
+
+}  // namespace rgs::detail

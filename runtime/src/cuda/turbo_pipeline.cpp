@@ -1,0 +1,198 @@
+// turbo_pipeline.cpp - launches of the turbo pipeline, its workspace, and the look back at whether a frame fitted.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/turbo_pipeline.hpp"
+
+#include <algorithm>
+#include <vector>
+
+#include "cuda/workspace_growth.hpp"
+
+namespace rgs::detail {
+namespace {
+
+// Where Gaussians may be narrower, coefficients of their exponents may leave the range of FP16.
+constexpr float kTensorLowPass = 0.1F;
+
+constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLargeGaussian) + sizeof(cuda::TurboBox);
+
+}  // namespace
+
+Status TurboPipeline::create() {
+  Status ok = seen_.create();
+  for (Event* event : {&counted_, &listed_, &ordered_long_}) {
+    if (ok) ok = event->create();
+  }
+  int least = 0, greatest = 0;
+  if (ok) {
+    ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest), "the device has no priorities");
+  }
+  // Of high priority: what it holds takes longest, and its blocks come when those of the others are queued.
+  return ok ? beside_.create(greatest) : ok;
+}
+
+std::uint64_t TurboPipeline::bytes() const {
+  std::uint64_t sum = 0;
+  for (const DeviceBuffer* b : {&turbo_state_, &entries_, &scratch_, &runs_, &tile_runs_, &large_, &lists_, &classes_,
+                                &long_lists_, &cells_, &cell_gaussians_}) {
+    sum += b->bytes();
+  }
+  return sum;
+}
+
+// Room for so many entries, runs and large Gaussians, and for more of those that do not fit, if there is memory.
+Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large,
+                                    std::uint64_t n_in_cells, CudaStream stream) {
+  struct Need {
+    DeviceBuffer& buffer;
+    std::uint64_t n, size;
+    std::uint64_t held() const { return buffer.bytes() / size; }
+  };
+  std::vector<Need> needs;
+  for (const Need& need :
+       {Need{entries_, n_entries, sizeof(cuda::TurboEntry)}, Need{scratch_, n_entries, sizeof(cuda::TurboEntry)},
+        Need{runs_, n_runs, sizeof(cuda::TurboTileRun)}, Need{tile_runs_, n_runs, sizeof(cuda::TurboRun)},
+        Need{large_, n_large, kLargeBytes}, Need{cell_gaussians_, n_in_cells, sizeof(std::uint32_t)}}) {
+    if (need.n > need.held()) needs.push_back(need);
+  }
+  return reserve_growing([&](bool is_generous) {
+    Status ok;
+    for (const Need& need : needs) {
+      const std::uint64_t n = is_generous ? with_room_to_grow(need.n, need.held(), kMaxPairs) : need.n;
+      if (ok) ok = state_.reserve(need.buffer, n * need.size, stream);
+    }
+    if (ok) ok = state_.reserve(long_lists_, long_sizes().bytes(), stream);
+    for (const Need& need : needs) {
+      if (!ok) need.buffer = {};  // what has grown would keep the memory that the others need
+    }
+    return ok;
+  });
+}
+
+// Room for what is known before the frame, and a guess at the rest for the first.
+Status TurboPipeline::reserve_tiles(const Frame& f) {
+  const std::uint64_t n = f.n(), n_tiles = f.n_tiles();
+  const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
+  Status ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
+  if (ok) ok = reserve(turbo_state_, cuda::TurboState::bytes(f.n_tiles()));
+  if (ok) ok = reserve(lists_, n_tiles * sizeof(cuda::TurboList));
+  if (ok) ok = reserve(classes_, n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  if (ok) ok = reserve(cells_, n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
+  if (!ok || entries_.bytes() > 0) return ok;
+  return reserve_growing([&](bool is_generous) {
+    const std::uint64_t first = is_generous ? std::max(kFirstPairs, 2 * n) : kFirstPairs;
+    return reserve_lists(first, first / 4, first / 32, 3 * first, f.stream);
+  });
+}
+
+std::uint64_t TurboPipeline::entry_capacity() const {
+  return std::min(entries_.bytes(), scratch_.bytes()) / sizeof(cuda::TurboEntry);
+}
+std::uint64_t TurboPipeline::run_capacity() const {
+  return std::min(runs_.bytes() / sizeof(cuda::TurboTileRun), tile_runs_.bytes() / sizeof(cuda::TurboRun));
+}
+
+cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
+  cuda::TurboArrays a{};
+  a.n_tiles = f.n_tiles();
+  a.state = turbo_state_.as<cuda::TurboState>();
+  a.entries = entries_.as<cuda::TurboEntry>();
+  a.runs = runs_.as<cuda::TurboTileRun>();
+  a.tile_runs = tile_runs_.as<cuda::TurboRun>();
+  a.lists = lists_.as<cuda::TurboList>();
+  a.classes = classes_.as<std::uint32_t>();
+  a.scratch = scratch_.as<cuda::TurboEntry>();
+  a.large_gaussians = large_.as<cuda::TurboLargeGaussian>();
+  a.entry_capacity = entry_capacity();
+  a.run_capacity = run_capacity();
+  a.large_capacity = large_.bytes() / kLargeBytes;
+  a.large_boxes = reinterpret_cast<cuda::TurboBox*>(a.large_gaussians + a.large_capacity);
+  long_sizes().lay_out(long_lists_.as<void>(), a);
+  a.cells = cells_.as<cuda::TurboCell>();
+  a.cell_gaussians = cell_gaussians_.as<std::uint32_t>();
+  a.cell_capacity = cell_gaussians_.bytes() / sizeof(std::uint32_t);
+  return a;
+}
+
+// Long lists are few and take several steps: beside the order of the others, which would have to wait for them.
+Status TurboPipeline::order(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on) {
+  Status ok = listed_.record(on);
+  if (ok) ok = listed_.hold(beside_.get());
+  if (!ok) return ok;
+  ok = cuda::launch_turbo_long_lists(arrays, grid, seen_.get(), beside_.get());
+  if (ok) ok = cuda::launch_turbo_units(arrays, beside_.get());
+  // Joined after an error, too: the next frame waits for `on` alone.
+  Status joined = ordered_long_.record(beside_.get());
+  if (ok) ok = cuda::launch_turbo_order(arrays, grid, seen_.get(), on);
+  if (joined) joined = ordered_long_.hold(on);
+  if (ok) ok = joined;
+  return ok ? counted_.record(on) : ok;
+}
+
+// The frame's kernels, on its stream or on one that captures them. Nothing is waited for.
+Status TurboPipeline::launch(const Frame& f, CudaStream on) {
+  const cuda::TurboArrays arrays = arrays_for(f);
+  const auto mark_stage = [&](Mark m) { return f.settings.cuda.graph ? Status() : state_.mark(m, f, on); };
+  Status ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
+                            "the frame's state could not be cleared");
+  if (ok) {
+    ok = cuda::launch_turbo_emit(
+        {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
+  }
+  if (ok) ok = mark_stage(kProjected);
+  if (ok) ok = cuda::launch_turbo_lists(arrays, seen_.get(), on);
+  if (ok) ok = mark_stage(kDuplicated);
+  if (ok) ok = order(arrays, f.view.grid, on);
+  for (const Mark m : {kSorted, kRanged}) {
+    if (ok) ok = mark_stage(m);
+  }
+  if (ok) {
+    ok = cuda::launch_turbo_blend(
+        {arrays, state_.splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height, f.background(), f.target,
+         f.settings.cuda.count_pairs, f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass},
+        on);
+  }
+  return ok;
+}
+
+Status TurboPipeline::enqueue(const Frame& f) {
+  const bool is_graph = f.settings.cuda.graph;
+  Status ok;
+  if (is_graph) ok = graph_.capture([&](CudaStream on) { return launch(f, on); });
+  if (ok) ok = state_.mark(kStart, f, f.stream);
+  if (ok) ok = is_graph ? graph_.launch(f.stream) : launch(f, f.stream);
+  return ok ? state_.mark(kBlended, f, f.stream) : ok;
+}
+
+Status TurboPipeline::queue(const Frame& f) {
+  Status ok = state_.begin(f);
+  if (!ok) return ok;
+  ok = reserve_tiles(f);
+  if (ok) ok = enqueue(f);
+  const Status ended = state_.end(f);
+  return ok ? ended : ok;
+}
+
+Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
+  for (;;) {
+    // Events within a graph cannot be waited for.
+    Status ok = (f.settings.cuda.graph ? state_.finished : counted_).wait();
+    if (!ok) return tl::unexpected(ok.error());
+    const cuda::TurboState& seen = *seen_.get();
+    const cuda::TurboArrays arrays = arrays_for(f);
+    state_.host->counters = seen.counters;
+    const std::uint64_t n = seen.counters.instances;
+    const bool all_large =
+        seen.n_large_gaussians <= arrays.large_capacity;  // otherwise the others' entries are not counted
+    const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
+    if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
+    if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
+    if (ok = state_.finished.wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
+    // Counts without all large Gaussians are too low to be worth memory.
+    ok = all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)
+                   : reserve_lists(0, 0, seen.n_large_gaussians, 0, f.stream);
+    if (ok) ok = queue(f);
+    if (!ok) return tl::unexpected(ok.error());
+  }
+}
+
+}  // namespace rgs::detail

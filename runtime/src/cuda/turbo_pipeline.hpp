@@ -1,0 +1,55 @@
+// turbo_pipeline.hpp - the turbo pipeline: lists per tile, queued without a number that the host must know.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "cuda/frame_graph.hpp"
+#include "cuda/frame_state.hpp"
+#include "turbo/turbo.hpp"
+
+namespace rgs::detail {
+
+/// Errors of all functions: device_out_of_memory (a workspace that did not grow fits earlier frames still, or is empty),
+/// device_failed.
+class TurboPipeline {
+ public:
+  explicit TurboPipeline(FrameState& state) : state_(state) {}
+  Status create();
+
+  /// Whether it can number the scene's Gaussians.
+  static bool takes(std::uint64_t n_gaussians) { return n_gaussians < cuda::kMaxTurboGaussians; }
+
+  /// Enqueues a frame. Nothing is waited for unless the workspace grows.
+  Status queue(const Frame& frame);
+  /// Entries of the frame queued last. It was queued before their number was known; if they did not fit, which the host
+  /// learns while the frame is still being made, lists or cells were left empty and it is made again. Above kMaxPairs it
+  /// was not drawn.
+  Result<std::uint64_t> settle(const Frame& frame);
+  /// Of the frame queued last, in device memory.
+  const cuda::Counters* counters() const { return &turbo_state_.as<cuda::TurboState>()->counters; }
+  std::uint64_t bytes() const;  ///< workspace held
+
+ private:
+  Status reserve_tiles(const Frame& frame);
+  Status reserve_lists(std::uint64_t n_entries, std::uint64_t n_runs, std::uint64_t n_large, std::uint64_t n_in_cells,
+                       CudaStream stream);
+  std::uint64_t entry_capacity() const;
+  std::uint64_t run_capacity() const;
+  cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
+  cuda::TurboArrays arrays_for(const Frame& frame) const;
+  Status order(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
+  Status launch(const Frame& frame, CudaStream on);
+  Status enqueue(const Frame& frame);
+
+  FrameState& state_;
+  Event counted_;       // the frame has counted its pairs
+  OwnedStream beside_;  // for long lists; `listed_` begins what is queued there, `ordered_long_` ends it
+  Event listed_, ordered_long_;
+  PageLocked<cuda::TurboState> seen_;
+  FrameGraph graph_;
+  DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, classes_;
+  DeviceBuffer long_lists_, cells_, cell_gaussians_;
+};
+
+}  // namespace rgs::detail

@@ -1,0 +1,281 @@
+// device_memory_test.cpp - uploads in every form, the caller's own allocator, and growth that stops nobody else.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <atomic>
+#include <chrono>
+#include <map>
+#include <thread>
+
+#include "device_fixture.hpp"
+#include "rgs/cuda_renderer.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+/// An allocator that knows what it has given out, and gives no more than `limit`.
+struct Ledger {
+  std::map<void*, std::uint64_t> held;
+  std::uint64_t total = 0, limit = ~std::uint64_t{0};
+  int n_wrong = 0;
+  CudaStream last_stream = nullptr;
+
+  DeviceAllocator allocator() {
+    return {[](void* user, std::uint64_t bytes, CudaStream stream) -> void* {
+              auto& ledger = *static_cast<Ledger*>(user);
+              ledger.last_stream = stream;
+              void* memory = nullptr;
+              if (bytes == 0 || bytes > ledger.limit - ledger.total || cudaMalloc(&memory, bytes) != cudaSuccess) {
+                ledger.n_wrong += bytes == 0;
+                return nullptr;
+              }
+              ledger.held[memory] = bytes;
+              ledger.total += bytes;
+              return memory;
+            },
+            [](void* user, void* memory, std::uint64_t bytes) {
+              auto& ledger = *static_cast<Ledger*>(user);
+              const auto found = ledger.held.find(memory);
+              if (found == ledger.held.end() || found->second != bytes) {
+                ++ledger.n_wrong;
+                return;
+              }
+              ledger.total -= bytes;
+              ledger.held.erase(found);
+              cudaFree(memory);
+            },
+            this};
+  }
+};
+
+/// A stream of its own, which no other waits for.
+class TestStream {
+ public:
+  TestStream() { require_cuda(cudaStreamCreateWithFlags(&stream_, cudaStreamNonBlocking)); }
+  TestStream(const TestStream&) = delete;
+  TestStream& operator=(const TestStream&) = delete;
+  ~TestStream() { cudaStreamDestroy(stream_); }
+  cudaStream_t get() const { return stream_; }
+
+ private:
+  cudaStream_t stream_ = nullptr;
+};
+
+CudaRenderer renderer(const CudaRendererOptions& options = {}) {
+  auto made = CudaRenderer::create(options);
+  require_ok(made);
+  return *std::move(made);
+}
+template <class Source>
+DeviceScene upload(const Source& source, const UploadOptions& options = {}) {
+  auto scene = DeviceScene::upload(source, options);
+  require_ok(scene);
+  return *std::move(scene);
+}
+std::vector<float> picture(CudaRenderer& device, const DeviceScene& scene, const Camera& camera,
+                           const RenderOptions& options, CudaStream stream = nullptr) {
+  const DeviceArray<float> rgb(3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height));
+  synchronize();
+  require_ok(device.render(scene, camera, {.rgb = rgb.data()}, options, stream));
+  return rgb.download();
+}
+std::vector<RenderOptions> pipelines() {
+  RenderOptions baseline = baseline_options(), paper = paper_options();
+  baseline.cuda.deterministic = paper.cuda.deterministic = true;
+  return {baseline, paper, turbo_options()};
+}
+/// Walls that fill the image of front_camera(), one behind the other.
+Scene walls(int n) {
+  std::vector<Splat> splats;
+  for (int i = 0; i < n; ++i) {
+    splats.push_back(splat_at(0, 0, 2 + 0.001 * i, 50, 0.02, static_cast<float>(i % 7) / 7));
+  }
+  return scene_of(cloud_of(splats));
+}
+
+}  // namespace
+
+TEST_CASE("uploads of arrays whose sizes contradict each other are refused without a device") {
+  const Scene scene = scene_of(cloud_of(random_splats(711, 5), 1));
+  const auto code = [](const SceneView& view, const UploadOptions& options = {}) {
+    const auto uploaded = DeviceScene::upload(view, options);
+    return uploaded ? Errc::internal : uploaded.error().code;
+  };
+  for (auto SceneView::*array :
+       {&SceneView::mean, &SceneView::rotation, &SceneView::scale, &SceneView::opacity, &SceneView::sh}) {
+    SceneView view = scene.view();
+    view.*array = (view.*array).first((view.*array).size() - 1);
+    CHECK(code(view) == Errc::bad_argument);
+    view.*array = {};
+    CHECK(code(view) == Errc::bad_argument);
+  }
+  SceneView view = scene.view();
+  view.n = 6;
+  CHECK(code(view) == Errc::bad_argument);
+  for (const int degree : {-1, 0, 2, 4}) {
+    view = scene.view();
+    view.sh_degree = degree;
+    CHECK(code(view) == Errc::bad_argument);
+  }
+  view = scene.view();
+  view.n = std::uint64_t{1} << 31;
+  CHECK(code(view) == Errc::limit_exceeded);
+
+  Ledger ledger;
+  DeviceAllocator half = ledger.allocator();
+  half.free = nullptr;
+  CHECK(code(scene.view(), {.allocator = half}) == Errc::bad_argument);
+  half = {.allocate = nullptr, .free = ledger.allocator().free};
+  CHECK(code(scene.view(), {.allocator = half}) == Errc::bad_argument);
+  CHECK(ledger.held.empty());
+}
+
+TEST_CASE("half an allocator makes no renderer") {
+  if (!device_answers()) return;
+  Ledger ledger;
+  DeviceAllocator half = ledger.allocator();
+  half.free = nullptr;
+  const auto made = CudaRenderer::create({.allocator = half});
+  REQUIRE_FALSE(made);
+  CHECK(made.error().code == Errc::bad_argument);
+}
+
+TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also one that is dropped at once") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(120, 70);
+  const auto compact = CompactScene::of(cloud_of(random_splats(712, small_sizes() ? 300 : 60000), 3));
+  const auto data = load_direct(compact.file);
+  require_ok(data);
+  CudaRenderer device = renderer();
+  for (const RenderOptions& options : pipelines()) {
+    const auto fp32 = picture(device, upload(compact.scene.view()), camera, options);
+    const auto file = picture(device, upload(compact.file), camera, options);
+    for (const bool asynchronous : {false, true}) {
+      CAPTURE(asynchronous);
+      const TestStream copies, frames;
+      const UploadOptions how{.stream = copies.get(), .asynchronous = asynchronous};
+      CHECK(picture(device, upload(compact.scene.view(), how), camera, options, frames.get()) == fp32);
+      CHECK(picture(device, upload(*data, how), camera, options, frames.get()) == file);
+      CHECK(picture(device, upload(compact.file, how), camera, options, frames.get()) == file);
+      for (int k = 0; k < 5; ++k) upload(*data, how);
+      synchronize();
+    }
+  }
+}
+
+TEST_CASE("some chunks of a file on the device are those Gaussians") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(120, 70);
+  EncodeOptions encoding;
+  encoding.chunk_size = 32;
+  const auto compact = CompactScene::of(cloud_of(random_splats(713, 1000), 3), encoding);  // the last chunk is short
+  const std::uint64_t n_chunks = compact.file.header().n_chunks;
+  REQUIRE(n_chunks == 32);
+  const SceneView all = compact.scene.view();
+  CudaRenderer device = renderer();
+  for (const auto& [first, n] : {std::pair<std::uint64_t, std::uint64_t>{0, 32}, {0, 5}, {7, 12}, {20, 12}, {31, 1}}) {
+    CAPTURE(first);
+    const auto data = read_chunks(compact.file, first, n);
+    require_ok(data);
+    const DeviceScene part = upload(*data);
+    CHECK(part.size() == data->size());
+    CHECK(part.compact());
+    CHECK(part.declarations().has_value());
+    const auto cut = [&](std::span<const float> values, std::uint64_t floats) {
+      return values.subspan(data->first() * floats, data->size() * floats);
+    };
+    const DeviceScene same = upload(SceneView{data->size(), 3, cut(all.mean, 3), cut(all.rotation, 4),
+                                              cut(all.scale, 3), cut(all.opacity, 1), cut(all.sh, 48)});
+    for (const RenderOptions& options : pipelines()) {
+      const double quality = psnr(picture(device, part, camera, options), picture(device, same, camera, options));
+      CHECK_MESSAGE(quality >= 70, quality, " dB");
+    }
+  }
+}
+
+TEST_CASE("a caller's allocator gives all memory and gets all of it back, and its refusal is out of memory") {
+  if (!device_answers()) return;
+  const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(640, 360);
+  const Scene tiny = walls(3), more = walls(small_sizes() ? 300 : 6000);
+  for (const RenderOptions& options : pipelines()) {
+    CudaRenderer plain = renderer();
+    const auto expected_small = picture(plain, upload(tiny.view()), camera, options);
+    const auto expected_large = picture(plain, upload(more.view()), camera, options);
+    Ledger ledger, scenes;
+    {
+      const TestStream stream;
+      const DeviceScene small = upload(tiny.view(), {.allocator = scenes.allocator()});
+      const DeviceScene large = upload(more.view(), {.stream = stream.get(), .allocator = scenes.allocator()});
+      CHECK(scenes.total == small.bytes() + large.bytes());
+      CHECK(scenes.last_stream == stream.get());
+      CudaRenderer device = renderer({.allocator = ledger.allocator()});
+      CHECK(picture(device, small, camera, options, stream.get()) == expected_small);
+      CHECK(ledger.last_stream == stream.get());
+      CHECK(ledger.total == device.bytes());
+
+      ledger.limit = ledger.total;
+      const auto refused = device.render(large, camera, {}, options);
+      REQUIRE_FALSE(refused);
+      CHECK(refused.error().code == Errc::device_out_of_memory);
+      CHECK(refused.error().expected > 0);
+      CHECK(ledger.total == device.bytes());
+      CHECK(picture(device, small, camera, options) == expected_small);
+
+      ledger.limit = ~std::uint64_t{0};
+      CHECK(picture(device, large, camera, options) == expected_large);
+      CHECK(picture(device, small, camera, options) == expected_small);
+      CHECK(ledger.total == device.bytes());
+    }
+    CHECK(ledger.held.empty());
+    CHECK(scenes.held.empty());
+    CHECK(ledger.n_wrong == 0);
+    CHECK(scenes.n_wrong == 0);
+  }
+}
+
+TEST_CASE("a workspace grows while another stream is busy, without waiting for it") {
+  if (!device_answers()) return;
+  int device_index = 0, has_pools = 0;
+  require_cuda(cudaGetDevice(&device_index));
+  require_cuda(cudaDeviceGetAttribute(&has_pools, cudaDevAttrMemoryPoolsSupported, device_index));
+  if (has_pools == 0) return;  // cudaFree() waits for all streams
+  const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(640, 360);
+  const DeviceScene small = upload(walls(3).view()), large = upload(walls(small_sizes() ? 300 : 6000).view());
+  for (const RenderOptions& options : pipelines()) {
+    CudaRenderer plain = renderer();
+    picture(plain, small, camera, options);
+    const auto expected = picture(plain, large, camera, options);  // its kernels are loaded now
+
+    // A callback that holds its stream until the frame is made, or for 20 seconds.
+    struct Gate {
+      std::atomic<bool> is_open{false};
+    } gate;
+    const TestStream busy, frames;
+    const DeviceArray<float> rgb(expected.size());
+    CudaRenderer device = renderer();
+    require_ok(device.render(small, camera, {.rgb = rgb.data()}, options, frames.get()));
+    const std::uint64_t before = device.bytes();
+    synchronize();
+    require_cuda(cudaLaunchHostFunc(
+        busy.get(),
+        [](void* user) {
+          const auto& held = *static_cast<Gate*>(user);
+          const auto end = std::chrono::steady_clock::now() + std::chrono::seconds(20);
+          while (!held.is_open && std::chrono::steady_clock::now() < end) {
+            std::this_thread::sleep_for(std::chrono::milliseconds(1));
+          }
+        },
+        &gate));
+    const auto stats = device.render(large, camera, {.rgb = rgb.data()}, options, frames.get());
+    const bool is_done = cudaStreamSynchronize(frames.get()) == cudaSuccess;
+    const cudaError_t other = cudaStreamQuery(busy.get());
+    gate.is_open = true;
+    require_ok(stats);
+    CHECK(is_done);
+    CHECK(other == cudaErrorNotReady);
+    CHECK((small_sizes() || device.bytes() > before));
+    CHECK(rgb.download() == expected);
+  }
+}

@@ -1,0 +1,97 @@
+#!/usr/bin/python3
+# check_includes_test.py - a small tree in order, then with one breach of each kind.
+# SPDX-License-Identifier: Apache-2.0
+"""check_includes_test.py CHECK_INCLUDES"""
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+GOOD = {
+    "format/include/rgs/a.hpp": "#include <vector>",
+    "format/src/file/a_io.hpp": '#include "rgs/a.hpp"',
+    "format/src/file/a.cpp": '#include "a_io.hpp"\n#include "file/a_io.hpp"\n#include <zstd.h>',
+    "kernels/math/include/rgs/math/vec.hpp": '#include "rgs/a.hpp"',
+    "kernels/math/include/rgs/math/a.hpp": '#include "rgs/math/vec.hpp"',  # rgs/a.hpp's name is another one
+    "kernels/src/sorted/sort.hpp": '#include "rgs/math/vec.hpp"',
+    "kernels/src/sorted/sort.cu": '#include <cub/cub.cuh>\n#include "sorted/sort.hpp"',
+    "runtime/include/rgs/camera.hpp": '#include "rgs/a.hpp"',
+    "runtime/include/rgs/renderer.hpp": '#include "rgs/camera.hpp"\n#include "rgs/math/vec.hpp"',
+    "runtime/src/cameras/camera.cpp": '#include "rgs/camera.hpp"',
+    "runtime/src/cuda/cuda.cpp": '#include "sorted/sort.hpp"\n#include <cuda_runtime_api.h>',
+    "runtime/src/parallel.hpp": "",
+    "converter/formats/include/rgs/ply.hpp": '#include "rgs/a.hpp"',
+    "converter/formats/ply_header.hpp": '#include "rgs/math/vec.hpp"',
+    "converter/tool/console.hpp": '#include "rgs/renderer.hpp"',
+    "converter/convert/convert.hpp": '#include "rgs/camera.hpp"\n#include "rgs/ply.hpp"\n#include "console.hpp"',
+    "converter/inspect/info.hpp": '#include "rgs/ply.hpp"',
+    "converter/audit/audit.hpp": '#include "info.hpp"\n#include "rgs/renderer.hpp"',
+    "converter/prune/prune.hpp": '#include "convert.hpp"\n#include "rgs/renderer.hpp"',
+    "samples/minimal/minimal.cpp": "#include <rgs/renderer.hpp>",
+    "samples/render/render.cpp": '#include "console.hpp"\n#include "rgs/ply.hpp"',
+    "samples/bench/report.hpp": "",
+    "samples/bench/cost.cpp": '#include "report.hpp"\n#include "sorted/sort.hpp"',
+    "tests/support/fixture.hpp": "",
+    "tests/format/a_test.cpp": '#include "fixture.hpp"\n#include "file/a_io.hpp"',
+    "tests/kernels/sort_test.cpp": '#include "sorted/sort.hpp"\n#include "report.hpp"',
+    "build/generated.cpp": '#include "not looked at"',
+}
+# A line added to a file (new or not), and what is said of it.
+BREACHES = [
+    ("format/src/file/a.cpp", '#include "rgs/math/vec.hpp"', "format may not include math"),
+    ("kernels/math/include/rgs/math/vec.hpp", '#include "sorted/sort.hpp"', "installed headers only"),
+    ("kernels/src/sorted/sort.hpp", '#include "rgs/renderer.hpp"', "kernels may not include runtime"),
+    ("runtime/src/cameras/camera.cpp", '#include "rgs/math/vec.hpp"', "cameras may not include math"),
+    ("runtime/src/cameras/camera.cpp", '#include "rgs/renderer.hpp"', "cameras may not include runtime"),
+    ("runtime/src/cpu/cpu.cpp", '#include "rgs/ply.hpp"', "runtime may not include formats"),
+    ("converter/formats/ply.cpp", '#include "rgs/camera.hpp"', "formats may not include cameras"),
+    ("converter/formats/ply.cpp", '#include "console.hpp"', "formats may not include tool"),
+    ("converter/convert/convert.cpp", '#include "rgs/renderer.hpp"', "convert may not include runtime"),
+    ("converter/inspect/info.cpp", '#include "rgs/camera.hpp"', "inspect may not include cameras"),
+    ("converter/audit/audit.cpp", '#include "convert.hpp"', "audit may not include convert"),
+    ("converter/prune/prune.cpp", '#include "info.hpp"', "prune may not include inspect"),
+    ("converter/tool/console.cpp", '#include "convert.hpp"', "tool may not include convert"),
+    ("converter/inspect/info.cpp", '#include "fixture.hpp"', "inspect may not include what is in no room"),
+    # Others' insides
+    ("runtime/src/cpu/cpu.cpp", '#include "file/a_io.hpp"', "format/src is private"),
+    ("runtime/src/cpu/cpu.cpp", '#include "sorted/sort.hpp"', "kernels/src is private"),
+    ("converter/convert/convert.cpp", '#include "ply_header.hpp"', "converter/formats is private"),
+    ("tests/runtime/parallel_test.cpp", '#include "file/a_io.hpp"', "format/src is private"),
+    ("samples/render/render.cpp", '#include "sorted/sort.hpp"', "kernels/src is private"),
+    ("samples/render/render.cpp", '#include "parallel.hpp"', "runtime/src is private"),
+    # Installed headers and outside users
+    ("runtime/include/rgs/renderer.hpp", '#include "parallel.hpp"', "installed headers only"),
+    ("samples/render/render.cpp", '#include "convert.hpp"', "only installed headers"),
+    ("samples/render/render.cpp", '#include "report.hpp"', "only installed headers"),
+    ("samples/minimal/minimal.cpp", '#include "console.hpp"', "only installed headers"),
+    ("python/rgs.cpp", '#include "console.hpp"', "only installed headers"),
+    # Other people's headers
+    ("format/src/file/a.cpp", "#include <cuda_runtime_api.h>", "not in format"),
+    ("kernels/math/include/rgs/math/vec.hpp", "  #  include <cub/block/block_scan.cuh>", "not in math"),
+    ("converter/formats/ply.cpp", "#include <CLI/CLI.hpp>", "not in formats"),
+    ("converter/formats/ply.cpp", "#include <OpenImageIO/imageio.h>", "not in formats"),
+    # Names
+    ("converter/audit/console.hpp", "", "is included as 'console.hpp' too"),
+    ("converter/formats/include/rgs/a.hpp", "", "is included as 'rgs/a.hpp' too"),
+    ("format/src/file/a.cpp", '#include "rgs/gone.hpp"', "no such header"),
+]
+
+
+def run(tree: dict[str, str]) -> tuple[int, str]:
+    with tempfile.TemporaryDirectory() as folder:
+        for path, text in tree.items():
+            file = Path(folder, path)
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(text + "\n")
+        check = subprocess.run([sys.executable, sys.argv[1], folder], capture_output=True, text=True, check=False)
+        return check.returncode, check.stdout + check.stderr
+
+
+status, said = run(GOOD)
+assert status == 0, said
+for path, line, expected in BREACHES:
+    status, said = run(GOOD | {path: GOOD.get(path, "") + "\n" + line})
+    # Two headers of one name make others' includes ambiguous; any other breach is a single one.
+    lines = [found for found in said.splitlines() if path in found and expected in found]
+    assert status == 1 and len(lines) == 1 and (not line or said == lines[0] + "\n"), f"{path}: {line}: {said}"
+print(f"{len(BREACHES)} breaches found")

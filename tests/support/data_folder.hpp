@@ -1,0 +1,16 @@
+// data_folder.hpp - where the measurement data lies. SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdlib>
+#include <filesystem>
+
+namespace rgs::test {
+
+/// $RGS_DATA_DIR, or ../shared/data beside the source tree; it may not exist (see skip_without_data).
+inline std::filesystem::path data_folder() {
+  const char* folder = std::getenv("RGS_DATA_DIR");
+  return folder != nullptr ? std::filesystem::path(folder)
+                           : std::filesystem::path(RGS_SOURCE_DIR) / ".." / "shared" / "data";
+}
+
+}  // namespace rgs::test
