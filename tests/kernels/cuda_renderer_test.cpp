@@ -788,7 +788,7 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
   CHECK(refused.error().code == Errc::device_out_of_memory);
 }
 
-TEST_CASE("where half as much again is not to be had, the workspace grows by what the frame needs") {
+TEST_CASE("where there is no memory for half as much again, the workspace grows by what the frame needs") {
   if (!device_answers()) return;
   if (small_sizes()) return;
   const Camera camera = front_camera(640, 360);
@@ -815,7 +815,7 @@ TEST_CASE("where half as much again is not to be had, the workspace grows by wha
   }
 }
 
-TEST_CASE("where the first guess at a workspace is not to be had, a smaller one is") {
+TEST_CASE("where the first guess at a workspace does not fit, a smaller one does") {
   if (!device_answers()) return;
   if (small_sizes()) return;
   const Camera camera = front_camera(640, 360);
