@@ -156,9 +156,19 @@ TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also o
       CAPTURE(asynchronous);
       const TestStream copies, frames;
       const UploadOptions how{.stream = copies.get(), .asynchronous = asynchronous};
-      CHECK(picture(device, upload(compact.scene.view(), how), camera, options, frames.get()) == fp32);
-      CHECK(picture(device, upload(*data, how), camera, options, frames.get()) == file);
-      CHECK(picture(device, upload(compact.file, how), camera, options, frames.get()) == file);
+      // The copies begin late, and nothing but the frame itself waits for them.
+      const auto late = [&](const auto& source) {
+        const DeviceArray<float> rgb(fp32.size());
+        synchronize();
+        require_cuda(cudaLaunchHostFunc(
+            copies.get(), [](void*) { std::this_thread::sleep_for(std::chrono::milliseconds(30)); }, nullptr));
+        const DeviceScene scene = upload(source, how);
+        require_ok(device.render(scene, camera, {.rgb = rgb.data()}, options, frames.get()));
+        return rgb.download();
+      };
+      CHECK(late(compact.scene.view()) == fp32);
+      CHECK(late(*data) == file);
+      CHECK(late(compact.file) == file);
       for (int k = 0; k < 5; ++k) upload(*data, how);
       synchronize();
     }
@@ -237,12 +247,13 @@ TEST_CASE("a caller's allocator gives all memory and gets all of it back, and it
 
 TEST_CASE("a workspace grows while another stream is busy, without waiting for it") {
   if (!device_answers()) return;
+  if (small_sizes()) return;  // compute-sanitizer may wait for all streams
   int device_index = 0, has_pools = 0;
   require_cuda(cudaGetDevice(&device_index));
   require_cuda(cudaDeviceGetAttribute(&has_pools, cudaDevAttrMemoryPoolsSupported, device_index));
   if (has_pools == 0) return;  // cudaFree() waits for all streams
-  const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(640, 360);
-  const DeviceScene small = upload(walls(3).view()), large = upload(walls(small_sizes() ? 300 : 6000).view());
+  const Camera camera = front_camera(640, 360);
+  const DeviceScene small = upload(walls(3).view()), large = upload(walls(6000).view());
   for (const RenderOptions& options : pipelines()) {
     CudaRenderer plain = renderer();
     picture(plain, small, camera, options);
@@ -275,7 +286,7 @@ TEST_CASE("a workspace grows while another stream is busy, without waiting for i
     require_ok(stats);
     CHECK(is_done);
     CHECK(other == cudaErrorNotReady);
-    CHECK((small_sizes() || device.bytes() > before));
+    CHECK(device.bytes() > before);
     CHECK(rgb.download() == expected);
   }
 }
