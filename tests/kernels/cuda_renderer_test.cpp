@@ -16,6 +16,7 @@
 #include "rgs/camera_file.hpp"
 #include "scene_generator.hpp"
 #include "temporary_folder.hpp"
+#include "turbo/turbo_geometry.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -118,7 +119,7 @@ double largest_error(const RenderOptions& o) {
 }
 
 std::uint64_t n_tiles(const RenderOptions& o, int width, int height) {
-  const auto grid = is_turbo(o) ? math::tile_grid<32>(width, height) : math::tile_grid(width, height);
+  const auto grid = is_turbo(o) ? math::tile_grid<cuda::kTurboTile>(width, height) : math::tile_grid(width, height);
   return static_cast<std::uint64_t>(grid.columns) * static_cast<std::uint64_t>(grid.rows);
 }
 
