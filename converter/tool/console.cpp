@@ -83,7 +83,8 @@ int run(const std::function<int()>& body) {
   try {
     return body();
   } catch (const std::bad_alloc&) {
-    fmt::print(stderr, "{}: out of memory\n", program_invocation_short_name);
+    fmt::print(stderr, "{}: out of memory [{}]\n", program_invocation_short_name, errc_name(Errc::host_out_of_memory));
+    return exit_code(Errc::host_out_of_memory);
   } catch (const std::exception& e) {
     fmt::print(stderr, "{}: internal error: {}\n", program_invocation_short_name, e.what());
   }

@@ -27,7 +27,7 @@ const char* hint(const Error& error);
 int report(const std::string& file, const Error& error);
 /// Prints `PROGRAM: MESSAGE` and how to get help. Returns kUsage.
 int report_usage(std::string_view message);
-/// Runs a program's body; what escapes as an exception (out of memory, a bug) is printed and becomes kInternal.
+/// Runs a program's body; what escapes as an exception is printed: out of memory becomes kInputOutput, a bug kInternal.
 int run(const std::function<int()>& body);
 
 /// "193.1 MB", decimal units as file managers and disks count.

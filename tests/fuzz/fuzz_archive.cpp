@@ -1,5 +1,5 @@
-// fuzz_archive.cpp - any bytes where Profile::archive hands untrusted ones on: Draco's streams, entropy-coded streams and
-// section ARCH, without the checksums that stand before them.
+// fuzz_archive.cpp - any bytes behind Profile::archive's checksums: Draco's streams, entropy-coded streams and
+// section ARCH.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdlib>
@@ -19,7 +19,7 @@ void require(bool condition) {
   if (!condition) std::abort();
 }
 
-// The head is made to fit, so that every input reaches Draco's kd-tree.
+// The head is made to fit, so that every input reaches the kd-tree.
 void decode_draco(std::span<const std::byte> bytes) {
   if (bytes.size() < 4) return;
   std::uint16_t count;

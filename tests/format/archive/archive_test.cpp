@@ -592,7 +592,7 @@ TEST_CASE("sizes of codes are those of the specification") {
   }
 }
 
-TEST_CASE("Draco's streams are checked before Draco sees them") {
+TEST_CASE("what Draco writes is read to the same points, and damaged streams are refused") {
   using namespace rgs::detail;
   SplitMix random{112};
   std::vector<GridPoint> points(500);
@@ -605,6 +605,21 @@ TEST_CASE("Draco's streams are checked before Draco sees them") {
   std::ranges::sort(points);
   std::ranges::sort(decoded);
   CHECK(points == decoded);
+  for (const std::uint32_t bits : {0u, 1u, 9u, 28u}) {
+    for (const std::size_t n : {1u, 2u, 3u, 63u, 64u, 65u, 3000u}) {
+      std::vector<GridPoint> some(n), read(n);
+      for (GridPoint& p : some) {
+        const std::uint64_t within = std::uint64_t{1} << (random.below(4) == 0 ? bits : bits / 2);
+        for (std::uint32_t& x : p) x = static_cast<std::uint32_t>(random.below(within));
+      }
+      CAPTURE(bits);
+      CAPTURE(n);
+      REQUIRE(decode_points(encode_points(some).value(), 0, bits, read));
+      std::ranges::sort(some);
+      std::ranges::sort(read);
+      CHECK(some == read);
+    }
+  }
   const auto error_of = [&](std::span<const std::byte> bytes, std::uint32_t bits = 12, std::size_t n = 500) {
     std::vector<GridPoint> out(n);
     const Status s = decode_points(bytes, 77, bits, out);
