@@ -6,7 +6,7 @@
 #include <span>
 #include <utility>
 
-#include "cuda/device_buffer.hpp"
+#include "cuda/device_memory.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/decode.hpp"
 
@@ -28,11 +28,11 @@ Result<DeviceScene> upload(const Scene& scene) {
 }  // namespace
 
 struct CudaBackend::Impl {
-  explicit Impl(CudaRenderer r) : renderer(std::move(r)) {}
   CudaRenderer renderer;
-  DeviceScene scene;
+  std::shared_ptr<const DeviceMemory> memory;
+  DeviceScene scene = {};
   std::uint64_t scene_identity = 0;
-  DeviceBuffer rgb, alpha, depth, evaluated, blended;
+  DeviceBuffer rgb = {}, alpha = {}, depth = {}, evaluated = {}, blended = {};
 };
 
 CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -43,7 +43,9 @@ CudaBackend::~CudaBackend() = default;
 Result<CudaBackend> CudaBackend::create() {
   auto renderer = CudaRenderer::create();
   if (!renderer) return tl::unexpected(renderer.error());
-  return CudaBackend(std::make_unique<Impl>(std::move(*renderer)));
+  auto memory = DeviceMemory::create({});
+  if (!memory) return tl::unexpected(memory.error());
+  return CudaBackend(std::unique_ptr<Impl>(new Impl{std::move(*renderer), std::move(*memory)}));
 }
 
 const char* CudaBackend::name() const {
@@ -63,9 +65,9 @@ Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera,
 
   DeviceTarget device;
   Status ok;
-  const auto wanted = [&ok](DeviceBuffer& buffer, const auto& span, auto*& pointer) {
+  const auto wanted = [this, &ok](DeviceBuffer& buffer, const auto& span, auto*& pointer) {
     if (span.empty() || !ok) return;
-    ok = buffer.reserve(span.size_bytes());
+    ok = buffer.reserve(span.size_bytes(), impl_->memory, nullptr);
     pointer = buffer.as<std::remove_pointer_t<std::remove_reference_t<decltype(pointer)>>>();
   };
   wanted(impl_->rgb, target.rgb, device.rgb);
