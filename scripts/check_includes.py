@@ -41,9 +41,9 @@ TOOL_USERS = ["convert", "inspect", "audit", "prune"]
 INSTALLED = ["format/include", "kernels/math/include", "runtime/include", "converter/formats/include"]
 # Include folders whose headers are a room's own, and the other folders that may use them.
 PRIVATE = {
-    "format/src": ["tests/format", "tests/fuzz"],
-    "kernels/src": ["runtime/src/cuda", "samples/bench", "tests/kernels", "tests/samples/bench"],
-    "runtime/src": ["tests/runtime"],
+    "format/src": ["tests/format", "tests/fuzz", "tests/memory"],
+    "kernels/src": ["runtime/src/cuda", "samples/bench", "tests/kernels", "tests/math", "tests/samples/bench"],
+    "runtime/src": ["tests/runtime", "tests/kernels"],
     "converter/formats": ["tests/converter/formats"],
 }
 # Further include folders. A header outside all of them has its own folder's.

@@ -9,23 +9,24 @@
 #include <iterator>
 #include <span>
 
-#include "audit_page.hpp"
+#include "svg_writer.hpp"
 
 namespace rgs::audit {
 namespace {
 
+using tool::SvgWriter;
+using Anchor = SvgWriter::Anchor;
+
 constexpr double kWidth = 320, kTop = 14, kBase = 104, kHeight = 128, kLeft = 6, kRight = 314;
 
-std::string open(const std::string& label) {
-  return fmt::format(
-      "<svg class=\"chart\" viewBox=\"0 0 {:.0f} {:.0f}\" role=\"img\" aria-label=\"{}\"><line class=\"axis\" "
-      "x1=\"{:.0f}\" "
-      "x2=\"{:.0f}\" y1=\"{:.1f}\" y2=\"{:.1f}\"/>",
-      kWidth, kHeight, html(label), kLeft, kRight, kBase + 0.5, kBase + 0.5);
+SvgWriter chart_with_axis(const std::string& label) {
+  SvgWriter svg = SvgWriter::in_page(kWidth, kHeight, label);
+  svg.line(kLeft, kBase + 0.5, kRight, kBase + 0.5, "axis");
+  return svg;
 }
 
 // Columns from kLeft to kRight; heights 0..1.
-std::string columns(std::span<const double> heights) {
+void draw_columns(SvgWriter& svg, std::span<const double> heights) {
   const double step = (kRight - kLeft) / static_cast<double>(heights.size());
   std::string path;
   for (std::size_t i = 0; i < heights.size(); ++i) {
@@ -34,11 +35,7 @@ std::string columns(std::span<const double> heights) {
     fmt::format_to(std::back_inserter(path), "M{:.1f} {:.0f}V{:.1f}H{:.1f}V{:.0f}Z", x, kBase, y,
                    x + std::max(0.6, step - (step > 3 ? 1 : 0)), kBase);
   }
-  return "<path class=\"bars\" d=\"" + path + "\"/>";
-}
-
-std::string text_at(double x, double y, const char* anchor, const std::string& text) {
-  return fmt::format("<text x=\"{:.1f}\" y=\"{:.0f}\" text-anchor=\"{}\">{}</text>", x, y, anchor, html(text));
+  svg.path(path, "bars");
 }
 
 std::string power_of_ten(int exponent) {
@@ -51,8 +48,11 @@ std::string power_of_ten(int exponent) {
 std::string error_histogram(const ErrorStatistics& e, const std::string& unit, const std::string& label) {
   const std::string described =
       fmt::format("{}: median {:.3g}, 99 % below {:.3g}, largest {:.3g} {}", label, e.p50, e.p99, e.max, unit);
-  std::string svg = open(described);
-  if (e.histogram.empty()) return svg + text_at(kWidth / 2, 64, "middle", "no error at all") + "</svg>";
+  SvgWriter svg = chart_with_axis(described);
+  if (e.histogram.empty()) {
+    svg.text(kWidth / 2, 64, "no error at all", Anchor::middle);
+    return svg.finish();
+  }
   // The smallest thousandth is left out: it would stretch the axis over decades of errors that nobody minds.
   std::uint64_t all = 0, seen = 0;
   for (const std::uint64_t n : e.histogram) all += n;
@@ -67,7 +67,7 @@ std::string error_histogram(const ErrorStatistics& e, const std::string& unit, c
   std::vector<double> heights;
   heights.reserve(bins.size());
   for (const std::uint64_t n : bins) heights.push_back(static_cast<double>(n) / highest);
-  svg += columns(heights);
+  draw_columns(svg, heights);
   const double octaves = static_cast<double>(bins.size()) / 4;
   const auto x_of = [&](double error) {
     return std::clamp(kLeft + (std::log2(error) - first_octave) / octaves * (kRight - kLeft), kLeft, kRight);
@@ -78,33 +78,31 @@ std::string error_histogram(const ErrorStatistics& e, const std::string& unit, c
   const int every = std::max(1, (last - first + 5) / 6);
   for (int k = first; k <= last; k += every) {
     const double x = x_of(std::pow(10, k));
-    svg += fmt::format("<line class=\"axis\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1:.0f}\" y2=\"{2:.0f}\"/>", x, kBase,
-                       kBase + 4);
-    svg += text_at(std::clamp(x, 18.0, kWidth - 18), kBase + 16, "middle", power_of_ten(k));
+    svg.line(x, kBase, x, kBase + 4, "axis");
+    svg.text(std::clamp(x, 18.0, kWidth - 18), kBase + 16, power_of_ten(k), Anchor::middle);
   }
   const auto mark = [&](double value, const char* kind) {
-    if (value > 0)
-      svg += fmt::format("<line class=\"{}\" x1=\"{:.1f}\" x2=\"{:.1f}\" y1=\"{:.0f}\" y2=\"{:.0f}\"/>", kind,
-                         x_of(value), x_of(value), kTop - 6, kBase);
+    if (value > 0) svg.line(x_of(value), kTop - 6, x_of(value), kBase, kind);
   };
   mark(e.p50, "mark");
   mark(e.p99, "mark dashed");
   mark(e.max, "mark dotted");
-  return svg + "</svg>";
+  return svg.finish();
 }
 
 std::string code_histogram(const CodeUsage& usage, const std::string& label) {
-  std::string svg = open(
+  SvgWriter svg = chart_with_axis(
       fmt::format("{}: {} of 255 codes are used, {:.2f} bits of entropy", label, usage.used(), usage.entropy_bits()));
   const double highest = std::log1p(static_cast<double>(*std::max_element(usage.count.begin(), usage.count.end())));
   std::vector<double> heights;
   heights.reserve(usage.count.size());
   for (const std::uint64_t n : usage.count)
     heights.push_back(highest > 0 ? std::log1p(static_cast<double>(n)) / highest : 0);
-  svg += columns(heights);
-  svg += text_at(kLeft, kBase + 16, "start", "-127") + text_at(kWidth / 2, kBase + 16, "middle", "0") +
-         text_at(kRight, kBase + 16, "end", "127");
-  return svg + "</svg>";
+  draw_columns(svg, heights);
+  svg.text(kLeft, kBase + 16, "-127");
+  svg.text(kWidth / 2, kBase + 16, "0", Anchor::middle);
+  svg.text(kRight, kBase + 16, "127", Anchor::end);
+  return svg.finish();
 }
 
 }  // namespace rgs::audit

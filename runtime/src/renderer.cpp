@@ -9,6 +9,7 @@
 #include "cpu/reference_renderer.hpp"
 #include "cuda/cuda_backend.hpp"
 #include "render_options.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 
@@ -24,20 +25,22 @@ Renderer& Renderer::operator=(Renderer&&) noexcept = default;
 Renderer::~Renderer() = default;
 
 Result<Renderer> Renderer::create(const RendererOptions& options) {
-  if (options.threads < 0) return make_error(Errc::bad_argument, Error::kNone, "the number of threads is negative");
-  auto impl = std::make_unique<Impl>();
-  if (options.backend != Backend::cpu) {
-    auto cuda = detail::CudaBackend::create();
-    if (cuda) {
-      impl->cuda.emplace(std::move(*cuda));
-      impl->name = impl->cuda->name();
-      return Renderer(std::move(impl));
+  return detail::guard_memory([&]() -> Result<Renderer> {
+    if (options.threads < 0) return make_error(Errc::bad_argument, Error::kNone, "the number of threads is negative");
+    auto impl = std::make_unique<Impl>();
+    if (options.backend != Backend::cpu) {
+      auto cuda = detail::CudaBackend::create();
+      if (cuda) {
+        impl->cuda.emplace(std::move(*cuda));
+        impl->name = impl->cuda->name();
+        return Renderer(std::move(impl));
+      }
+      if (options.backend == Backend::cuda) return tl::unexpected(cuda.error());
     }
-    if (options.backend == Backend::cuda) return tl::unexpected(cuda.error());
-  }
-  impl->reference.emplace(options.threads, options.simd);
-  impl->name = std::string("cpu ") + impl->reference->name();
-  return Renderer(std::move(impl));
+    impl->reference.emplace(options.threads, options.simd);
+    impl->name = std::string("cpu ") + impl->reference->name();
+    return Renderer(std::move(impl));
+  });
 }
 
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,

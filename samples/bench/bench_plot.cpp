@@ -12,6 +12,7 @@
 namespace rgs::bench {
 namespace {
 
+using tool::SvgWriter;
 using Anchor = SvgWriter::Anchor;
 
 constexpr double kWidth = 980, kHeader = 60, kPanelHeight = 400;

@@ -82,9 +82,9 @@ std::vector<float> picture(CudaRenderer& device, const DeviceScene& scene, const
   return rgb.download();
 }
 std::vector<RenderOptions> pipelines() {
-  RenderOptions paper = paper_options();
-  paper.paper.deterministic = true;
-  return {baseline_options(), paper, turbo_options()};
+  RenderOptions baseline = baseline_options(), paper = paper_options();
+  baseline.cuda.deterministic = paper.cuda.deterministic = true;
+  return {baseline, paper, turbo_options()};
 }
 /// Walls that fill the image of front_camera(), one behind the other.
 Scene walls(int n) {
@@ -105,30 +105,30 @@ TEST_CASE("uploads of arrays whose sizes contradict each other are refused witho
   };
   for (auto SceneView::*array :
        {&SceneView::mean, &SceneView::rotation, &SceneView::scale, &SceneView::opacity, &SceneView::sh}) {
-    SceneView view = scene.view().value();
+    SceneView view = scene.view();
     view.*array = (view.*array).first((view.*array).size() - 1);
     CHECK(code(view) == Errc::bad_argument);
     view.*array = {};
     CHECK(code(view) == Errc::bad_argument);
   }
-  SceneView view = scene.view().value();
+  SceneView view = scene.view();
   view.n = 6;
   CHECK(code(view) == Errc::bad_argument);
   for (const int degree : {-1, 0, 2, 4}) {
-    view = scene.view().value();
+    view = scene.view();
     view.sh_degree = degree;
     CHECK(code(view) == Errc::bad_argument);
   }
-  view = scene.view().value();
+  view = scene.view();
   view.n = std::uint64_t{1} << 31;
   CHECK(code(view) == Errc::limit_exceeded);
 
   Ledger ledger;
   DeviceAllocator half = ledger.allocator();
   half.free = nullptr;
-  CHECK(code(scene.view().value(), {.allocator = half}) == Errc::bad_argument);
+  CHECK(code(scene.view(), {.allocator = half}) == Errc::bad_argument);
   half = {.allocate = nullptr, .free = ledger.allocator().free};
-  CHECK(code(scene.view().value(), {.allocator = half}) == Errc::bad_argument);
+  CHECK(code(scene.view(), {.allocator = half}) == Errc::bad_argument);
   CHECK(ledger.held.empty());
 }
 
@@ -150,15 +150,25 @@ TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also o
   require_ok(data);
   CudaRenderer device = renderer();
   for (const RenderOptions& options : pipelines()) {
-    const auto fp32 = picture(device, upload(compact.scene.view().value()), camera, options);
+    const auto fp32 = picture(device, upload(compact.scene.view()), camera, options);
     const auto file = picture(device, upload(compact.file), camera, options);
     for (const bool asynchronous : {false, true}) {
       CAPTURE(asynchronous);
       const TestStream copies, frames;
       const UploadOptions how{.stream = copies.get(), .asynchronous = asynchronous};
-      CHECK(picture(device, upload(compact.scene.view().value(), how), camera, options, frames.get()) == fp32);
-      CHECK(picture(device, upload(*data, how), camera, options, frames.get()) == file);
-      CHECK(picture(device, upload(compact.file, how), camera, options, frames.get()) == file);
+      // The copies begin late, and nothing but the frame itself waits for them.
+      const auto late = [&](const auto& source) {
+        const DeviceArray<float> rgb(fp32.size());
+        synchronize();
+        require_cuda(cudaLaunchHostFunc(
+            copies.get(), [](void*) { std::this_thread::sleep_for(std::chrono::milliseconds(30)); }, nullptr));
+        const DeviceScene scene = upload(source, how);
+        require_ok(device.render(scene, camera, {.rgb = rgb.data()}, options, frames.get()));
+        return rgb.download();
+      };
+      CHECK(late(compact.scene.view()) == fp32);
+      CHECK(late(*data) == file);
+      CHECK(late(compact.file) == file);
       for (int k = 0; k < 5; ++k) upload(*data, how);
       synchronize();
     }
@@ -173,7 +183,7 @@ TEST_CASE("some chunks of a file on the device are those Gaussians") {
   const auto compact = CompactScene::of(cloud_of(random_splats(713, 1000), 3), encoding);  // the last chunk is short
   const std::uint64_t n_chunks = compact.file.header().n_chunks;
   REQUIRE(n_chunks == 32);
-  const SceneView all = compact.scene.view().value();
+  const SceneView all = compact.scene.view();
   CudaRenderer device = renderer();
   for (const auto& [first, n] : {std::pair<std::uint64_t, std::uint64_t>{0, 32}, {0, 5}, {7, 12}, {20, 12}, {31, 1}}) {
     CAPTURE(first);
@@ -201,13 +211,13 @@ TEST_CASE("a caller's allocator gives all memory and gets all of it back, and it
   const Scene tiny = walls(3), more = walls(small_sizes() ? 300 : 6000);
   for (const RenderOptions& options : pipelines()) {
     CudaRenderer plain = renderer();
-    const auto expected_small = picture(plain, upload(tiny.view().value()), camera, options);
-    const auto expected_large = picture(plain, upload(more.view().value()), camera, options);
+    const auto expected_small = picture(plain, upload(tiny.view()), camera, options);
+    const auto expected_large = picture(plain, upload(more.view()), camera, options);
     Ledger ledger, scenes;
     {
       const TestStream stream;
-      const DeviceScene small = upload(tiny.view().value(), {.allocator = scenes.allocator()});
-      const DeviceScene large = upload(more.view().value(), {.stream = stream.get(), .allocator = scenes.allocator()});
+      const DeviceScene small = upload(tiny.view(), {.allocator = scenes.allocator()});
+      const DeviceScene large = upload(more.view(), {.stream = stream.get(), .allocator = scenes.allocator()});
       CHECK(scenes.total == small.bytes() + large.bytes());
       CHECK(scenes.last_stream == stream.get());
       CudaRenderer device = renderer({.allocator = ledger.allocator()});
@@ -237,13 +247,13 @@ TEST_CASE("a caller's allocator gives all memory and gets all of it back, and it
 
 TEST_CASE("a workspace grows while another stream is busy, without waiting for it") {
   if (!device_answers()) return;
+  if (small_sizes()) return;  // compute-sanitizer may wait for all streams
   int device_index = 0, has_pools = 0;
   require_cuda(cudaGetDevice(&device_index));
   require_cuda(cudaDeviceGetAttribute(&has_pools, cudaDevAttrMemoryPoolsSupported, device_index));
   if (has_pools == 0) return;  // cudaFree() waits for all streams
-  const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(640, 360);
-  const DeviceScene small = upload(walls(3).view().value()),
-                    large = upload(walls(small_sizes() ? 300 : 6000).view().value());
+  const Camera camera = front_camera(640, 360);
+  const DeviceScene small = upload(walls(3).view()), large = upload(walls(6000).view());
   for (const RenderOptions& options : pipelines()) {
     CudaRenderer plain = renderer();
     picture(plain, small, camera, options);
@@ -276,7 +286,7 @@ TEST_CASE("a workspace grows while another stream is busy, without waiting for i
     require_ok(stats);
     CHECK(is_done);
     CHECK(other == cudaErrorNotReady);
-    CHECK((small_sizes() || device.bytes() > before));
+    CHECK(device.bytes() > before);
     CHECK(rgb.download() == expected);
   }
 }

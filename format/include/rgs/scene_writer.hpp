@@ -85,7 +85,7 @@ class SceneWriter {
 class SceneWriter::Batch {
  public:
   /// The writer must outlive it, but may be moved.
-  explicit Batch(const SceneWriter& writer);
+  explicit Batch(SceneWriter& writer);
   Batch(Batch&& other) noexcept;
   ~Batch();
 

@@ -133,7 +133,7 @@ Result<WrittenScene> SceneWriter::finish() {
   return detail::finish_file(state_->file, state_->plan, state_->tables);
 }
 
-SceneWriter::Batch::Batch(const SceneWriter& writer) : state_(std::make_unique<State>(*writer.state_)) {
+SceneWriter::Batch::Batch(SceneWriter& writer) : state_(std::make_unique<State>(*writer.state_)) {
   const detail::EncodePlan& plan = state_->writer.plan;
   if (plan.options.profile == Profile::packed) state_->encoder.emplace(plan.options.level);
 }

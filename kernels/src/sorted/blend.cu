@@ -67,8 +67,10 @@ struct Staged<Exponent::folded, E> {
   }
 };
 
+// Blocks of 256 threads fill a multiprocessor; the stores at the end alone would take more registers than that allows.
 template <Exponent X, Exp E, int N, bool Details>
-__global__ void __launch_bounds__(kTilePixels / N) blend_kernel(BlendArguments a) {
+__global__ void __launch_bounds__(kTilePixels / N, N == 1 ? resident_blocks(8, kTilePixels) : 1)
+    blend_kernel(BlendArguments a) {
   constexpr int kThreads = kTilePixels / N;
   __shared__ Staged<X, E> staged[kThreads];
   const auto at = TilePixel<N>::of_thread();

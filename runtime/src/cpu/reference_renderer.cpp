@@ -23,6 +23,7 @@
 #include "cpu/tile_blend.hpp"
 #include "parallel.hpp"
 #include "render_options.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/math/blend.hpp"
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/projection.hpp"
@@ -60,9 +61,11 @@ class Scratch {
  public:
   T* at_least(std::uint64_t n) {
     if (n > capacity_) {
-      capacity_ = std::max(n, capacity_ + capacity_ / 2);
+      const std::uint64_t capacity = std::max(n, capacity_ + capacity_ / 2);
+      capacity_ = 0;  // what it is if there is no memory for more
       data_.reset();
-      data_ = std::make_unique_for_overwrite<T[]>(capacity_);
+      data_ = std::make_unique_for_overwrite<T[]>(capacity);
+      capacity_ = capacity;
     }
     return data_.get();
   }
@@ -410,7 +413,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
   }
   const auto view = make_view(camera, settings);
   bool fits = true;
-  w.arena.execute([&] {
+  const auto draw = [&] {
     Stopwatch total, stage;
     w.project(scene, view, settings);
     stats.project_ms = stage.lap_ms();
@@ -423,7 +426,12 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     w.blend(view, target, settings, simd_ ? blend_tile_simd : blend_tile_scalar, stats);
     stats.blend_ms = stage.lap_ms();
     stats.total_ms = total.lap_ms();
+  };
+  const Status drawn = guard_memory([&]() -> Status {
+    w.arena.execute(draw);
+    return {};
   });
+  if (!drawn) return tl::unexpected(drawn.error());
   if (!fits) {
     return make_error(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxInstances,
                       w.n_instances);

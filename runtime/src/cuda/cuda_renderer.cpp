@@ -87,7 +87,7 @@ Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
   }
   cudaDeviceProp properties{};
   if (const auto ok =
-          device_status(cudaGetDeviceProperties(&properties, device), "the device does not describe itself");
+          device_status(cudaGetDeviceProperties(&properties, device), "the device's properties could not be read");
       !ok) {
     return tl::unexpected(ok.error());
   }
@@ -150,7 +150,7 @@ Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
       float ms = 0;
       if (ok) {
         ok = device_status(cudaEventElapsedTime(&ms, state.marks[from].get(), state.marks[to].get()),
-                           "a stage has no time");
+                           "a stage's time could not be read");
       }
       return static_cast<double>(ms);
     };

@@ -24,10 +24,10 @@ class DevicePool {
     static std::mutex mutex;
     static std::map<int, std::weak_ptr<const DevicePool>> pools;
     int device = 0, is_supported = 0;
-    Status ok = device_status(cudaGetDevice(&device), "no device is current");
+    Status ok = device_status(cudaGetDevice(&device), "the current device could not be read");
     if (ok) {
       ok = device_status(cudaDeviceGetAttribute(&is_supported, cudaDevAttrMemoryPoolsSupported, device),
-                         "the device does not describe itself");
+                         "the device's properties could not be read");
     }
     if (!ok) return tl::unexpected(ok.error());
     if (is_supported == 0) return nullptr;

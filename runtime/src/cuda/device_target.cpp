@@ -49,16 +49,16 @@ Status validate_surface(const DeviceTarget& t, const Camera& camera) {
   if (cudaGetSurfaceObjectResourceDesc(&resource, t.surface) != cudaSuccess ||
       resource.resType != cudaResourceTypeArray) {
     cudaGetLastError();
-    return refuse("a target's surface is none of this device's");
+    return refuse("a target's surface is not one of the current device");
   }
   cudaChannelFormatDesc channels{};
   cudaExtent extent{};
   const Status ok = device_status(cudaArrayGetInfo(&channels, &extent, nullptr, resource.res.array.array),
-                                  "a surface does not describe itself");
+                                  "a surface's array could not be read");
   if (!ok) return ok;
   if (extent.width < static_cast<std::size_t>(camera.width) ||
       extent.height < static_cast<std::size_t>(camera.height) || extent.depth != 0) {
-    return refuse("a target's surface is no two-dimensional array of the image's size");
+    return refuse("a target's surface is not a two-dimensional array that holds the image");
   }
   const auto element_bytes = static_cast<std::uint64_t>(channels.x + channels.y + channels.z + channels.w) / 8;
   if (element_bytes != math::pixel_bytes(t.format)) {

@@ -24,7 +24,8 @@ Status TurboPipeline::create() {
   }
   int least = 0, greatest = 0;
   if (ok) {
-    ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest), "the device has no priorities");
+    ok = device_status(cudaDeviceGetStreamPriorityRange(&least, &greatest),
+                       "the device's stream priorities could not be read");
   }
   // Of high priority: what it holds takes longest, and its blocks come when those of the others are queued.
   return ok ? beside_.create(greatest) : ok;

@@ -16,7 +16,6 @@
 #include "bench_report.hpp"
 #include "bench_sample_report.hpp"
 #include "run_program.hpp"
-#include "svg_writer.hpp"
 #include "temporary_folder.hpp"
 
 namespace {
@@ -201,15 +200,6 @@ TEST_CASE("a roofline of frames without work has no points and is still a pictur
   CHECK(parse_xml(svg).exit_code == 0);
   CHECK(svg.find("nan") == std::string::npos);
   CHECK(svg.find("inf") == std::string::npos);
-}
-
-TEST_CASE("SVG text is escaped") {
-  SvgWriter svg(10, 20, "a<b");
-  svg.text(1, 2, "x & y \"z\" <w> \x01", SvgWriter::Anchor::end);
-  const auto parsed = parse_xml(svg.finish());
-  CHECK_MESSAGE(parsed.exit_code == 0, parsed.err);
-  CHECK(parsed.out.find("title a<b") != std::string::npos);
-  CHECK(parsed.out.find("text x & y \"z\" <w>") != std::string::npos);
 }
 
 TEST_CASE("the tables of the documents are made of JSON reports") {

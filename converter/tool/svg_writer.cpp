@@ -4,7 +4,7 @@
 
 #include <fmt/format.h>
 
-namespace rgs::bench {
+namespace rgs::tool {
 namespace {
 
 // Colours follow the page that shows the picture, also where it is embedded as an image.
@@ -45,6 +45,13 @@ SvgWriter::SvgWriter(double width, double height, std::string_view title)
                           "height=\"{1:g}\" role=\"img\">\n<title>{2}</title>\n<style>{3}</style>\n",
                           width, height, escaped(title), kStyle)) {}
 
+SvgWriter SvgWriter::in_page(double width, double height, std::string_view label) {
+  SvgWriter svg;
+  svg.shapes_ = fmt::format("<svg class=\"chart\" viewBox=\"0 0 {:g} {:g}\" role=\"img\" aria-label=\"{}\">", width,
+                            height, escaped(label));
+  return svg;
+}
+
 void SvgWriter::text(double x, double y, std::string_view text, Anchor anchor, std::string_view style) {
   shapes_ += fmt::format("<text x=\"{:.1f}\" y=\"{:.1f}\" text-anchor=\"{}\" class=\"{}\">{}</text>\n", x, y,
                          name_of(anchor), escaped(style), escaped(text));
@@ -70,8 +77,12 @@ void SvgWriter::circle(double x, double y, double radius, std::string_view style
       fmt::format("<circle cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"{:.1f}\" class=\"{}\"/>\n", x, y, radius, escaped(style));
 }
 
+void SvgWriter::path(std::string_view commands, std::string_view style) {
+  shapes_ += fmt::format("<path d=\"{}\" class=\"{}\"/>\n", escaped(commands), escaped(style));
+}
+
 std::string SvgWriter::finish() const {
   return shapes_ + "</svg>\n";
 }
 
-}  // namespace rgs::bench
+}  // namespace rgs::tool
