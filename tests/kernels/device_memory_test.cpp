@@ -82,9 +82,9 @@ std::vector<float> picture(CudaRenderer& device, const DeviceScene& scene, const
   return rgb.download();
 }
 std::vector<RenderOptions> pipelines() {
-  RenderOptions baseline = baseline_options(), paper = paper_options();
-  baseline.cuda.deterministic = paper.cuda.deterministic = true;
-  return {baseline, paper, turbo_options()};
+  RenderOptions paper = paper_options();
+  paper.paper.deterministic = true;
+  return {baseline_options(), paper, turbo_options()};
 }
 /// Walls that fill the image of front_camera(), one behind the other.
 Scene walls(int n) {
@@ -105,30 +105,30 @@ TEST_CASE("uploads of arrays whose sizes contradict each other are refused witho
   };
   for (auto SceneView::*array :
        {&SceneView::mean, &SceneView::rotation, &SceneView::scale, &SceneView::opacity, &SceneView::sh}) {
-    SceneView view = scene.view();
+    SceneView view = scene.view().value();
     view.*array = (view.*array).first((view.*array).size() - 1);
     CHECK(code(view) == Errc::bad_argument);
     view.*array = {};
     CHECK(code(view) == Errc::bad_argument);
   }
-  SceneView view = scene.view();
+  SceneView view = scene.view().value();
   view.n = 6;
   CHECK(code(view) == Errc::bad_argument);
   for (const int degree : {-1, 0, 2, 4}) {
-    view = scene.view();
+    view = scene.view().value();
     view.sh_degree = degree;
     CHECK(code(view) == Errc::bad_argument);
   }
-  view = scene.view();
+  view = scene.view().value();
   view.n = std::uint64_t{1} << 31;
   CHECK(code(view) == Errc::limit_exceeded);
 
   Ledger ledger;
   DeviceAllocator half = ledger.allocator();
   half.free = nullptr;
-  CHECK(code(scene.view(), {.allocator = half}) == Errc::bad_argument);
+  CHECK(code(scene.view().value(), {.allocator = half}) == Errc::bad_argument);
   half = {.allocate = nullptr, .free = ledger.allocator().free};
-  CHECK(code(scene.view(), {.allocator = half}) == Errc::bad_argument);
+  CHECK(code(scene.view().value(), {.allocator = half}) == Errc::bad_argument);
   CHECK(ledger.held.empty());
 }
 
@@ -150,7 +150,7 @@ TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also o
   require_ok(data);
   CudaRenderer device = renderer();
   for (const RenderOptions& options : pipelines()) {
-    const auto fp32 = picture(device, upload(compact.scene.view()), camera, options);
+    const auto fp32 = picture(device, upload(compact.scene.view().value()), camera, options);
     const auto file = picture(device, upload(compact.file), camera, options);
     for (const bool asynchronous : {false, true}) {
       CAPTURE(asynchronous);
@@ -166,7 +166,7 @@ TEST_CASE("a scene uploaded on a stream, waited for or not, is the scene; also o
         require_ok(device.render(scene, camera, {.rgb = rgb.data()}, options, frames.get()));
         return rgb.download();
       };
-      CHECK(late(compact.scene.view()) == fp32);
+      CHECK(late(compact.scene.view().value()) == fp32);
       CHECK(late(*data) == file);
       CHECK(late(compact.file) == file);
       for (int k = 0; k < 5; ++k) upload(*data, how);
@@ -183,7 +183,7 @@ TEST_CASE("some chunks of a file on the device are those Gaussians") {
   const auto compact = CompactScene::of(cloud_of(random_splats(713, 1000), 3), encoding);  // the last chunk is short
   const std::uint64_t n_chunks = compact.file.header().n_chunks;
   REQUIRE(n_chunks == 32);
-  const SceneView all = compact.scene.view();
+  const SceneView all = compact.scene.view().value();
   CudaRenderer device = renderer();
   for (const auto& [first, n] : {std::pair<std::uint64_t, std::uint64_t>{0, 32}, {0, 5}, {7, 12}, {20, 12}, {31, 1}}) {
     CAPTURE(first);
@@ -211,13 +211,13 @@ TEST_CASE("a caller's allocator gives all memory and gets all of it back, and it
   const Scene tiny = walls(3), more = walls(small_sizes() ? 300 : 6000);
   for (const RenderOptions& options : pipelines()) {
     CudaRenderer plain = renderer();
-    const auto expected_small = picture(plain, upload(tiny.view()), camera, options);
-    const auto expected_large = picture(plain, upload(more.view()), camera, options);
+    const auto expected_small = picture(plain, upload(tiny.view().value()), camera, options);
+    const auto expected_large = picture(plain, upload(more.view().value()), camera, options);
     Ledger ledger, scenes;
     {
       const TestStream stream;
-      const DeviceScene small = upload(tiny.view(), {.allocator = scenes.allocator()});
-      const DeviceScene large = upload(more.view(), {.stream = stream.get(), .allocator = scenes.allocator()});
+      const DeviceScene small = upload(tiny.view().value(), {.allocator = scenes.allocator()});
+      const DeviceScene large = upload(more.view().value(), {.stream = stream.get(), .allocator = scenes.allocator()});
       CHECK(scenes.total == small.bytes() + large.bytes());
       CHECK(scenes.last_stream == stream.get());
       CudaRenderer device = renderer({.allocator = ledger.allocator()});
@@ -253,7 +253,7 @@ TEST_CASE("a workspace grows while another stream is busy, without waiting for i
   require_cuda(cudaDeviceGetAttribute(&has_pools, cudaDevAttrMemoryPoolsSupported, device_index));
   if (has_pools == 0) return;  // cudaFree() waits for all streams
   const Camera camera = front_camera(640, 360);
-  const DeviceScene small = upload(walls(3).view()), large = upload(walls(6000).view());
+  const DeviceScene small = upload(walls(3).view().value()), large = upload(walls(6000).view().value());
   for (const RenderOptions& options : pipelines()) {
     CudaRenderer plain = renderer();
     picture(plain, small, camera, options);

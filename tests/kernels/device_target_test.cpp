@@ -16,10 +16,10 @@ using math::PixelFormat;
 namespace {
 
 std::vector<RenderOptions> pipelines() {
-  RenderOptions baseline = baseline_options(), paper = paper_options(), turbo_fp32 = turbo_options();
-  baseline.cuda.deterministic = paper.cuda.deterministic = true;
-  turbo_fp32.cuda.tensor_cores = false;
-  return {baseline, paper, turbo_options(), turbo_fp32};
+  RenderOptions paper = paper_options(), turbo_fp32 = turbo_options();
+  paper.paper.deterministic = true;
+  turbo_fp32.turbo.tensor_cores = false;
+  return {baseline_options(), paper, turbo_options(), turbo_fp32};
 }
 
 CudaRenderer renderer() {
@@ -28,7 +28,7 @@ CudaRenderer renderer() {
   return *std::move(made);
 }
 DeviceScene scene_for_targets() {
-  auto scene = DeviceScene::upload(scene_of(cloud_of(random_splats(701, 2000), 2)).view());
+  auto scene = DeviceScene::upload(scene_of(cloud_of(random_splats(701, 2000), 2)).view().value());
   require_ok(scene);
   return *std::move(scene);
 }
