@@ -32,7 +32,7 @@ TEST_CASE("the CPU renderer, which draws the next frame after one that had no me
   camera.width = camera.height = 48;
   camera.fx = camera.fy = 40;
   camera.cx = camera.cy = 24;
-  camera.world_to_camera[11] = 12;
+  camera.world_to_camera[3].z = 12;
   Image image = Image::make(48, 48, 3);
   RenderTarget target;
   target.rgb = image.pixels;
