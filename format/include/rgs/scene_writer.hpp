@@ -66,7 +66,7 @@ class SceneWriter {
   ~SceneWriter();
 
   std::uint64_t n_batches() const;
-  /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s.
+  /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s, host_out_of_memory.
   Status add(const Batch& batch);
   /// Tables, head and end of the file, once all batches are there. Errors: the sink's; for Profile::archive bad_value (a
   /// value too large for the steps asked for; `found` is the Gaussian's source_index) and internal (the file, decoded
@@ -89,7 +89,7 @@ class SceneWriter::Batch {
   Batch(Batch&& other) noexcept;
   ~Batch();
 
-  /// Starts on batch `index` of n_batches().
+  /// Starts on batch `index` of n_batches(). A batch that gets no memory is complete at once, and add() says so.
   void begin(std::uint64_t index);
   std::uint64_t n_gaussians() const;
   bool complete() const;
@@ -102,7 +102,9 @@ class SceneWriter::Batch {
  private:
   friend class SceneWriter;
   struct State;
-  std::unique_ptr<State> state_;
+  SceneWriter::State* writer_;
+  std::unique_ptr<State> state_;  // from the first begin()
+  Status status_;
 };
 
 }  // namespace rgs

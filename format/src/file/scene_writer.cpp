@@ -15,6 +15,7 @@
 #include "file/section_writer.hpp"
 #include "packed/frame_codec.hpp"
 #include "rgs/checksum.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -70,9 +71,6 @@ struct SceneWriter::State {
 };
 
 struct SceneWriter::Batch::State {
-  explicit State(SceneWriter::State& of) : writer(of) {}
-
-  SceneWriter::State& writer;
   std::uint64_t first = 0, n = 0;  // of the batch
   std::uint64_t done = 0;          // Gaussians that are encoded
   std::vector<Splat> splats;       // of the next chunk
@@ -91,19 +89,21 @@ SceneWriter::~SceneWriter() = default;
 Result<SceneWriter> SceneWriter::create(Sink sink, const SceneScan& scan, const EncodeOptions& options,
                                         std::span<const std::uint32_t> source_index) {
   assert(source_index.size() == scan.n_kept());
-  auto plan = detail::make_plan(scan, options);
-  if (!plan) return tl::unexpected(plan.error());
-  auto state = std::make_unique<State>(sink, std::move(*plan));
-  const Header& h = state->plan.header;
-  state->tables.source_index = source_index;
-  if (state->plan.options.profile == Profile::direct) {
-    state->batch_rows = std::max<std::uint64_t>(1, kDirectRows / h.chunk_size) * h.chunk_size;
-    if (const Status s = sink.reserve(state->file.largest_file_bytes()); !s) return tl::unexpected(s.error());
-  } else {
-    state->batch_rows = state->plan.frame_rows();
-  }
-  if (state->plan.options.profile == Profile::archive) state->scene.resize(h.n_gaussians, h.sh_degree);
-  return SceneWriter(std::move(state));
+  return detail::guard_memory([&]() -> Result<SceneWriter> {
+    auto plan = detail::make_plan(scan, options);
+    if (!plan) return tl::unexpected(plan.error());
+    auto state = std::make_unique<State>(sink, std::move(*plan));
+    const Header& h = state->plan.header;
+    state->tables.source_index = source_index;
+    if (state->plan.options.profile == Profile::direct) {
+      state->batch_rows = std::max<std::uint64_t>(1, kDirectRows / h.chunk_size) * h.chunk_size;
+      if (const Status s = sink.reserve(state->file.largest_file_bytes()); !s) return tl::unexpected(s.error());
+    } else {
+      state->batch_rows = state->plan.frame_rows();
+    }
+    if (state->plan.options.profile == Profile::archive) state->scene.resize(h.n_gaussians, h.sh_degree);
+    return SceneWriter(std::move(state));
+  });
 }
 
 std::uint64_t SceneWriter::n_batches() const {
@@ -111,63 +111,71 @@ std::uint64_t SceneWriter::n_batches() const {
 }
 
 Status SceneWriter::add(const Batch& batch) {
+  if (!batch.status_) return batch.status_;
   const Batch::State& b = *batch.state_;
   detail::SceneTables& tables = state_->tables;
-  assert(&b.writer == state_.get() && batch.complete());
+  assert(batch.writer_ == state_.get() && batch.complete());
   if (state_->plan.options.profile == Profile::archive) return {};
   assert(b.first == tables.chunks.size() * state_->plan.header.chunk_size);
   const auto& bytes = state_->plan.options.profile == Profile::packed ? b.frames : b.rows;
-  for (std::size_t k = 0; k < kLarge.size(); ++k) {
-    if (Status s = state_->file.grow(kLarge[k], bytes[k], b.frame_hashes[k]); !s) return s;
-  }
-  tables.chunks.insert(tables.chunks.end(), b.chunks.begin(), b.chunks.end());
-  tables.steps.insert(tables.steps.end(), b.steps.begin(), b.steps.end());
-  tables.counts.add(b.counts);
-  return {};
+  return detail::guard_memory([&]() -> Status {
+    for (std::size_t k = 0; k < kLarge.size(); ++k) {
+      if (Status s = state_->file.grow(kLarge[k], bytes[k], b.frame_hashes[k]); !s) return s;
+    }
+    tables.chunks.insert(tables.chunks.end(), b.chunks.begin(), b.chunks.end());
+    tables.steps.insert(tables.steps.end(), b.steps.begin(), b.steps.end());
+    tables.counts.add(b.counts);
+    return {};
+  });
 }
 
 Result<WrittenScene> SceneWriter::finish() {
-  if (state_->plan.options.profile == Profile::archive) {
-    return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
-  }
-  return detail::finish_file(state_->file, state_->plan, state_->tables);
+  return detail::guard_memory([&]() -> Result<WrittenScene> {
+    if (state_->plan.options.profile == Profile::archive) {
+      return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
+    }
+    return detail::finish_file(state_->file, state_->plan, state_->tables);
+  });
 }
 
-SceneWriter::Batch::Batch(SceneWriter& writer) : state_(std::make_unique<State>(*writer.state_)) {
-  const detail::EncodePlan& plan = state_->writer.plan;
-  if (plan.options.profile == Profile::packed) state_->encoder.emplace(plan.options.level);
-}
+SceneWriter::Batch::Batch(SceneWriter& writer) : writer_(writer.state_.get()) {}
 SceneWriter::Batch::Batch(Batch&& other) noexcept = default;
 SceneWriter::Batch::~Batch() = default;
 
 void SceneWriter::Batch::begin(std::uint64_t index) {
-  State& b = *state_;
-  const Header& h = b.writer.plan.header;
-  b.first = index * b.writer.batch_rows;
-  assert(b.first < h.n_gaussians);
-  b.n = std::min(b.writer.batch_rows, h.n_gaussians - b.first);
-  b.done = 0;
-  b.chunks.clear();
-  b.steps.clear();
-  b.counts = {};
-  b.splats.resize(std::min<std::uint64_t>(h.chunk_size, b.n));
-  if (b.writer.plan.options.profile == Profile::archive) return;
-  b.rows[0].resize(b.n * kMeanBytes);
-  b.rows[1].resize(b.n * kGeometryBytes);
-  b.rows[2].resize(b.n * sh_bytes(h.sh_degree));
+  status_ = detail::guard_memory([&]() -> Status {
+    const detail::EncodePlan& plan = writer_->plan;
+    const Header& h = plan.header;
+    if (!state_) state_ = std::make_unique<State>();
+    State& b = *state_;
+    if (plan.options.profile == Profile::packed && !b.encoder) b.encoder.emplace(plan.options.level);
+    b.first = index * writer_->batch_rows;
+    assert(b.first < h.n_gaussians);
+    b.n = std::min(writer_->batch_rows, h.n_gaussians - b.first);
+    b.done = 0;
+    b.chunks.clear();
+    b.steps.clear();
+    b.counts = {};
+    b.splats.resize(std::min<std::uint64_t>(h.chunk_size, b.n));
+    if (plan.options.profile == Profile::archive) return {};
+    b.rows[0].resize(b.n * kMeanBytes);
+    b.rows[1].resize(b.n * kGeometryBytes);
+    b.rows[2].resize(b.n * sh_bytes(h.sh_degree));
+    return {};
+  });
 }
 
 std::uint64_t SceneWriter::Batch::n_gaussians() const {
-  return state_->n;
+  return status_ ? state_->n : 0;
 }
 
 bool SceneWriter::Batch::complete() const {
-  return state_->done == state_->n;
+  return !status_ || state_->done == state_->n;
 }
 
 std::span<const std::uint32_t> SceneWriter::Batch::source_index() const {
   const State& b = *state_;
-  return b.writer.tables.source_index.subspan(b.first + b.done, std::min<std::uint64_t>(b.splats.size(), b.n - b.done));
+  return writer_->tables.source_index.subspan(b.first + b.done, std::min<std::uint64_t>(b.splats.size(), b.n - b.done));
 }
 
 std::span<Splat> SceneWriter::Batch::splats() {
@@ -175,30 +183,34 @@ std::span<Splat> SceneWriter::Batch::splats() {
 }
 
 void SceneWriter::Batch::encode_chunk() {
-  State& b = *state_;
-  const detail::EncodePlan& plan = b.writer.plan;
-  const int degree = plan.header.sh_degree;
-  const std::span<Splat> chunk = splats();
-  if (plan.options.on_bad == BadPolicy::repair) {
-    for (Splat& s : chunk) repair(s, find_defects(s, degree));
-  }
-  if (plan.options.profile == Profile::archive) {
-    for (const Splat& s : chunk) b.writer.scene.set(b.first + b.done++, s);
-    return;
-  }
-  b.steps.push_back(plan.file_steps);
-  if (plan.options.chunk_step_sets) {
-    ShMagnitudes magnitudes;
-    for (const Splat& s : chunk) magnitudes.add(s.sh, degree);
-    b.steps.back() = magnitudes.steps();
-  }
-  b.chunks.push_back(encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
-                                 &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)], b.counts));
-  b.done += chunk.size();
-  if (!complete() || !b.encoder) return;
-  b.frames = {b.encoder->words(b.rows[0], kMeanBytes), b.encoder->geometry(b.rows[1]),
-              b.encoder->sh(b.rows[2], {degree, plan.header.chunk_size, b.steps})};
-  std::ranges::transform(b.frames, b.frame_hashes.begin(), [](const auto& frame) { return xxh3(frame); });
+  status_ = detail::guard_memory([&]() -> Status {
+    State& b = *state_;
+    const detail::EncodePlan& plan = writer_->plan;
+    const int degree = plan.header.sh_degree;
+    const std::span<Splat> chunk = splats();
+    if (plan.options.on_bad == BadPolicy::repair) {
+      for (Splat& s : chunk) repair(s, find_defects(s, degree));
+    }
+    if (plan.options.profile == Profile::archive) {
+      for (const Splat& s : chunk) writer_->scene.set(b.first + b.done++, s);
+      return {};
+    }
+    b.steps.push_back(plan.file_steps);
+    if (plan.options.chunk_step_sets) {
+      ShMagnitudes magnitudes;
+      for (const Splat& s : chunk) magnitudes.add(s.sh, degree);
+      b.steps.back() = magnitudes.steps();
+    }
+    b.chunks.push_back(encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
+                                   &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)],
+                                   b.counts));
+    b.done += chunk.size();
+    if (!complete() || !b.encoder) return {};
+    b.frames = {b.encoder->words(b.rows[0], kMeanBytes), b.encoder->geometry(b.rows[1]),
+                b.encoder->sh(b.rows[2], {degree, plan.header.chunk_size, b.steps})};
+    std::ranges::transform(b.frames, b.frame_hashes.begin(), [](const auto& frame) { return xxh3(frame); });
+    return {};
+  });
 }
 
 }  // namespace rgs

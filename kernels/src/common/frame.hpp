@@ -56,6 +56,8 @@ struct TileRange {
 /// Bytes from a row to the next of each output; multiples of its element's size.
 struct RowPitches {
   std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
+
+  bool operator==(const RowPitches&) const = default;
 };
 
 /// Outputs [height, width(, 3)], rows from top to bottom; null where not wanted.
@@ -82,6 +84,12 @@ struct PixelArrays {
     fill(a.pitch.blended, w * sizeof(std::uint32_t));
     fill(a.pitch.packed, w * math::pixel_bytes(format));
     return a;
+  }
+  /// Rows of `width` pixels follow each other in every output, and none is a surface.
+  bool is_tight(int width) const {
+    PixelArrays tight = *this;
+    tight.pitch = {};
+    return surface == 0 && pitch == tight.with_pitches(width).pitch;
   }
 };
 

@@ -117,7 +117,8 @@ __global__ void __launch_bounds__(kTilePixels / N, N == 1 ? resident_blocks(8, k
 #pragma unroll
   for (int k = 0; k < N; ++k) {
     if (at.inside(k, a.width, a.height)) {
-      store_pixel<Details>(a.target, a.background, at.image_x(), at.image_y(k), pixel[k], n_evaluated[k], n_blended[k]);
+      store_pixel<Details>(a.target, a.background, PitchedPixel{at.image_x(), at.image_y(k)}, pixel[k], n_evaluated[k],
+                           n_blended[k]);
     }
   }
   if constexpr (Details) {

@@ -24,6 +24,9 @@ struct TilePixel {
   __device__ int image_x() const { return static_cast<int>(blockIdx.x) * math::kTileSize + x; }
   __device__ int image_y(int k) const { return static_cast<int>(blockIdx.y) * math::kTileSize + y + k; }
   __device__ bool inside(int k, int width, int height) const { return image_x() < width && image_y(k) < height; }
+  __device__ std::size_t index(int k, int width) const {
+    return static_cast<std::size_t>(image_y(k)) * static_cast<std::size_t>(width) + static_cast<std::size_t>(image_x());
+  }
 };
 
 template <int N>

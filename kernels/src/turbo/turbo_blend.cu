@@ -162,7 +162,7 @@ class Cell {
       if (y + k >= a.height) return;
       const Accumulated& p = pixel_[k];
       const math::Pixel<float> pixel{p.r, p.g, p.b, p.depth, p.t};
-      store_pixel<Details>(a.target, a.background, x, y + k, pixel, p.evaluated, p.blended);
+      store_pixel<Details>(a.target, a.background, PitchedPixel{x, y + k}, pixel, p.evaluated, p.blended);
       if constexpr (Details) {
         if (a.count_pairs) {
           atomic_add(a.arrays.state->counters.evaluated, p.evaluated);

@@ -266,7 +266,7 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kTh
   if (q > 1 || own_x >= a.width) return;
 #pragma unroll 1  // the code of two stores at once would take more registers than the loops above have
   for (int k = 0; k < kRows && own_y + k < a.height; ++k) {
-    store_pixel<false>(a.target, a.background, own_x, own_y + k, k == 0 ? pixels[0] : pixels[1], 0, 0);
+    store_pixel<false>(a.target, a.background, PitchedPixel{own_x, own_y + k}, k == 0 ? pixels[0] : pixels[1], 0, 0);
   }
 }
 
