@@ -53,15 +53,8 @@ struct TileRange {
   std::uint32_t begin, end;
 };
 
-/// Bytes from a row to the next of each output; multiples of its element's size.
-struct RowPitches {
-  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
-
-  bool operator==(const RowPitches&) const = default;
-};
-
-/// Outputs [height, width(, 3)], rows from top to bottom; null where not wanted.
-struct PixelArrays {
+/// Outputs [height, width(, 3)], rows from top to bottom, one right behind the other; null where not wanted.
+struct TightArrays {
   float* rgb = nullptr;
   float* alpha = nullptr;
   float* depth = nullptr;
@@ -69,6 +62,17 @@ struct PixelArrays {
   std::uint32_t* blended = nullptr;
   void* packed = nullptr;  ///< pixels of `format`, aligned to math::pixel_bytes() of it
   math::PixelFormat format = math::PixelFormat::rgba8;
+};
+
+/// Bytes from a row to the next of each output; multiples of its element's size.
+struct RowPitches {
+  std::uint64_t rgb = 0, alpha = 0, depth = 0, evaluated = 0, blended = 0, packed = 0;
+
+  bool operator==(const RowPitches&) const = default;
+};
+
+/// The same outputs with room between the rows, or on a surface.
+struct PixelArrays : TightArrays {
   std::uint64_t surface = 0;  ///< cudaSurfaceObject_t that takes the packed pixels in place of `packed`; 0 = none
   RowPitches pitch = {};      ///< kernels want them all; see with_pitches()
 

@@ -6,26 +6,24 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <type_traits>
 
 #include "common/frame.hpp"
 
 namespace rgs::cuda {
 
-/// Where a pixel lies in rows of any pitch, or on a surface.
+/// Where a pixel lies in `data`, one of the outputs, whose pitch is the one named.
 struct PitchedPixel {
   int x, y;
   template <class T>
-  __device__ T* in(T* data, std::uint64_t pitch, int channels = 1) const {
-    auto* const row = reinterpret_cast<char*>(data) + static_cast<std::uint64_t>(y) * pitch;
+  __device__ T* in(const PixelArrays& t, T* data, std::uint64_t RowPitches::*pitch, int channels = 1) const {
+    auto* const row = reinterpret_cast<char*>(data) + static_cast<std::uint64_t>(y) * (t.pitch.*pitch);
     return reinterpret_cast<T*>(row) + channels * x;
   }
 };
-/// Where it lies if rows follow each other and there is no surface: PixelArrays::is_tight().
 struct TightPixel {
   std::size_t index;
   template <class T>
-  __device__ T* in(T* data, std::uint64_t, std::size_t channels = 1) const {
+  __device__ T* in(const TightArrays&, T* data, std::uint64_t RowPitches::*, std::size_t channels = 1) const {
     return data + channels * index;
   }
 };
@@ -38,16 +36,22 @@ __device__ inline void store_word(const PixelArrays& t, const PitchedPixel& at, 
   if (t.surface != 0) {
     surf2Dwrite(word, t.surface, at.x * static_cast<int>(sizeof(Word)), at.y, cudaBoundaryModeZero);
   } else {
-    *at.in(static_cast<Word*>(t.packed), t.pitch.packed) = word;
+    *at.in(t, static_cast<Word*>(t.packed), &RowPitches::packed) = word;
   }
 }
 template <class Word>
-__device__ inline void store_word(const PixelArrays& t, const TightPixel& at, Word word) {
-  *at.in(static_cast<Word*>(t.packed), 0) = word;
+__device__ inline void store_word(const TightArrays& t, const TightPixel& at, Word word) {
+  *at.in(t, static_cast<Word*>(t.packed), &RowPitches::packed) = word;
 }
-template <class Place>
-__device__ inline void store_packed(const PixelArrays& t, const Place& at, const math::Vec3<float>& color,
-                                    float alpha) {
+__device__ inline bool has_packed(const PixelArrays& t) {
+  return t.packed != nullptr || t.surface != 0;
+}
+__device__ inline bool has_packed(const TightArrays& t) {
+  return t.packed != nullptr;
+}
+
+template <class Arrays, class Place>
+__device__ inline void store_packed(const Arrays& t, const Place& at, const math::Vec3<float>& color, float alpha) {
   if (t.format == math::PixelFormat::rgba8) {
     store_word(t, at, math::pack_rgba8(color, alpha));
   } else {  // math::pack_rgba16f() by the instruction for it
@@ -58,23 +62,24 @@ __device__ inline void store_packed(const PixelArrays& t, const Place& at, const
   }
 }
 
-/// Writes every output of a pixel that is wanted. `Details`: also depth and counts.
-template <bool Details, class Place>
-__device__ inline void store_pixel(const PixelArrays& t, const math::Vec3<float>& background, const Place& at,
+/// Writes every output of a pixel that is wanted: PixelArrays at a PitchedPixel, TightArrays at a TightPixel. `Details`:
+/// also depth and counts.
+template <bool Details, class Arrays, class Place>
+__device__ inline void store_pixel(const Arrays& t, const math::Vec3<float>& background, const Place& at,
                                    const math::Pixel<float>& pixel, std::uint32_t n_evaluated,
                                    std::uint32_t n_blended) {
   const auto color = math::resolve(pixel, background);
   const float alpha = 1 - pixel.transmittance;
   if (t.rgb != nullptr) {
-    float* const to = at.in(t.rgb, t.pitch.rgb, 3);
+    float* const to = at.in(t, t.rgb, &RowPitches::rgb, 3);
     to[0] = color.x, to[1] = color.y, to[2] = color.z;
   }
-  if (t.packed != nullptr || (std::is_same_v<Place, PitchedPixel> && t.surface != 0)) store_packed(t, at, color, alpha);
-  if (t.alpha != nullptr) *at.in(t.alpha, t.pitch.alpha) = alpha;
+  if (has_packed(t)) store_packed(t, at, color, alpha);
+  if (t.alpha != nullptr) *at.in(t, t.alpha, &RowPitches::alpha) = alpha;
   if constexpr (Details) {
-    if (t.depth != nullptr) *at.in(t.depth, t.pitch.depth) = math::expected_depth(pixel);
-    if (t.evaluated != nullptr) *at.in(t.evaluated, t.pitch.evaluated) = n_evaluated;
-    if (t.blended != nullptr) *at.in(t.blended, t.pitch.blended) = n_blended;
+    if (t.depth != nullptr) *at.in(t, t.depth, &RowPitches::depth) = math::expected_depth(pixel);
+    if (t.evaluated != nullptr) *at.in(t, t.evaluated, &RowPitches::evaluated) = n_evaluated;
+    if (t.blended != nullptr) *at.in(t, t.blended, &RowPitches::blended) = n_blended;
   }
 }
 

@@ -9,19 +9,22 @@
 
 namespace rgs::cuda {
 
-struct BlendArguments {
+/// `Arrays`: PixelArrays, or TightArrays where they do.
+template <class Arrays>
+struct BlendArgumentsFor {
   const TileRange* ranges;         ///< [n_tiles]
   const std::uint32_t* gaussians;  ///< sorted
   const ScreenSplat* splats;
   math::TileGrid grid;
   int width, height;  ///< px
   math::Vec3<float> background;
-  PixelArrays target;
+  Arrays target;
   Counters* counters;  ///< .evaluated and .blended; null if nobody counts
   math::Exponent exponent;
   math::Exp exp;
   int pixels_per_thread;  ///< 1, or 2: (x, y) and (x, y + 1)
 };
+using BlendArguments = BlendArgumentsFor<PixelArrays>;
 /// Errors: device_failed.
 Status launch_blend(const BlendArguments& arguments, Stream stream);
 

@@ -4,6 +4,7 @@
 
 #include <map>
 #include <mutex>
+#include <set>
 
 namespace rgs::detail {
 
@@ -41,14 +42,26 @@ class DevicePool {
 
   cudaError_t allocate(void** memory, std::uint64_t bytes) const {
     cudaError_t error = cudaMallocFromPoolAsync(memory, bytes, pool_, idle_.get());
-    if (error == cudaErrorMemoryAllocation) {
-      cudaMemPoolTrimTo(pool_, 0);  // what it could not use in one piece may do as new memory
-      cudaStreamSynchronize(idle_.get());
-      error = cudaMallocFromPoolAsync(memory, bytes, pool_, idle_.get());
-    }
-    return error == cudaSuccess ? cudaStreamSynchronize(idle_.get()) : error;
+    if (error != cudaErrorMemoryAllocation) return error == cudaSuccess ? cudaStreamSynchronize(idle_.get()) : error;
+    cudaGetLastError();  // it is no error of later calls
+    // A pool grows in pieces of 32 MiB; cudaMalloc() has smaller ones, and stalls other streams only where memory is short.
+    cudaMemPoolTrimTo(pool_, 0);
+    cudaStreamSynchronize(idle_.get());
+    const std::lock_guard lock(mutex_);
+    error = cudaMalloc(memory, bytes);
+    if (error == cudaSuccess) outside_.insert(*memory);
+    return error;
   }
   void free(void* memory) const {
+    bool is_outside = false;
+    {
+      const std::lock_guard lock(mutex_);
+      is_outside = outside_.erase(memory) != 0;
+    }
+    if (is_outside) {
+      cudaFree(memory);
+      return;
+    }
     cudaFreeAsync(memory, idle_.get());
     cudaStreamSynchronize(idle_.get());
   }
@@ -67,6 +80,8 @@ class DevicePool {
   // so for all streams, and no other stream has to stop for it.
   OwnedStream idle_;
   cudaMemPool_t pool_ = nullptr;
+  mutable std::mutex mutex_;
+  mutable std::set<void*> outside_;  // what the pool had no room for
 };
 
 Result<std::shared_ptr<const DeviceMemory>> DeviceMemory::create(const DeviceAllocator& allocator) {

@@ -70,13 +70,7 @@ Status validate_surface(const DeviceTarget& t, const Camera& camera) {
 
 cuda::PixelArrays arrays_of(const DeviceTarget& t, const Camera& camera) {
   const cuda::PixelArrays arrays{
-      t.rgb,
-      t.alpha,
-      t.depth,
-      t.evaluated,
-      t.blended,
-      t.packed,
-      t.format,
+      {t.rgb, t.alpha, t.depth, t.evaluated, t.blended, t.packed, t.format},
       t.surface,
       {t.pitch.rgb, t.pitch.alpha, t.pitch.depth, t.pitch.evaluated, t.pitch.blended, t.pitch.packed}};
   return arrays.with_pitches(camera.width);

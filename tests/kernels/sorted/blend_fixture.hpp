@@ -42,8 +42,8 @@ inline DeviceFrame blend_on_device(const BlendInput& input, math::Exponent expon
   require_ok(
       cuda::launch_blend({input.ranges, input.gaussians, input.splats, math::tile_grid(input.width, input.height),
                           input.width, input.height, input.background,
-                          cuda::PixelArrays{given(0, rgb.data()), given(1, alpha.data()), given(2, depth.data()),
-                                            given(3, evaluated.data()), given(4, blended.data())}
+                          cuda::PixelArrays{{given(0, rgb.data()), given(1, alpha.data()), given(2, depth.data()),
+                                             given(3, evaluated.data()), given(4, blended.data())}}
                               .with_pitches(input.width),
                           details ? counters.data() : nullptr, exponent, exp, pixels_per_thread},
                          nullptr));

@@ -234,8 +234,8 @@ TEST_CASE("packed pixels are the float ones, converted as on the host, beside th
                                              pixels},
                                             nullptr));
             };
-            blend({.rgb = rgb.data(), .alpha = alpha.data(), .packed = beside.data()});
-            blend({.packed = alone.data()});
+            blend({{.rgb = rgb.data(), .alpha = alpha.data(), .packed = beside.data()}});
+            blend({{.packed = alone.data()}});
             const auto colors = rgb.download(), alphas = alpha.download();
             const auto packed = beside.download();
             CHECK(alone.download() == packed);
