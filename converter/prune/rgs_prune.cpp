@@ -23,8 +23,8 @@
 #include "rgs/checksum.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/splat_edit.hpp"
-#include "scene_file.hpp"
 #include "rgs/version.hpp"
+#include "scene_file.hpp"
 
 namespace {
 
