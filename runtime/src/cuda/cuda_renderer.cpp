@@ -12,6 +12,7 @@
 #include "cuda/sorted_pipeline.hpp"
 #include "cuda/turbo_pipeline.hpp"
 #include "render_options.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 namespace {
@@ -80,26 +81,28 @@ CudaRenderer& CudaRenderer::operator=(CudaRenderer&&) noexcept = default;
 CudaRenderer::~CudaRenderer() = default;
 
 Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
-  int device = 0, n_devices = 0;
-  if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0 || cudaGetDevice(&device) != cudaSuccess) {
-    cudaGetLastError();
-    return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
-  }
-  cudaDeviceProp properties{};
-  if (const auto ok =
-          device_status(cudaGetDeviceProperties(&properties, device), "the device's properties could not be read");
-      !ok) {
-    return tl::unexpected(ok.error());
-  }
-  auto impl = std::make_unique<Impl>();
-  impl->name = std::string("cuda ") + properties.name;
-  auto memory = detail::DeviceMemory::create(options.allocator);
-  if (!memory) return tl::unexpected(memory.error());
-  impl->state.memory = *std::move(memory);
-  Status ok = impl->state.create();
-  if (ok) ok = impl->turbo.create();
-  if (!ok) return tl::unexpected(ok.error());
-  return CudaRenderer(std::move(impl));
+  return detail::guard_memory([&]() -> Result<CudaRenderer> {
+    int device = 0, n_devices = 0;
+    if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0 || cudaGetDevice(&device) != cudaSuccess) {
+      cudaGetLastError();
+      return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
+    }
+    cudaDeviceProp properties{};
+    if (const auto ok =
+            device_status(cudaGetDeviceProperties(&properties, device), "the device's properties could not be read");
+        !ok) {
+      return tl::unexpected(ok.error());
+    }
+    auto impl = std::make_unique<Impl>();
+    impl->name = std::string("cuda ") + properties.name;
+    auto memory = detail::DeviceMemory::create(options.allocator);
+    if (!memory) return tl::unexpected(memory.error());
+    impl->state.memory = *std::move(memory);
+    Status ok = impl->state.create();
+    if (ok) ok = impl->turbo.create();
+    if (!ok) return tl::unexpected(ok.error());
+    return CudaRenderer(std::move(impl));
+  });
 }
 
 std::uint64_t CudaRenderer::bytes() const {
@@ -169,51 +172,55 @@ Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
 
 Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                                         const RenderOptions& options, CudaStream stream) {
-  if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
-  const auto resolved = detail::resolve(options, scene.declarations(), Backend::cuda);
-  if (!resolved) return tl::unexpected(resolved.error());
-  const FrameSettings& settings = *resolved;
-  Status ok = detail::validate(target, camera);
-  if (ok) ok = detail::validate_surface(target, camera);
-  if (!ok) return tl::unexpected(ok.error());
-  Impl& w = *impl_;
-  if (w.open) {
-    const Frame before = *std::exchange(w.open, std::nullopt);
-    if (const auto pairs = w.settle(before); !pairs) return tl::unexpected(pairs.error());
-  }
+  return detail::guard_memory([&]() -> Result<FrameStats> {
+    if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
+    const auto resolved = detail::resolve(options, scene.declarations(), Backend::cuda);
+    if (!resolved) return tl::unexpected(resolved.error());
+    const FrameSettings& settings = *resolved;
+    Status ok = detail::validate(target, camera);
+    if (ok) ok = detail::validate_surface(target, camera);
+    if (!ok) return tl::unexpected(ok.error());
+    Impl& w = *impl_;
+    if (w.open) {
+      const Frame before = *std::exchange(w.open, std::nullopt);
+      if (const auto pairs = w.settle(before); !pairs) return tl::unexpected(pairs.error());
+    }
 
-  const bool is_turbo = draws_turbo(settings, scene.size());
-  const Frame frame{scene.storage_,
-                    camera.width,
-                    camera.height,
-                    detail::arrays_of(target, camera),
-                    view_of(camera, settings, scene.sh_degree(), is_turbo),
-                    settings,
-                    stream};
-  w.last = {};
-  ok = w.with_pipeline(frame, [&](auto& pipeline) { return pipeline.queue(frame); });
-  if (!ok) {
-    cudaEventSynchronize(w.state.finished.get());  // the caller may free the scene
-    return tl::unexpected(ok.error());
-  }
-  if (is_turbo && settings.cuda.asynchronous) {
-    w.open = frame;
-    FrameStats queued;
-    queued.gaussians = frame.n();
-    queued.bytes = w.bytes();
-    return queued;
-  }
-  return w.outcome(frame);
+    const bool is_turbo = draws_turbo(settings, scene.size());
+    const Frame frame{scene.storage_,
+                      camera.width,
+                      camera.height,
+                      detail::arrays_of(target, camera),
+                      view_of(camera, settings, scene.sh_degree(), is_turbo),
+                      settings,
+                      stream};
+    w.last = {};
+    ok = w.with_pipeline(frame, [&](auto& pipeline) { return pipeline.queue(frame); });
+    if (!ok) {
+      cudaEventSynchronize(w.state.finished.get());  // the caller may free the scene
+      return tl::unexpected(ok.error());
+    }
+    if (is_turbo && settings.cuda.asynchronous) {
+      w.open = frame;
+      FrameStats queued;
+      queued.gaussians = frame.n();
+      queued.bytes = w.bytes();
+      return queued;
+    }
+    return w.outcome(frame);
+  });
 }
 
 Result<FrameStats> CudaRenderer::finish() {
-  Impl& w = *impl_;
-  if (w.open) {
-    const Frame frame = *std::exchange(w.open, std::nullopt);
-    if (const auto stats = w.outcome(frame); !stats) return stats;
-  }
-  if (const auto ok = w.state.finished.wait(); !ok) return tl::unexpected(ok.error());
-  return w.last;
+  return detail::guard_memory([&]() -> Result<FrameStats> {
+    Impl& w = *impl_;
+    if (w.open) {
+      const Frame frame = *std::exchange(w.open, std::nullopt);
+      if (const auto stats = w.outcome(frame); !stats) return stats;
+    }
+    if (const auto ok = w.state.finished.wait(); !ok) return tl::unexpected(ok.error());
+    return w.last;
+  });
 }
 
 }  // namespace rgs

@@ -47,10 +47,14 @@ class DevicePool {
     // A pool grows in pieces of 32 MiB; cudaMalloc() has smaller ones, and stalls other streams only where memory is short.
     cudaMemPoolTrimTo(pool_, 0);
     cudaStreamSynchronize(idle_.get());
-    const std::lock_guard lock(mutex_);
+    std::set<void*> entry{nullptr};  // allocated before what it is for, so that neither can be lost
+    auto node = entry.extract(nullptr);
     error = cudaMalloc(memory, bytes);
-    if (error == cudaSuccess) outside_.insert(*memory);
-    return error;
+    if (error != cudaSuccess) return error;
+    node.value() = *memory;
+    const std::lock_guard lock(mutex_);
+    outside_.insert(std::move(node));
+    return cudaSuccess;
   }
   void free(void* memory) const {
     bool is_outside = false;

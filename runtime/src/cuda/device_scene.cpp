@@ -7,6 +7,8 @@
 #include <memory>
 #include <span>
 
+#include "rgs/guard_memory.hpp"
+
 namespace rgs {
 namespace {
 
@@ -71,47 +73,52 @@ Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, co
 }  // namespace
 
 Result<DeviceScene> DeviceScene::upload(const SceneView& scene, const UploadOptions& options) {
-  if (const auto ok = check(scene); !ok) return tl::unexpected(ok.error());
-  auto storage = std::make_shared<SceneStorage>();
-  storage->n = scene.n;
-  storage->sh_degree = scene.sh_degree;
-  const auto placed = copy_sections({std::as_bytes(scene.mean), std::as_bytes(scene.rotation),
-                                     std::as_bytes(scene.scale), std::as_bytes(scene.opacity), std::as_bytes(scene.sh)},
-                                    *storage, options);
-  if (!placed) return tl::unexpected(placed.error());
-  const auto floats = [&placed](std::size_t k) { return reinterpret_cast<const float*>((*placed)[k]); };
-  storage->attributes = cuda::Fp32Attributes{floats(0), floats(1), floats(2), floats(3), floats(4), scene.sh_degree};
-  DeviceScene result;
-  result.storage_ = std::move(storage);
-  return result;
+  return detail::guard_memory([&]() -> Result<DeviceScene> {
+    if (const auto ok = check(scene); !ok) return tl::unexpected(ok.error());
+    auto storage = std::make_shared<SceneStorage>();
+    storage->n = scene.n;
+    storage->sh_degree = scene.sh_degree;
+    const auto placed =
+        copy_sections({std::as_bytes(scene.mean), std::as_bytes(scene.rotation), std::as_bytes(scene.scale),
+                       std::as_bytes(scene.opacity), std::as_bytes(scene.sh)},
+                      *storage, options);
+    if (!placed) return tl::unexpected(placed.error());
+    const auto floats = [&placed](std::size_t k) { return reinterpret_cast<const float*>((*placed)[k]); };
+    storage->attributes = cuda::Fp32Attributes{floats(0), floats(1), floats(2), floats(3), floats(4), scene.sh_degree};
+    DeviceScene result;
+    result.storage_ = std::move(storage);
+    return result;
+  });
 }
 
 Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOptions& options) {
-  const Header& header = data.header();
-  if (const auto ok = check_size(data.size()); !ok) return tl::unexpected(ok.error());
-  for (std::uint64_t i = 0; i < data.n_chunks(); ++i) {  // its set of SH steps is an index
-    if (const auto entry = data.file().chunk(data.first_chunk() + i); !entry) return tl::unexpected(entry.error());
-  }
-  const auto chunks =
-      data.chunk_table().subspan(data.first_chunk() * kChunkEntryBytes, data.n_chunks() * kChunkEntryBytes);
-  auto storage = std::make_shared<SceneStorage>();
-  storage->n = data.size();
-  storage->sh_degree = header.sh_degree;
-  storage->declarations = data.file().declarations();
-  const auto placed =
-      copy_sections({data.means(), data.geometry(), data.sh(), data.step_table(), chunks}, *storage, options);
-  if (!placed) return tl::unexpected(placed.error());
-  storage->attributes = cuda::CompactAttributes{reinterpret_cast<const float*>((*placed)[0]),
-                                                reinterpret_cast<const std::uint16_t*>((*placed)[1]),
-                                                reinterpret_cast<const std::uint32_t*>((*placed)[2]),
-                                                reinterpret_cast<const float*>((*placed)[3]),
-                                                reinterpret_cast<const std::uint32_t*>((*placed)[4]),
-                                                header.chunk_size,
-                                                std::ldexp(1.0F, -header.scale_exponent),
-                                                header.sh_degree};
-  DeviceScene result;
-  result.storage_ = std::move(storage);
-  return result;
+  return detail::guard_memory([&]() -> Result<DeviceScene> {
+    const Header& header = data.header();
+    if (const auto ok = check_size(data.size()); !ok) return tl::unexpected(ok.error());
+    for (std::uint64_t i = 0; i < data.n_chunks(); ++i) {  // its set of SH steps is an index
+      if (const auto entry = data.file().chunk(data.first_chunk() + i); !entry) return tl::unexpected(entry.error());
+    }
+    const auto chunks =
+        data.chunk_table().subspan(data.first_chunk() * kChunkEntryBytes, data.n_chunks() * kChunkEntryBytes);
+    auto storage = std::make_shared<SceneStorage>();
+    storage->n = data.size();
+    storage->sh_degree = header.sh_degree;
+    storage->declarations = data.file().declarations();
+    const auto placed =
+        copy_sections({data.means(), data.geometry(), data.sh(), data.step_table(), chunks}, *storage, options);
+    if (!placed) return tl::unexpected(placed.error());
+    storage->attributes = cuda::CompactAttributes{reinterpret_cast<const float*>((*placed)[0]),
+                                                  reinterpret_cast<const std::uint16_t*>((*placed)[1]),
+                                                  reinterpret_cast<const std::uint32_t*>((*placed)[2]),
+                                                  reinterpret_cast<const float*>((*placed)[3]),
+                                                  reinterpret_cast<const std::uint32_t*>((*placed)[4]),
+                                                  header.chunk_size,
+                                                  std::ldexp(1.0F, -header.scale_exponent),
+                                                  header.sh_degree};
+    DeviceScene result;
+    result.storage_ = std::move(storage);
+    return result;
+  });
 }
 
 Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOptions& options) {
