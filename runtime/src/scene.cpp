@@ -56,6 +56,17 @@ Status check(const SplatView& s) {
   return {};
 }
 
+// What a picture takes from them; a file's have been checked by its reader.
+Status check(const std::optional<Declarations>& declared) {
+  if (!declared) return {};
+  const Declarations& d = *declared;
+  if (!(d.z_near > 0 && d.z_near < d.z_far && std::isfinite(d.z_far)) ||
+      !(d.low_pass_px2 >= 0 && std::isfinite(d.low_pass_px2))) {
+    return make_error(Errc::bad_argument, Error::kNone, "a declared depth range or low-pass is not legal");
+  }
+  return {};
+}
+
 void normalize(float* q) {
   const float length = std::hypot(std::hypot(q[0], q[1]), std::hypot(q[2], q[3]));
   if (length > 0 && std::isfinite(length)) {
@@ -163,7 +174,9 @@ Status Scene::Storage::expand() const {
 
 Result<Scene> Scene::load(const SplatView& splats, const std::optional<Declarations>& declared) {
   return detail::guard_memory([&]() -> Result<Scene> {
-    if (const auto ok = check(splats); !ok) return tl::unexpected(ok.error());
+    Status ok = check(splats);
+    if (ok) ok = check(declared);
+    if (!ok) return tl::unexpected(ok.error());
     const auto copy = [](std::span<const float> s) { return std::vector<float>(s.begin(), s.end()); };
     return adopt({splats.sh_degree, copy(splats.mean), copy(splats.log_scale), copy(splats.rotation),
                   copy(splats.opacity_logit), copy(splats.sh)},
@@ -173,7 +186,9 @@ Result<Scene> Scene::load(const SplatView& splats, const std::optional<Declarati
 
 Result<Scene> Scene::load(SplatCloud&& splats, const std::optional<Declarations>& declared) {
   return detail::guard_memory([&]() -> Result<Scene> {
-    if (const auto ok = check(splats.view()); !ok) return tl::unexpected(ok.error());
+    Status ok = check(splats.view());
+    if (ok) ok = check(declared);
+    if (!ok) return tl::unexpected(ok.error());
     return adopt(std::move(splats), declared);
   });
 }
@@ -273,7 +288,7 @@ Result<SceneView> Scene::view() const {
 }
 
 Result<DirectData> Scene::direct() const {
-  assert(has_file());
+  if (!has_file()) return make_error(Errc::bad_argument, Error::kNone, "the scene keeps no file");
   return detail::guard_memory([&] {
     const std::scoped_lock lock(storage_->mutex);
     return storage_->take_direct();

@@ -7,7 +7,7 @@
 #include <rgs/renderer.hpp>
 #include <rgs/scene.hpp>
 
-int make_error(const rgs::Error& error) {
+int report(const rgs::Error& error) {
   std::fprintf(stderr, "%s: %s\n", rgs::errc_name(error.code), error.what);
   return rgs::exit_code(error.code);
 }
@@ -16,24 +16,23 @@ int main(int argc, char** argv) {
   if (argc != 3) return std::fprintf(stderr, "usage: minimal SCENE.rgs PICTURE.ppm\n"), 2;
 
   const auto scene = rgs::Scene::load(std::string(argv[1]));
-  if (!scene) return make_error(scene.error());
+  if (!scene) return report(scene.error());
   auto renderer = rgs::Renderer::create();
-  if (!renderer) return make_error(renderer.error());
+  if (!renderer) return report(renderer.error());
 
-  const auto& [low, high] = scene->declarations()->robust;  // which every file declares
-  const auto camera =
-      rgs::default_view({{low[0], low[1], low[2]}, {high[0], high[1], high[2]}}, {.width = 1280, .height = 720});
+  // Every file declares a box.
+  const auto camera = rgs::default_view(rgs::declared_bounds(*scene->declarations()), {.width = 1280, .height = 720});
   rgs::Image image = rgs::Image::make(camera.width, camera.height, 3);
   rgs::RenderTarget target;
   target.rgb = image.pixels;
   const auto stats = renderer->render(*scene, camera, target);
-  if (!stats) return make_error(stats.error());
+  if (!stats) return report(stats.error());
 
   std::ofstream file(argv[2], std::ios::binary);
   file << "P6\n" << image.width << ' ' << image.height << "\n255\n";
   for (const float v : image.pixels)
     file.put(static_cast<char>(static_cast<unsigned char>(std::clamp(v, 0.0F, 1.0F) * 255.0F + 0.5F)));
-  if (!file.flush()) return make_error({rgs::Errc::write_failed, rgs::Error::kNone, "the picture cannot be written"});
+  if (!file.flush()) return report({rgs::Errc::write_failed, rgs::Error::kNone, "the picture cannot be written"});
   std::printf("%llu Gaussians in %.1f ms on %s\n", static_cast<unsigned long long>(scene->size()), stats->total_ms,
               renderer->backend_name());
 }

@@ -3,6 +3,8 @@
 #include "failing_memory.hpp"
 
 #include <dlfcn.h>
+#include <zstd.h>
+#include <zstd_errors.h>
 
 #include <atomic>
 #include <cstdlib>
@@ -106,6 +108,13 @@ void* __wrap_aligned_alloc(std::size_t alignment, std::size_t size) {
 void* __real_ZSTD_createCCtx();
 void* __wrap_ZSTD_createCCtx() {
   return fails() ? nullptr : __real_ZSTD_createCCtx();
+}
+std::size_t __real_ZSTD_compressStream2(ZSTD_CCtx* context, ZSTD_outBuffer* out, ZSTD_inBuffer* in,
+                                        ZSTD_EndDirective directive);
+std::size_t __wrap_ZSTD_compressStream2(ZSTD_CCtx* context, ZSTD_outBuffer* out, ZSTD_inBuffer* in,
+                                        ZSTD_EndDirective directive) {
+  if (fails()) return std::size_t{0} - static_cast<std::size_t>(ZSTD_error_memory_allocation);
+  return __real_ZSTD_compressStream2(context, out, in, directive);
 }
 void* __real_ZSTD_createDCtx();
 void* __wrap_ZSTD_createDCtx() {

@@ -15,6 +15,11 @@ TEST_CASE("tool") {
   return skip_without_tool("no tool");
 }
 
+TEST_CASE("a failure is no skip") {
+  CHECK(false);
+  skip("after a check");
+}
+
 TEST_CASE("a message is no skip") {
   MESSAGE("skipped: doctest puts the place before it");
 }

@@ -24,9 +24,9 @@ class Sink {
  public:
   Sink(AtomicFile& file) : file_(&file) {}                    // NOLINT: a file is a sink
   Sink(std::vector<std::byte>& memory) : memory_(&memory) {}  // NOLINT: and so is memory
-  /// Sets `size` bytes aside, so that a full disk shows now. Errors: write_failed.
+  /// Sets `size` bytes aside, so that a full disk shows now. Errors: write_failed, host_out_of_memory.
   Status reserve(std::uint64_t size);
-  /// Errors: write_failed; offset is the file's.
+  /// Errors: write_failed; offset is the file's. host_out_of_memory.
   Status write_at(std::uint64_t offset, std::span<const std::byte> bytes);
   /// Bytes that have been written. Errors: read_failed.
   Status read_at(std::uint64_t offset, std::span<std::byte> bytes) const;
@@ -66,9 +66,12 @@ class SceneWriter {
   ~SceneWriter();
 
   std::uint64_t n_batches() const;
-  /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s, host_out_of_memory.
+  /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s, bad_argument (another batch
+  /// is next, or this one is not complete), host_out_of_memory. After an error the file is of no use: later calls give
+  /// the same one.
   Status add(const Batch& batch);
-  /// Tables, head and end of the file, once all batches are there. Errors: the sink's; for Profile::archive bad_value (a
+  /// Tables, head and end of the file, once all batches are there. Errors: add()'s, bad_argument if one is missing, the
+  /// sink's; for Profile::archive bad_value (a
   /// value too large for the steps asked for; `found` is the Gaussian's source_index) and internal (the file, decoded
   /// again, is not within the bounds that it states).
   Result<WrittenScene> finish();
@@ -89,7 +92,8 @@ class SceneWriter::Batch {
   Batch(Batch&& other) noexcept;
   ~Batch();
 
-  /// Starts on batch `index` of n_batches(). A batch that gets no memory is complete at once, and add() says so.
+  /// Starts on batch `index` of n_batches(). A batch that gets no memory is complete at once, and add()
+  /// says so.
   void begin(std::uint64_t index);
   std::uint64_t n_gaussians() const;
   bool complete() const;

@@ -119,7 +119,11 @@ class Encoder {
     std::vector<std::byte> bytes;
     auto written = assemble(bytes, source_index);
     if (!written) return written;
-    if (Status s = verify_archive(bytes, splats_, order_, n_threads()); !s) return tl::unexpected(s.error());
+    if (Status s = verify_archive(bytes, splats_, order_, n_threads()); !s) {
+      // Whatever is wrong with it is this encoder's fault, and no place in the source.
+      if (s.error().code == Errc::host_out_of_memory) return tl::unexpected(s.error());
+      return make_error(Errc::internal, Error::kNone, s.error().what, Error::kNone, s.error().offset);
+    }
     if (Status s = sink.write_at(0, bytes); !s) return tl::unexpected(s.error());
     if (Status s = sink.truncate(bytes.size()); !s) return tl::unexpected(s.error());
     return written;

@@ -9,6 +9,7 @@
 
 #include "file/layout_io.hpp"
 #include "packed/packed.hpp"
+#include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -109,13 +110,15 @@ DepthRange depth_range_from_extent(const Box& robust, DepthMapping mapping) {
 }
 
 Status check_encodable(const SceneScan& scan, const EncodeOptions& options) {
-  if (const Status s = check_options(options); !s) return s;
-  if (const Status s = check_damage(scan, options); !s) return s;
-  // What the reader would refuse is not written: axes that do not span space, numbers that are no enumerators.
-  if (const auto legal = detail::parse_declarations(detail::write_declarations(declare(scan, options)), 0); !legal) {
-    return make_error(Errc::bad_argument, Error::kNone, legal.error().what);
-  }
-  return {};
+  return detail::guard_memory([&]() -> Status {
+    if (const Status s = check_options(options); !s) return s;
+    if (const Status s = check_damage(scan, options); !s) return s;
+    // What the reader would refuse is not written: axes that do not span space, numbers that are no enumerators.
+    if (const auto legal = detail::parse_declarations(detail::write_declarations(declare(scan, options)), 0); !legal) {
+      return make_error(Errc::bad_argument, Error::kNone, legal.error().what);
+    }
+    return {};
+  });
 }
 
 namespace detail {
@@ -132,6 +135,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   EncodePlan plan;
   const std::uint64_t n = scan.n_kept();
   plan.options = options;
+  plan.mends = scan.n_repaired() != 0;
   if (n == 0 && options.profile == Profile::archive) plan.options.profile = Profile::packed;
   const Profile profile = plan.options.profile;
   Header& h = plan.header;

@@ -20,6 +20,7 @@ struct EncodePlan {
   EncodeOptions options;  ///< profile: packed instead of archive if there is nothing to fit steps to
   Header header;          ///< file_bytes and n_sections still 0
   Declarations declarations;
+  bool mends = false;                  ///< the scan has mended Gaussians
   ShStepSet file_steps;                ///< the only set, unless chunks have their own
   std::vector<SectionEntry> sections;  ///< in file order; stored_bytes: the most that it can take; hashes and offsets 0
 

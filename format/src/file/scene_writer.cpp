@@ -68,6 +68,8 @@ struct SceneWriter::State {
   detail::SceneTables tables;
   SplatCloud scene;  // Profile::archive; batches fill their parts of it side by side
   std::uint64_t batch_rows = 0;
+  std::uint64_t n_added = 0;  // batches
+  Status status;              // of the first add() that failed: what is written is of no use then
 };
 
 struct SceneWriter::Batch::State {
@@ -111,25 +113,34 @@ std::uint64_t SceneWriter::n_batches() const {
 }
 
 Status SceneWriter::add(const Batch& batch) {
-  if (!batch.status_) return batch.status_;
+  Status& status = state_->status;
+  if (!status) return status;
+  if (!batch.status_) return status = batch.status_;
+  if (!batch.state_ || batch.writer_ != state_.get() || !batch.complete() ||
+      batch.state_->first != state_->n_added * state_->batch_rows) {
+    return status = make_error(Errc::bad_argument, Error::kNone, "not the next batch of this writer, or not complete");
+  }
+  ++state_->n_added;
+  if (state_->plan.options.profile == Profile::archive) return {};
   const Batch::State& b = *batch.state_;
   detail::SceneTables& tables = state_->tables;
-  assert(batch.writer_ == state_.get() && batch.complete());
-  if (state_->plan.options.profile == Profile::archive) return {};
-  assert(b.first == tables.chunks.size() * state_->plan.header.chunk_size);
   const auto& bytes = state_->plan.options.profile == Profile::packed ? b.frames : b.rows;
-  return detail::guard_memory([&]() -> Status {
-    for (std::size_t k = 0; k < kLarge.size(); ++k) {
-      if (Status s = state_->file.grow(kLarge[k], bytes[k], b.frame_hashes[k]); !s) return s;
-    }
-    tables.chunks.insert(tables.chunks.end(), b.chunks.begin(), b.chunks.end());
-    tables.steps.insert(tables.steps.end(), b.steps.begin(), b.steps.end());
-    tables.counts.add(b.counts);
-    return {};
-  });
+  return status = detail::guard_memory([&]() -> Status {
+           for (std::size_t k = 0; k < kLarge.size(); ++k) {
+             if (Status s = state_->file.grow(kLarge[k], bytes[k], b.frame_hashes[k]); !s) return s;
+           }
+           tables.chunks.insert(tables.chunks.end(), b.chunks.begin(), b.chunks.end());
+           tables.steps.insert(tables.steps.end(), b.steps.begin(), b.steps.end());
+           tables.counts.add(b.counts);
+           return {};
+         });
 }
 
 Result<WrittenScene> SceneWriter::finish() {
+  if (!state_->status) return tl::unexpected(state_->status.error());
+  if (state_->n_added != n_batches()) {
+    return make_error(Errc::bad_argument, Error::kNone, "batches are missing", n_batches(), state_->n_added);
+  }
   return detail::guard_memory([&]() -> Result<WrittenScene> {
     if (state_->plan.options.profile == Profile::archive) {
       return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
@@ -166,11 +177,11 @@ void SceneWriter::Batch::begin(std::uint64_t index) {
 }
 
 std::uint64_t SceneWriter::Batch::n_gaussians() const {
-  return status_ ? state_->n : 0;
+  return status_ && state_ ? state_->n : 0;
 }
 
 bool SceneWriter::Batch::complete() const {
-  return !status_ || state_->done == state_->n;
+  return !status_ || !state_ || state_->done == state_->n;
 }
 
 std::span<const std::uint32_t> SceneWriter::Batch::source_index() const {
@@ -188,7 +199,7 @@ void SceneWriter::Batch::encode_chunk() {
     const detail::EncodePlan& plan = writer_->plan;
     const int degree = plan.header.sh_degree;
     const std::span<Splat> chunk = splats();
-    if (plan.options.on_bad == BadPolicy::repair) {
+    if (plan.mends) {
       for (Splat& s : chunk) repair(s, find_defects(s, degree));
     }
     if (plan.options.profile == Profile::archive) {

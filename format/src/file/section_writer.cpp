@@ -10,20 +10,26 @@
 #include "file/layout_io.hpp"
 #include "packed/packed.hpp"
 #include "rgs/file.hpp"
+#include "rgs/guard_memory.hpp"
 
 namespace rgs {
 
 Status Sink::reserve(std::uint64_t size) {
   if (file_ != nullptr) return file_->reserve(size);
-  memory_->reserve(size);
-  return {};
+  return detail::guard_memory([&]() -> Status {
+    memory_->reserve(size);
+    return {};
+  });
 }
 
 Status Sink::write_at(std::uint64_t offset, std::span<const std::byte> bytes) {
   if (file_ != nullptr) return file_->write_at(offset, bytes);
-  if (memory_->size() < offset + bytes.size()) memory_->resize(offset + bytes.size());
-  std::ranges::copy(bytes, memory_->begin() + static_cast<std::ptrdiff_t>(offset));
-  return {};
+  if (offset > memory_->max_size() - bytes.size()) return detail::out_of_memory();
+  return detail::guard_memory([&]() -> Status {
+    if (memory_->size() < offset + bytes.size()) memory_->resize(offset + bytes.size());
+    std::ranges::copy(bytes, memory_->begin() + static_cast<std::ptrdiff_t>(offset));
+    return {};
+  });
 }
 
 Status Sink::read_at(std::uint64_t offset, std::span<std::byte> bytes) const {
@@ -34,9 +40,11 @@ Status Sink::read_at(std::uint64_t offset, std::span<std::byte> bytes) const {
 
 Status Sink::truncate(std::uint64_t size) {
   if (file_ != nullptr) return file_->truncate(size);
-  memory_->resize(size);
-  memory_->shrink_to_fit();
-  return {};
+  return detail::guard_memory([&]() -> Status {
+    memory_->resize(size);
+    memory_->shrink_to_fit();
+    return {};
+  });
 }
 
 namespace detail {

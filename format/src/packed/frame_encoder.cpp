@@ -65,8 +65,9 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
     if (!last && end - begin < kMinBlock) continue;
     ZSTD_inBuffer plane{content_.data() + begin, end - begin, 0};
     const ZSTD_EndDirective directive = last ? ZSTD_e_end : ZSTD_e_flush;
-    [[maybe_unused]] const std::size_t left = ZSTD_compressStream2(context, &target, &plane, directive);
-    assert(left == 0 && plane.pos == plane.size);  // the output has room for the worst case
+    const std::size_t left = ZSTD_compressStream2(context, &target, &plane, directive);
+    if (ZSTD_isError(left) != 0) throw std::bad_alloc();  // its workspace is all that can fail
+    assert(left == 0 && plane.pos == plane.size);         // the output has room for the worst case
     begin = end;
   }
   out.resize(target.pos);

@@ -32,6 +32,9 @@ struct Camera {
   glm::dmat4 world_to_camera{1.};  ///< rigid motion, last row 0 0 0 1; as in all of GLM, [i] is a column and t is [3]
 };
 
+static_assert(sizeof(glm::dvec3) == 24 && alignof(glm::dmat4) == alignof(double),
+              "RoofGS needs GLM's packed types: do without GLM_FORCE_DEFAULT_ALIGNED_GENTYPES");
+
 /// Files, documents and kernels have matrices row by row.
 std::array<double, 16> row_major(const glm::dmat4& matrix);
 glm::dmat4 from_row_major(const std::array<double, 16>& matrix);

@@ -23,9 +23,9 @@ namespace RGS_API rgs {
 /// cudaStream_t; null is the default stream.
 using CudaStream = CUstream_st*;
 
-/// Where device memory comes from; both functions or none. By default it comes in the order of streams from a pool of the
-/// library's own, so that taking it and giving it back stops no stream of the caller's; where the driver has no pools,
-/// from cudaMalloc(). The functions are called on the thread that calls the library and must not throw.
+/// Where device memory comes from; both functions or none. By default it comes from a pool of the library's own, so
+/// that taking it and giving it back stops no stream of the caller's; where the driver has no pools, or the pool finds no
+/// room, from cudaMalloc(), which may stop them. The functions are called on the thread that calls the library and must not throw.
 struct DeviceAllocator {
   /// `bytes` > 0 of the current device's memory, aligned to 256 bytes, for what is queued on `stream` from now on; null
   /// if there is not that much.

@@ -60,7 +60,7 @@ struct PaperSteps {
   bool deterministic = false;
 };
 
-/// Of Pipeline::turbo on CUDA; nothing else reads it.
+/// Of Pipeline::turbo on CUDA; nothing else reads it, nor do scenes that the paper's kernels draw for it.
 struct TurboOptions {
   /// Blends by matrix products in FP16, and in FP32 where depth or counts are wanted or the low-pass is below 0.1. These
   /// products stop a pixel at a transmittance of 2^-11 in place of 1e-4: up to an eighth of an 8-bit step of a white

@@ -71,7 +71,7 @@ class Scene {
   bool has_file() const;
   /// The attributes as they lie in the kept file, where there is one (has_file()); they must not outlive the scene. The
   /// first call gives away what load() decoded, others decode it again: nobody holds what nobody uses. Errors: those of
-  /// load_direct() without validation, which load() has done.
+  /// load_direct() without validation, which load() has done; bad_argument without a file.
   Result<DirectData> direct() const;
 
  private:

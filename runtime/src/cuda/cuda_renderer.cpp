@@ -173,6 +173,11 @@ Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
 Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& camera, const DeviceTarget& target,
                                         const RenderOptions& options, CudaStream stream) {
   return detail::guard_memory([&]() -> Result<FrameStats> {
+    Impl& w = *impl_;
+    if (w.open) {
+      const Frame before = *std::exchange(w.open, std::nullopt);
+      if (const auto pairs = w.settle(before); !pairs) return tl::unexpected(pairs.error());
+    }
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
     const auto resolved = detail::resolve(options, scene.declarations(), Backend::cuda);
     if (!resolved) return tl::unexpected(resolved.error());
@@ -180,11 +185,6 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     Status ok = detail::validate(target, camera);
     if (ok) ok = detail::validate_surface(target, camera);
     if (!ok) return tl::unexpected(ok.error());
-    Impl& w = *impl_;
-    if (w.open) {
-      const Frame before = *std::exchange(w.open, std::nullopt);
-      if (const auto pairs = w.settle(before); !pairs) return tl::unexpected(pairs.error());
-    }
 
     const bool is_turbo = draws_turbo(settings, scene.size());
     const Frame frame{scene.storage_,

@@ -4,6 +4,7 @@
 
 #include <map>
 #include <mutex>
+#include <new>
 #include <set>
 
 namespace rgs::detail {
@@ -47,13 +48,15 @@ class DevicePool {
     // A pool grows in pieces of 32 MiB; cudaMalloc() has smaller ones, and stalls other streams only where memory is short.
     cudaMemPoolTrimTo(pool_, 0);
     cudaStreamSynchronize(idle_.get());
-    std::set<void*> entry{nullptr};  // allocated before what it is for, so that neither can be lost
-    auto node = entry.extract(nullptr);
     error = cudaMalloc(memory, bytes);
     if (error != cudaSuccess) return error;
-    node.value() = *memory;
-    const std::lock_guard lock(mutex_);
-    outside_.insert(std::move(node));
+    try {
+      const std::lock_guard lock(mutex_);
+      outside_.insert(*memory);
+    } catch (const std::bad_alloc&) {  // a workspace that grows cleans up after errors, not after exceptions
+      cudaFree(*memory);
+      return cudaErrorMemoryAllocation;
+    }
     return cudaSuccess;
   }
   void free(void* memory) const {
@@ -107,7 +110,10 @@ Result<void*> DeviceMemory::allocate(std::uint64_t bytes, CudaStream stream) con
   cudaError_t error = cudaSuccess;
   if (allocator_.allocate != nullptr) {
     memory = allocator_.allocate(allocator_.user, bytes, stream);
-    if (memory == nullptr) error = cudaErrorMemoryAllocation;
+    if (memory == nullptr) {
+      cudaGetLastError();  // a cudaMalloc() of the caller's that failed is no error of later calls
+      error = cudaErrorMemoryAllocation;
+    }
   } else {
     error = pool_ ? pool_->allocate(&memory, bytes) : cudaMalloc(&memory, bytes);
     if (error != cudaSuccess) cudaGetLastError();  // it is no error of later calls

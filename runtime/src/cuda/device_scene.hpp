@@ -17,7 +17,7 @@ struct SceneStorage {
   SceneStorage(const SceneStorage&) = delete;
   SceneStorage& operator=(const SceneStorage&) = delete;
   ~SceneStorage() {
-    if (copied) cudaEventSynchronize(copied->get());
+    if (copied && copied->get() != nullptr) cudaEventSynchronize(copied->get());
   }
 
   std::uint64_t n = 0;
