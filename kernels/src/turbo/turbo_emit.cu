@@ -77,8 +77,7 @@ constexpr std::uint32_t kOrigin = 1u << 15;
 // Fills in the candidates, and calls f(tile) for every entry among them. The first rows of the 256 Gaussians come first, a
 // thread each, then all other rows side by side.
 template <class F>
-__device__ void fill_candidates(Shared& s, std::uint32_t n_rows, const math::TileRect& block, math::TileGrid grid,
-                                const F& f) {
+__device__ void fill_candidates(Shared& s, std::uint32_t n_rows, const math::TileRect& block, const F& f) {
   for (std::uint32_t r = threadIdx.x; r < n_rows; r += kThreads) {
     std::uint32_t owner = r, row = 0;
     if (r >= kThreads) {
@@ -211,7 +210,7 @@ __global__ void __launch_bounds__(kThreads)
     return;
   }
 
-  fill_candidates(s, kThreads + s.row_end[kThreads - 1], block, v.grid, [&s](std::uint32_t tile) {
+  fill_candidates(s, kThreads + s.row_end[kThreads - 1], block, [&s](std::uint32_t tile) {
     if (tile < kWindow) atomicAdd(s.counts + tile, 1u);
   });
   __syncthreads();
