@@ -10,7 +10,8 @@
 namespace rgs {
 namespace {
 
-static_assert(sizeof(XXH3_state_t) <= sizeof(Hasher) && alignof(XXH3_state_t) <= alignof(Hasher));
+static_assert(sizeof(XXH3_state_t) <= sizeof(Hasher));
+static_assert(alignof(XXH3_state_t) <= alignof(Hasher));
 
 XXH3_state_t* state_in(std::byte* memory) {
   return std::launder(reinterpret_cast<XXH3_state_t*>(memory));
