@@ -16,8 +16,10 @@ constexpr double kMargin = 0.1;     // cameras between and around the given ones
 
 }  // namespace
 
-Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std::span<const float> mean) {
+Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std::span<const float> mean,
+                                            const Origin& origin) {
   const auto points = as_points(mean);
+  const glm::dvec3 centre(origin[0], origin[1], origin[2]);
   const std::size_t n = points.size();
   const std::size_t n_cameras = std::min(cameras.size(), kMaxCameras);
   const std::size_t n_means = std::min(n, kMaxMeans);
@@ -27,7 +29,7 @@ Result<DepthRange> depth_range_from_cameras(std::span<const Camera> cameras, std
     if (const Status s = validate(camera); !s) return tl::unexpected(s.error());
     const glm::dmat4x3 m(camera.world_to_camera);
     for (std::size_t k = 0; k < n_means; ++k) {
-      const glm::dvec3 p = m * glm::dvec4(points[k * n / n_means], 1);
+      const glm::dvec3 p = m * glm::dvec4(centre + glm::dvec3(points[k * n / n_means]), 1);
       const double z = p.z;
       if (!(z > kNearPlane)) continue;
       const double u = camera.fx * p.x / z + camera.cx;

@@ -10,6 +10,7 @@
 #include <cassert>
 #include <cerrno>
 #include <charconv>
+#include <cmath>
 #include <cstring>
 #include <functional>
 #include <limits>
@@ -158,20 +159,22 @@ class LineReader {
 };
 
 // from_chars reports overflow and underflow alike: 0 if the magnitude is below 1, else infinity.
-float out_of_range_value(std::string_view text) {
+template <class Number>
+Number out_of_range_value(std::string_view text) {
   const bool negative = text.front() == '-';
   const std::size_t exponent = text.find_first_of("eE");
   const bool tiny = exponent != text.npos ? text[exponent + 1] == '-'
                                           : text.substr(0, text.find('.')).find_first_of("123456789") == text.npos;
-  const float magnitude = tiny ? 0.0F : std::numeric_limits<float>::infinity();
+  const Number magnitude = tiny ? 0 : std::numeric_limits<Number>::infinity();
   return negative ? -magnitude : magnitude;
 }
 
-bool parse_float(std::string_view text, float& value) {
+template <class Number>
+bool parse_number(std::string_view text, Number& value) {
   if (text.size() > 1 && text[0] == '+' && text[1] != '-') text.remove_prefix(1);
   const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
   if (end != text.data() + text.size() || error == std::errc::invalid_argument) return false;
-  if (error == std::errc::result_out_of_range) value = out_of_range_value(text);
+  if (error == std::errc::result_out_of_range) value = out_of_range_value<Number>(text);
   return true;
 }
 
@@ -187,8 +190,19 @@ std::span<const std::byte> next_line(Cursor& cursor) {
   return {start, length};
 }
 
+// Vertex values on their way to a row of numbers.
+struct RowValues {
+  bool wide = false;             // means in FP64
+  std::array<double, 3> mean{};  // if so
+  std::array<float, kSplatFloats> floats{};
+};
+
 Status parse_ascii_row(std::span<const std::byte> line, std::uint64_t offset, const PlyElement& element,
-                       const std::vector<std::int16_t>& splat_float, std::span<float> out) {
+                       const std::vector<std::int16_t>& splat_float, RowValues& out) {
+  const auto parse = [&out](std::string_view token, std::int16_t target) {
+    const auto i = static_cast<std::size_t>(target);
+    return out.wide && i < 3 ? parse_number(token, out.mean[i]) : parse_number(token, out.floats[i]);
+  };
   const auto too_few = [&](std::size_t i) {
     return make_error(Errc::bad_syntax, offset, "a vertex line has fewer values than the header has properties",
                       element.properties.size(), i);
@@ -207,7 +221,7 @@ Status parse_ascii_row(std::span<const std::byte> line, std::uint64_t offset, co
         if (reader.done()) return too_few(i);
         reader.next();
       }
-    } else if (splat_float[i] >= 0 && !parse_float(token, out[static_cast<std::size_t>(splat_float[i])])) {
+    } else if (splat_float[i] >= 0 && !parse(token, splat_float[i])) {
       return make_error(Errc::bad_syntax, offset, "a value of a vertex line is not a number (found: which property)",
                         Error::kNone, i);
     }
@@ -236,6 +250,8 @@ struct PlyFile::Impl {
   int sh_degree = 0;
   bool swap = false;
   Layout layout = Layout::mixed;
+  Origin origin = kNoOrigin;
+  bool plain_rest = false;  // all but the means are floats in the machine's byte order
   const std::byte* rows = nullptr;
   std::uint32_t row_bytes = 0;
   std::uint32_t used_first = 0;                // the first byte of a row that decoding touches
@@ -245,20 +261,29 @@ struct PlyFile::Impl {
   Status skip_element(const PlyElement& element, PlyEncoding encoding, Cursor& cursor) const;
   Status convert(const PlyElement& element, PlyEncoding encoding, const SplatProperties& properties, Cursor& cursor);
   void choose_layout();
+  void choose_origin();
+  std::array<double, 3> position(std::uint64_t i) const;
   bool is_standard() const;
 
   template <bool kSwap>
-  void decode_floats(const std::byte* row, Splat& out) const {
+  void decode_floats(const std::byte* row, Splat& out, std::size_t first = 0) const {
     const auto count = static_cast<std::size_t>(splat_floats(sh_degree));
-    for (std::size_t i = 0; i < count; ++i) store_float(out, i, load<float, kSwap>(row + columns[i].offset));
+    for (std::size_t i = first; i < count; ++i) store_float(out, i, load<float, kSwap>(row + columns[i].offset));
     zero_above(count, out);
   }
-  void decode_mixed(const std::byte* row, Splat& out) const {
+  void decode_mixed(const std::byte* row, Splat& out, std::size_t first = 0) const {
     const auto count = static_cast<std::size_t>(splat_floats(sh_degree));
-    for (std::size_t i = 0; i < count; ++i) {
+    for (std::size_t i = first; i < count; ++i) {
       store_float(out, i, load_as<float>(columns[i].type, row + columns[i].offset, swap));
     }
     zero_above(count, out);
+  }
+  void decode_rebased(const std::byte* row, Splat& out) const {
+    for (std::size_t k = 0; k < 3; ++k) {
+      const auto x = load_as<double>(columns[k].type, row + columns[k].offset, swap);
+      out.mean[k] = static_cast<float>(x - origin[k]);
+    }
+    plain_rest ? decode_floats<false>(row, out, 3) : decode_mixed(row, out, 3);
   }
   static void zero_above(std::size_t count, Splat& out) {
     std::memset(reinterpret_cast<std::byte*>(&out) + count * kFloat, 0, (kSplatFloats - count) * kFloat);
@@ -273,6 +298,7 @@ struct PlyFile::Impl {
         decode_standard<decltype(coefficients)::value>(row + mean, row + rest, out);
       });
     };
+    if (origin != kNoOrigin) return use([this](const std::byte* row, Splat& out) { decode_rebased(row, out); });
     switch (layout) {
       case Layout::standard:
         switch (sh_degree) {
@@ -325,6 +351,7 @@ Status PlyFile::Impl::parse() {
   rows = source.data() + cursor.at;
   row_bytes = offset;
   choose_layout();
+  choose_origin();
   return {};
 }
 
@@ -345,11 +372,23 @@ Status PlyFile::Impl::skip_element(const PlyElement& element, PlyEncoding encodi
   return {};
 }
 
-// Rows of variable size become rows of splat_floats() floats in Splat order.
+// Whether FP32 may not hold values of this type.
+constexpr bool is_wide(PlyType type) {
+  return type == PlyType::float64 || type == PlyType::int32 || type == PlyType::uint32;
+}
+
+// Rows of variable size become rows of splat_floats() numbers in Splat order: floats, but means that are wide doubles.
 Status PlyFile::Impl::convert(const PlyElement& element, PlyEncoding encoding, const SplatProperties& properties,
                               Cursor& cursor) {
-  std::array<float, kSplatFloats> values{};
-  const auto row = std::span(values).first(static_cast<std::size_t>(splat_floats(sh_degree)));
+  RowValues values;
+  for (std::size_t i = 0; i < element.properties.size(); ++i) {
+    const int target = properties.splat_float[i];
+    values.wide = values.wide || (target >= 0 && target < 3 && is_wide(element.properties[i].type));
+  }
+  const auto count = static_cast<std::size_t>(splat_floats(sh_degree));
+  const std::size_t n_wide = values.wide ? 3 : 0;
+  const auto means = std::as_bytes(std::span(values.mean).first(n_wide)),
+             floats = std::as_bytes(std::span(values.floats).first(count).subspan(n_wide));
   for (std::uint64_t i = 0; i < n; ++i) {
     Status parsed;
     if (encoding == PlyEncoding::ascii) {
@@ -364,18 +403,29 @@ Status PlyFile::Impl::convert(const PlyElement& element, PlyEncoding encoding, c
       parsed = walk_binary_row(cursor, element, swap, [&](std::size_t property, const std::byte* from) {
         const int target = properties.splat_float[property];
         if (target < 0) return;
-        values[static_cast<std::size_t>(target)] = load_as<float>(element.properties[property].type, from, swap);
+        const auto k = static_cast<std::size_t>(target);
+        const PlyType type = element.properties[property].type;
+        if (k < n_wide) {
+          values.mean[k] = load_as<double>(type, from, swap);
+        } else {
+          values.floats[k] = load_as<float>(type, from, swap);
+        }
       });
     }
     if (!parsed) return parsed;
-    if (auto ok = converted.append(std::as_bytes(row)); !ok) return ok;
+    if (auto ok = converted.append(means); !ok) return ok;
+    if (auto ok = converted.append(floats); !ok) return ok;
   }
   if (auto ok = converted.finish(); !ok) return ok;
   rows = converted.bytes().data();
-  row_bytes = static_cast<std::uint32_t>(row.size_bytes());
-  for (std::uint32_t i = 0; i < row.size(); ++i) columns[i] = {i * kFloat, PlyType::float32};
+  row_bytes = 0;
+  for (std::size_t i = 0; i < count; ++i) {
+    columns[i] = {row_bytes, i < n_wide ? PlyType::float64 : PlyType::float32};
+    row_bytes += ply_type_bytes(columns[i].type);
+  }
   swap = false;
   choose_layout();
+  choose_origin();
   return {};
 }
 
@@ -387,6 +437,8 @@ void PlyFile::Impl::choose_layout() {
     used_first = std::min(used_first, column.offset);
     all_floats &= column.type == PlyType::float32;
   }
+  plain_rest = !swap && std::ranges::all_of(
+                            used.subspan(3), [](PlyType type) { return type == PlyType::float32; }, &Column::type);
   if (!all_floats) {
     layout = Layout::mixed;
   } else if (swap) {
@@ -394,6 +446,56 @@ void PlyFile::Impl::choose_layout() {
   } else {
     layout = is_standard() ? Layout::standard : Layout::floats;
   }
+}
+
+// x, y, z of row i as they are stored.
+std::array<double, 3> PlyFile::Impl::position(std::uint64_t i) const {
+  std::array<double, 3> x;
+  for (std::size_t k = 0; k < 3; ++k) {
+    x[k] = load_as<double>(columns[k].type, rows + i * row_bytes + columns[k].offset, swap);
+  }
+  return x;
+}
+
+// See PlyFile::origin(). Percentiles, since the few Gaussians far outside that every trained scene has would stretch a full box
+// until the multiple of its size is nowhere near the scene.
+void PlyFile::Impl::choose_origin() {
+  const auto means = std::span(columns).first(3);
+  if (std::ranges::none_of(means, is_wide, &Column::type)) return;
+  const auto is_float = [](double x) {
+    return !(static_cast<double>(static_cast<float>(x)) != x) || !std::isfinite(x);
+  };
+  std::uint64_t exact = 0;
+  while (exact < n && std::ranges::all_of(position(exact), is_float)) ++exact;
+  if (exact == n) return;
+
+  constexpr std::uint64_t kSampled = 65536;
+  const std::uint64_t n_sampled = std::min(n, kSampled);
+  std::array<std::vector<double>, 3> sample;
+  for (std::uint64_t k = 0; k < n_sampled; ++k) {
+    const auto x = position(k * n / n_sampled);
+    if (!std::ranges::all_of(x, [](double v) { return std::fabs(v) <= 2 * kMaxOrigin; })) continue;
+    for (std::size_t axis = 0; axis < 3; ++axis) sample[axis].push_back(x[axis]);
+  }
+  if (sample[0].empty()) return;
+  std::array<double, 3> middle;
+  double size = 0;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    std::ranges::sort(sample[axis]);
+    const std::size_t cut = sample[axis].size() / 50;
+    const double low = sample[axis][cut], high = sample[axis][sample[axis].size() - 1 - cut];
+    middle[axis] = 0.5 * (low + high);
+    size = std::max(size, high - low);
+  }
+  int exponent = 0;
+  std::frexp(size, &exponent);
+  const double unit = size > 0 ? std::ldexp(1.0, exponent) : 1;
+  Origin chosen;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    chosen[axis] = std::nearbyint(middle[axis] / unit) * unit + 0.0;
+    if (!(std::fabs(chosen[axis]) <= kMaxOrigin)) return;
+  }
+  origin = chosen;
 }
 
 // x y z in a row, and f_dc, f_rest, opacity, scale, rot in a row; normals may stand between or not.
@@ -480,6 +582,12 @@ std::uint64_t PlyFile::size() const {
 }
 int PlyFile::sh_degree() const {
   return impl_->sh_degree;
+}
+const Origin& PlyFile::origin() const {
+  return impl_->origin;
+}
+void PlyFile::rebase(const Origin& origin) {
+  impl_->origin = origin;
 }
 std::uint64_t PlyFile::bytes() const {
   return impl_->source.size();

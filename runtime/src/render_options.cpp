@@ -115,11 +115,11 @@ Status validate(const RenderTarget& t, const Camera& camera) {
   return {};
 }
 
-math::View<float> make_view(const Camera& camera, const FrameSettings& settings) {
+math::View<float> make_view(const Camera& camera, const Origin& origin, const FrameSettings& settings) {
   double matrix[16];
   std::ranges::copy(row_major(camera.world_to_camera), matrix);
   return math::make_view<float>(matrix, camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy,
-                                settings.near_plane, settings.far_plane);
+                                settings.near_plane, settings.far_plane, {origin[0], origin[1], origin[2]});
 }
 
 }  // namespace detail

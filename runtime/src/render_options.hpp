@@ -48,6 +48,7 @@ Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<
 /// bad_argument unless every span is empty or has the camera's pixels.
 Status validate(const RenderTarget& target, const Camera& camera);
 
-math::View<float> make_view(const Camera& camera, const FrameSettings& settings);
+/// For a scene whose means are relative to `origin`.
+math::View<float> make_view(const Camera& camera, const Origin& origin, const FrameSettings& settings);
 
 }  // namespace rgs::detail

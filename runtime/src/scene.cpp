@@ -64,6 +64,8 @@ Status check(const std::optional<Declarations>& declared) {
       !(d.low_pass_px2 >= 0 && std::isfinite(d.low_pass_px2))) {
     return make_error(Errc::bad_argument, Error::kNone, "a declared depth range or low-pass is not legal");
   }
+  if (!std::all_of(d.origin.begin(), d.origin.end(), [](double x) { return std::fabs(x) <= kMaxOrigin; }))
+    return make_error(Errc::bad_argument, Error::kNone, "a declared origin is not finite or beyond 10^12");
   return {};
 }
 
@@ -109,6 +111,7 @@ struct Scene::Storage {
   mutable std::unique_ptr<float[]> expanded;  // of a file
 
   Status decode(const FileView& view);
+  const Origin& origin() const { return declarations ? declarations->origin : kNoOrigin; }
   // The caller holds the mutex, or is the only one who knows the scene.
   Result<DirectData> take_direct() const;
   Status expand() const;
@@ -168,7 +171,8 @@ Status Scene::Storage::expand() const {
   // Isolated: a task of the caller's that this thread took up while it waits might want the mutex.
   tbb::this_task_arena::isolate([&] { detail::parallel_ranges(n, kGrain, fill); });
   expanded = std::move(memory);
-  arrays = SceneView{n, sh_degree, {mean, 3 * n}, {rotation, 4 * n}, {scale, 3 * n}, {opacity, n}, {sh, sh_floats * n}};
+  arrays = SceneView{
+      n, sh_degree, {mean, 3 * n}, {rotation, 4 * n}, {scale, 3 * n}, {opacity, n}, {sh, sh_floats * n}, origin()};
   return {};
 }
 
@@ -201,7 +205,8 @@ Scene Scene::adopt(SplatCloud splats, const std::optional<Declarations>& declare
   storage->declarations = declared;
   storage->activated = std::move(splats);
   const SplatCloud& s = storage->activated;
-  storage->arrays = SceneView{s.size(), s.sh_degree, s.mean, s.rotation, s.log_scale, s.opacity_logit, s.sh};
+  storage->arrays =
+      SceneView{s.size(), s.sh_degree, s.mean, s.rotation, s.log_scale, s.opacity_logit, s.sh, storage->origin()};
   Scene scene;
   scene.storage_ = std::move(storage);
   return scene;
@@ -254,6 +259,9 @@ int Scene::sh_degree() const {
 const std::optional<Declarations>& Scene::declarations() const {
   static const std::optional<Declarations> kNone;
   return storage_ ? storage_->declarations : kNone;
+}
+const Origin& Scene::origin() const {
+  return storage_ ? storage_->origin() : kNoOrigin;
 }
 std::uint64_t Scene::identity() const {
   return storage_ ? storage_->identity : 0;

@@ -48,7 +48,7 @@ constexpr Ops operator+(const Ops& a, const Ops& b) {
 constexpr Ops uncontracted(double flops, double special) {
   return {flops, flops, special};
 }
-constexpr Ops kToCamera = uncontracted(18, 0);   // 3 x (3 mul, 3 add)
+constexpr Ops kToCamera = uncontracted(21, 0);   // from_camera(): 6 sub; 3 x (3 mul, 2 add)
 constexpr Ops kToPixel = uncontracted(8, 2);     // 2 x (mul, div, add, sub)
 constexpr Ops kRotation = uncontracted(39, 0);   // rotation_matrix(): 3 x 5 on the diagonal, 6 x 4 beside it
 constexpr Ops kCovariance = uncontracted(78, 1)  // project_covariance(): 1/z; 2 slopes of mul, min, max; jx, jy;
@@ -67,7 +67,7 @@ constexpr Ops kEllipseRow = uncontracted(40, 4);
 constexpr Ops color_ops(int degree, bool compact) {
   constexpr double kBasis[] = {0, 3, 3 + 15, 3 + 15 + 30};  // sh_basis(): products and sums by degree, from above
   const double codes = 3.0 * (degree + 1) * (degree + 1);
-  const double direction = degree > 0 ? 13 : 0;  // view_direction(): 3 sub, dot 5, root, div, 3 mul
+  const double direction = degree > 0 ? 10 : 0;  // view_direction(): dot 5, root, div, 3 mul; to_camera()'s difference
   // sh_color(): mul and add each; + 1/2 and clamp of three channels. dequantize_sh(): one product.
   return uncontracted(direction + kBasis[degree] + (compact ? 3 : 2) * codes + 6, degree > 0 ? 2 : 0);
 }

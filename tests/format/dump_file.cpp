@@ -85,6 +85,7 @@ void put_head(const FileView& view) {
       d.n_source, d.n_dropped, d.n_repaired, d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one,
   };
   put<std::uint64_t>("counts", "u8", counts.size(), counts);
+  put<double>("origin", "f8", d.origin.size(), d.origin);
 
   if (const auto& p = view.provenance()) {
     put<std::uint64_t>("source", "u8", 2, std::array{p->source_bytes, p->source_xxh3});

@@ -83,6 +83,7 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
     same_bits("counts", library["counts"], np.array([[d[name] for name in (
         "n_source", "n_dropped", "n_repaired", "n_scale_subnormal", "n_scale_zero", "n_opacity_zero",
         "n_opacity_one")]], np.uint64))
+    same_bits("origin", library["origin"], [d["origin"]])
     assert (p is None) == ("source" not in library), "provenance"
     if p:
         same_bits("source", library["source"], np.array([[p["source_bytes"], p["source_xxh3"]]], np.uint64))

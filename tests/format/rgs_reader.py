@@ -36,6 +36,7 @@ ARCHIVED = ("MEAN", "GEOM", "SHI8")                               # what has cod
 CODED = ("SHSC", "CHNK", *ARCHIVED)
 PROV_HEAD = struct.Struct("<QQII")
 PROV_TEXT_MAX = 4096
+ORIGIN_MAX = 1e12
 
 HEADER = np.dtype([
     ("magic", "S8"), ("version_major", "<u2"), ("version_minor", "<u2"), ("flags", "<u4"), ("file_bytes", "<u8"),
@@ -55,7 +56,7 @@ DECL = np.dtype([
     ("full_min", "<f4", 3), ("full_max", "<f4", 3), ("robust_min", "<f4", 3), ("robust_max", "<f4", 3),
     ("robust_fraction", "<f4"), ("n_source", "<u8"), ("n_dropped", "<u8"), ("n_repaired", "<u8"),
     ("n_scale_subnormal", "<u8"), ("n_scale_zero", "<u8"), ("n_opacity_zero", "<u8"), ("n_opacity_one", "<u8"),
-    ("reserved_tail", "u1", 104)])
+    ("origin", "<f8", 3), ("reserved_tail", "u1", 80)])
 ARCH = np.dtype([
     ("mean_cells", "<u4"), ("mean_bits", "<u4"), ("n_classes", "<u4"), ("opacity_levels", "<u4"),
     ("n_distributions", "<u4"), ("reserved", "<u4"), ("centre", "<f8", 3), ("half_width", "<f8", 3),
@@ -89,7 +90,7 @@ class Scene:
     sections: list[Record]             # type (str), flags, codec, offset, stored_bytes, decoded_bytes, xxh3
     declarations: Record
     provenance: Record | None          # source_bytes, source_xxh3, source_name, tool; the texts are untrusted
-    means: NDArray[np.float32]         # [N, 3] world units
+    means: NDArray[np.float32]         # [N, 3] relative to the declared origin, world units
     rotations_stored: NDArray[np.float32]   # [N, 4] w, x, y, z as in the file
     rotations: NDArray[np.float32]     # [N, 4] of unit norm
     scales_stored: NDArray[np.float16]      # [N, 3] standard deviation times 2^scale_exponent
@@ -257,7 +258,9 @@ def read_declarations(data: memoryview, h: Record, base: int) -> Record:
         require(ok, "bad_value", base + DECL.fields[name][1], text)
 
     require_reserved(data, base + 11, base + 12, "a reserved byte of DECL")
-    require_reserved(data, base + 152, base + 256, "reserved bytes of DECL")
+    require_reserved(data, base + (176 if h["version_minor"] >= 3 else 152), base + 256, "reserved bytes of DECL")
+    for axis, value in enumerate(d["origin"]):
+        require(abs(value) <= ORIGIN_MAX, "bad_value", base + 152 + 8 * axis, "an origin within 10^12")
     for axis, direction in enumerate(d["axes"]):
         require(direction <= 6, "bad_value", base + axis, "a direction is 0 to 6")
     spans = sorted((a + 1) // 2 for a in d["axes"]) == [1, 2, 3]

@@ -110,6 +110,9 @@ inline std::vector<GoldenScene> golden_scenes() {
   scenes.push_back({"optional", golden_cloud(6, 0, 15), golden_options()});
   scenes.back().options.keep_permutation = true;
   scenes.back().options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
+  scenes.push_back({"origin", golden_cloud(40, 1, 25), golden_options()});
+  scenes.back().options.chunk_size = 32;
+  scenes.back().options.origin = {4201984.125, -1e12, 0.1};
   {
     // The ends of every range: FP16 zero and subnormal scales, opacity 0 and 1, absent SH, an outlier, dropped input.
     SplatCloud cloud = golden_cloud(250, 1, 16);
@@ -128,7 +131,7 @@ inline std::vector<GoldenScene> golden_scenes() {
     scenes.back().options.keep_permutation = true;
   }
   // The same in coded sections, and enough Gaussians for lanes that cross chunks, and for a rest.
-  for (const char* name : {"empty", "degree0", "degree1", "global", "edges"}) {
+  for (const char* name : {"empty", "degree0", "degree1", "global", "edges", "origin"}) {
     scenes.push_back(*std::ranges::find(scenes, name, &GoldenScene::name));
     scenes.back().name = "packed_" + scenes.back().name;
     scenes.back().options.profile = Profile::packed;

@@ -175,6 +175,17 @@ inline void reject_declarations(RejectMaker& m) {
   m.set("declaration_reserved_last", reserved_bits, d + 152, d + 255, std::uint8_t{1});
 }
 
+// `m` is of a file with an origin.
+inline void reject_origin(RejectMaker& m) {
+  using enum Errc;
+  const std::uint64_t origin = m.section("DECL") + 152;
+  m.set("origin_in_1_2", reserved_bits, origin, 10, std::uint16_t{2});
+  m.set("origin_nan", bad_value, origin, std::numeric_limits<double>::quiet_NaN());
+  m.set("origin_infinite", bad_value, origin + 8, -std::numeric_limits<double>::infinity());
+  m.set("origin_beyond_10_12", bad_value, origin + 16, -1.0000001e12);
+  m.set("origin_reserved", reserved_bits, origin + 24, std::uint8_t{1});
+}
+
 inline void reject_payload(RejectMaker& m) {
   using enum Errc;
   constexpr float kNaN = std::numeric_limits<float>::quiet_NaN(), kInfinity = std::numeric_limits<float>::infinity();
@@ -291,6 +302,11 @@ inline std::vector<RejectCase> reject_cases() {
   two.set("second_chunk_count", Errc::bad_value, two.section("CHNK") + 48 + 40, 32u);
   two.set("second_chunk_step", Errc::bad_value, two.section("SHSC") + 48 + 36, 1.f);
   two.set("second_chunk_code", Errc::bad_value, two.section("SHI8") + 32 * 4, std::int8_t{-128});
+
+  EncodeOptions far = golden_options();
+  far.origin = {4e6, 1e5, -0.1};
+  detail::RejectMaker origin(cases, detail::sound(golden_cloud(6, 0, 15), far));
+  detail::reject_origin(origin);
 
   options.profile = Profile::packed;
   detail::RejectMaker coded(cases, detail::sound(golden_cloud(200, 0, 17), options));

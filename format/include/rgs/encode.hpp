@@ -68,6 +68,7 @@ struct EncodeOptions {
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
   float metres_per_unit = 0;
+  Origin origin = kNoOrigin;  ///< that the means are relative to; |x| <= kMaxOrigin
   std::optional<Provenance> provenance;
 };
 

@@ -18,9 +18,9 @@ namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// Newest that this library knows. A file states the lowest that describes it: 2 with Codec::archive, 1 with
-/// Codec::planes, else 0.
-inline constexpr std::uint16_t kVersionMinor = 2;
+/// Newest that this library knows. A file states the lowest that describes it: 3 with an origin, 2 with Codec::archive, 1
+/// with Codec::planes, else 0.
+inline constexpr std::uint16_t kVersionMinor = 3;
 
 inline constexpr std::uint64_t kHeaderBytes = 128;
 inline constexpr std::uint64_t kSectionEntryBytes = 64;
@@ -135,6 +135,7 @@ enum class DepthMapping : std::uint8_t { linear = 1, logarithmic = 2 };
 enum class DepthSource : std::uint8_t { cameras = 1, scene_extent = 2, by_hand = 3 };
 enum class Order : std::uint8_t { input = 1, morton = 2 };
 
+/// Of means, which are relative to the origin.
 struct Box {
   std::array<float, 3> min{0, 0, 0};
   std::array<float, 3> max{0, 0, 0};
@@ -169,6 +170,7 @@ struct Declarations {
   std::uint64_t n_scale_zero = 0;       ///< stored scales that are zero
   std::uint64_t n_opacity_zero = 0;     ///< stored opacities that are 0
   std::uint64_t n_opacity_one = 0;      ///< stored opacities that are 1
+  Origin origin = kNoOrigin;            ///< of all means and boxes of the file; |x| <= kMaxOrigin
 };
 
 /// One entry of the chunk table: what can be asked of a chunk without reading its Gaussians.

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -23,9 +24,17 @@ constexpr int sh_degree_of(int coefficient) {
   return coefficient < 1 ? 0 : coefficient < 4 ? 1 : coefficient < 9 ? 2 : 3;
 }
 
+/// Where the FP32 means of a scene are measured from: world position = origin + mean, in the scene's axes, world units. Zero
+/// but for scenes so far away that FP32 would round them, such as georeferenced ones. It is stated beside a scene, as in
+/// Declarations, SplatFile and Scene; what holds Gaussians alone does not know it.
+using Origin = std::array<double, 3>;
+inline constexpr Origin kNoOrigin{0, 0, 0};
+/// Largest coordinate of an origin.
+inline constexpr double kMaxOrigin = 1e12;
+
 /// One Gaussian in the parameters of 3DGS training (Kerbl et al. 2023). The frame is the scene's world frame.
 struct Splat {
-  float mean[3] = {0, 0, 0};         ///< centre, world units
+  float mean[3] = {0, 0, 0};         ///< centre relative to the scene's origin, world units
   float log_scale[3] = {0, 0, 0};    ///< natural logarithm of the standard deviations along the local axes
   float rotation[4] = {1, 0, 0, 0};  ///< quaternion w, x, y, z; need not be normalised
   float opacity_logit = 0;           ///< opacity = 1 / (1 + exp(-opacity_logit))
@@ -36,7 +45,7 @@ struct Splat {
 struct SplatView {
   std::uint64_t n = 0;
   int sh_degree = 0;                     ///< 0..3
-  std::span<const float> mean;           ///< [n, 3] world units
+  std::span<const float> mean;           ///< [n, 3] relative to the scene's origin, world units
   std::span<const float> log_scale;      ///< [n, 3]
   std::span<const float> rotation;       ///< [n, 4] w, x, y, z
   std::span<const float> opacity_logit;  ///< [n]
@@ -51,7 +60,7 @@ struct SplatView {
 /// Owning counterpart of SplatView.
 struct SplatCloud {
   int sh_degree = 0;
-  std::vector<float> mean;           ///< [n, 3]
+  std::vector<float> mean;           ///< [n, 3] relative to the scene's origin
   std::vector<float> log_scale;      ///< [n, 3]
   std::vector<float> rotation;       ///< [n, 4] w, x, y, z
   std::vector<float> opacity_logit;  ///< [n]

@@ -18,13 +18,6 @@ std::size_t content_bytes(std::size_t n_classes, std::size_t n_sh, std::size_t n
          2 * kRansTokens * n_distributions;
 }
 
-double read_double(ByteReader& in) {
-  const std::uint64_t bits = in.u64();
-  double value;
-  std::memcpy(&value, &bits, sizeof value);
-  return value;
-}
-
 // One field after the other; remembers the first that is out of range.
 class Fields {
  public:
@@ -45,7 +38,7 @@ class Fields {
     return value;
   }
   double wide_number(double low, double high, const char* what) {
-    const double value = read_double(in_);
+    const double value = in_.f64();
     check(value >= low && value <= high, 8, what);
     return value;
   }

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <span>
@@ -22,6 +23,7 @@ class ByteReader {
   std::uint32_t u32() { return static_cast<std::uint32_t>(integer(4)); }
   std::uint64_t u64() { return integer(8); }
   float f32() { return float_of(u32()); }
+  double f64() { return std::bit_cast<double>(u64()); }
   std::string text(std::uint64_t length) {
     if (!take(length)) return {};
     return {reinterpret_cast<const char*>(bytes_.data() + position_ - length), static_cast<std::size_t>(length)};

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 #include <string>
@@ -19,6 +20,7 @@ class ByteWriter {
   void u32(std::uint32_t value) { integer(value, 4); }
   void u64(std::uint64_t value) { integer(value, 8); }
   void f32(float value) { u32(bits_of(value)); }
+  void f64(double value) { u64(std::bit_cast<std::uint64_t>(value)); }
   void text(const std::string& value) {
     for (const char c : value) u8(static_cast<std::uint8_t>(c));
   }

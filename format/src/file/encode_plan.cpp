@@ -73,6 +73,7 @@ Declarations declare(const SceneScan& scan, const EncodeOptions& options) {
   d.aa_mode = options.aa_mode;
   d.order = options.order;
   d.metres_per_unit = options.metres_per_unit;
+  d.origin = options.origin;
   d.full = scan.full();
   d.robust = scan.robust();
   const DepthRange depth = options.depth.value_or(depth_range_from_extent(d.robust, options.depth_mapping));
@@ -114,7 +115,8 @@ Status check_encodable(const SceneScan& scan, const EncodeOptions& options) {
     if (const Status s = check_options(options); !s) return s;
     if (const Status s = check_damage(scan, options); !s) return s;
     // What the reader would refuse is not written: axes that do not span space, numbers that are no enumerators.
-    if (const auto legal = detail::parse_declarations(detail::write_declarations(declare(scan, options)), 0); !legal) {
+    const auto written = detail::write_declarations(declare(scan, options));
+    if (const auto legal = detail::parse_declarations(written, 0, kVersionMinor); !legal) {
       return make_error(Errc::bad_argument, Error::kNone, legal.error().what);
     }
     return {};
@@ -140,6 +142,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   const Profile profile = plan.options.profile;
   Header& h = plan.header;
   h.version_minor = profile == Profile::direct ? 0 : profile == Profile::packed ? 1 : 2;
+  if (options.origin != kNoOrigin) h.version_minor = 3;
   h.n_gaussians = n;
   h.chunk_size = options.chunk_size;
   h.n_chunks = n / h.chunk_size + (n % h.chunk_size != 0 ? 1 : 0);

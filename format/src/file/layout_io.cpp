@@ -68,6 +68,7 @@ std::vector<std::byte> write_declarations(const Declarations& d) {
                                     d.n_opacity_zero, d.n_opacity_one}) {
     out.u64(value);
   }
+  for (const double value : d.origin) out.f64(value + 0.0);  // no -0
   out.pad_to(kDeclarationBytes);
   return out.take();
 }
@@ -201,7 +202,7 @@ bool ordered(const Box& box) {
 
 }  // namespace
 
-Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset) {
+Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset, std::uint16_t minor) {
   if (bytes.size() != kDeclarationBytes) {
     return make_error(Errc::size_mismatch, offset, "declarations have the wrong size", kDeclarationBytes, bytes.size());
   }
@@ -248,6 +249,10 @@ Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::u
   for (std::uint64_t* value : {&d.n_source, &d.n_dropped, &d.n_repaired, &d.n_scale_subnormal, &d.n_scale_zero,
                                &d.n_opacity_zero, &d.n_opacity_one}) {
     *value = in.u64();
+  }
+  for (std::size_t i = 0; minor >= 3 && i < 3; ++i) {
+    d.origin[i] = in.f64();
+    if (!(std::fabs(d.origin[i]) <= kMaxOrigin)) return bad(8, "the origin is not finite or beyond 10^12");
   }
   const std::uint64_t reserved = in.offset();
   if (!in.zeros(in.remaining()))

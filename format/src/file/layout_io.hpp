@@ -31,7 +31,7 @@ std::vector<std::byte> write_provenance(const Provenance& provenance);
 Result<Header> parse_header(std::span<const std::byte> bytes);
 Result<SectionEntry> parse_section_entry(std::span<const std::byte> bytes, std::uint64_t offset);
 /// `offset` is where the record lies in the file.
-Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset);
+Result<Declarations> parse_declarations(std::span<const std::byte> bytes, std::uint64_t offset, std::uint16_t minor);
 Result<ChunkEntry> parse_chunk_entry(std::span<const std::byte> bytes, std::uint64_t offset);
 ShStepSet parse_step_set(std::span<const std::byte> bytes);
 Result<Provenance> parse_provenance(std::span<const std::byte> bytes, std::uint64_t offset);

@@ -227,7 +227,8 @@ Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeL
   if (const Status s = check_sizes(view); !s) return tl::unexpected(s.error());
   const SectionEntry& declarations_entry = *view.find(SectionType::declarations);
   if (const Status s = check_hash(view, declarations_entry); !s) return tl::unexpected(s.error());
-  const auto declarations = detail::parse_declarations(view.stored(declarations_entry), declarations_entry.offset);
+  const auto declarations =
+      detail::parse_declarations(view.stored(declarations_entry), declarations_entry.offset, header->version_minor);
   if (!declarations) return tl::unexpected(declarations.error());
   view.declarations_ = *declarations;
   if (declarations->n_dropped > declarations->n_source ||

@@ -11,9 +11,9 @@
 
 namespace rgs::cuda {
 
-/// Planes that bound what the view can show. A box of means with centre c and half extents h, in world coordinates, is
-/// beyond a plane if normal . c + offset > extent . h + reach s + rounding |c|, with s three standard deviations of its
-/// largest Gaussian. The last term is room for the rounding of large coordinates.
+/// Planes that bound what the view can show. A box of means with centre c, from the camera and in the world's axes, and half
+/// extents h is beyond a plane if normal . c + offset > extent . h + reach s + rounding (|c| + |h|), with s three standard
+/// deviations of its largest Gaussian. The last term is room for the rounding of what is far from the camera.
 struct CullPlanes {
   struct Plane {
     math::Vec3<float> normal, extent;
@@ -29,17 +29,15 @@ struct CullPlanes {
 inline CullPlanes cull_planes(const ViewParameters& v) {
   const math::View<float>& view = v.view;
   const float* const w = view.rotation;
-  const float* const t = view.translation;
   // Beyond it: x X + y Y + z Z > distance in camera coordinates.
   const auto plane = [&](double x, double y, double z, double distance, float reach) {
     constexpr double kRounding = 1e-5;
     const auto along = [&](int axis) { return x * w[axis] + y * w[3 + axis] + z * w[6 + axis]; };
     const auto extent = [&](int axis) { return static_cast<float>(1.0001 * std::fabs(along(axis))); };
     const double size = std::fabs(x) + std::fabs(y) + std::fabs(z);
-    const double slack = kRounding * size * (std::fabs(t[0]) + std::fabs(t[1]) + std::fabs(t[2]));
     return CullPlanes::Plane{{static_cast<float>(along(0)), static_cast<float>(along(1)), static_cast<float>(along(2))},
                              {extent(0), extent(1), extent(2)},
-                             static_cast<float>(x * t[0] + y * t[1] + z * t[2] - distance - slack),
+                             static_cast<float>(-distance),
                              reach / 3,
                              static_cast<float>(kRounding * size)};
   };
@@ -58,22 +56,26 @@ inline CullPlanes cull_planes(const ViewParameters& v) {
 }
 
 /// FP32 attributes have no chunks.
-__device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const CullPlanes&) {
+__device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const math::View<float>&,
+                                     const CullPlanes&) {
   return true;
 }
 
 /// False only if no Gaussian of the chunk of Gaussian i can be listed in a tile. All lanes of a warp call it, with
 /// Gaussians of one chunk: each asks one plane.
-__device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const CullPlanes& planes) {
+__device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const math::View<float>& view,
+                                     const CullPlanes& planes) {
   const auto* const entry = reinterpret_cast<const float4*>(a.chunks + 12 * (i / a.chunk_size));
-  const float4 low = __ldg(entry);  // x, y, z; w: three standard deviations
-  const float4 high = __ldg(entry + 1);
+  const float4 first = __ldg(entry);  // x, y, z; w: three standard deviations
+  const float4 last = __ldg(entry + 1);
+  const math::Vec3<float> low = math::from_camera(view, {first.x, first.y, first.z});
+  const math::Vec3<float> high = math::from_camera(view, {last.x, last.y, last.z});
   const math::Vec3<float> center{0.5F * (low.x + high.x), 0.5F * (low.y + high.y), 0.5F * (low.z + high.z)};
   const math::Vec3<float> half{0.5F * (high.x - low.x), 0.5F * (high.y - low.y), 0.5F * (high.z - low.z)};
-  const float size = fabsf(center.x) + fabsf(center.y) + fabsf(center.z);
+  const float size = fabsf(center.x) + fabsf(center.y) + fabsf(center.z) + half.x + half.y + half.z;
   const CullPlanes::Plane& p = planes.plane[math::min(threadIdx.x % 32, 5u)];
   const float distance = fmaf(p.normal.x, center.x, fmaf(p.normal.y, center.y, fmaf(p.normal.z, center.z, p.offset)));
-  const float reach = fmaf(p.reach, low.w, p.rounding * size);
+  const float reach = fmaf(p.reach, first.w, p.rounding * size);
   // The comparison with a box whose numbers overflow leaves it in view.
   const bool beyond = distance > fmaf(p.extent.x, half.x, fmaf(p.extent.y, half.y, fmaf(p.extent.z, half.z, reach)));
   return !__any_sync(0xFFFFFFFFu, beyond);

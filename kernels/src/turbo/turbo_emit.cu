@@ -150,7 +150,7 @@ __global__ void __launch_bounds__(kThreads)
 
   math::TileRect rect{};
   std::uint32_t n_columns = 0, n_rows = 0;
-  if (i - i % 32 < a.n && chunk_in_view(attributes, math::min(i, a.n - 1), planes) && i < a.n) {
+  if (i - i % 32 < a.n && chunk_in_view(attributes, math::min(i, a.n - 1), v.view, planes) && i < a.n) {
     const math::Vec3<float> mean = load_mean(attributes.mean, i);
     // Geometry is not left until the depth is known: few of a chunk in view are out of range, and the loads overlap.
     const Geometry g = load_geometry(attributes, i);

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "rgs/result.hpp"
+#include "rgs/splat_cloud.hpp"
 
 namespace RGS_API rgs {
 
@@ -59,7 +60,7 @@ Status validate(const Camera& camera);
 /// principal point's distance from the image centre. A centred principal point becomes exactly (W / 2, H / 2).
 Camera resized(const Camera& camera, int width, int height);
 
-/// Position of the camera in the world: -R^T t.
+/// Position of the camera in the world: -R^-1 t, also of a rotation that is one to a few digits only.
 glm::dvec3 camera_centre(const Camera& camera);
 /// Unit directions of the camera's axes in the world: right, down, forward.
 glm::dvec3 camera_axis(const Camera& camera, int axis);
@@ -82,14 +83,14 @@ struct SceneBounds {
 /// Points [n, 3], such as a scene's means, as vectors without a copy.
 std::span<const glm::vec3> as_points(std::span<const float> coordinates);
 
-/// Box of the 2nd to 98th percentile of each coordinate of `mean` [n, 3]; non-finite points are left out. Floaters
+/// Box of the 2nd to 98th percentile of each coordinate of `origin` + `mean` [n, 3]; non-finite points are left out. Floaters
 /// far away, which every trained scene has, do not count. No points: the unit box around the origin.
-SceneBounds robust_bounds(std::span<const float> mean);
+SceneBounds robust_bounds(std::span<const float> mean, const Origin& origin = kNoOrigin);
 
 /// Up direction of worlds with 3DGS/COLMAP axes (y down); what the views below assume unless told better.
 inline constexpr glm::dvec3 kWorldUp{0, -1, 0};
 
-/// What an .rgs file states: its robust box, and where up is by the axis that points up or down; kWorldUp if none does.
+/// What an .rgs file states: its robust box in the world, and where up is by the axis that points up or down; kWorldUp if none does.
 SceneBounds declared_bounds(const Declarations& declarations);
 glm::dvec3 declared_up(const Declarations& declarations);
 

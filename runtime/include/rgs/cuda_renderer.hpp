@@ -66,8 +66,9 @@ class DeviceScene {
 
   std::uint64_t size() const;
   int sh_degree() const;
-  bool compact() const;         ///< as in the file, dequantised by the kernels
-  std::uint64_t bytes() const;  ///< device memory held
+  bool compact() const;          ///< as in the file, dequantised by the kernels
+  std::uint64_t bytes() const;   ///< device memory held
+  const Origin& origin() const;  ///< that its means are relative to
   /// What the .rgs file declares; absent for FP32 scenes.
   const std::optional<Declarations>& declarations() const;
 

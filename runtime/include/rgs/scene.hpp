@@ -17,15 +17,16 @@ namespace RGS_API rgs {
 
 class MappedFile;
 
-/// Read-only view of N activated Gaussians, structure of arrays, in the scene's world frame.
+/// Read-only view of N activated Gaussians, structure of arrays, in the scene's axes.
 struct SceneView {
   std::uint64_t n = 0;
   int sh_degree = 0;                ///< 0..3
-  std::span<const float> mean;      ///< [n, 3] world units
+  std::span<const float> mean;      ///< [n, 3] relative to `origin`, world units
   std::span<const float> rotation;  ///< [n, 4] unit quaternions w, x, y, z
   std::span<const float> scale;     ///< [n, 3] standard deviations along the local axes, world units
   std::span<const float> opacity;   ///< [n] 0..1
   std::span<const float> sh;        ///< [n, sh_coefficients(sh_degree), 3]
+  Origin origin = kNoOrigin;        ///< in the world
 };
 
 /// Gaussians to be drawn, which never change. Copies share them; reading is thread-safe. The CPU draws FP32 arrays of
@@ -35,8 +36,9 @@ class Scene {
   Scene() = default;  ///< no Gaussians
 
   /// Activates training parameters: scale = exp(log_scale), opacity = sigmoid(logit), rotation normalised (all zero
-  /// becomes the identity). `declared` is what is known of them otherwise, for with_declarations() (renderer.hpp).
-  /// Errors: bad_argument (sizes that contradict each other), limit_exceeded (2^31 Gaussians or more), bad_value (a
+  /// becomes the identity). `declared` is what is known of them otherwise: their origin, and the rest for
+  /// with_declarations() (renderer.hpp).
+  /// Errors: bad_argument (sizes that contradict each other, an illegal declaration), limit_exceeded (2^31 Gaussians or more), bad_value (a
   /// non-finite attribute; Error::offset is the index of the Gaussian).
   static Result<Scene> load(const SplatView& splats, const std::optional<Declarations>& declared = std::nullopt);
   static Result<Scene> load(const SplatCloud& splats, const std::optional<Declarations>& declared = std::nullopt) {
@@ -58,6 +60,8 @@ class Scene {
   int sh_degree() const;
   /// What the .rgs file declares (depth range, anti-aliasing, ...), or what load() was told; absent if neither.
   const std::optional<Declarations>& declarations() const;
+  /// That its means are relative to, in the world of its cameras; kNoOrigin without declarations.
+  const Origin& origin() const;
   /// Memory held by attributes: FP32 arrays, if they are made by now, and what is decoded of a coded file until view()
   /// or direct() first needs it. A mapped file is not counted.
   std::uint64_t bytes() const;

@@ -9,6 +9,7 @@
 #include <glm/gtc/matrix_access.hpp>
 #include <glm/gtc/quaternion.hpp>
 #include <glm/gtc/type_ptr.hpp>
+#include <glm/matrix.hpp>
 #include <numbers>
 
 #include "cameras/camera_records.hpp"
@@ -186,9 +187,8 @@ Vec3 camera_axis(const Camera& camera, int axis) {
   return Vec3(glm::row(camera.world_to_camera, axis));
 }
 
-// A vector left of a matrix is one right of the transposed matrix.
 Vec3 camera_centre(const Camera& camera) {
-  return -(Vec3(camera.world_to_camera[3]) * glm::dmat3(camera.world_to_camera));
+  return -(glm::inverse(glm::dmat3(camera.world_to_camera)) * Vec3(camera.world_to_camera[3]));
 }
 
 Camera look_at(const Vec3& eye, const Vec3& target, const Vec3& up, const ViewFormat& format) {
@@ -209,8 +209,9 @@ std::span<const glm::vec3> as_points(std::span<const float> coordinates) {
   return {reinterpret_cast<const glm::vec3*>(coordinates.data()), coordinates.size() / 3};
 }
 
-SceneBounds robust_bounds(std::span<const float> mean) {
-  SceneBounds bounds{{-0.5, -0.5, -0.5}, {0.5, 0.5, 0.5}};
+SceneBounds robust_bounds(std::span<const float> mean, const Origin& origin) {
+  const Vec3 centre = glm::make_vec3(origin.data());
+  SceneBounds bounds{centre - 0.5, centre + 0.5};
   std::vector<float> values;
   values.reserve(mean.size() / 3);
   for (int axis = 0; axis < 3; ++axis) {
@@ -221,17 +222,18 @@ SceneBounds robust_bounds(std::span<const float> mean) {
     const std::size_t cut = values.size() / 50;
     const auto low = values.begin() + static_cast<std::ptrdiff_t>(cut);
     std::nth_element(values.begin(), low, values.end());
-    bounds.low[axis] = *low;
+    bounds.low[axis] = centre[axis] + static_cast<double>(*low);
     const auto high = values.end() - 1 - static_cast<std::ptrdiff_t>(cut);
     std::nth_element(values.begin(), high, values.end());
-    bounds.high[axis] = *high;
+    bounds.high[axis] = centre[axis] + static_cast<double>(*high);
   }
   return bounds;
 }
 
 SceneBounds declared_bounds(const Declarations& declarations) {
   const auto& [low, high] = declarations.robust;
-  return {glm::make_vec3(low.data()), glm::make_vec3(high.data())};
+  const Vec3 origin = glm::make_vec3(declarations.origin.data());
+  return {origin + Vec3(glm::make_vec3(low.data())), origin + Vec3(glm::make_vec3(high.data()))};
 }
 
 Vec3 declared_up(const Declarations& declarations) {

@@ -411,7 +411,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     w.quantizer = math::make_depth_quantizer(settings.depth_mapping, stats.depth_bits, settings.depth_range[0],
                                              settings.depth_range[1]);
   }
-  const auto view = make_view(camera, settings);
+  const auto view = make_view(camera, scene.origin, settings);
   bool fits = true;
   const auto draw = [&] {
     Stopwatch total, stage;

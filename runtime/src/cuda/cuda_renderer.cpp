@@ -25,9 +25,10 @@ bool draws_turbo(const FrameSettings& settings, std::uint64_t n_gaussians) {
   return settings.cuda.turbo && detail::TurboPipeline::takes(n_gaussians);
 }
 
-cuda::ViewParameters view_of(const Camera& camera, const FrameSettings& settings, int sh_degree, bool is_turbo) {
+cuda::ViewParameters view_of(const Camera& camera, const Origin& origin, const FrameSettings& settings, int sh_degree,
+                             bool is_turbo) {
   cuda::ViewParameters view{};
-  view.view = detail::make_view(camera, settings);
+  view.view = detail::make_view(camera, origin, settings);
   view.low_pass = settings.low_pass;
   view.anti_aliasing = settings.anti_aliasing;
   view.sh_degree = std::min(sh_degree, settings.sh_degree_limit);
@@ -191,7 +192,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
                       camera.width,
                       camera.height,
                       detail::arrays_of(target, camera),
-                      view_of(camera, settings, scene.sh_degree(), is_turbo),
+                      view_of(camera, scene.origin(), settings, scene.sh_degree(), is_turbo),
                       settings,
                       stream};
     w.last = {};

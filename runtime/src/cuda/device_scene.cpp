@@ -78,6 +78,7 @@ Result<DeviceScene> DeviceScene::upload(const SceneView& scene, const UploadOpti
     auto storage = std::make_shared<SceneStorage>();
     storage->n = scene.n;
     storage->sh_degree = scene.sh_degree;
+    storage->origin = scene.origin;
     const auto placed =
         copy_sections({std::as_bytes(scene.mean), std::as_bytes(scene.rotation), std::as_bytes(scene.scale),
                        std::as_bytes(scene.opacity), std::as_bytes(scene.sh)},
@@ -104,6 +105,7 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
     storage->n = data.size();
     storage->sh_degree = header.sh_degree;
     storage->declarations = data.file().declarations();
+    storage->origin = storage->declarations->origin;
     const auto placed =
         copy_sections({data.means(), data.geometry(), data.sh(), data.step_table(), chunks}, *storage, options);
     if (!placed) return tl::unexpected(placed.error());
@@ -141,6 +143,9 @@ bool DeviceScene::compact() const {
 }
 std::uint64_t DeviceScene::bytes() const {
   return storage_ ? storage_->memory.bytes() : 0;
+}
+const Origin& DeviceScene::origin() const {
+  return storage_ ? storage_->origin : kNoOrigin;
 }
 const std::optional<Declarations>& DeviceScene::declarations() const {
   static const std::optional<Declarations> kNone;

@@ -23,6 +23,7 @@ struct SceneStorage {
   std::uint64_t n = 0;
   int sh_degree = 0;
   std::optional<Declarations> declarations;
+  Origin origin = kNoOrigin;
   cuda::Attributes attributes;
   DeviceBuffer memory;
   std::optional<Event> copied;  ///< the end of an upload that nobody has waited for

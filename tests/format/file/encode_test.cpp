@@ -345,3 +345,34 @@ TEST_CASE("options that no file can state are refused") {
   view.n = 4;
   CHECK(encode(view).error().code == Errc::bad_argument);
 }
+
+TEST_CASE("an origin is declared by version 1.3, and only where there is one") {
+  const SplatCloud cloud = golden_cloud(300, 1, 7);
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    CAPTURE(static_cast<int>(profile));
+    EncodeOptions options;
+    options.profile = profile;
+    const auto plain = encode(cloud.view(), options).value();
+    options.origin = {0.0, -0.0, 0.0};
+    CHECK(encode(cloud.view(), options).value() == plain);
+    CHECK(FileView::open(plain)->header().version_minor < 3);
+    options.origin = {4.2e6 + 0.1, -kMaxOrigin, -0.0};
+    const auto far = encode(cloud.view(), options).value();
+    const auto view = FileView::open(far);
+    REQUIRE(view);
+    REQUIRE(validate(*view));
+    CHECK(view->header().version_minor == 3);
+    CHECK(view->declarations().origin == options.origin);
+    CHECK_FALSE(std::signbit(view->declarations().origin[2]));
+    // Everything else is that of the scene itself: means are relative.
+    CHECK(view->declarations().full.min == FileView::open(plain)->declarations().full.min);
+    CHECK(decode(far)->mean == decode(plain)->mean);
+  }
+  for (const double bad : {std::nan(""), HUGE_VAL, -1.0000001e12}) {
+    EncodeOptions options;
+    options.origin[1] = bad;
+    const auto refused = encode(cloud.view(), options);
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == Errc::bad_argument);
+  }
+}

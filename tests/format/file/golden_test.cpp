@@ -1,4 +1,4 @@
-// golden_test.cpp - files committed for formats 1.0 to 1.2: exact bytes from the encoder, expected values from the
+// golden_test.cpp - files committed for formats 1.0 to 1.3: exact bytes from the encoder, expected values from the
 // decoder, and files with one defect. SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <draco/core/draco_version.h>

@@ -18,7 +18,9 @@ namespace RGS_API rgs {
 /// Properties are found by name (x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*), in any order and of any scalar
 /// type; other properties and elements are skipped, and what follows the vertices is not looked at. Binary (both byte
 /// orders) is read in place; ASCII (a line each vertex), and vertices with list properties, are converted once into
-/// rows of floats in an unlinked temporary file in $TMPDIR. Values are passed on as they are, NaN and infinity too.
+/// rows of numbers in an unlinked temporary file in $TMPDIR. Values are passed on as they are, NaN and infinity too.
+/// Where FP32 does not hold the coordinates as they are stored (double x, y, z), means are relative to an origin in the
+/// middle of the scene: see origin().
 /// Reading is thread-safe. The file may lose its name while it is open, but must not shrink: the size is checked once,
 /// in open(), and touching a mapped page behind a new end raises SIGBUS.
 class PlyFile {
@@ -44,6 +46,14 @@ class PlyFile {
   std::uint64_t bytes() const;                ///< size of the source
   std::span<const std::byte> source() const;  ///< the source's bytes as they lie on disk (for hashing)
 
+  /// That the means read are relative to: mean = float(x - origin), the difference in FP64, so that origin + mean is off by
+  /// half an ulp of an FP32 number of the mean's size at most. kNoOrigin if all coordinates are FP32 numbers. Otherwise
+  /// the middle of the box of the 2nd to 98th percentile of up to 65536 Gaussians, to the nearest multiple of a power of two
+  /// that is at least as large as the box; so that is 0 again for a scene around the world's origin.
+  const Origin& origin() const;
+  /// From now on means are relative to `origin`, as those of another file are; not thread-safe. |x| <= kMaxOrigin.
+  void rebase(const Origin& origin);
+
   /// Byte at which row i starts in the source; Error::kNone if rows were converted into a temporary file.
   std::uint64_t row_offset(std::uint64_t i) const;
 
@@ -64,13 +74,13 @@ class PlyFile {
 Result<SplatCloud> read_ply(const std::string& path);
 
 /// Writes a binary little-endian PLY with the properties of the original 3DGS code in its order: x y z nx ny nz
-/// f_dc_0..2 f_rest_* (channel-major) opacity scale_0..2 rot_0..3, all float.
+/// f_dc_0..2 f_rest_* (channel-major) opacity scale_0..2 rot_0..3, all float. With an origin, x y z are double: origin + mean.
 /// Rows may be written in any order and from several threads, each once.
 class PlyWriter {
  public:
   /// Reserves the space. Errors: bad_argument (degree, count), and those of AtomicFile::create and reserve.
   static Result<PlyWriter> create(const std::string& path, std::uint64_t n, int sh_degree,
-                                  const AtomicFile::Options& options);
+                                  const AtomicFile::Options& options, const Origin& origin = kNoOrigin);
   /// Rows first .. first + splats.size() - 1. Errors: write_failed.
   Status write(std::uint64_t first, std::span<const Splat> splats);
   /// See AtomicFile::commit: seconds spent syncing.
@@ -81,13 +91,15 @@ class PlyWriter {
   std::uint64_t n_ = 0;
   std::uint64_t header_bytes_ = 0;
   int sh_degree_ = 0;
+  Origin origin_ = kNoOrigin;
 };
 
 /// The PLY header that PlyWriter writes, "ply\n" to "end_header\n".
-std::string ply_header(std::uint64_t n, int sh_degree);
-/// Bytes of one row that PlyWriter writes: 4 * (17 + 3 * (coefficients - 1)).
-std::uint64_t ply_row_bytes(int sh_degree);
-/// Encodes rows as PlyWriter writes them; out.size() == splats.size() * ply_row_bytes(sh_degree).
-void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std::byte> out);
+std::string ply_header(std::uint64_t n, int sh_degree, const Origin& origin = kNoOrigin);
+/// Bytes of one row that PlyWriter writes: 4 * (17 + 3 * (coefficients - 1)), and 12 more with an origin.
+std::uint64_t ply_row_bytes(int sh_degree, const Origin& origin = kNoOrigin);
+/// Encodes rows as PlyWriter writes them; out.size() == splats.size() * ply_row_bytes(sh_degree, origin).
+void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std::byte> out,
+                     const Origin& origin = kNoOrigin);
 
 }  // namespace rgs

@@ -16,8 +16,8 @@ namespace rgs::math {
 template <class T>
 struct View {
   T rotation[9];                ///< world to camera, row-major
-  T translation[3];             ///< world to camera
-  Vec3<T> position;             ///< of the camera, in the world
+  Vec3<T> position;             ///< of the camera, relative to the scene's origin
+  Vec3<T> position_low;         ///< what rounding took from it: position + position_low has twice the digits
   T fx, fy;                     ///< focal lengths, px
   T cx, cy;                     ///< principal point, px from the left and upper edge of the image
   T slope_low_x, slope_high_x;  ///< range of x/z in which the projection is linearised
@@ -26,20 +26,33 @@ struct View {
   int width, height;            ///< px
 };
 
-/// Builds a view from a row-major rigid 4x4 matrix (double: large world coordinates cancel here and not per Gaussian).
-/// far_plane = 0 means none.
+/// Where R p + t is 0, for a row-major 4x4 matrix [R t]: -R^-1 t. Not -R^T t: a rotation with few digits is no rotation, and
+/// far from the world's origin that shows.
+RGS_HD inline Vec3<double> camera_position(const double (&world_to_camera)[16]) {
+  const double* m = world_to_camera;
+  const Vec3<double> a{m[0], m[1], m[2]}, b{m[4], m[5], m[6]}, c{m[8], m[9], m[10]};
+  const Vec3<double> bc = cross(b, c), ca = cross(c, a), ab = cross(a, b);
+  const double scale = -1 / dot(a, bc);
+  return {scale * (bc.x * m[3] + ca.x * m[7] + ab.x * m[11]), scale * (bc.y * m[3] + ca.y * m[7] + ab.y * m[11]),
+          scale * (bc.z * m[3] + ca.z * m[7] + ab.z * m[11])};
+}
+
+/// Builds a view from a row-major rigid 4x4 matrix, for Gaussians whose means are relative to `origin` (double: large
+/// world coordinates cancel here and not per Gaussian). far_plane = 0 means none.
 template <class T>
 RGS_HD inline View<T> make_view(const double (&world_to_camera)[16], int width, int height, double fx, double fy,
-                                double cx, double cy, T near_plane, T far_plane) {
+                                double cx, double cy, T near_plane, T far_plane,
+                                const Vec3<double>& origin = {0, 0, 0}) {
   View<T> v{};
-  const double* m = world_to_camera;
-  double position[3];
   for (int i = 0; i < 3; ++i) {
-    for (int j = 0; j < 3; ++j) v.rotation[3 * i + j] = static_cast<T>(m[4 * i + j]);
-    v.translation[i] = static_cast<T>(m[4 * i + 3]);
-    position[i] = -(m[i] * m[3] + m[4 + i] * m[7] + m[8 + i] * m[11]);
+    for (int j = 0; j < 3; ++j) v.rotation[3 * i + j] = static_cast<T>(world_to_camera[4 * i + j]);
   }
-  v.position = {static_cast<T>(position[0]), static_cast<T>(position[1]), static_cast<T>(position[2])};
+  Vec3<double> p = camera_position(world_to_camera);
+  p = {p.x - origin.x, p.y - origin.y, p.z - origin.z};
+  v.position = {static_cast<T>(p.x), static_cast<T>(p.y), static_cast<T>(p.z)};
+  v.position_low = {static_cast<T>(p.x - static_cast<double>(v.position.x)),
+                    static_cast<T>(p.y - static_cast<double>(v.position.y)),
+                    static_cast<T>(p.z - static_cast<double>(v.position.z))};
   v.fx = static_cast<T>(fx), v.fy = static_cast<T>(fy);
   v.cx = static_cast<T>(cx), v.cy = static_cast<T>(cy);
   // The original clamps to +-1.3 tan(fov/2), which is the image's edge plus 0.3 half images. Written that way it also
@@ -53,13 +66,21 @@ RGS_HD inline View<T> make_view(const double (&world_to_camera)[16], int width, 
   return v;
 }
 
-/// World point in camera coordinates.
+/// From the camera to a point of the scene, in the world's axes. Where both are far from the origin and near each other the
+/// first difference is exact (Sterbenz), so the error is that of the result and not of the coordinates.
+template <class T>
+RGS_HD inline Vec3<T> from_camera(const View<T>& view, const Vec3<T>& p) {
+  const Vec3<T>&high = view.position, &low = view.position_low;
+  return {p.x - high.x - low.x, p.y - high.y - low.y, p.z - high.z - low.z};
+}
+
+/// Point of the scene in camera coordinates.
 template <class T>
 RGS_HD inline Vec3<T> to_camera(const View<T>& view, const Vec3<T>& p) {
   const T* r = view.rotation;
-  const T* t = view.translation;
-  return {r[0] * p.x + r[1] * p.y + r[2] * p.z + t[0], r[3] * p.x + r[4] * p.y + r[5] * p.z + t[1],
-          r[6] * p.x + r[7] * p.y + r[8] * p.z + t[2]};
+  const Vec3<T> d = from_camera(view, p);
+  return {r[0] * d.x + r[1] * d.y + r[2] * d.z, r[3] * d.x + r[4] * d.y + r[5] * d.z,
+          r[6] * d.x + r[7] * d.y + r[8] * d.z};
 }
 
 /// Whether a mean at camera depth z is drawn; false for NaN.
@@ -80,10 +101,10 @@ RGS_HD inline PixelPoint<T> to_pixel(const View<T>& view, const Vec3<T>& p) {
   return {view.fx * p.x / p.z + view.cx - T(0.5), view.fy * p.y / p.z + view.cy - T(0.5)};
 }
 
-/// Unit vector from the camera to a world point, the argument of the harmonics; the device's root may be 2 ulp off.
+/// Unit vector from the camera to a point of the scene, the argument of the harmonics; the device's root may be 2 ulp off.
 template <class T>
 RGS_HD inline Vec3<T> view_direction(const View<T>& view, const Vec3<T>& p) {
-  const Vec3<T> d{p.x - view.position.x, p.y - view.position.y, p.z - view.position.z};
+  const Vec3<T> d = from_camera(view, p);
 #if defined(__CUDA_ARCH__)
   const T inverse_length = ::rsqrt(dot(d, d));
 #else

@@ -25,6 +25,11 @@ RGS_HD constexpr T dot(const Vec3<T>& a, const Vec3<T>& b) {
   return a.x * b.x + a.y * b.y + a.z * b.z;
 }
 
+template <class T>
+RGS_HD constexpr Vec3<T> cross(const Vec3<T>& a, const Vec3<T>& b) {
+  return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x};
+}
+
 // std::min and std::max are host-only for nvcc without a flag; these return b where a is NaN, and b must not be. As
 // comparison and choice they would be two instructions of the device, which has one for numbers.
 template <class T>
