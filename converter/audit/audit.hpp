@@ -86,7 +86,7 @@ struct AttributeError {
 struct WorstGaussian {
   double error = 0;  ///< in the unit that it means
   std::uint64_t asset_index = 0, source_index = 0;
-  std::array<float, 3> mean{};
+  std::array<double, 3> mean{};  ///< where the source has it in the world
 };
 struct WorstList {
   std::string key, name, unit;

@@ -108,10 +108,11 @@ struct Seen {
   std::array<CodeUsage, 4> codes{};
   RangeCounts ranges;
 
-  void rank(Worst list, float error, std::uint64_t asset_index, std::uint64_t source_index, const float* mean) {
+  void rank(Worst list, float error, std::uint64_t asset_index, std::uint64_t source_index,
+            const std::array<double, 3>& mean) {
     auto& top = worst[list];
     if (!(error > 0) || (top.size() == kWorst && static_cast<double>(error) < top.back().error)) return;
-    const WorstGaussian entry{static_cast<double>(error), asset_index, source_index, {mean[0], mean[1], mean[2]}};
+    const WorstGaussian entry{static_cast<double>(error), asset_index, source_index, mean};
     top.insert(std::upper_bound(top.begin(), top.end(), entry, worse), entry);
     if (top.size() > kWorst) top.pop_back();
   }
@@ -159,8 +160,10 @@ RotationError rotation_error(const float* source, const float* stored) {
 
 class Comparison {
  public:
-  Comparison(const FileView& asset, int source_degree)
-      : asset_degree_(asset.header().sh_degree),
+  Comparison(const FileView& asset, int source_degree, const Origin& source_origin)
+      : source_origin_(source_origin),
+        asset_origin_(asset.declarations().origin),
+        asset_degree_(asset.header().sh_degree),
         floats_(3 * static_cast<std::size_t>(sh_coefficients(std::max(source_degree, asset_degree_)))),
         stored_floats_(3 * static_cast<std::size_t>(sh_coefficients(asset_degree_))),
         smallest_normal_(std::ldexp(kHalfMinNormal, -asset.header().scale_exponent)) {}
@@ -204,8 +207,12 @@ class Comparison {
     seen.ranges.opacity_one += stored.opacity == 1 && opacity < 1;
 
     double squared = 0;
-    for (int i = 0; i < 3; ++i) {
-      const double d = static_cast<double>(stored.mean[i]) - static_cast<double>(source.mean[i]);
+    std::array<double, 3> mean;
+    for (std::size_t i = 0; i < 3; ++i) {
+      mean[i] = source_origin_[i] + static_cast<double>(source.mean[i]);
+      // Origins first: they are equal as a rule, and then nothing is rounded.
+      const double d = (asset_origin_[i] - source_origin_[i]) +
+                       (static_cast<double>(stored.mean[i]) - static_cast<double>(source.mean[i]));
       squared += d * d;
     }
     const auto moved = static_cast<float>(std::sqrt(squared));
@@ -213,11 +220,11 @@ class Comparison {
     note(kMean, moved);
     note(kMeanSize, moved_size);
 
-    seen.rank(kWorstColour, colour, asset_index, source_index, source.mean);
-    seen.rank(kWorstRotation, rotation.degrees, asset_index, source_index, source.mean);
-    seen.rank(kWorstScale, largest_percent, asset_index, source_index, source.mean);
-    seen.rank(kWorstOpacity, 100 * opacity_error, asset_index, source_index, source.mean);
-    seen.rank(kWorstMean, moved_size, asset_index, source_index, source.mean);
+    seen.rank(kWorstColour, colour, asset_index, source_index, mean);
+    seen.rank(kWorstRotation, rotation.degrees, asset_index, source_index, mean);
+    seen.rank(kWorstScale, largest_percent, asset_index, source_index, mean);
+    seen.rank(kWorstOpacity, 100 * opacity_error, asset_index, source_index, mean);
+    seen.rank(kWorstMean, moved_size, asset_index, source_index, mean);
   }
 
  private:
@@ -250,6 +257,7 @@ class Comparison {
   }
 
   static constexpr double kLevels = 255 * 0.28209479177387814;  // 8-bit levels over sqrt(4 pi)
+  Origin source_origin_, asset_origin_;
   int asset_degree_;
   std::size_t floats_, stored_floats_;
   float smallest_normal_;
@@ -335,7 +343,7 @@ AttributeReport compare_attributes(const PlyFile& source, const FileView& asset,
   tbb::enumerable_thread_specific<Seen> threads;
   tbb::parallel_for(std::uint64_t{0}, n_blocks, [&](std::uint64_t block) {
     Seen& seen = threads.local();
-    Comparison comparison(asset, source.sh_degree());
+    Comparison comparison(asset, source.sh_degree(), source.origin());
     std::uint64_t chunk = ~std::uint64_t{0};
     std::array<Splat, kAtOnce> wanted;
     std::array<ActivatedSplat, kAtOnce> stored;

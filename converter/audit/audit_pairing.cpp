@@ -140,6 +140,15 @@ Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset) {
     return rgs::make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
                            std::max(source.size(), asset.header().n_gaussians));
   if (auto pairing = pair_by_permutation(source, asset)) return *std::move(pairing);
+  const Origin& origin = asset.declarations().origin;
+  if (source.origin() != origin) {
+    // Means are equal where both are relative to one origin.
+    auto again = PlyFile::open(source.source());
+    if (!again) return tl::unexpected(again.error());
+    again->rebase(origin);
+    if (auto pairing = pair_by_order(*again, asset)) return *std::move(pairing);
+    return pair_by_means(*again, asset);
+  }
   if (auto pairing = pair_by_order(source, asset)) return *std::move(pairing);
   return pair_by_means(source, asset);
 }

@@ -21,7 +21,8 @@ struct Pairing {
 
 /// Pairs by the file's permutation if it has one; else in order, if the asset keeps the source's; else by equal means,
 /// which conversion never changes (Gaussians on one spot keep their order). `asset` must be valid, and preloaded if it is coded.
-/// Takes 36 bytes a Gaussian at most. Errors: limit_exceeded (2^32 - 1 Gaussians or more).
+/// Takes 36 bytes a Gaussian at most. Means are compared relative to the
+/// asset's origin. Errors: limit_exceeded (2^32 - 1 Gaussians or more).
 Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset);
 
 }  // namespace rgs::audit

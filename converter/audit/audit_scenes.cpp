@@ -49,6 +49,13 @@ void requantise(SplatCloud& cloud, bool by_chunk) {
                     [&](std::uint64_t chunk) { requantise(cloud, chunk * kChunk, end(chunk), set); });
 }
 
+// A PLY states nothing but where it lies.
+Declarations declared_at(const Origin& origin) {
+  Declarations d;
+  d.origin = origin;
+  return d;
+}
+
 }  // namespace
 
 Result<SourceScene> source_scene(const PlyFile& source) {
@@ -67,8 +74,8 @@ Result<SourceScene> source_scene(const PlyFile& source) {
   SourceScene out;
   out.n_left_out = source.size() - n;
   cloud.resize(n, source.sh_degree());
-  out.bounds = robust_bounds(cloud.mean);
-  auto scene = Scene::load(std::move(cloud));
+  out.bounds = robust_bounds(cloud.mean, source.origin());
+  auto scene = Scene::load(std::move(cloud), declared_at(source.origin()));
   if (!scene) return tl::unexpected(scene.error());
   out.scene = std::move(*scene);
   return out;
@@ -102,7 +109,8 @@ Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pa
   });
   if (mixture == Mixture::file_scales || mixture == Mixture::chunk_step_sets)
     requantise(cloud, mixture == Mixture::chunk_step_sets);
-  return Scene::load(std::move(cloud));
+  const bool is_stored = mixture == Mixture::stored_geometry;  // the means too
+  return Scene::load(std::move(cloud), declared_at(is_stored ? asset.declarations().origin : source.origin()));
 }
 
 }  // namespace rgs::audit

@@ -30,7 +30,7 @@ struct StageObserver {
 };
 
 struct ConvertOptions {
-  EncodeOptions encode;
+  EncodeOptions encode;         ///< but its origin, which is that of the Gaussians
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
   AtomicFile::Options output;
@@ -49,6 +49,9 @@ struct ConvertSummary {
   float min_scale = 0, max_scale = 0, min_opacity = 0, max_opacity = 0;
   std::vector<std::pair<const char*, double>> seconds;  ///< by stage, in order
   double sync_seconds = 0;
+  Origin origin = kNoOrigin;  ///< of the output
+  double position_rounding =
+      0;  ///< how far coordinates were rounded, world units: see rgs::position_rounding(), and merging
 };
 
 /// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two
@@ -71,6 +74,8 @@ struct LoadedScene {
   std::uint64_t xxh3 = 0;      ///< of their bytes, one after the other
   std::uint64_t n_source = 0;  ///< Gaussians in them; what is not in `cloud` has been filtered out
   int source_sh_degree = 0;
+  Origin origin = kNoOrigin;     ///< that means are relative to
+  double position_rounding = 0;  ///< of coordinates, world units, where clouds of several origins were merged
 };
 
 /// A scene in memory to a file of any writable format, or .rgs. Its Gaussians must be in the axes that the format has,

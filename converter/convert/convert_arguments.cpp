@@ -87,17 +87,12 @@ Result<Similarity> parse_similarity(const std::string& translate, const std::str
   return similarity;
 }
 
-Result<Box> parse_box(const std::string& text) {
+Result<WorldBox> parse_box(const std::string& text) {
   const std::vector<double> v = numbers(text);
   if (v.size() != 6 || !(v[0] <= v[3] && v[1] <= v[4] && v[2] <= v[5])) {
     return refuse("--crop takes two corners, the smaller first: x,y,z,X,Y,Z");
   }
-  Box box;
-  for (std::size_t k = 0; k < 3; ++k) {
-    box.min[k] = static_cast<float>(v[k]);
-    box.max[k] = static_cast<float>(v[3 + k]);
-  }
-  return box;
+  return WorldBox{{v[0], v[1], v[2]}, {v[3], v[4], v[5]}};
 }
 
 }  // namespace rgs

@@ -18,6 +18,6 @@ Result<Axes> parse_axes(const std::string& text);
 /// factor above 0. An empty text leaves its part out.
 Result<Similarity> parse_similarity(const std::string& translate, const std::string& rotate, const std::string& scale);
 /// "x,y,z,X,Y,Z": two corners.
-Result<Box> parse_box(const std::string& text);
+Result<WorldBox> parse_box(const std::string& text);
 
 }  // namespace rgs

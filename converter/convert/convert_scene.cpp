@@ -1,5 +1,6 @@
 // convert_scene.cpp - a scene in memory to a file of any format.
 // SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
 #include <utility>
 
 #include "convert.hpp"
@@ -28,6 +29,11 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.colour_space = options.encode.colour_space;
   write.aa_mode = options.encode.aa_mode;
   write.keep_order = options.encode.order == Order::input;
+  write.origin = scene.origin;
+  const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
+  if (!rounding) return tl::unexpected(rounding.error());
+  summary.position_rounding = *rounding;
+  summary.origin = keeps_origin(format) ? scene.origin : kNoOrigin;
   const auto bytes = encode_splats(scene.cloud.view(), format, write);
   if (!bytes) return tl::unexpected(bytes.error());
   clock.begin("commit", 0, "");
@@ -48,15 +54,17 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
 Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, const std::string& output_path,
                                      const ConvertOptions& options, const StageObserver& observer) {
   const std::uint64_t n_filtered = scene.n_source - scene.cloud.size();
-  auto summary = format == SplatFormat::rgs ? convert_to_rgs(SplatSource(scene.cloud.view(), scene.bytes, scene.xxh3),
-                                                             output_path, options, observer)
-                                            : write_scene(scene, format, output_path, options, observer);
+  auto summary = format == SplatFormat::rgs
+                     ? convert_to_rgs(SplatSource(scene.cloud.view(), scene.bytes, scene.xxh3, scene.origin),
+                                      output_path, options, observer)
+                     : write_scene(scene, format, output_path, options, observer);
   if (!summary) return summary;
   summary->source_format = scene.format;
   summary->source_bytes = scene.bytes;
   summary->n_source = scene.n_source;
   summary->n_filtered = n_filtered;
   summary->source_sh_degree = scene.source_sh_degree;
+  summary->position_rounding = std::max(summary->position_rounding, scene.position_rounding);
   return summary;
 }
 

@@ -24,9 +24,14 @@ const char* depth_mapping_name(DepthMapping mapping) {
   return mapping == DepthMapping::linear ? "linear" : "log";
 }
 
-// The minor version says whether sections are coded.
-const char* profile_name(const Header& header) {
-  return header.version_minor == 0 ? "direct" : header.version_minor == 1 ? "packed" : "archive";
+// Means of every profile have a codec of their own.
+const char* profile_name(const std::vector<SectionEntry>& sections) {
+  for (const SectionEntry& section : sections) {
+    if (section.type != static_cast<std::uint32_t>(SectionType::means)) continue;
+    const auto codec = static_cast<Codec>(section.codec);
+    return codec == Codec::none ? "direct" : codec == Codec::planes ? "packed" : "archive";
+  }
+  return "unknown";
 }
 
 double per_gaussian(std::uint64_t bytes, std::uint64_t n) {
@@ -70,9 +75,14 @@ std::string summary_text(const ConvertSummary& s) {
   } else {
     line("  SH degree  {} of {} kept", s.sh_degree, s.source_sh_degree);
   }
+  if (s.origin != kNoOrigin) {
+    line("  origin     {:.10g}, {:.10g}, {:.10g}; means are FP32 relative to it", s.origin[0], s.origin[1],
+         s.origin[2]);
+  }
+  if (s.position_rounding > 0) line("  positions  rounded by up to {:.3g} world units", s.position_rounding);
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
-    line("  sections   {}", profile_name(s.header));
+    line("  sections   {}", profile_name(s.sections));
     for (const SectionEntry& section : s.sections) {
       line("    {}  {:>10}  {:6.2f} bytes per Gaussian", type_name(section.type), format_bytes(section.stored_bytes),
            per_gaussian(section.stored_bytes, s.n_written));
@@ -118,6 +128,8 @@ std::string summary_json(const ConvertSummary& s) {
   json["dropped"] = s.n_source - s.n_filtered - s.n_written;
   json["repaired"] = s.n_repaired;
   json["damaged"] = std::move(damaged);
+  json["origin"] = s.origin;
+  json["position_rounding"] = s.position_rounding;
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     ordered_json sections = ordered_json::array();
@@ -126,7 +138,7 @@ std::string summary_json(const ConvertSummary& s) {
                           {"stored_bytes", section.stored_bytes},
                           {"decoded_bytes", section.decoded_bytes}});
     }
-    json["profile"] = profile_name(s.header);
+    json["profile"] = profile_name(s.sections);
     json["sections"] = std::move(sections);
     json["chunks"] = {
         {"size", s.header.chunk_size}, {"count", s.header.n_chunks}, {"scale_sets", s.header.n_step_sets}};

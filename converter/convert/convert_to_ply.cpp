@@ -83,7 +83,8 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
   StageClock clock(observer, summary.seconds);
   const std::uint64_t n = source.header().n_gaussians;
   const int degree = source.header().sh_degree;
-  auto writer = PlyWriter::create(output_path, n, degree, output);
+  const Origin& origin = source.declarations().origin;
+  auto writer = PlyWriter::create(output_path, n, degree, output, origin);
   if (!writer) return tl::unexpected(writer.error());
 
   clock.begin("decode", n, "Gaussians");
@@ -99,11 +100,12 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
   summary.source_format = "rgs";
   summary.output_format = "ply";
   summary.source_bytes = source.bytes().size();
-  summary.output_bytes = ply_header(n, degree).size() + n * ply_row_bytes(degree);
+  summary.output_bytes = ply_header(n, degree, origin).size() + n * ply_row_bytes(degree, origin);
   summary.n_source = summary.n_written = n;
   summary.source_sh_degree = summary.sh_degree = degree;
   summary.header = source.header();
   summary.declarations = source.declarations();
+  summary.origin = origin;
   summary.sections = source.sections();
   return summary;
 }

@@ -89,7 +89,7 @@ Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, co
     for (std::size_t k = 0; k < n; ++k) {
       std::copy_n(&scanned.means[3 * std::size_t{indices[k * indices.size() / n]}], 3, &sample[3 * k]);
     }
-    const auto range = depth_range_from_cameras(options.cameras, sample);
+    const auto range = depth_range_from_cameras(options.cameras, sample, encode.origin);
     if (!range) return tl::unexpected(range.error());
     encode.depth = *range;
   }
@@ -163,6 +163,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   EncodeOptions encode = options.encode;
+  encode.origin = source.origin();
   if (const Status s = check_encodable(SceneScan(0), encode); !s) return tl::unexpected(s.error());
   auto file = AtomicFile::create(output_path, options.output);
   if (!file) return tl::unexpected(file.error());
@@ -222,6 +223,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan.defects(static_cast<Defect>(i));
   summary.header = written->header;
   summary.declarations = written->declarations;
+  summary.origin = encode.origin;
   summary.sections = std::move(written->sections);
   if (scan.n_kept() != 0) {
     summary.min_scale = scale_from_log(scan.min_log_scale());

@@ -199,16 +199,19 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     scene.source_sh_degree = std::max(scene.source_sh_degree, file->cloud.sh_degree);
     hash.update(inputs[i].bytes());
     rgs::convert_axes(file->cloud, file->axes, encode.axes);
+    rgs::convert_axes(file->origin, file->axes, encode.axes);
     const auto similarity = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
                                                   of_input(arguments.scale, i));
-    rgs::transform_splats(file->cloud, *similarity);
+    rgs::transform_splats(file->cloud, file->origin, *similarity);
     if (i == 0) {
       scene.cloud = std::move(file->cloud);
+      scene.origin = file->origin;
     } else {
-      rgs::append_splats(scene.cloud, file->cloud);
+      const double rounding = rgs::append_splats(scene.cloud, scene.origin, std::move(file->cloud), file->origin);
+      scene.position_rounding = std::max(scene.position_rounding, rounding);
     }
   }
-  rgs::filter_splats(scene.cloud, arguments.filter);
+  rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
   scene.xxh3 = hash.digest();
   return scene;
 }

@@ -17,12 +17,14 @@ namespace rgs {
 class SplatSource {
  public:
   SplatSource(const PlyFile& ply) : ply_(&ply) {}  // NOLINT: a PLY file is a source
-  /// `bytes` and `source_xxh3` of the file or files that the cloud came from.
-  SplatSource(const SplatView& cloud, std::uint64_t bytes, std::uint64_t source_xxh3)
-      : cloud_(cloud), bytes_(bytes), xxh3_(source_xxh3) {}
+  /// `bytes` and `source_xxh3` of the file or files that the cloud came from, `origin` that its means are relative to.
+  SplatSource(const SplatView& cloud, std::uint64_t bytes, std::uint64_t source_xxh3, const Origin& origin = kNoOrigin)
+      : cloud_(cloud), bytes_(bytes), xxh3_(source_xxh3), origin_(origin) {}
 
   std::uint64_t size() const { return ply_ != nullptr ? ply_->size() : cloud_.n; }
   int sh_degree() const { return ply_ != nullptr ? ply_->sh_degree() : cloud_.sh_degree; }
+  /// That the means read are relative to.
+  const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : origin_; }
   std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : bytes_; }
   /// XXH3-64 of the source's bytes; reads a PLY file to its end.
   std::uint64_t hash() const { return ply_ != nullptr ? xxh3(ply_->source()) : xxh3_; }
@@ -45,6 +47,7 @@ class SplatSource {
   const PlyFile* ply_ = nullptr;
   SplatView cloud_;
   std::uint64_t bytes_ = 0, xxh3_ = 0;
+  Origin origin_ = kNoOrigin;
 };
 
 }  // namespace rgs

@@ -280,6 +280,7 @@ class SceneWalk {
   bool found() const { return found_; }
   ColourSpace colour_space() const { return colour_space_; }
   SplatCloud take() { return std::move(cloud_); }
+  const Origin& origin() const { return origin_; }
 
  private:
   Status add_mesh(const json& mesh, const Similarity& similarity) {
@@ -291,11 +292,13 @@ class SceneWalk {
       if (splats == nullptr) continue;
       auto part = read_primitive(glb_, primitive, max_n_ - cloud_.size());
       if (!part) return tl::unexpected(part.error());
-      transform_splats(*part, similarity);
+      Origin origin = kNoOrigin;
+      transform_splats(*part, origin, similarity);
       if (found_) {
-        append_splats(cloud_, *part);
+        append_splats(cloud_, origin_, std::move(*part), origin);
       } else {
         cloud_ = std::move(*part);
+        origin_ = origin;
       }
       const json* space = json_member(*splats, "colorSpace");
       if (space != nullptr && *space == "lin_rec709_display") colour_space_ = ColourSpace::linear_display;
@@ -308,6 +311,7 @@ class SceneWalk {
   std::uint64_t max_n_;
   std::vector<bool> visited_;
   SplatCloud cloud_;
+  Origin origin_ = kNoOrigin;
   ColourSpace colour_space_ = ColourSpace::srgb_display;
   bool found_ = false;
 };
@@ -402,7 +406,7 @@ ordered_json add_attributes(const SplatView& splats, BufferBuilder& buffer) {
   return attributes;
 }
 
-std::string make_json(const SplatView& splats, ColourSpace colour_space, BufferBuilder& buffer) {
+std::string make_json(const SplatView& splats, ColourSpace colour_space, const Origin& origin, BufferBuilder& buffer) {
   const ordered_json attributes = add_attributes(splats, buffer);
   ordered_json root;
   root["asset"] = {{"version", "2.0"}, {"generator", "RoofGS"}};
@@ -410,6 +414,7 @@ std::string make_json(const SplatView& splats, ColourSpace colour_space, BufferB
   root["scene"] = 0;
   root["scenes"] = ordered_json::array({{{"nodes", {0}}}});
   root["nodes"] = ordered_json::array({{{"mesh", 0}}});
+  if (origin != kNoOrigin) root["nodes"][0]["translation"] = origin;
   ordered_json primitive;
   primitive["attributes"] = attributes;
   primitive["mode"] = kModePoints;
@@ -446,11 +451,12 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   file.bytes = bytes.size();
   file.axes = kAxesGltf;
   file.colour_space = walk.colour_space();
+  file.origin = walk.origin();
   file.cloud = walk.take();
   return file;
 }
 
-Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space) {
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space, const Origin& origin) {
   const std::uint64_t each = 4 * (11 + 1 + 3 * static_cast<std::uint64_t>(sh_coefficients(splats.sh_degree)));
   constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // room for the JSON
   if (splats.n > kMostBytes / each) {
@@ -458,7 +464,7 @@ Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace c
                       "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostBytes / each, splats.n);
   }
   BufferBuilder buffer(splats.n);
-  const std::string text = make_json(splats, colour_space, buffer);
+  const std::string text = make_json(splats, colour_space, origin, buffer);
   const std::uint64_t bin_header = kGlbHeaderBytes + kChunkHeaderBytes + text.size();
   const std::uint64_t total = bin_header + kChunkHeaderBytes + buffer.bin().size();
   std::vector<std::byte> file(total);

@@ -11,10 +11,11 @@
 namespace rgs::detail {
 
 /// All splat primitives of the default scene, moved by their nodes. Attributes must be uncompressed 32-bit floats in
-/// the file's own binary chunk.
+/// the file's own binary chunk. A node's translation that is far becomes the origin, see transform_splats().
 Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// One primitive, with COLOR_0 for viewers that show points. Errors: limit_exceeded (above 4 GiB).
-Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space);
+/// One primitive, with COLOR_0 for viewers that show points; an origin is its node's translation. Errors: limit_exceeded (above
+/// 4 GiB).
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space, const Origin& origin);
 
 }  // namespace rgs::detail

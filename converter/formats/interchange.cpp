@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cctype>
+#include <cmath>
 #include <cstring>
 #include <filesystem>
 #include <limits>
@@ -52,6 +53,7 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
   }
   SplatFile file;
   file.cloud = read_rows(*ply);
+  file.origin = ply->origin();
   return file;
 }
 
@@ -65,6 +67,7 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   file.colour_space = view->declarations().colour_space;
   file.aa_mode = view->declarations().aa_mode;
   file.low_pass_px2 = view->declarations().low_pass_px2;
+  file.origin = view->declarations().origin;
   file.cloud = std::move(*cloud);
   return file;
 }
@@ -90,9 +93,19 @@ Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64
   file->bytes = std::max(file->bytes, bytes);
   if (!options.keep_axes && std::ranges::find(file->axes, Axis::undeclared) == file->axes.end()) {
     convert_axes(file->cloud, file->axes, kAxes3dgs);
+    convert_axes(file->origin, file->axes, kAxes3dgs);
     file->axes = kAxes3dgs;
   }
   return file;
+}
+
+std::vector<float> positions_of(const SplatView& splats, const Origin& origin) {
+  std::vector<float> positions(splats.mean.begin(), splats.mean.end());
+  if (origin == kNoOrigin) return positions;
+  for (std::size_t i = 0; i < positions.size(); ++i) {
+    positions[i] = static_cast<float>(origin[i % 3] + static_cast<double>(positions[i]));
+  }
+  return positions;
 }
 
 // Codes of fixed width cannot say "not a number".
@@ -105,14 +118,14 @@ Status check_sound(const SplatView& splats) {
   return {};
 }
 
-std::vector<std::byte> encode_ply(const SplatView& splats) {
-  const std::string header = ply_header(splats.n, splats.sh_degree);
-  const std::uint64_t row = ply_row_bytes(splats.sh_degree);
+std::vector<std::byte> encode_ply(const SplatView& splats, const Origin& origin) {
+  const std::string header = ply_header(splats.n, splats.sh_degree, origin);
+  const std::uint64_t row = ply_row_bytes(splats.sh_degree, origin);
   std::vector<std::byte> file(header.size() + splats.n * row);
   std::memcpy(file.data(), header.data(), header.size());
   for (std::uint64_t i = 0; i < splats.n; ++i) {
     const Splat s = splats.splat(i);
-    encode_ply_rows({&s, 1}, splats.sh_degree, std::span(file).subspan(header.size() + i * row, row));
+    encode_ply_rows({&s, 1}, splats.sh_degree, std::span(file).subspan(header.size() + i * row, row), origin);
   }
   return file;
 }
@@ -158,6 +171,10 @@ bool is_writable(SplatFormat format) {
          format == SplatFormat::splat || format == SplatFormat::glb;
 }
 
+bool keeps_origin(SplatFormat format) {
+  return format == SplatFormat::rgs || format == SplatFormat::ply || format == SplatFormat::glb;
+}
+
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options) {
   return detail::guard_memory([&]() -> Result<SplatFile> {
     if (bytes.size() > options.limits.max_file_bytes) {
@@ -186,6 +203,29 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
   });
 }
 
+Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin) {
+  return detail::guard_memory([&]() -> Result<double> {
+    if (keeps_origin(format) || (origin == kNoOrigin && format != SplatFormat::spz)) return 0.0;
+    const std::vector<float> positions = positions_of(splats, origin);
+    int bits = 0;
+    if (format == SplatFormat::spz) {
+      SplatView placed = splats;
+      placed.mean = positions;
+      const auto chosen = detail::spz_fractional_bits(placed);
+      if (!chosen) return tl::unexpected(chosen.error());
+      bits = *chosen;
+    }
+    double largest = 0;
+    for (std::size_t i = 0; i < positions.size(); ++i) {
+      double held = static_cast<double>(positions[i]);
+      if (format == SplatFormat::spz) held = std::ldexp(std::floor(std::ldexp(held, bits) + 0.5), -bits);
+      const double error = std::fabs(held - (origin[i % 3] + static_cast<double>(splats.mean[i])));
+      if (std::isfinite(error)) largest = std::max(largest, error);
+    }
+    return largest;
+  });
+}
+
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
   return detail::guard_memory([&]() -> Result<std::vector<std::byte>> {
     if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format is not written");
@@ -194,13 +234,19 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
     }
-    if (format == SplatFormat::ply) return encode_ply(splats);
+    if (format == SplatFormat::ply) return encode_ply(splats, options.origin);
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
+    std::vector<float> positions;  // FP32, where the format has no place for an origin
+    SplatView placed = splats;
+    if (options.origin != kNoOrigin && !keeps_origin(format)) {
+      positions = positions_of(splats, options.origin);
+      placed.mean = positions;
+    }
     switch (format) {
-      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(splats, options.keep_order);
-      case SplatFormat::spz: return detail::encode_spz(splats, options.aa_mode);
-      case SplatFormat::glb: return detail::encode_glb(splats, options.colour_space);
-      default: return detail::encode_splat_records(splats);
+      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(placed, options.keep_order);
+      case SplatFormat::spz: return detail::encode_spz(placed, options.aa_mode);
+      case SplatFormat::glb: return detail::encode_glb(placed, options.colour_space, options.origin);
+      default: return detail::encode_splat_records(placed);
     }
   });
 }

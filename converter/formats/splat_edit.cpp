@@ -74,11 +74,36 @@ bool is_declared(const Axes& axes) {
   return std::ranges::find(axes, Axis::undeclared) == axes.end();
 }
 
-bool inside(const Box& box, const float* mean) {
+// Corners are decimals. Where coordinates are FP32 numbers so are they: a mean at 0.1 lies on the border 0.1.
+WorldBox comparable(WorldBox box, const Origin& origin) {
+  for (auto* corner : {&box.min, &box.max}) {
+    for (double& x : *corner) x = origin == kNoOrigin ? static_cast<double>(static_cast<float>(x)) : x;
+  }
+  return box;
+}
+
+bool inside(const WorldBox& box, const float* mean, const Origin& origin) {
   for (std::size_t k = 0; k < 3; ++k) {
-    if (!(mean[k] >= box.min[k] && mean[k] <= box.max[k])) return false;
+    const double x = origin[k] + static_cast<double>(mean[k]);
+    if (!(x >= box.min[k] && x <= box.max[k])) return false;
   }
   return true;
+}
+
+// Whether FP32 means would lose more than 6 bits to the translation.
+bool is_far(const glm::dvec3& translation, const SplatCloud& cloud, double scale) {
+  if (translation == glm::dvec3(0)) return false;
+  std::vector<float> magnitudes;
+  magnitudes.reserve(cloud.mean.size());
+  for (const float x : cloud.mean) {
+    if (std::isfinite(x)) magnitudes.push_back(std::fabs(x));
+  }
+  if (magnitudes.empty()) return false;
+  const auto middle = magnitudes.begin() + static_cast<std::ptrdiff_t>(magnitudes.size() / 2);
+  std::nth_element(magnitudes.begin(), middle, magnitudes.end());
+  const glm::dvec3 size = glm::abs(translation);
+  const double farthest = std::max({size.x, size.y, size.z});
+  return farthest > 64 * scale * static_cast<double>(*middle) && farthest <= kMaxOrigin;
 }
 
 // Logarithm of opacity times the two largest scales: about what a Gaussian covers.
@@ -132,6 +157,33 @@ void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
     if (turns) turn_quaternion(turn, &cloud.rotation[4 * i]);
   }
   if (turns) turn_harmonics(cloud, similarity.rotation);
+}
+
+void transform_splats(SplatCloud& cloud, Origin& origin, const Similarity& similarity) {
+  if (origin == kNoOrigin && !is_far(similarity.translation, cloud, similarity.scale)) {
+    return transform_splats(cloud, similarity);
+  }
+  const glm::dvec3 moved =
+      similarity.rotation * glm::make_vec3(origin.data()) * similarity.scale + similarity.translation;
+  transform_splats(cloud, {similarity.rotation, similarity.scale, {0, 0, 0}});
+  origin = {moved.x + 0.0, moved.y + 0.0, moved.z + 0.0};
+}
+
+double rebase_splats(SplatCloud& cloud, const Origin& from, const Origin& to) {
+  double largest = 0;
+  if (from == to) return largest;
+  for (std::size_t i = 0; i < cloud.mean.size(); ++i) {
+    const double x = static_cast<double>(cloud.mean[i]) + (from[i % 3] - to[i % 3]);
+    cloud.mean[i] = static_cast<float>(x);
+    if (std::isfinite(cloud.mean[i])) largest = std::max(largest, std::fabs(static_cast<double>(cloud.mean[i]) - x));
+  }
+  return largest;
+}
+
+void convert_axes(Origin& origin, const Axes& from, const Axes& to) {
+  if (!is_declared(from) || !is_declared(to)) return;
+  const glm::dvec3 turned = glm::transpose(frame(to)) * frame(from) * glm::make_vec3(origin.data());
+  origin = {turned.x + 0.0, turned.y + 0.0, turned.z + 0.0};
 }
 
 void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to) {
@@ -193,6 +245,18 @@ void append_splats(SplatCloud& cloud, const SplatCloud& other) {
   add(cloud.opacity_logit, other.opacity_logit);
 }
 
+double append_splats(SplatCloud& cloud, Origin& origin, SplatCloud&& other, const Origin& other_origin) {
+  double rounding = 0;
+  if (origin == kNoOrigin) {
+    rounding = rebase_splats(cloud, origin, other_origin);
+    origin = other_origin;
+  } else {
+    rounding = rebase_splats(other, other_origin, origin);
+  }
+  append_splats(cloud, other);
+  return rounding;
+}
+
 void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   const auto pack = [&indices](std::vector<float>& values, std::uint64_t each) {
     for (std::uint64_t k = 0; k < indices.size(); ++k) {
@@ -209,10 +273,11 @@ void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   pack(cloud.sh, static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree)));
 }
 
-void filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
+void filter_splats(SplatCloud& cloud, const SplatFilter& filter, const Origin& origin) {
+  const WorldBox crop = comparable(filter.crop.value_or(WorldBox()), origin);
   std::vector<std::uint64_t> kept;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
-    if (filter.crop && !inside(*filter.crop, &cloud.mean[3 * i])) continue;
+    if (filter.crop && !inside(crop, &cloud.mean[3 * i], origin)) continue;
     if (filter.min_opacity > 0 && !(opacity_from_logit(cloud.opacity_logit[i]) >= filter.min_opacity)) continue;
     kept.push_back(i);
   }

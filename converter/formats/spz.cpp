@@ -431,6 +431,10 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
+Result<int> spz_fractional_bits(const SplatView& splats) {
+  return choose_fractional_bits(splats);
+}
+
 Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode) {
   const auto fractional_bits = choose_fractional_bits(splats);
   if (!fractional_bits) return tl::unexpected(fractional_bits.error());

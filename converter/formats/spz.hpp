@@ -20,4 +20,7 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimit
 /// reference encoder's default. Single-threaded; Gaussians keep their order.
 Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode);
 
+/// Fractional bits that encode_spz() gives the means: steps are of 2^-bits units. Errors: bad_value, no room for a mean.
+Result<int> spz_fractional_bits(const SplatView& splats);
+
 }  // namespace rgs::detail

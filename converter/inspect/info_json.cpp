@@ -80,6 +80,7 @@ Json json(const Declarations& d) {
             {"far", number(d.z_far)},
             {"mapping", name_of(d.depth_mapping).id},
             {"source", name_of(d.depth_source).id}}},
+          {"origin", d.origin},
           {"full_box", json(d.full)},
           {"robust_box", json(d.robust)},
           {"robust_fraction", number(d.robust_fraction)},

@@ -110,6 +110,10 @@ class TextReport : private TextLines {
     row("anti-aliasing", fmt::format("{}, low-pass {:.4g} px^2", name_of(d.aa_mode).words, d.low_pass_px2));
     row("depth", fmt::format("{:.6g} .. {:.6g}, {}, {}; sorted {}", d.z_near, d.z_far, name_of(d.depth_mapping).words,
                              name_of(d.depth_source).words, name_of(d.sort_metric).words));
+    if (d.origin != kNoOrigin) {
+      row("origin", fmt::format("x {:.10g}, y {:.10g}, z {:.10g}; means are relative to it", d.origin[0], d.origin[1],
+                                d.origin[2]));
+    }
     box("means", d.full);
     box(fmt::format("  {:.3g}% of them", 100 * static_cast<double>(d.robust_fraction)), d.robust);
     row("from source", fmt::format("{} Gaussians, {} dropped, {} repaired", format_count(d.n_source),

@@ -94,6 +94,7 @@ Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   if (!file) return failed(o.input, file.error());
   if (file->format != SplatFormat::rgs) {
     rgs::convert_axes(file->cloud, file->axes, rgs::kAxes3dgs);
+    rgs::convert_axes(file->origin, file->axes, rgs::kAxes3dgs);
     file->axes = rgs::kAxes3dgs;
   }
   return *std::move(file);
@@ -133,7 +134,10 @@ Step<void> write_scores(const Options& o, const std::vector<Contribution>& contr
 Step<std::uint64_t> write_scene(const Options& o, SplatFormat to, rgs::SplatFile&& file, std::uint64_t n_source,
                                 std::uint64_t hash, std::vector<rgs::Camera> cameras) {
   // PLY has the axes of 3DGS by habit; an .rgs declares those it came in.
-  if (to == SplatFormat::ply) rgs::convert_axes(file.cloud, file.axes, rgs::kAxes3dgs);
+  if (to == SplatFormat::ply) {
+    rgs::convert_axes(file.cloud, file.axes, rgs::kAxes3dgs);
+    rgs::convert_axes(file.origin, file.axes, rgs::kAxes3dgs);
+  }
   rgs::ConvertOptions options;
   options.encode.profile = rgs::Profile::packed;
   options.encode.axes = file.axes;
@@ -145,9 +149,9 @@ Step<std::uint64_t> write_scene(const Options& o, SplatFormat to, rgs::SplatFile
   options.cameras = std::move(cameras);
   options.output = o.file();
   const int degree = file.cloud.sh_degree;
-  const auto written =
-      rgs::convert_scene({std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree}, to,
-                         o.output, options);
+  const auto written = rgs::convert_scene(
+      {std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree, file.origin}, to,
+      o.output, options);
   if (!written) return failed(o.output, written.error());
   return written->output_bytes;
 }

@@ -28,7 +28,7 @@ Result<SceneFile> load_other(const std::string& path) {
   SceneFile out;
   out.format = file->format;
   out.file_bytes = file->bytes;
-  out.bounds = robust_bounds(file->cloud.mean);
+  out.bounds = robust_bounds(file->cloud.mean, file->origin);
   auto scene = Scene::load(std::move(file->cloud), declarations_of(*file));
   if (!scene) {
     Error error = scene.error();
@@ -47,6 +47,7 @@ Declarations declarations_of(const SplatFile& file) {
   d.colour_space = file.colour_space;
   d.aa_mode = file.aa_mode;
   d.low_pass_px2 = file.low_pass_px2;
+  d.origin = file.origin;
   return d;
 }
 

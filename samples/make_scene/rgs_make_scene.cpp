@@ -24,6 +24,7 @@ constexpr std::uint64_t kBatch = 2048;  // Gaussians: 0.5 MB as Splat, as much a
 
 struct Options {
   std::string output, cameras, gaussians = "200k";
+  rgs::Origin origin = rgs::kNoOrigin;
   std::uint64_t seed = 1;
   int degree = 3;
   unsigned threads = 0;
@@ -69,7 +70,8 @@ int make_scene(const Options& options, std::uint64_t n) {
   const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
-  rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options);
+  rgs::Result<rgs::PlyWriter> writer =
+      rgs::PlyWriter::create(options.output, n, options.degree, file_options, options.origin);
   if (!writer) return tool::report(options.output, writer.error());
   const rgs::SceneGenerator scene(options.seed, n, options.degree);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -78,14 +80,17 @@ int make_scene(const Options& options, std::uint64_t n) {
     return tool::report(options.output, written.error());
   // Cameras first: a failure there leaves no scene without the cameras that were asked for.
   if (!options.cameras.empty()) {
-    if (rgs::Status written = write_text(options.cameras, rgs::scene_cameras_json(), file_options); !written)
+    if (rgs::Status written =
+            write_text(options.cameras, rgs::scene_cameras_json(1280, 720, options.origin), file_options);
+        !written)
       return tool::report(options.cameras, written.error());
   }
   if (rgs::Result<double> synced = writer->commit(); !synced) return tool::report(options.output, synced.error());
   progress.finish();
 
   if (!options.quiet) {
-    const std::uint64_t bytes = rgs::ply_header(n, options.degree).size() + n * rgs::ply_row_bytes(options.degree);
+    const std::uint64_t bytes = rgs::ply_header(n, options.degree, options.origin).size() +
+                                n * rgs::ply_row_bytes(options.degree, options.origin);
     fmt::print("{}: {} Gaussians, SH degree {}, seed {}, {}\n", options.output, tool::format_count(n), options.degree,
                options.seed, tool::format_bytes(bytes));
   }
@@ -104,6 +109,12 @@ int parse_and_make_scene(int argc, char** argv) {
       ->check(CLI::Range(0, rgs::kMaxShDegree))
       ->capture_default_str();
   app.add_option("--cameras", options.cameras, "also write eight views of the scene to this JSON file");
+  app.add_option("--origin", options.origin,
+                 "where the scene's middle lies in the world, x,y,z; then coordinates are double, as those of "
+                 "georeferenced scenes")
+      ->delimiter(',')
+      ->check(CLI::Range(-rgs::kMaxOrigin, rgs::kMaxOrigin))
+      ->option_text("X,Y,Z");
   app.add_option("--threads", options.threads, "threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0U, 1024U))
       ->capture_default_str();

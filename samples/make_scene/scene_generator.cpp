@@ -776,7 +776,7 @@ void SceneGenerator::generate(std::uint64_t first, std::span<Splat> out) const {
   for (std::size_t k = 0; k < out.size(); ++k) out[k] = layout_->splat(first + k, sh_degree_);
 }
 
-std::string scene_cameras_json(int width, int height) {
+std::string scene_cameras_json(int width, int height, const Origin& origin) {
   struct View {
     Vec eye, target;
   };
@@ -795,8 +795,12 @@ std::string scene_cameras_json(int width, int height) {
               right = glm::normalize(glm::cross(forward, kUp));
     const Vec down = glm::cross(forward, right);
     std::string rows;
-    for (const Vec& axis : {right, down, forward})
-      rows += fmt::format("[{:.9g}, {:.9g}, {:.9g}, {:.9g}], ", axis.x, axis.y, axis.z, -glm::dot(axis, views[k].eye));
+    const Vec eye = views[k].eye + Vec(origin[0], origin[1], origin[2]);
+    const int digits = origin == kNoOrigin ? 9 : 17;
+    for (const Vec& axis : {right, down, forward}) {
+      rows += fmt::format("[{1:.{0}g}, {2:.{0}g}, {3:.{0}g}, {4:.{0}g}], ", digits, axis.x, axis.y, axis.z,
+                          -glm::dot(axis, eye));
+    }
     json += fmt::format(
         "  {{\"name\": \"view{}\", \"split\": \"test\", \"width\": {}, \"height\": {}, \"fx\": {:.9g}, \"fy\": {:.9g}, "
         "\"cx\": {:.9g}, \"cy\": {:.9g},\n   \"world_to_camera\": [{}[0, 0, 0, 1]]}}{}\n",

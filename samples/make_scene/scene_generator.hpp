@@ -41,7 +41,7 @@ class SceneGenerator {
 
 /// Eight views of the scene at width x height pixels, horizontal field of view 60 degrees, the first one the
 /// portrait: a JSON list of {name, split, width, height, fx, fy, cx, cy, world_to_camera [4][4] row-major}, camera
-/// axes x right, y down, z forward.
-std::string scene_cameras_json(int width = 1280, int height = 720);
+/// axes x right, y down, z forward. They move with a scene whose means are relative to `origin`.
+std::string scene_cameras_json(int width = 1280, int height = 720, const Origin& origin = kNoOrigin);
 
 }  // namespace rgs

@@ -5,8 +5,11 @@
 #include <doctest/doctest.h>
 
 #include <atomic>
+#include <cmath>
 #include <cstring>
 #include <fstream>
+#include <glm/common.hpp>
+#include <glm/ext/matrix_transform.hpp>
 #include <memory>
 #include <thread>
 
@@ -235,6 +238,56 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
       CHECK_MESSAGE(close(stats->evaluated, host.stats.evaluated, 1e-3), stats->evaluated, " and ",
                     host.stats.evaluated);
       CHECK_MESSAGE(close(stats->blended, host.stats.blended, 1e-3), stats->blended, " and ", host.stats.blended);
+    }
+  }
+}
+
+TEST_CASE("a scene far from the world's origin gives the frame that it gives at home, FP32 and compact") {
+  if (!device_answers()) return;
+  const int n = small_sizes() ? 400 : 40000;
+  const auto [width, height] = small_sizes() ? std::pair(90, 50) : std::pair(1280, 720);
+  const glm::dvec3 place(4.2e6 + 0.3, 1.7e5, 4.8e6);
+  Declarations declared;
+  declared.origin = {place.x, place.y, place.z};
+  const auto cloud = cloud_of(random_splats(605, n), 3);
+  EncodeOptions options;
+  const auto home_bytes = encode(cloud.view(), options).value();
+  options.origin = declared.origin;
+  const auto away_bytes = encode(cloud.view(), options).value();
+  const auto away_scene = Scene::load(cloud, declared);
+  require_ok(away_scene);
+  // Absolute FP32 positions, multiples of 1/2, and the same at home.
+  SplatCloud absolute = cloud, rounded = cloud;
+  for (std::size_t i = 0; i < cloud.mean.size(); ++i) {
+    const double centre = std::floor(declared.origin[i % 3]);
+    absolute.mean[i] = static_cast<float>(centre + static_cast<double>(cloud.mean[i]));
+    rounded.mean[i] = static_cast<float>(static_cast<double>(absolute.mean[i]) - centre);
+  }
+  struct Pair {
+    const char* name;
+    DeviceScene home, away;
+    glm::dvec3 moved;
+  };
+  const Pair pairs[] = {
+      {"FP32", upload(scene_of(cloud)), upload(*away_scene), place},
+      {"compact", upload(FileView::open(home_bytes).value()), upload(FileView::open(away_bytes).value()), place},
+      {"absolute FP32", upload(scene_of(rounded)), upload(scene_of(absolute)), glm::floor(place)}};
+  CHECK(pairs[0].away.origin() == declared.origin);
+  CHECK(pairs[1].away.origin() == declared.origin);
+  Random random(606);
+  const Camera home = random_camera(random, width, height);
+  for (std::size_t m = 0; m < kModeCount; ++m) {
+    for (const Pair& pair : pairs) {
+      Camera away = home;
+      away.world_to_camera = glm::translate(home.world_to_camera, -pair.moved);
+      Device at_home(home), far_away(away);
+      require_ok(at_home.render(pair.home, modes()[m]));
+      require_ok(far_away.render(pair.away, modes()[m]));
+      const double quality = psnr(at_home.rgb(), far_away.rgb());
+      MESSAGE(kModes[m], ", ", pair.name, ": ", quality, " dB between home and far away");
+      CAPTURE(kModes[m]);
+      CAPTURE(pair.name);
+      CHECK(quality >= 80);
     }
   }
 }

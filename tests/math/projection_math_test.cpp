@@ -114,6 +114,64 @@ TEST_CASE("projection in single precision follows double precision") {
   }
 }
 
+TEST_CASE("far from the world's origin single precision follows double precision as it does near it") {
+  Random random(4);
+  const Vec3<double> place{4.2e6, 1.7e5, 4.8e6};
+  for (int i = 0; i < 500; ++i) {
+    const auto turn = rigid(random.rotation(), {0, 0, 0});
+    const auto eye = random.vector(-1, 1), mean = random.vector(-5, 5);
+    const auto looking_from = [&](const Vec3<double>& position) {
+      auto world = turn;
+      const auto t = transform(turn, position);
+      world[3] = -t.x, world[7] = -t.y, world[11] = -t.z;
+      return world;
+    };
+    const auto away = looking_from({place.x + eye.x, place.y + eye.y, place.z + eye.z});
+    const auto p = to_camera(default_view<double>(looking_from(eye)), mean);
+    // Means that FP32 holds where they are: multiples of 1/2. And others, relative to an origin beside them.
+    const Vec3<float> absolute{static_cast<float>(place.x + mean.x), static_cast<float>(place.y + mean.y),
+                               static_cast<float>(place.z + mean.z)};
+    const auto q = to_camera(default_view<float>(away), absolute);
+    const auto expected =
+        to_camera(default_view<double>(looking_from(eye)),
+                  {static_cast<double>(absolute.x) - place.x, static_cast<double>(absolute.y) - place.y,
+                   static_cast<double>(absolute.z) - place.z});
+    CHECK(std::abs(static_cast<double>(q.x) - expected.x) < 5e-6);
+    CHECK(std::abs(static_cast<double>(q.y) - expected.y) < 5e-6);
+    CHECK(std::abs(static_cast<double>(q.z) - expected.z) < 5e-6);
+    const Vec3<double> origin{place.x + 16.3, place.y - 7, place.z};
+    Matrix4 m;
+    for (std::size_t k = 0; k < 16; ++k) m[k] = away[k];
+    const auto relative = make_view<float>(m, kWidth, kHeight, 1000, 1010, 640, 480, 0.2F, 0.0F, origin);
+    const auto r = to_camera(relative, cast<float>(Vec3<double>{mean.x - 16.3, mean.y + 7, mean.z}));
+    CHECK(std::abs(static_cast<double>(r.x) - p.x) < 5e-6);
+    CHECK(std::abs(static_cast<double>(r.y) - p.y) < 5e-6);
+    CHECK(std::abs(static_cast<double>(r.z) - p.z) < 5e-6);
+    const auto d = view_direction(relative, cast<float>(Vec3<double>{mean.x - 16.3, mean.y + 7, mean.z}));
+    const auto e = view_direction(default_view<double>(looking_from(eye)), mean);
+    CHECK(std::abs(static_cast<double>(d.x) - e.x) < 2e-6 / std::abs(p.z));
+  }
+}
+
+TEST_CASE("a view is that of its matrix, also where the rotation has five decimals and the camera is far away") {
+  Random random(5);
+  for (int i = 0; i < 100; ++i) {
+    auto world = rigid(random.rotation(), random.vector(-1, 1));
+    for (const std::size_t k : {0, 1, 2, 4, 5, 6, 8, 9, 10}) world[k] = std::round(world[k] * 1e5) / 1e5;
+    const auto far = random.vector(-4e6, 4e6);
+    // R p + t is that of the point of the picture beside `far`.
+    const auto t = transform({world[0], world[1], world[2], 0, world[4], world[5], world[6], 0, world[8], world[9],
+                              world[10], 0, 0, 0, 0, 1},
+                             far);
+    world[3] -= t.x, world[7] -= t.y, world[11] -= t.z;
+    const Vec3<double> p{far.x + 3, far.y - 2, far.z + 7};
+    const auto a = transform(world, p), b = to_camera(default_view<double>(world), p);
+    CHECK(std::abs(a.x - b.x) < 1e-8);
+    CHECK(std::abs(a.y - b.y) < 1e-8);
+    CHECK(std::abs(a.z - b.z) < 1e-8);
+  }
+}
+
 TEST_CASE("moving camera and scene together changes nothing on the image") {
   Random random(3);
   for (int i = 0; i < 200; ++i) {

@@ -6,8 +6,10 @@
 #include <hwy/targets.h>
 
 #include <algorithm>
+#include <cmath>
 #include <filesystem>
 #include <fstream>
+#include <glm/ext/matrix_transform.hpp>
 #include <limits>
 #include <numeric>
 #include <thread>
@@ -99,6 +101,60 @@ TEST_CASE("moving camera and scene together leaves the image") {
   camera.world_to_camera = from_row_major(rigid({turn.w, -turn.x, -turn.y, -turn.z}, {-back.x, -back.y, -back.z}));
   const Frame b = render(scene_of(cloud_of(flat)), camera);
   CHECK(psnr(a.rgb, b.rgb) > 60);
+}
+
+TEST_CASE("a scene far from the world's origin gives the picture that it gives at home") {
+  const glm::dvec3 place(4.2e6, 1.7e5, 4.8e6);
+  const Camera home = front_camera(160, 120);
+  Camera away = home;
+  away.world_to_camera = glm::translate(home.world_to_camera, -place);
+  const auto splats = random_splats(24, 3000);
+  for (const auto& how : {kScalar, kVector}) {
+    // Relative to an origin.
+    Declarations declared;
+    declared.origin = {place.x, place.y, place.z};
+    const auto scene = Scene::load(cloud_of(splats, 3), declared);
+    REQUIRE(scene);
+    CHECK(scene->origin() == declared.origin);
+    const Frame a = render(scene_of(cloud_of(splats, 3)), home, {}, how);
+    CHECK(psnr(a.rgb, render(*scene, away, {}, how).rgb) > 100);
+    // Another origin: means lose their last bits to it, no more.
+    auto beside = splats;
+    for (Splat& s : beside) s.mean[0] -= 13;
+    declared.origin[0] += 13;
+    const auto other = Scene::load(cloud_of(beside, 3), declared);
+    REQUIRE(other);
+    CHECK(psnr(a.rgb, render(*other, away, {}, how).rgb) > 80);
+    // Absolute FP32 positions are what they are: multiples of 1/2, in the one place and in the other.
+    auto rounded = splats, absolute = splats;
+    for (std::size_t i = 0; i < splats.size(); ++i) {
+      for (int k = 0; k < 3; ++k) {
+        absolute[i].mean[k] = static_cast<float>(place[k] + static_cast<double>(splats[i].mean[k]));
+        rounded[i].mean[k] = static_cast<float>(static_cast<double>(absolute[i].mean[k]) - place[k]);
+      }
+    }
+    const Frame b = render(scene_of(cloud_of(rounded, 3)), home, {}, how);
+    CHECK(psnr(b.rgb, render(scene_of(cloud_of(absolute, 3)), away, {}, how).rgb) > 100);
+  }
+  for (const double bad : {std::nan(""), HUGE_VAL, 1.1e12}) {
+    Declarations declared;
+    declared.origin[2] = bad;
+    const auto refused = Scene::load(cloud_of(splats, 3), declared);
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == Errc::bad_argument);
+  }
+}
+
+TEST_CASE("a file's origin is its scene's, kept or expanded") {
+  SplitMix random(11);
+  EncodeOptions options;
+  options.origin = {4.2e6, 1.7e5, 4.8e6};
+  const auto bytes = encode(random_cloud(100, 1, random).view(), options).value();
+  const auto scene = Scene::load(bytes);
+  REQUIRE(scene);
+  CHECK(scene->origin() == options.origin);
+  CHECK(scene->view()->origin == options.origin);
+  CHECK(Scene().origin() == kNoOrigin);
 }
 
 TEST_CASE("vectors follow the scalar definition in every arithmetic") {

@@ -318,6 +318,29 @@ TEST_CASE("photographs are found by name and compared with both sides") {
   CHECK(run_audit(command).exit_code == 4);
 }
 
+TEST_CASE("a far scene is audited as it would be at home") {
+  const SceneFolder scene;
+  const Origin place{4.2e6, 1.7e5, 4.8e6};
+  const std::string ply = write_ply(scene.file("far.ply"), scene.cloud, place), rgs = scene.file("far.rgs"),
+                    cameras = write_cameras(scene.file("far.json"), 3, 96, 72, place);
+  REQUIRE(run_program({RGS_CONVERT, "--no-sync", "--quiet", ply, rgs}).exit_code == 0);
+  const auto audited = [](const std::vector<std::string>& files) {
+    std::vector<std::string> arguments{files};
+    arguments.insert(arguments.end(), {"--json", "-", "--quiet"});
+    const ProgramResult run = run_audit(arguments);
+    INFO(run.err);
+    REQUIRE(run.exit_code == 0);
+    return json::parse(run.out);
+  };
+  const json home = audited({scene.ply, scene.rgs, "--cameras", scene.cameras}),
+             far = audited({ply, rgs, "--cameras", cameras});
+  CHECK(far["rendered"]["psnr"].get<double>() == doctest::Approx(home["rendered"]["psnr"].get<double>()).epsilon(0.01));
+  // A circle around the scene sees it, too.
+  const json around = audited({ply, rgs, "--views", "2", "--size", "64x48", "--no-attribution"});
+  CHECK(around["rendered"]["psnr"].get<double>() > 30);
+  CHECK(around["rendered"]["psnr"].get<double>() < 90);  // null, if both were empty
+}
+
 TEST_CASE("views without cameras, other sizes and splits") {
   const SceneFolder scene;
   const ProgramResult run = run_audit(

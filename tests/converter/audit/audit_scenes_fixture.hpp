@@ -34,8 +34,8 @@ inline SplatCloud audit_cloud(std::uint64_t n = 700, int sh_degree = 3, std::uin
   return cloud;
 }
 
-inline std::string write_ply(const std::string& path, const SplatCloud& cloud) {
-  auto writer = PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false});
+inline std::string write_ply(const std::string& path, const SplatCloud& cloud, const Origin& origin = kNoOrigin) {
+  auto writer = PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false}, origin);
   REQUIRE(writer);
   std::vector<Splat> splats;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
@@ -61,13 +61,15 @@ inline std::string read_text(const std::string& path) {
   return {std::istreambuf_iterator<char>(in), {}};
 }
 
-/// Cameras "a.png", "b.png", ... that look at the ball from the front, farther and farther away.
-inline std::string write_cameras(const std::string& path, int n, int width = 96, int height = 72) {
+/// Cameras "a.png", "b.png", ... that look at the ball around `origin` from the front, farther and farther away.
+inline std::string write_cameras(const std::string& path, int n, int width = 96, int height = 72,
+                                 const Origin& origin = kNoOrigin) {
   std::string text = "[";
   for (int i = 0; i < n; ++i) {
     text += std::string(i == 0 ? "" : ",") + R"({"name":")" + std::string(1, static_cast<char>('a' + i)) +
             R"(.png","split":"test","width":)" + std::to_string(width) + R"(,"height":)" + std::to_string(height) +
-            R"(,"fx":90,"fy":90,"world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,)" + std::to_string(2.5 + 0.5 * i) +
+            R"(,"fx":90,"fy":90,"world_to_camera":[[1,0,0,)" + std::to_string(-origin[0]) + R"(],[0,1,0,)" +
+            std::to_string(-origin[1]) + R"(],[0,0,1,)" + std::to_string(2.5 + 0.5 * i - origin[2]) +
             R"(],[0,0,0,1]]})";
   }
   std::ofstream(path) << text << "]";

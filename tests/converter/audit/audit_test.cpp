@@ -36,8 +36,9 @@ struct Files {
   MappedFile file;
   FileView asset;
 
-  Files(const SplatCloud& source_cloud, const SplatCloud& asset_cloud, const EncodeOptions& options = {})
-      : source(PlyFile::open(write_ply(folder.file("a.ply"), source_cloud)).value()),
+  Files(const SplatCloud& source_cloud, const SplatCloud& asset_cloud, const EncodeOptions& options = {},
+        const Origin& source_origin = kNoOrigin)
+      : source(PlyFile::open(write_ply(folder.file("a.ply"), source_cloud, source_origin)).value()),
         file(MappedFile::open(write_rgs(folder.file("a.rgs"), asset_cloud, options)).value()),
         asset(FileView::open(file.bytes()).value()) {
     REQUIRE(validate(asset));
@@ -96,6 +97,49 @@ TEST_CASE("Gaussians are paired by means, by order or by the permutation, also w
     CHECK(report.n_source_only == 1);
     CHECK(report.n_asset_only == 0);
     CHECK(error_of(report, "rotation").meaning.max < 0.1);  // a wrong partner would be off by tens of degrees
+  }
+}
+
+TEST_CASE("a source of doubles is paired with what was made of it, whatever origin that has") {
+  const SplatCloud cloud = audit_cloud(2000, 1);
+  const Origin place{4.2e6, 1.7e5, 4.8e6};
+  EncodeOptions same, beside, none;
+  same.origin = place;
+  beside.origin = {place[0] + 0.3, place[1] - 16, place[2]};
+  SplatCloud moved = cloud, rounded = cloud;
+  for (std::size_t i = 0; i < cloud.mean.size(); ++i) {
+    const double x = place[i % 3] + static_cast<double>(cloud.mean[i]);
+    moved.mean[i] = static_cast<float>(x - beside.origin[i % 3]);
+    rounded.mean[i] = static_cast<float>(x);
+  }
+  struct Case {
+    const SplatCloud& asset;
+    EncodeOptions options;
+    double least, most;  // largest distance of a mean
+  };
+  for (const Case& c : {Case{cloud, same, 0, 0}, Case{moved, beside, 0, 2e-6}, Case{rounded, none, 0.2, 0.45}}) {
+    for (const Order order : {Order::input, Order::morton}) {
+      EncodeOptions options = c.options;
+      options.order = order;
+      const Files files(cloud, c.asset, options, place);
+      REQUIRE(files.source.origin() == place);
+      const AttributeReport report = files.compare();
+      CHECK(report.n_source_only == 0);
+      CHECK(report.n_asset_only == 0);
+      const double largest = error_of(report, "mean").value.max;
+      CHECK(largest >= c.least);
+      CHECK(largest <= c.most);
+      if (order == Order::input || c.least == 0) CHECK(error_of(report, "rotation").meaning.max < 0.1);
+      const WorstList& worst = worst_of(report, "rotation");
+      REQUIRE_FALSE(worst.gaussians.empty());
+      CHECK(std::fabs(worst.gaussians[0].mean[0] - place[0]) <= 1);
+      // Mixtures lie where their means do.
+      const auto pairing = pair_gaussians(files.source, files.asset);
+      REQUIRE(pairing);
+      CHECK(mixed_scene(files.source, files.asset, *pairing, Mixture::stored_sh)->origin() == place);
+      CHECK(mixed_scene(files.source, files.asset, *pairing, Mixture::stored_geometry)->origin() == options.origin);
+      CHECK(source_scene(files.source)->bounds.low[0] > place[0] - 1.01);
+    }
   }
 }
 

@@ -93,7 +93,7 @@ TEST_CASE("inputs are placed one by one, merged, filtered and stripped") {
   run = rgs_convert({"--crop", "-8,-8,-8,8,8,8", "--min-opacity", "0.25", "--max-count", "20", "--sh-degree", "1",
                      "--json", out, folder.file("few.ply")});
   REQUIRE(run.exit_code == 0);
-  filter_splats(a, {Box{{-8, -8, -8}, {8, 8, 8}}, 0.25F, 20});
+  filter_splats(a, {WorldBox{{-8, -8, -8}, {8, 8, 8}}, 0.25F, 20});
   strip_sh(a, 1);
   const SplatCloud few = read_splats(folder.file("few.ply")).value().cloud;
   CHECK(few.mean == a.mean);

@@ -177,7 +177,7 @@ TEST_CASE("stripping harmonics keeps the lower ones") {
 TEST_CASE("filters keep what they say, in order") {
   const SplatCloud before = ordinary_cloud(500, 1, 10);
   SplatFilter crop;
-  crop.crop = Box{{-4, -8, 0}, {4, 8, 8}};
+  crop.crop = WorldBox{{-4, -8, 0}, {4, 8, 8}};
   SplatCloud cropped = before;
   filter_splats(cropped, crop);
   std::vector<float> expected;

@@ -71,6 +71,26 @@ struct Stage {
 
 }  // namespace
 
+TEST_CASE("a far scene is pruned as it would be at home, and stays where it is") {
+  const Stage stage;
+  const Origin place{4.2e6, 1.7e5, 4.8e6};
+  const std::string far = stage.file("far.ply"), cameras = stage.file("far.json");
+  write_bytes(far, encode_splats(stage.cloud.view(), SplatFormat::ply, {.origin = place}).value());
+  std::ofstream(cameras) << R"([{"width":64,"height":48,"fx":50,"fy":50,"world_to_camera":)"
+                         << R"([[1,0,0,-4200000],[0,1,0,-170000],[0,0,1,-4800000],[0,0,0,1]]}])";
+  for (const std::string& output : {stage.file("out.ply"), stage.file("out.rgs")}) {
+    const auto run = test::run_program({RGS_PRUNE, far, output, "--cameras", cameras, "--no-sync", "--keep", "36"});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    const auto kept = read_splats(output);
+    REQUIRE(kept);
+    REQUIRE(kept->cloud.size() == 36);
+    for (std::uint64_t i = 0; i < 36; ++i) {
+      REQUIRE(kept->origin[2] + static_cast<double>(kept->cloud.mean[3 * i + 2]) == place[2] + 4);  // the wall in front
+    }
+  }
+}
+
 TEST_CASE("what hides is kept, in the order of the scene and unchanged; what is hidden goes") {
   const Stage stage;
   const ProgramResult result = stage.run(stage.ply, stage.file("kept.ply"), {"--keep", "36", "--split", "train"});

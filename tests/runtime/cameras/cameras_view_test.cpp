@@ -169,6 +169,32 @@ TEST_CASE("robust bounds ignore floaters and non-finite points") {
   CHECK(robust_bounds(one).high[1] == 2);
 }
 
+TEST_CASE("bounds lie where the scene's origin puts them") {
+  const std::vector<float> one{1, 2, 3};
+  const Origin origin{4.2e6 + 0.1, 0, -1};
+  CHECK(robust_bounds(one, origin).low == glm::dvec3(4.2e6 + 0.1 + 1, 2, 2));
+  CHECK(robust_bounds({}, origin).high == glm::dvec3(4.2e6 + 0.1 + 0.5, 0.5, -0.5));
+  Declarations declared;
+  declared.robust = {{-1, -2, -3}, {4, 5, 6}};
+  declared.origin = origin;
+  CHECK(declared_bounds(declared).low == glm::dvec3(4.2e6 + 0.1 - 1, -2, -4));
+  CHECK(declared_bounds(declared).high == glm::dvec3(4.2e6 + 0.1 + 4, 5, 5));
+}
+
+TEST_CASE("a camera stands where its matrix says, also far away with a rotation of five decimals") {
+  Camera camera = look_at({4.2e6 + 3, 1.7e5 - 2, 4.8e6 + 1}, {4.2e6, 1.7e5, 4.8e6}, kWorldUp);
+  CHECK(glm::distance(camera_centre(camera), {4.2e6 + 3, 1.7e5 - 2, 4.8e6 + 1}) < 1e-8);
+  for (int column = 0; column < 3; ++column) {
+    for (int row = 0; row < 3; ++row) {
+      double& x = camera.world_to_camera[column][row];
+      x = std::round(x * 1e5) / 1e5;
+    }
+  }
+  camera.world_to_camera[3] = glm::dvec4(-(glm::dmat3(camera.world_to_camera) * glm::dvec3(4.2e6, 1.7e5, 4.8e6)), 1);
+  REQUIRE(validate(camera));
+  CHECK(glm::distance(camera_centre(camera), {4.2e6, 1.7e5, 4.8e6}) < 1e-7);
+}
+
 TEST_CASE("default view and orbit see all corners of the box from above") {
   for (const ViewFormat format : {ViewFormat{1280, 720, 60}, ViewFormat{300, 900, 40}}) {
     const SceneBounds box{{-3, -1, 4}, {2, 1, 9}};

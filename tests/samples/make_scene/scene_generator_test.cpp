@@ -225,6 +225,26 @@ TEST_CASE("rgs-make-scene writes header and rows of every degree") {
   }
 }
 
+TEST_CASE("rgs-make-scene --origin writes the same scene, in doubles, somewhere else") {
+  const test::TemporaryFolder folder;
+  const std::string path = folder.file("far.ply"), cameras = folder.file("far.json");
+  REQUIRE(make_scene("--gaussians 2k --degree 0 --origin 4.2e6,-1.7e5,4.8e6 --cameras " + cameras + " " + path) == 0);
+  const std::string bytes = contents(path);
+  const std::size_t header = bytes.find("end_header\n") + 11;
+  CHECK(bytes.find("property double z\n") < header);
+  CHECK(bytes.size() - header == 2000U * (4U * 17 + 12));
+  const std::vector<Splat> splats = whole(1, 2000, 0);
+  double first[3];
+  std::memcpy(first, bytes.data() + header, sizeof first);
+  CHECK(first[0] == 4.2e6 + static_cast<double>(splats[0].mean[0]));
+  CHECK(first[1] == -1.7e5 + static_cast<double>(splats[0].mean[1]));
+  const std::string json = contents(cameras);
+  CHECK(json == scene_cameras_json(1280, 720, {4.2e6, -1.7e5, 4.8e6}));
+  CHECK(json != scene_cameras_json());
+  CHECK(make_scene("--gaussians 10 --origin 1,2 " + folder.file("none.ply")) == 2);
+  CHECK(make_scene("--gaussians 10 --origin 1,2,1e13 " + folder.file("none.ply")) == 2);
+}
+
 TEST_CASE("rgs-make-scene writes the same bytes on one thread and on many") {
   const test::TemporaryFolder folder;
   const std::string one = folder.file("one.ply"), many = folder.file("many.ply");

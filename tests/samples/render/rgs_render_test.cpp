@@ -53,8 +53,8 @@ rgs::SplatCloud ball() {
   return cloud;
 }
 
-void write_ply(const std::string& path, const rgs::SplatCloud& cloud) {
-  auto writer = rgs::PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false});
+void write_ply(const std::string& path, const rgs::SplatCloud& cloud, const rgs::Origin& origin = rgs::kNoOrigin) {
+  auto writer = rgs::PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false}, origin);
   REQUIRE(writer);
   std::vector<rgs::Splat> splats;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
@@ -112,6 +112,32 @@ float largest_difference(const rgs::Image& a, const rgs::Image& b) {
 }
 
 }  // namespace
+
+TEST_CASE("a far scene gives the pictures that it gives at home: PLY of doubles, .rgs, with cameras and without") {
+  const Stage stage;
+  const rgs::Origin place{4.2e6, 1.7e5, 4.8e6};
+  write_ply(stage.file("far.ply"), ball(), place);
+  rgs::EncodeOptions options;
+  options.origin = place;
+  const auto encoded = rgs::encode(ball().view(), options);
+  REQUIRE(encoded);
+  write_text(stage.file("far.rgs"), {reinterpret_cast<const char*>(encoded->data()), encoded->size()});
+  write_text(stage.file("far.json"),
+             R"([{"name":"a","width":64,"height":48,"fx":60,"fy":60,)"
+             R"("world_to_camera":[[1,0,0,-4200000],[0,1,0,-170000],[0,0,1,-4799996],[0,0,0,1]]}])");
+  write_text(stage.file("home.json"), "[" + camera("a", "test", 4) + "]");
+  for (const std::string ending : {"ply", "rgs"}) {
+    CAPTURE(ending);
+    REQUIRE(stage.run("@scene." + ending + " --cameras @home.json --out @home.png --overwrite").code == 0);
+    REQUIRE(stage.run("@far." + ending + " --cameras @far.json --out @far.png --overwrite").code == 0);
+    CHECK(mean(stage.picture("home.png")) > 0.05F);
+    CHECK(largest_difference(stage.picture("home.png"), stage.picture("far.png")) <= 1.01F / 255);
+    REQUIRE(stage.run("@scene." + ending + " --size 64x48 --out @home.png --overwrite").code == 0);
+    REQUIRE(stage.run("@far." + ending + " --size 64x48 --out @far.png --overwrite").code == 0);
+    CHECK(mean(stage.picture("home.png")) > 0.05F);
+    CHECK(largest_difference(stage.picture("home.png"), stage.picture("far.png")) <= 1.01F / 255);
+  }
+}
 
 TEST_CASE("the formats of others show the same scene in the same frame") {
   const Stage stage;

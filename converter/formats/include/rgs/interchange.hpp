@@ -54,6 +54,7 @@ struct SplatFile {
   AaMode aa_mode = AaMode::classic;
   float low_pass_px2 = 0.3F;  ///< what an .rgs declares
   SplatCloud cloud;
+  Origin origin = kNoOrigin;  ///< of `cloud`, in `axes`: of an .rgs, a PLY of doubles (ply.hpp), a far node of a glb
 };
 
 struct ReadOptions {
@@ -75,11 +76,16 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
 struct WriteOptions {
   ColourSpace colour_space = ColourSpace::srgb_display;  ///< declared where the format can (glb)
   AaMode aa_mode = AaMode::classic;                      ///< declared where the format can (spz)
+  Origin origin =
+      kNoOrigin;            ///< of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding()
   bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
 };
 
 /// True for what encode_splats() writes: ply, compressed_ply, spz, splat and glb.
 bool is_writable(SplatFormat format);
+/// Whether files of that format have a place for an origin: rgs, ply (as double coordinates) and glb. What is written as any
+/// other has FP32 positions.
+bool keeps_origin(SplatFormat format);
 
 /// A file of that format. `splats` must be in format_axes(format), or of undeclared axes; values that the format
 /// cannot hold are clamped to its range. Deterministic.
@@ -88,5 +94,10 @@ bool is_writable(SplatFormat format);
 /// the Gaussian's index.
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
                                              const WriteOptions& options = {});
+
+/// How far a coordinate in such a file may be from origin + mean, world units: what FP32 takes from the positions where the
+/// format has no place for an origin, and SPZ's fixed point. 0 where positions are kept. What the blocks of a
+/// compressed.ply lose on top, in proportion to their size, is not in it. Errors: those of encode_splats() for SPZ.
+Result<double> position_rounding(const SplatView& splats, SplatFormat format, const Origin& origin);
 
 }  // namespace rgs

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <glm/ext/quaternion_double.hpp>
 #include <glm/mat3x3.hpp>
@@ -30,31 +31,49 @@ glm::dmat3 rotation_from_quaternion(const glm::dquat& q);
 /// First `inner`, then `outer`.
 Similarity compose(const Similarity& outer, const Similarity& inner);
 
-/// Moves the scene: means, scales, rotations and harmonics.
+/// Moves the scene: means, scales, rotations and harmonics. It has no origin.
 void transform_splats(SplatCloud& cloud, const Similarity& similarity);
+/// The same of a scene with an origin, whose place it moves in FP64. A scene without one gets the translation as its origin
+/// where that is more than 64 times as large as the scene's coordinates are (the median of their magnitudes): FP32 means
+/// would lose more than 6 of their 24 bits.
+void transform_splats(SplatCloud& cloud, Origin& origin, const Similarity& similarity);
+
+/// Makes means that are relative to `from` relative to `to`, in FP64. Returns the largest rounding of a coordinate, world
+/// units; nothing changes and 0 is returned if both are equal.
+double rebase_splats(SplatCloud& cloud, const Origin& from, const Origin& to);
 
 /// Re-expresses the scene in other axes, mirrored ones too. Exact but for the harmonics when axes are exchanged.
 /// Does nothing where `from` or `to` is undeclared.
 void convert_axes(SplatCloud& cloud, const Axes& from, const Axes& to);
+/// The same of an origin.
+void convert_axes(Origin& origin, const Axes& from, const Axes& to);
 
 /// Drops the harmonics above `degree`.
 void strip_sh(SplatCloud& cloud, int degree);
 
 /// Appends `other`; the degree becomes the larger of both, missing harmonics are 0.
 void append_splats(SplatCloud& cloud, const SplatCloud& other);
+/// The same of scenes with origins: `cloud` keeps its own, but takes the other's if it has none. Returns what rebase_splats()
+/// does.
+double append_splats(SplatCloud& cloud, Origin& origin, SplatCloud&& other, const Origin& other_origin);
 
 /// Keeps the Gaussians `indices`, which ascend, and drops all others.
 void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices);
 
+/// Corners in the world, where coordinates have more digits than FP32 holds.
+struct WorldBox {
+  std::array<double, 3> min{0, 0, 0}, max{0, 0, 0};
+};
+
 struct SplatFilter {
-  std::optional<Box> crop;                  ///< keeps means inside, borders included
-  float min_opacity = 0;                    ///< keeps opacities of at least this
+  std::optional<WorldBox> crop;  ///< keeps positions inside, borders included; FP32 corners for a scene without origin
+  float min_opacity = 0;         ///< keeps opacities of at least this
   std::uint64_t max_n = ~std::uint64_t{0};  ///< keeps that many with the largest opacity times the two largest scales
 
   bool keeps_all() const { return !crop && min_opacity <= 0 && max_n == ~std::uint64_t{0}; }
 };
 /// What passes stays in order. NaN passes neither crop nor opacity. Ties of max_n go to the earlier Gaussian.
-void filter_splats(SplatCloud& cloud, const SplatFilter& filter);
+void filter_splats(SplatCloud& cloud, const SplatFilter& filter, const Origin& origin = kNoOrigin);
 
 /// Applies options.on_bad and max_bad_fraction as encode() does; the counts are in the result.
 /// Errors: bad_value (refuse; the offset is the first damaged one's index), too_many_bad.

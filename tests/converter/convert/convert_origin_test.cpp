@@ -1,0 +1,230 @@
+// convert_origin_test.cpp - rgs-convert with scenes whose coordinates are too large for FP32.
+// SPDX-License-Identifier: Apache-2.0
+#include <array>
+#include <cmath>
+#include <limits>
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "convert_scenes.hpp"
+#include "interchange_samples.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/splat_edit.hpp"
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+using Position = std::array<double, 3>;
+constexpr Origin kEcef{4.2e6, 1.7e5, 4.8e6};
+
+ProgramResult rgs_convert(std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite", "--json"});
+  return run_program(arguments);
+}
+
+nlohmann::json converted(std::vector<std::string> arguments) {
+  const ProgramResult run = rgs_convert(std::move(arguments));
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  return nlohmann::json::parse(run.out);
+}
+
+// A scene of doubles that no FP32 number holds, and where its Gaussians are.
+std::vector<Position> write_far_scene(const std::string& path, SplatCloud cloud, const Origin& place = kEcef) {
+  std::mt19937_64 random(3);
+  std::uniform_real_distribution<double> below_fp32(-1e-3, 1e-3);
+  std::vector<Position> positions(cloud.size());
+  std::string text = ply_header(cloud.size(), cloud.sh_degree, {1, 0, 0});
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    std::vector<std::byte> row(ply_row_bytes(cloud.sh_degree, {1, 0, 0}));
+    const Splat s = cloud.view().splat(i);
+    encode_ply_rows({&s, 1}, cloud.sh_degree, row, {1, 0, 0});
+    for (std::size_t k = 0; k < 3; ++k)
+      positions[i][k] = place[k] + static_cast<double>(s.mean[k]) + below_fp32(random);
+    std::memcpy(row.data(), positions[i].data(), sizeof(Position));
+    text += text_of(row);
+  }
+  write_text(path, text);
+  return positions;
+}
+
+std::vector<Position> positions_of(const SplatFile& file) {
+  std::vector<Position> out(file.cloud.size());
+  for (std::size_t i = 0; i < 3 * out.size(); ++i) {
+    out[i / 3][i % 3] = file.origin[i % 3] + static_cast<double>(file.cloud.mean[i]);
+  }
+  return out;
+}
+
+double largest_error(const std::vector<Position>& a, const std::vector<Position>& b) {
+  REQUIRE(a.size() == b.size());
+  double largest = 0;
+  for (std::size_t i = 0; i < 3 * a.size(); ++i) {
+    largest = std::max(largest, std::fabs(a[i / 3][i % 3] - b[i / 3][i % 3]));
+  }
+  return largest;
+}
+
+SplatFile read(const std::string& path) {
+  ReadOptions options;
+  options.keep_axes = true;
+  auto file = read_splats(path, options);
+  REQUIRE(file);
+  return *std::move(file);
+}
+
+// Half an ulp of what lies within 32 units of the origin, and FP64's own rounding.
+constexpr double kBound = 0x1p-20 + 1e-9;
+
+}  // namespace
+
+TEST_CASE("doubles go through .rgs and come back as doubles, to half an ulp at the distance from the origin") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(700, 2, 1);
+  const std::string ply = folder.file("far.ply"), rgs = folder.file("far.rgs"), back = folder.file("back.ply");
+  const auto positions = write_far_scene(ply, cloud);
+  for (const std::string profile : {"direct", "packed"}) {
+    for (const std::string order : {"--keep-order", "--keep-permutation"}) {
+      CAPTURE(profile);
+      CAPTURE(order);
+      const auto json = converted({"--profile", profile, order, ply, rgs});
+      CHECK(json["profile"] == profile);
+      CHECK(json["position_rounding"] == 0);
+      const Bytes bytes = read_bytes(rgs);
+      const auto view = FileView::open(bytes);
+      REQUIRE(view);
+      CHECK(view->header().version_minor == 3);
+      CHECK(json["origin"] == view->declarations().origin);
+      // Within 8 units: multiples of 16.
+      CHECK(view->declarations().origin == kEcef);
+      converted({rgs, back});
+      const SplatFile file = read(back);
+      CHECK(file.origin == view->declarations().origin);
+      CHECK(largest_error(positions_of(file), positions) <= kBound);
+      // What was read from it once is kept from then on.
+      converted({"--profile", profile, order, back, rgs});
+      CHECK(largest_error(positions_of(read(rgs)), positions_of(file)) <= (order == "--keep-order" ? 0 : HUGE_VAL));
+    }
+  }
+  const auto archived = converted({"--profile", "archive:high", "--keep-permutation", ply, rgs});
+  CHECK(archived["profile"] == "archive");
+  converted({rgs, back});
+  CHECK(largest_error(positions_of(read(back)), positions) <= 1e-3);  // 2^15 cells in 8 units, coarser outside
+  // PLY to PLY, and through glb.
+  converted({ply, back});
+  CHECK(largest_error(positions_of(read(back)), positions) <= kBound);
+  CHECK(converted({ply, folder.file("far.glb")})["position_rounding"] == 0);
+  converted({folder.file("far.glb"), back});
+  CHECK(largest_error(positions_of(read(back)), positions) <= kBound);
+}
+
+TEST_CASE("files of FP32 scenes have no origin and no doubles") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(300, 1, 2)), rgs = folder.file("a.rgs");
+  const auto json = converted({ply, rgs});
+  CHECK(json["origin"] == Origin{0, 0, 0});
+  CHECK(FileView::open(read_bytes(rgs))->header().version_minor == 1);
+  converted({rgs, folder.file("back.ply")});
+  CHECK(text_of(read_bytes(folder.file("back.ply"))).find("double") == std::string::npos);
+}
+
+TEST_CASE("formats without a place for an origin: the rounding is in the summary") {
+  const TemporaryFolder folder;
+  const std::string ply = folder.file("far.ply"), rgs = folder.file("far.rgs");
+  write_far_scene(ply, ordinary_cloud(300, 1, 3));
+  converted({ply, rgs});
+  for (const std::string format : {"splat", "spz", "compressed.ply"}) {
+    CAPTURE(format);
+    for (const std::string& input : {ply, rgs}) {
+      const auto json = converted({input, folder.file("far." + format)});
+      CHECK(json["origin"] == Origin{0, 0, 0});
+      const double rounding = json["position_rounding"];
+      CHECK(rounding > (format == "spz" ? 0.45 : 0.2));
+      CHECK(rounding <= (format == "spz" ? 0.75 : 0.25) + 1e-6);
+    }
+    const ProgramResult text =
+        run_program({RGS_CONVERT, "--no-sync", "--overwrite", ply, folder.file("far." + format)});
+    REQUIRE(text.exit_code == 0);
+    CHECK(text.out.find("positions  rounded by up to 0.") != std::string::npos);
+    CHECK(text.out.find("origin") == std::string::npos);
+  }
+  const ProgramResult kept = run_program({RGS_CONVERT, "--no-sync", "--overwrite", ply, rgs});
+  CHECK(kept.out.find("origin     4200000, 170000, 4800000") != std::string::npos);
+  CHECK(kept.out.find("rounded by") == std::string::npos);
+}
+
+TEST_CASE("far scenes are moved, cropped, turned and merged in FP64") {
+  const TemporaryFolder folder;
+  const std::string ply = folder.file("far.ply"), out = folder.file("out.ply"), near = folder.file("near.ply");
+  const SplatCloud cloud = ordinary_cloud(400, 1, 4);
+  const auto positions = write_far_scene(ply, cloud);
+  const auto moved = [&](const glm::dmat3& turn, double scale, const glm::dvec3& by) {
+    std::vector<Position> expected;
+    for (const Position& p : positions) {
+      const glm::dvec3 q = turn * glm::dvec3(p[0], p[1], p[2]) * scale + by;
+      expected.push_back({q.x, q.y, q.z});
+    }
+    return expected;
+  };
+  converted({"--translate", "0.001,1000,-0.25", ply, out});
+  CHECK(largest_error(positions_of(read(out)), moved(glm::dmat3(1.0), 1, {0.001, 1000, -0.25})) <= kBound);
+  // Home and back again: the origin vanishes, and FP32 positions are what is written.
+  converted({"--translate=-4200000,-170000,-4800000", ply, near});
+  CHECK(read(near).origin == kNoOrigin);
+  CHECK(largest_error(positions_of(read(near)), moved(glm::dmat3(1.0), 1, {-kEcef[0], -kEcef[1], -kEcef[2]})) <=
+        kBound);
+  CHECK(text_of(read_bytes(near)).find("double") == std::string::npos);
+  converted({"--translate", "4200000,170000,4800000", near, out});
+  CHECK(largest_error(positions_of(read(out)), positions) <= 2 * kBound);
+  converted({"--rotate", "10,20,30", "--scale", "2", ply, out});
+  CHECK(largest_error(positions_of(read(out)), moved(rotation_from_euler({10, 20, 30}), 2, {0, 0, 0})) <=
+        4 * kBound + 1e-8);
+  // Other axes: 3DGS to OpenGL negates y and z.
+  converted({"--to-axes", "opengl", ply, folder.file("turned.rgs")});
+  CHECK(read(folder.file("turned.rgs")).origin == Origin{kEcef[0], -kEcef[1], -kEcef[2]});
+
+  converted({"--crop", "4199999.95,0,0,4200003.05,1e9,1e9", ply, out});
+  std::size_t n_inside = 0;
+  for (const Position& p : positions) n_inside += p[0] >= 4199999.95 && p[0] <= 4200003.05;
+  CHECK(n_inside > 20);
+  CHECK(read(out).cloud.size() == n_inside);
+
+  // Merged: the first origin is that of all, and a scene beside it loses nothing to speak of.
+  const std::string beside = folder.file("beside.ply");
+  const auto others = write_far_scene(beside, cloud, {4.2e6 + 32, 1.7e5 - 16, 4.8e6});
+  auto json = converted({"--merge", ply, beside, out});
+  CHECK(json["origin"] == kEcef);
+  CHECK(json["position_rounding"] <= kBound);
+  auto both = positions;
+  both.insert(both.end(), others.begin(), others.end());
+  CHECK(largest_error(positions_of(read(out)), both) <= 4 * kBound);
+  // A scene at home loses to it, which is said.
+  json = converted({"--merge", near, ply, folder.file("out.rgs")});
+  CHECK(json["position_rounding"] > 0.1);
+  CHECK(json["position_rounding"] <= 0.25);
+}
+
+TEST_CASE("cameras in the world see a far scene as they see it at home") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(3000, 0, 5);
+  const std::string home = folder.file("home.ply"), far = folder.file("far.ply"), cameras = folder.file("cameras.json"),
+                    rgs = folder.file("out.rgs");
+  write_far_scene(home, cloud, kNoOrigin);
+  write_far_scene(far, cloud);
+  const auto range = [&](const std::string& ply, double x, double y, double z) {
+    char text[400];
+    std::snprintf(text, sizeof text,
+                  R"([{"width": 640, "height": 480, "fx": 500, "fy": 520,
+                       "world_to_camera": [[1,0,0,%.17g],[0,1,0,%.17g],[0,0,1,%.17g],[0,0,0,1]]}])",
+                  -x, -y, 12 - z);
+    write_text(cameras, text);
+    return converted({"--cameras", cameras, ply, rgs})["depth"];
+  };
+  const auto here = range(home, 0, 0, 0), there = range(far, kEcef[0], kEcef[1], kEcef[2]);
+  CHECK(here["source"] == "cameras");
+  CHECK(double(there["far"]) == doctest::Approx(double(here["far"])).epsilon(1e-4));
+}
