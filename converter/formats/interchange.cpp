@@ -32,18 +32,6 @@ bool begins_with(std::span<const std::byte> bytes, std::span<const unsigned char
   return bytes.size() >= magic.size() && std::memcmp(bytes.data(), magic.data(), magic.size()) == 0;
 }
 
-SplatCloud read_rows(const PlyFile& ply) {
-  SplatCloud cloud;
-  cloud.resize(ply.size(), ply.sh_degree());
-  std::array<Splat, 256> rows;
-  for (std::uint64_t first = 0; first < ply.size(); first += rows.size()) {
-    const auto part = std::span(rows).first(std::min<std::uint64_t>(rows.size(), ply.size() - first));
-    ply.read(first, part);
-    for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
-  }
-  return cloud;
-}
-
 Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto ply = PlyFile::open(bytes);
   if (!ply) return tl::unexpected(ply.error());
@@ -51,8 +39,10 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
     return make_error(Errc::limit_exceeded, 0, "more Gaussians than the caller allows", limits.max_gaussians,
                       ply->size());
   }
+  auto cloud = read_cloud(*ply);
+  if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
-  file.cloud = read_rows(*ply);
+  file.cloud = *std::move(cloud);
   file.origin = ply->origin();
   return file;
 }

@@ -644,20 +644,25 @@ void PlyFile::advise(MappedFile::Access access, std::uint64_t first, std::uint64
   }
 }
 
-Result<SplatCloud> read_ply(const std::string& path) {
+Result<SplatCloud> read_cloud(const PlyFile& ply) {
   return detail::guard_memory([&]() -> Result<SplatCloud> {
-    const auto ply = PlyFile::open(path);
-    if (!ply) return tl::unexpected(ply.error());
     SplatCloud cloud;
-    cloud.resize(ply->size(), ply->sh_degree());
-    std::vector<Splat> batch(static_cast<std::size_t>(std::min<std::uint64_t>(ply->size(), 1024)));
-    for (std::uint64_t first = 0; first < ply->size(); first += batch.size()) {
-      const auto part = std::span(batch).first(std::min<std::uint64_t>(batch.size(), ply->size() - first));
-      ply->read(first, part);
+    cloud.resize(ply.size(), ply.sh_degree());
+    std::array<Splat, 256> rows;
+    for (std::uint64_t first = 0; first < ply.size(); first += rows.size()) {
+      const auto part = std::span(rows).first(std::min<std::uint64_t>(rows.size(), ply.size() - first));
+      ply.read(first, part);
       for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
     }
     return cloud;
   });
+}
+
+Result<SplatCloud> read_ply(const std::string& path) {
+  auto ply = PlyFile::open(path);
+  if (!ply) return tl::unexpected(ply.error());
+  ply->rebase(kNoOrigin);
+  return read_cloud(*ply);
 }
 
 }  // namespace rgs

@@ -60,9 +60,13 @@ tl::unexpected<int> failed(const std::string& file, const rgs::Error& error) {
 Result<rgs::Scene> load_source(const std::string& path) {
   auto scene = rgs::Scene::load(path);
   if (scene || scene.error().code != rgs::Errc::bad_magic) return scene;
-  auto cloud = rgs::read_ply(path);
+  const auto ply = rgs::PlyFile::open(path);
+  if (!ply) return tl::unexpected(ply.error());
+  auto cloud = rgs::read_cloud(*ply);
   if (!cloud) return tl::unexpected(cloud.error());
-  scene = rgs::Scene::load(*std::move(cloud));
+  rgs::Declarations declared;
+  declared.origin = ply->origin();
+  scene = rgs::Scene::load(*std::move(cloud), declared);
   if (!scene && scene.error().code == rgs::Errc::bad_value) {
     rgs::Error error = scene.error();
     std::swap(error.found, error.offset);  // an index, not a byte of the file

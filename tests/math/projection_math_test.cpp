@@ -157,7 +157,7 @@ TEST_CASE("a view is that of its matrix, also where the rotation has five decima
   Random random(5);
   for (int i = 0; i < 100; ++i) {
     auto world = rigid(random.rotation(), random.vector(-1, 1));
-    for (const std::size_t k : {0, 1, 2, 4, 5, 6, 8, 9, 10}) world[k] = std::round(world[k] * 1e5) / 1e5;
+    for (const std::size_t k : {0u, 1u, 2u, 4u, 5u, 6u, 8u, 9u, 10u}) world[k] = std::round(world[k] * 1e5) / 1e5;
     const auto far = random.vector(-4e6, 4e6);
     // R p + t is that of the point of the picture beside `far`.
     const auto t = transform({world[0], world[1], world[2], 0, world[4], world[5], world[6], 0, world[8], world[9],

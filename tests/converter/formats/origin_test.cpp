@@ -62,7 +62,7 @@ std::string ply_of(const std::vector<Position>& positions, const std::string& ty
         text += "3 1 2 3 ";
       } else {
         put(std::uint8_t{3});
-        for (const std::int16_t item : {1, 2, 3}) put(item);
+        for (int item = 1; item <= 3; ++item) put(static_cast<std::int16_t>(item));
       }
     }
     for (const double x : p) {

@@ -104,6 +104,18 @@ TEST_CASE_FIXTURE(Fixture, "the text states what the file holds and declares") {
   CHECK_FALSE(has(brief.out, "entropy"));
 }
 
+TEST_CASE_FIXTURE(Fixture, "an origin is stated where there is one") {
+  EncodeOptions options;
+  options.origin = {4201984.125, -1.7e5, 0.5};
+  const std::string far = write(encoded(100, 0, options)), home = write(encoded(100, 0), "home.rgs");
+  const ProgramResult r = run(far);
+  CHECK(has(r.out, "RoofGS 1.3"));
+  CHECK(has(r.out, "x 4201984.125, y -170000, z 0.5; means are relative to it"));
+  CHECK(json(far)["declarations"]["origin"] == options.origin);
+  CHECK_FALSE(has(run(home).out, "origin"));
+  CHECK(json(home)["declarations"]["origin"] == kNoOrigin);
+}
+
 TEST_CASE_FIXTURE(Fixture, "the JSON agrees with the file in every degree, with one step set and with many") {
   for (int degree = 0; degree <= 3; ++degree) {
     CAPTURE(degree);

@@ -70,7 +70,9 @@ class PlyFile {
   std::unique_ptr<Impl> impl_;
 };
 
-/// The whole file in memory.
+/// All Gaussians in memory, means relative to ply.origin(). Errors: host_out_of_memory.
+Result<SplatCloud> read_cloud(const PlyFile& ply);
+/// The whole file in memory, without an origin: doubles are rounded to FP32 positions, which read_splats() does not do.
 Result<SplatCloud> read_ply(const std::string& path);
 
 /// Writes a binary little-endian PLY with the properties of the original 3DGS code in its order: x y z nx ny nz
