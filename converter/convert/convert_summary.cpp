@@ -76,8 +76,7 @@ std::string summary_text(const ConvertSummary& s) {
     line("  SH degree  {} of {} kept", s.sh_degree, s.source_sh_degree);
   }
   if (s.origin != kNoOrigin) {
-    line("  origin     {:.10g}, {:.10g}, {:.10g}; means are FP32 relative to it", s.origin[0], s.origin[1],
-         s.origin[2]);
+    line("  origin     {}, {}, {}; means are FP32 relative to it", s.origin[0], s.origin[1], s.origin[2]);
   }
   if (s.position_rounding > 0) line("  positions  rounded by up to {:.3g} world units", s.position_rounding);
   if (s.output_format == "rgs") {

@@ -111,8 +111,7 @@ class TextReport : private TextLines {
     row("depth", fmt::format("{:.6g} .. {:.6g}, {}, {}; sorted {}", d.z_near, d.z_far, name_of(d.depth_mapping).words,
                              name_of(d.depth_source).words, name_of(d.sort_metric).words));
     if (d.origin != kNoOrigin) {
-      row("origin", fmt::format("x {:.10g}, y {:.10g}, z {:.10g}; means are relative to it", d.origin[0], d.origin[1],
-                                d.origin[2]));
+      row("origin", fmt::format("x {}, y {}, z {}; means are relative to it", d.origin[0], d.origin[1], d.origin[2]));
     }
     box("means", d.full);
     box(fmt::format("  {:.3g}% of them", 100 * static_cast<double>(d.robust_fraction)), d.robust);
