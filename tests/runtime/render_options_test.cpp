@@ -77,7 +77,9 @@ TEST_CASE("each pipeline has its arithmetic, and turbo is what CUDA draws unless
   }
 }
 
-TEST_CASE("anti-aliasing and low-pass: what is asked for, else what the scene declares, else classic and 0.3") {
+TEST_CASE(
+    "anti-aliasing and low-pass: what is asked for, else what the scene declares, else classic; 0.3, Mip-Splatting "
+    "0.1") {
   const auto declared = [](AaMode mode, float low_pass) {
     Declarations d;
     d.aa_mode = mode, d.low_pass_px2 = low_pass;
@@ -93,14 +95,17 @@ TEST_CASE("anti-aliasing and low-pass: what is asked for, else what the scene de
   const auto classic = AntiAliasing::classic, mip = AntiAliasing::mip_splatting;
   const Row rows[] = {
       {{}, {}, {}, classic, 0.3F},
-      {{}, mip, {}, mip, 0.3F},
+      {{}, mip, {}, mip, 0.1F},
       {{}, {}, 0.1F, classic, 0.1F},
       {declared(AaMode::classic, 0.3F), {}, {}, classic, 0.3F},
       {declared(AaMode::classic, 0.2F), {}, {}, classic, 0.2F},
       {declared(AaMode::classic, 0.2F), mip, 0.0F, mip, 0.0F},
       {declared(AaMode::mip_splatting, 0.3F), {}, {}, mip, 0.3F},
       {declared(AaMode::mip_splatting, 0.1F), {}, {}, mip, 0.1F},
-      {declared(AaMode::mip_splatting, 0.1F), classic, {}, classic, 0.1F},
+      {declared(AaMode::mip_splatting, 0.1F), classic, {}, classic, 0.3F},
+      {declared(AaMode::mip_splatting, 0.2F), mip, {}, mip, 0.2F},
+      {declared(AaMode::classic, 0.2F), mip, {}, mip, 0.1F},
+      {declared(AaMode::undeclared, 0.2F), mip, {}, mip, 0.1F},
       {declared(AaMode::mip_splatting, 0.1F), {}, 0.5F, mip, 0.5F},
       {declared(AaMode::undeclared, 0.1F), {}, {}, classic, 0.3F},
       {declared(AaMode::undeclared, 0.1F), mip, 0.2F, mip, 0.2F},
