@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "rgs/interchange.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs::detail {
 
@@ -14,7 +15,7 @@ namespace rgs::detail {
 /// the file's own binary chunk.
 Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// One primitive, with COLOR_0 for viewers that show points. Errors: limit_exceeded (above 4 GiB).
-Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space);
+/// One primitive, with COLOR_0 for viewers that show points; what the extension has no place for is in its extras. Errors: limit_exceeded (above 4 GiB).
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const StatedScene& stated);
 
 }  // namespace rgs::detail

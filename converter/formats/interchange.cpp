@@ -9,6 +9,7 @@
 #include <filesystem>
 #include <limits>
 #include <string_view>
+#include <utility>
 
 #include "compressed_ply.hpp"
 #include "gltf_splats.hpp"
@@ -20,6 +21,7 @@
 #include "sog.hpp"
 #include "splat_records.hpp"
 #include "spz.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs {
 namespace {
@@ -51,6 +53,7 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
                       ply->size());
   }
   SplatFile file;
+  detail::stated_scene(ply->declarations()).copy_to(file);
   file.cloud = read_rows(*ply);
   return file;
 }
@@ -61,10 +64,15 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   auto cloud = decode(bytes, limits);
   if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
-  file.axes = view->declarations().axes;
-  file.colour_space = view->declarations().colour_space;
-  file.aa_mode = view->declarations().aa_mode;
-  file.low_pass_px2 = view->declarations().low_pass_px2;
+  detail::stated_scene(view->declarations()).copy_to(file);
+  file.declarations = view->declarations();
+  file.provenance = view->provenance();
+  if (view->find(SectionType::permutation) != nullptr && file.declarations->n_source >> 32 == 0) {
+    file.source_index.resize(cloud->size());
+    for (std::uint64_t i = 0; i < file.source_index.size(); ++i) {
+      file.source_index[i] = static_cast<std::uint32_t>(view->source_index(i));
+    }
+  }
   file.cloud = std::move(*cloud);
   return file;
 }
@@ -91,6 +99,7 @@ Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64
   if (!options.keep_axes && std::ranges::find(file->axes, Axis::undeclared) == file->axes.end()) {
     convert_axes(file->cloud, file->axes, kAxes3dgs);
     file->axes = kAxes3dgs;
+    if (file->declarations) file->declarations->axes = kAxes3dgs;
   }
   return file;
 }
@@ -105,8 +114,8 @@ Status check_sound(const SplatView& splats) {
   return {};
 }
 
-std::vector<std::byte> encode_ply(const SplatView& splats) {
-  const std::string header = ply_header(splats.n, splats.sh_degree);
+std::vector<std::byte> encode_ply(const SplatView& splats, const detail::StatedScene& stated) {
+  const std::string header = ply_header(splats.n, splats.sh_degree, stated.declarations());
   const std::uint64_t row = ply_row_bytes(splats.sh_degree);
   std::vector<std::byte> file(header.size() + splats.n * row);
   std::memcpy(file.data(), header.data(), header.size());
@@ -153,6 +162,17 @@ Axes format_axes(SplatFormat format) {
   return format == SplatFormat::spz ? kAxesOpenGl : format == SplatFormat::glb ? kAxesGltf : kAxes3dgs;
 }
 
+EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {
+  if (file.declarations) options = keep_declarations(std::move(options), *file.declarations);
+  if (file.declarations) options.provenance = file.provenance;
+  options.axes = file.axes;
+  options.colour_space = file.colour_space;
+  options.aa_mode = file.aa_mode;
+  options.low_pass_px2 = file.low_pass_px2;
+  options.metres_per_unit = file.metres_per_unit;
+  return options;
+}
+
 bool is_writable(SplatFormat format) {
   return format == SplatFormat::ply || format == SplatFormat::compressed_ply || format == SplatFormat::spz ||
          format == SplatFormat::splat || format == SplatFormat::glb;
@@ -194,12 +214,13 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
     }
-    if (format == SplatFormat::ply) return encode_ply(splats);
+    const detail::StatedScene stated = detail::stated_scene(options);
+    if (format == SplatFormat::ply) return encode_ply(splats, stated);
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
     switch (format) {
-      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(splats, options.keep_order);
+      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(splats, stated, options.keep_order);
       case SplatFormat::spz: return detail::encode_spz(splats, options.aa_mode);
-      case SplatFormat::glb: return detail::encode_glb(splats, options.colour_space);
+      case SplatFormat::glb: return detail::encode_glb(splats, stated);
       default: return detail::encode_splat_records(splats);
     }
   });

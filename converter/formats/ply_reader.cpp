@@ -234,6 +234,7 @@ struct PlyFile::Impl {
 
   std::uint64_t n = 0;
   int sh_degree = 0;
+  Declarations stated;
   bool swap = false;
   Layout layout = Layout::mixed;
   const std::byte* rows = nullptr;
@@ -295,6 +296,7 @@ Status PlyFile::Impl::parse() {
   const auto properties = find_splat_properties(*header);
   if (!properties) return tl::unexpected(properties.error());
   const PlyElement& vertex = header->elements[properties->element];
+  stated = header->stated.declarations();
   n = vertex.count;
   sh_degree = properties->sh_degree;
   swap = header->encoding == PlyEncoding::big_endian;
@@ -478,6 +480,10 @@ PlyFile::~PlyFile() = default;
 std::uint64_t PlyFile::size() const {
   return impl_->n;
 }
+const Declarations& PlyFile::declarations() const {
+  return impl_->stated;
+}
+
 int PlyFile::sh_degree() const {
   return impl_->sh_degree;
 }

@@ -10,6 +10,7 @@
 
 #include "rgs/guard_memory.hpp"
 #include "rgs/ply.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs {
 namespace {
@@ -40,9 +41,10 @@ void encode_rows(std::span<const Splat> splats, std::byte* out) {
 
 }  // namespace
 
-std::string ply_header(std::uint64_t n, int sh_degree) {
+std::string ply_header(std::uint64_t n, int sh_degree, const Declarations& stated) {
   assert(sh_degree >= 0 && sh_degree <= kMaxShDegree);
-  std::string header = "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(n) + "\n";
+  std::string header = "ply\nformat binary_little_endian 1.0\n" + detail::comment_lines(detail::stated_scene(stated)) +
+                       "element vertex " + std::to_string(n) + "\n";
   const auto add = [&header](const std::string& name) { header += "property float " + name + "\n"; };
   const auto add_numbered = [&add](const std::string& name, int count) {
     for (int i = 0; i < count; ++i) add(name + std::to_string(i));
@@ -72,12 +74,12 @@ void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std
 }
 
 Result<PlyWriter> PlyWriter::create(const std::string& path, std::uint64_t n, int sh_degree,
-                                    const AtomicFile::Options& options) {
+                                    const AtomicFile::Options& options, const Declarations& stated) {
   return detail::guard_memory([&]() -> Result<PlyWriter> {
     if (sh_degree < 0 || sh_degree > kMaxShDegree) {
       return make_error(Errc::bad_argument, Error::kNone, "the SH degree is not 0 to 3");
     }
-    const std::string header = ply_header(n, sh_degree);
+    const std::string header = ply_header(n, sh_degree, stated);
     constexpr auto kMaxFile = static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max());
     if (n > (kMaxFile - header.size()) / ply_row_bytes(sh_degree)) {
       return make_error(Errc::bad_argument, Error::kNone, "too many Gaussians for one file", Error::kNone, n);
