@@ -24,6 +24,14 @@ const char* depth_mapping_name(DepthMapping mapping) {
   return mapping == DepthMapping::linear ? "linear" : "log";
 }
 
+const char* aa_name(AaMode mode) {
+  return mode == AaMode::classic ? "classic" : mode == AaMode::mip_splatting ? "mip-splatting" : "undeclared";
+}
+
+const char* colour_name(ColourSpace space) {
+  return space == ColourSpace::srgb_display ? "srgb" : space == ColourSpace::linear_display ? "linear" : "undeclared";
+}
+
 // The minor version says whether sections are coded.
 const char* profile_name(const Header& header) {
   return header.version_minor == 0 ? "direct" : header.version_minor == 1 ? "packed" : "archive";
@@ -89,6 +97,11 @@ std::string summary_text(const ConvertSummary& s) {
            format_count(d.n_opacity_one));
     }
   }
+  const Declarations& declared = s.declarations;
+  line("  declared   anti-aliasing {}, low-pass {} px^2{}", aa_name(declared.aa_mode), declared.low_pass_px2,
+       declared.metres_per_unit == 0 ? "" : fmt::format(", {} m per unit", declared.metres_per_unit));
+  if (!s.lost.empty()) line("  lost       not in the {} file: {}", s.output_format, fmt::join(s.lost, ", "));
+  for (const std::string& note : s.notes) line("  note       {}", note);
   std::string stages;
   for (const auto& [stage, seconds] : s.seconds) {
     stages += fmt::format("{}{} {}", stages.empty() ? "" : ", ", stage, tool::format_seconds(seconds));
@@ -118,6 +131,12 @@ std::string summary_json(const ConvertSummary& s) {
   json["dropped"] = s.n_source - s.n_filtered - s.n_written;
   json["repaired"] = s.n_repaired;
   json["damaged"] = std::move(damaged);
+  json["declared"] = {{"anti_aliasing", aa_name(s.declarations.aa_mode)},
+                      {"low_pass_px2", s.declarations.low_pass_px2},
+                      {"colour_space", colour_name(s.declarations.colour_space)},
+                      {"metres_per_unit", s.declarations.metres_per_unit}};
+  json["lost"] = s.lost;
+  json["notes"] = s.notes;
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     ordered_json sections = ordered_json::array();

@@ -209,7 +209,7 @@ void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   pack(cloud.sh, static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree)));
 }
 
-void filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
+std::vector<std::uint64_t> filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
   std::vector<std::uint64_t> kept;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
     if (filter.crop && !inside(*filter.crop, &cloud.mean[3 * i])) continue;
@@ -227,6 +227,7 @@ void filter_splats(SplatCloud& cloud, const SplatFilter& filter) {
     std::ranges::sort(kept);
   }
   keep_splats(cloud, kept);
+  return kept;
 }
 
 Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) {
