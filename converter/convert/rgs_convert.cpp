@@ -167,6 +167,8 @@ Failure explained(Failure failure, const std::deque<Input>& inputs) {
 // Axes of what is written. Formats that prescribe theirs get them. An .rgs can declare any: it keeps those of its
 // source, unless the source had no choice either; scenes are then brought into the frame that cameras of 3DGS are in.
 rgs::Axes target_axes(const Arguments& arguments, const rgs::SplatFile& first, SplatFormat to) {
+  const bool undeclared = first.axes[0] == rgs::Axis::undeclared && arguments.n_inputs() == 1;
+  if (undeclared && !arguments.to_axes_given) return first.axes;  // nothing turns it
   if (to == SplatFormat::spz || to == SplatFormat::glb) return rgs::format_axes(to);
   if (arguments.to_axes_given) return rgs::parse_axes(arguments.to_axes).value();
   const bool prescribed = first.format == SplatFormat::spz || first.format == SplatFormat::glb;
