@@ -98,8 +98,11 @@ std::string summary_text(const ConvertSummary& s) {
     }
   }
   const Declarations& declared = s.declarations;
-  line("  declared   anti-aliasing {}, low-pass {} px^2{}", aa_name(declared.aa_mode), declared.low_pass_px2,
-       declared.metres_per_unit == 0 ? "" : fmt::format(", {} m per unit", declared.metres_per_unit));
+  if (const Declarations usual; declared.aa_mode != usual.aa_mode || declared.low_pass_px2 != usual.low_pass_px2 ||
+                                declared.metres_per_unit != usual.metres_per_unit) {
+    line("  declared   anti-aliasing {}, low-pass {} px^2{}", aa_name(declared.aa_mode), declared.low_pass_px2,
+         declared.metres_per_unit == 0 ? "" : fmt::format(", {} m per unit", declared.metres_per_unit));
+  }
   if (!s.lost.empty()) line("  lost       not in the {} file: {}", s.output_format, fmt::join(s.lost, ", "));
   for (const std::string& note : s.notes) line("  note       {}", note);
   std::string stages;

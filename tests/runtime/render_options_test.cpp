@@ -4,10 +4,13 @@
 
 #include <doctest/doctest.h>
 
+#include <fstream>
 #include <limits>
 #include <string>
 
 #include "renderer_fixture.hpp"
+#include "rgs/encode.hpp"
+#include "temporary_folder.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -222,6 +225,19 @@ TEST_CASE("a scene's declarations choose its picture: a file's, or those that lo
   CHECK(rgb == render(*plain, camera, asked, cpu).rgb);
   CHECK(rgb != render(*plain, camera, {}, cpu).rgb);
   CHECK(rgb == render(*plain, camera, with_declarations({}, declared->declarations()), cpu).rgb);
+  // A file on disk, drawn as a program does that knows nothing of this: samples/minimal.
+  const TemporaryFolder folder;
+  EncodeOptions file_options;
+  file_options.aa_mode = AaMode::mip_splatting;
+  const auto bytes = encode(cloud.view(), file_options);
+  REQUIRE(bytes);
+  std::ofstream(folder.file("mip.rgs"), std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
+  const auto from_file = Scene::load(folder.file("mip.rgs"));
+  REQUIRE(from_file);
+  const auto drawn = render(*from_file, camera, {}, cpu).rgb;
+  CHECK(drawn == render(*from_file, camera, asked, cpu).rgb);
+  CHECK(drawn != render(*from_file, camera, {.low_pass = 0.3F, .anti_aliasing = AntiAliasing::classic}, cpu).rgb);
   const RenderOptions classic{.low_pass = 0.3F, .anti_aliasing = AntiAliasing::classic};
   CHECK(render(*declared, camera, classic, cpu).rgb == render(*plain, camera, {}, cpu).rgb);
 }
