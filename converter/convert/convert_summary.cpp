@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include <nlohmann/json.hpp>
+#include <string>
 
 #include "console.hpp"
 
@@ -26,6 +27,11 @@ const char* depth_mapping_name(DepthMapping mapping) {
 
 const char* aa_name(AaMode mode) {
   return mode == AaMode::classic ? "classic" : mode == AaMode::mip_splatting ? "mip-splatting" : "undeclared";
+}
+
+// The shortest decimals that are this float, as a number of JSON.
+double decimal_of(float value) {
+  return std::stod(fmt::format("{}", value));
 }
 
 const char* colour_name(ColourSpace space) {
@@ -135,9 +141,9 @@ std::string summary_json(const ConvertSummary& s) {
   json["repaired"] = s.n_repaired;
   json["damaged"] = std::move(damaged);
   json["declared"] = {{"anti_aliasing", aa_name(s.declarations.aa_mode)},
-                      {"low_pass_px2", s.declarations.low_pass_px2},
+                      {"low_pass_px2", decimal_of(s.declarations.low_pass_px2)},
                       {"colour_space", colour_name(s.declarations.colour_space)},
-                      {"metres_per_unit", s.declarations.metres_per_unit}};
+                      {"metres_per_unit", decimal_of(s.declarations.metres_per_unit)}};
   json["lost"] = s.lost;
   json["notes"] = s.notes;
   if (s.output_format == "rgs") {

@@ -51,6 +51,14 @@ std::string text_of(float value) {
   return {digits.data(), std::to_chars(digits.data(), digits.data() + digits.size(), value).ptr};
 }
 
+// The same decimals as a number of JSON, which is a double there.
+double decimal_of(float value) {
+  const std::string text = text_of(value);
+  double decimal = 0;
+  std::from_chars(text.data(), text.data() + text.size(), decimal);
+  return decimal;
+}
+
 std::optional<Axes> axes_named(std::string_view text) {
   if (text == "undeclared") return kUndeclaredAxes;
   Axes axes{};
@@ -192,9 +200,9 @@ nlohmann::ordered_json extras_of(const StatedScene& s) {
   nlohmann::ordered_json ours;
   if (s.aa_mode == AaMode::mip_splatting) ours["anti_aliasing"] = "mip-splatting";
   if (s.aa_mode == AaMode::undeclared) ours["anti_aliasing"] = "undeclared";
-  if (!is_usual_low_pass(s)) ours["low_pass_px2"] = *s.low_pass_px2;
+  if (!is_usual_low_pass(s)) ours["low_pass_px2"] = decimal_of(*s.low_pass_px2);
   if (s.colour_space == ColourSpace::undeclared) ours["colour_space"] = "undeclared";
-  if (s.metres_per_unit != 0) ours["metres_per_unit"] = s.metres_per_unit;
+  if (s.metres_per_unit != 0) ours["metres_per_unit"] = decimal_of(s.metres_per_unit);
   if (s.axes == kUndeclaredAxes) ours["axes"] = "undeclared";
   if (ours.is_null()) return nullptr;
   return {{kExtras, std::move(ours)}};

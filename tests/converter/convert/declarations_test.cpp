@@ -93,6 +93,8 @@ TEST_CASE("the anti-aliasing flag of an SPZ survives PLY, compressed PLY and glT
   }
   // .splat has no place for it, and says so.
   const auto json = converted({spz, folder.file("scene.splat")});
+  CHECK(json["declared"]["anti_aliasing"] == "mip-splatting");
+  CHECK(json["declared"]["low_pass_px2"] == 0.1);
   CHECK(holds(json["lost"], "anti-aliasing"));
   const ProgramResult text = rgs_convert({spz, folder.file("scene.splat")});
   CHECK(text.out.find("anti-aliasing") != std::string::npos);
