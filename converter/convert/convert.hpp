@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -43,7 +44,9 @@ struct ConvertSummary {
   std::uint64_t n_source = 0, n_filtered = 0, n_written = 0, n_repaired = 0;
   int source_sh_degree = 0, sh_degree = 0;
   std::array<std::uint64_t, kDefectKinds> defects{};
-  Declarations declarations;
+  Declarations declarations;       ///< of an .rgs; of other outputs what the scene declares
+  std::vector<std::string> lost;   ///< of what the source declares, what the output cannot state
+  std::vector<std::string> notes;  ///< where inputs disagree, and the like
   Header header;
   std::vector<SectionEntry> sections;
   float min_scale = 0, max_scale = 0, min_opacity = 0, max_opacity = 0;
@@ -61,10 +64,12 @@ struct ConvertSummary {
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});
 
-/// .rgs to PLY. The file is validated first. With a permutation section rows come in the order of the source.
+/// .rgs to PLY. The file is validated first. With a permutation section rows come in the order of the source. `stated` is
+/// what the PLY's comments say of the scene; absent: what the file declares.
 /// Errors: those of validate() and PlyWriter.
 Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::string& output_path,
-                                          const AtomicFile::Options& output, const StageObserver& observer = {});
+                                          const AtomicFile::Options& output, const StageObserver& observer = {},
+                                          const std::optional<Declarations>& stated = std::nullopt);
 
 /// A scene in memory and where it came from.
 struct LoadedScene {
@@ -76,7 +81,17 @@ struct LoadedScene {
   int source_sh_degree = 0;
   Origin origin = kNoOrigin;     ///< that means are relative to
   double position_rounding = 0;  ///< of coordinates, world units, where clouds of several origins were merged
+  /// With EncodeOptions::keep_permutation what its source_index becomes, see keep_source(); empty: 0, 1, 2, ...
+  std::vector<std::uint32_t> source_index = {};
 };
+
+/// Makes `scene`, what is left of `file`, and `encode` speak of the source that the file comes from: the count of its
+/// Gaussians and, of an .rgs, the source that it names. `kept` are the positions in the file of the scene's Gaussians.
+/// encode.provenance is that of the file itself; encode.keep_permutation must be set already. False: positions are asked
+/// for and the .rgs has lost them: it is its own source then.
+bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file, std::span<const std::uint64_t> kept);
+/// What of these declarations a file of that format cannot state: "anti-aliasing (mip-splatting)", ...
+std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared);
 
 /// A scene in memory to a file of any writable format, or .rgs. Its Gaussians must be in the axes that the format has,
 /// see format_axes(), or in options.encode.axes for .rgs. Damaged ones are treated as options.encode.on_bad says, but

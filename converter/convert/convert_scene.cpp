@@ -1,5 +1,7 @@
 // convert_scene.cpp - a scene in memory to a file of any format.
 // SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <utility>
 
@@ -9,6 +11,20 @@
 
 namespace rgs {
 namespace {
+
+float low_pass_of(const EncodeOptions& o) {
+  return o.low_pass_px2.value_or(default_low_pass_px2(o.aa_mode));
+}
+
+const char* name_of(AaMode mode) {
+  return mode == AaMode::classic ? "classic" : mode == AaMode::mip_splatting ? "mip-splatting" : "undeclared";
+}
+
+// Whether the .rgs tells where its Gaussians were in its source.
+bool knows_positions(const SplatFile& file) {
+  const Declarations& d = *file.declarations;
+  return !file.source_index.empty() || (d.order == Order::input && d.n_dropped == 0);
+}
 
 // Formats other than .rgs: damage is dealt with first, then the file is made in memory.
 Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const std::string& output_path,
@@ -28,6 +44,9 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   WriteOptions write;
   write.colour_space = options.encode.colour_space;
   write.aa_mode = options.encode.aa_mode;
+  write.low_pass_px2 = options.encode.low_pass_px2;
+  write.metres_per_unit = options.encode.metres_per_unit;
+  write.axes = options.encode.axes;
   write.keep_order = options.encode.order == Order::input;
   write.origin = scene.origin;
   const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
@@ -43,6 +62,11 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   clock.end();
   summary.sync_seconds = *synced;
   summary.output_format = format_name(format);
+  summary.lost = lost_declarations(format, options.encode);
+  summary.declarations.aa_mode = options.encode.aa_mode;
+  summary.declarations.low_pass_px2 = low_pass_of(options.encode);
+  summary.declarations.colour_space = options.encode.colour_space;
+  summary.declarations.metres_per_unit = options.encode.metres_per_unit;
   summary.output_bytes = bytes->size();
   summary.n_written = scene.cloud.size();
   summary.sh_degree = format == SplatFormat::splat ? 0 : scene.cloud.sh_degree;
@@ -51,12 +75,67 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
 
 }  // namespace
 
+bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file,
+                 std::span<const std::uint64_t> kept) {
+  const bool lost = file.declarations && encode.keep_permutation && scene.n_source != 0 && !knows_positions(file);
+  if (file.declarations && !lost) {
+    encode.n_source = file.declarations->n_source;
+    encode.n_repaired = file.declarations->n_repaired;
+    if (file.provenance && encode.provenance) {
+      const std::string through = " from " + encode.provenance->source_name;
+      scene.xxh3 = file.provenance->source_xxh3;
+      encode.provenance = Provenance{file.provenance->source_bytes, file.provenance->source_xxh3,
+                                     file.provenance->source_name, encode.provenance->tool + through};
+      encode.provenance->tool.resize(std::min<std::size_t>(encode.provenance->tool.size(), kMaxProvenanceText));
+    } else {
+      encode.provenance.reset();  // of a source without a name
+    }
+  } else {
+    encode.n_source = scene.n_source;
+    encode.n_repaired = 0;
+  }
+  if (!encode.keep_permutation) return true;
+  scene.source_index.assign(kept.begin(), kept.end());
+  if (!lost && !file.source_index.empty()) {
+    for (std::uint32_t& i : scene.source_index) i = file.source_index[i];
+  }
+  return !lost;
+}
+
+std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared) {
+  std::vector<std::string> lost;
+  if (format == SplatFormat::rgs) return lost;
+  const EncodeOptions usual;
+  const bool has_words =
+      format == SplatFormat::ply || format == SplatFormat::compressed_ply || format == SplatFormat::glb;
+  const bool has_flag = format == SplatFormat::spz && declared.aa_mode != AaMode::undeclared;
+  if (!has_words) {
+    const AaMode read_as = has_flag ? declared.aa_mode : AaMode::classic;
+    if (declared.aa_mode != read_as) lost.push_back(fmt::format("anti-aliasing ({})", name_of(declared.aa_mode)));
+    if (low_pass_of(declared) != default_low_pass_px2(read_as))
+      lost.push_back(fmt::format("low-pass ({} px^2)", low_pass_of(declared)));
+    if (declared.colour_space != ColourSpace::srgb_display)
+      lost.push_back(declared.colour_space == ColourSpace::linear_display ? "colour space (linear)"
+                                                                          : "colour space (undeclared)");
+    if (declared.metres_per_unit != 0) lost.push_back(fmt::format("metres per unit ({})", declared.metres_per_unit));
+    if (declared.axes != format_axes(format)) lost.push_back("axes that are not those of the format");
+  }
+  if (declared.depth && declared.depth->source != DepthSource::scene_extent)
+    lost.push_back(fmt::format("depth range ({} to {})", declared.depth->z_near, declared.depth->z_far));
+  if (declared.cutoff_sigma != usual.cutoff_sigma || declared.alpha_threshold != usual.alpha_threshold ||
+      declared.alpha_max != usual.alpha_max || declared.transmittance_min != usual.transmittance_min)
+    lost.push_back("thresholds of cutoff, alpha and transmittance");
+  return lost;
+}
+
 Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, const std::string& output_path,
                                      const ConvertOptions& options, const StageObserver& observer) {
   const std::uint64_t n_filtered = scene.n_source - scene.cloud.size();
+  ConvertOptions with_positions = options;
+  with_positions.encode.source_index = scene.source_index;
   auto summary = format == SplatFormat::rgs
                      ? convert_to_rgs(SplatSource(scene.cloud.view(), scene.bytes, scene.xxh3, scene.origin),
-                                      output_path, options, observer)
+                                      output_path, with_positions, observer)
                      : write_scene(scene, format, output_path, options, observer);
   if (!summary) return summary;
   summary->source_format = scene.format;

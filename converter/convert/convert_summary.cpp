@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include <nlohmann/json.hpp>
+#include <string>
 
 #include "console.hpp"
 
@@ -22,6 +23,19 @@ const char* depth_source_name(DepthSource source) {
 
 const char* depth_mapping_name(DepthMapping mapping) {
   return mapping == DepthMapping::linear ? "linear" : "log";
+}
+
+const char* aa_name(AaMode mode) {
+  return mode == AaMode::classic ? "classic" : mode == AaMode::mip_splatting ? "mip-splatting" : "undeclared";
+}
+
+// The shortest decimals that are this float, as a number of JSON.
+double decimal_of(float value) {
+  return std::stod(fmt::format("{}", value));
+}
+
+const char* colour_name(ColourSpace space) {
+  return space == ColourSpace::srgb_display ? "srgb" : space == ColourSpace::linear_display ? "linear" : "undeclared";
 }
 
 // Means of every profile have a codec of their own.
@@ -98,6 +112,14 @@ std::string summary_text(const ConvertSummary& s) {
            format_count(d.n_opacity_one));
     }
   }
+  const Declarations& declared = s.declarations;
+  if (const Declarations usual; declared.aa_mode != usual.aa_mode || declared.low_pass_px2 != usual.low_pass_px2 ||
+                                declared.metres_per_unit != usual.metres_per_unit) {
+    line("  declared   anti-aliasing {}, low-pass {} px^2{}", aa_name(declared.aa_mode), declared.low_pass_px2,
+         declared.metres_per_unit == 0 ? "" : fmt::format(", {} m per unit", declared.metres_per_unit));
+  }
+  if (!s.lost.empty()) line("  lost       not in the {} file: {}", s.output_format, fmt::join(s.lost, ", "));
+  for (const std::string& note : s.notes) line("  note       {}", note);
   std::string stages;
   for (const auto& [stage, seconds] : s.seconds) {
     stages += fmt::format("{}{} {}", stages.empty() ? "" : ", ", stage, tool::format_seconds(seconds));
@@ -129,6 +151,12 @@ std::string summary_json(const ConvertSummary& s) {
   json["damaged"] = std::move(damaged);
   json["origin"] = s.origin;
   json["position_rounding"] = s.position_rounding;
+  json["declared"] = {{"anti_aliasing", aa_name(s.declarations.aa_mode)},
+                      {"low_pass_px2", decimal_of(s.declarations.low_pass_px2)},
+                      {"colour_space", colour_name(s.declarations.colour_space)},
+                      {"metres_per_unit", decimal_of(s.declarations.metres_per_unit)}};
+  json["lost"] = s.lost;
+  json["notes"] = s.notes;
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     ordered_json sections = ordered_json::array();

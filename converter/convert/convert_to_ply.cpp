@@ -78,13 +78,15 @@ Status write_in_source_order(const FileView& source, PlyWriter& writer, const St
 }  // namespace
 
 Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::string& output_path,
-                                          const AtomicFile::Options& output, const StageObserver& observer) {
+                                          const AtomicFile::Options& output, const StageObserver& observer,
+                                          const std::optional<Declarations>& stated) {
   ConvertSummary summary;
+  summary.declarations = stated.value_or(source.declarations());
   StageClock clock(observer, summary.seconds);
   const std::uint64_t n = source.header().n_gaussians;
   const int degree = source.header().sh_degree;
-  const Origin& origin = source.declarations().origin;
-  auto writer = PlyWriter::create(output_path, n, degree, output, origin);
+  summary.declarations.origin = source.declarations().origin;
+  auto writer = PlyWriter::create(output_path, n, degree, output, summary.declarations);
   if (!writer) return tl::unexpected(writer.error());
 
   clock.begin("decode", n, "Gaussians");
@@ -100,12 +102,12 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
   summary.source_format = "rgs";
   summary.output_format = "ply";
   summary.source_bytes = source.bytes().size();
-  summary.output_bytes = ply_header(n, degree, origin).size() + n * ply_row_bytes(degree, origin);
+  summary.origin = summary.declarations.origin;
+  summary.output_bytes = ply_header(n, degree, summary.declarations).size() + n * ply_row_bytes(degree, summary.origin);
   summary.n_source = summary.n_written = n;
   summary.source_sh_degree = summary.sh_degree = degree;
   summary.header = source.header();
-  summary.declarations = source.declarations();
-  summary.origin = origin;
+  summary.lost = lost_declarations(SplatFormat::ply, keep_declarations({}, summary.declarations));
   summary.sections = source.sections();
   return summary;
 }

@@ -20,6 +20,7 @@
 #include "convert.hpp"
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
+#include "input_declarations.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
@@ -46,8 +47,7 @@ struct Arguments {
   rgs::ArchiveOptions archive;  // of the preset
   ArchiveChanges archive_changes;
   rgs::SplatFilter filter;
-  std::optional<rgs::AaMode> aa_mode;
-  std::optional<rgs::ColourSpace> colour_space;
+  rgs::AskedDeclarations asked;
   bool merge = false, axes_given = false, to_axes_given = false;
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
   bool file_scales = false, audit = false;
@@ -68,7 +68,6 @@ constexpr const char* kRgsOptions[] = {"--profile",
                                        "--near",
                                        "--far",
                                        "--depth-map",
-                                       "--metres-per-unit",
                                        "--audit",
                                        "--archive-mean-cells",
                                        "--archive-sh-step",
@@ -168,6 +167,8 @@ Failure explained(Failure failure, const std::deque<Input>& inputs) {
 // Axes of what is written. Formats that prescribe theirs get them. An .rgs can declare any: it keeps those of its
 // source, unless the source had no choice either; scenes are then brought into the frame that cameras of 3DGS are in.
 rgs::Axes target_axes(const Arguments& arguments, const rgs::SplatFile& first, SplatFormat to) {
+  const bool undeclared = first.axes[0] == rgs::Axis::undeclared && arguments.n_inputs() == 1;
+  if (undeclared && !arguments.to_axes_given) return first.axes;  // nothing turns it
   if (to == SplatFormat::spz || to == SplatFormat::glb) return rgs::format_axes(to);
   if (arguments.to_axes_given) return rgs::parse_axes(arguments.to_axes).value();
   const bool prescribed = first.format == SplatFormat::spz || first.format == SplatFormat::glb;
@@ -180,19 +181,18 @@ const std::string& of_input(const std::vector<std::string>& texts, std::size_t i
 }
 
 // Reads, places and merges all inputs, then filters. Sets what the files declare and the options do not say.
-Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to) {
+Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to,
+                                     rgs::DeclaredLoss& loss) {
   rgs::LoadedScene scene;
   rgs::EncodeOptions& encode = arguments.convert.encode;
   rgs::Hasher hash;
+  std::vector<rgs::InputDeclarations> declared;
+  rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
     auto file = inputs[i].read(arguments.from);
     if (!file) return failed(inputs[i].path(), file.error());
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
-    if (i == 0) {
-      encode.axes = target_axes(arguments, *file, to);
-      encode.aa_mode = arguments.aa_mode.value_or(file->aa_mode);
-      encode.colour_space = arguments.colour_space.value_or(file->colour_space);
-    }
+    if (i == 0) encode.axes = target_axes(arguments, *file, to);
     scene.format = i == 0 ? rgs::format_name(file->format) : "merged";
     scene.bytes += file->bytes;
     scene.n_source += file->cloud.size();
@@ -203,16 +203,27 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     const auto similarity = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
                                                   of_input(arguments.scale, i));
     rgs::transform_splats(file->cloud, file->origin, *similarity);
+    declared.push_back(rgs::declared_by(*file, inputs[i].name(), similarity->scale));
+    if (to != SplatFormat::rgs) rgs::restore_order(*file);
     if (i == 0) {
       scene.cloud = std::move(file->cloud);
       scene.origin = file->origin;
+      if (inputs.size() == 1) only = std::move(*file);
     } else {
       const double rounding = rgs::append_splats(scene.cloud, scene.origin, std::move(file->cloud), file->origin);
       scene.position_rounding = std::max(scene.position_rounding, rounding);
     }
   }
-  rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
+  if (auto s = rgs::declare_scene(encode, declared, arguments.asked, loss.notes); !s)
+    return failed(inputs.front().path(), s.error());
+  const std::vector<std::uint64_t> kept = rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
   scene.xxh3 = hash.digest();
+  if (!rgs::keep_source(encode, scene, only, kept)) {
+    loss.notes.push_back("positions are those in " + inputs.front().name() +
+                         ", which keeps none in its own source (--keep-permutation when it was made)");
+  }
+  if (to == SplatFormat::rgs && !only.source_index.empty() && !encode.keep_permutation)
+    loss.lost.emplace_back("positions in the source (--keep-permutation keeps them)");
   return scene;
 }
 
@@ -239,11 +250,15 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
     const rgs::Error& error = summary.error();
     return failed(concerns_output(error.code) ? arguments.output() : inputs.front().path(), error);
   };
+  rgs::DeclaredLoss loss;
+  const auto declare = [&](const rgs::InputDeclarations& by_input) {
+    return rgs::declare_scene(arguments.convert.encode, {&by_input, 1}, arguments.asked, loss.notes);
+  };
   if (from == SplatFormat::ply && to == SplatFormat::rgs && !edits(arguments)) {
     const auto ply = rgs::PlyFile::open(first.bytes());
     if (!ply) return failed(first.path(), ply.error());
-    arguments.convert.encode.aa_mode = arguments.aa_mode.value_or(rgs::AaMode::classic);
-    arguments.convert.encode.colour_space = arguments.colour_space.value_or(rgs::ColourSpace::srgb_display);
+    if (!arguments.axes_given) arguments.convert.encode.axes = ply->declarations().axes;
+    if (auto s = declare(rgs::declared_by(*ply, first.name())); !s) return failed(first.path(), s.error());
     return outcome(rgs::convert_to_rgs(*ply, arguments.output(), arguments.convert, observer));
   }
   if (from == SplatFormat::rgs && to == SplatFormat::ply && !edits(arguments)) {
@@ -252,17 +267,25 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
     const rgs::Axes& axes = view->declarations().axes;
     const bool as_is = axes == rgs::kAxes3dgs || axes[0] == rgs::Axis::undeclared;
     if (as_is && !arguments.axes_given && view->header().sh_degree <= arguments.convert.encode.sh_degree) {
-      return outcome(rgs::convert_rgs_to_ply(*view, arguments.output(), arguments.convert.output, observer));
+      if (auto s = declare(rgs::declared_by(*view, first.name())); !s) return failed(first.path(), s.error());
+      rgs::EncodeOptions encode = arguments.convert.encode;
+      encode.axes = axes;
+      return outcome(rgs::convert_rgs_to_ply(*view, arguments.output(), arguments.convert.output, observer,
+                                             rgs::stated_by(encode, view->declarations())));
     }
   }
   std::vector<std::pair<const char*, double>> seconds;
   rgs::StageClock clock(observer, seconds);
   clock.begin("read", 0, "");
-  auto scene = load_scene(arguments, inputs, to);
+  auto scene = load_scene(arguments, inputs, to, loss);
   if (!scene) return tl::unexpected(scene.error());
   clock.end();
   auto summary = rgs::convert_scene(std::move(*scene), to, arguments.output(), arguments.convert, observer);
-  if (summary) summary->seconds.insert(summary->seconds.begin(), seconds.begin(), seconds.end());
+  if (summary) {
+    summary->seconds.insert(summary->seconds.begin(), seconds.begin(), seconds.end());
+    summary->lost.insert(summary->lost.end(), loss.lost.begin(), loss.lost.end());
+    summary->notes = std::move(loss.notes);
+  }
   return outcome(std::move(summary));
 }
 
@@ -293,6 +316,8 @@ std::optional<std::string> check_arguments(Arguments& a) {
     if (!count) return "--max-count: " + text(count.error());
     a.filter.max_n = *count;
   }
+  if (a.asked.aa_mode == rgs::AaMode::undeclared && a.asked.low_pass_px2)
+    return "a low-pass belongs to an anti-aliasing: --low-pass goes with --aa classic or mip-splatting";
   if (a.json && a.output() == "-") return "--json and output - both need standard output";
   if (std::count(a.files.begin(), a.files.end() - 1, "-") > 1) return "only one input can be standard input";
   return std::nullopt;
@@ -453,6 +478,7 @@ void add_options(CLI::App& app, Arguments& a) {
                                                           {"log", rgs::DepthMapping::logarithmic}};
   const std::map<std::string, rgs::AaMode> aa_modes{{"undeclared", rgs::AaMode::undeclared},
                                                     {"classic", rgs::AaMode::classic},
+                                                    {"mip", rgs::AaMode::mip_splatting},
                                                     {"mip-splatting", rgs::AaMode::mip_splatting}};
   const std::map<std::string, rgs::ColourSpace> colour_spaces{{"undeclared", rgs::ColourSpace::undeclared},
                                                               {"srgb", rgs::ColourSpace::srgb_display},
@@ -492,7 +518,8 @@ void add_options(CLI::App& app, Arguments& a) {
                  "Depth range of the sort key as these cameras see the scene (docs/CAMERAS.md)");
   app.add_option("--near", a.convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--far", a.convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
-  app.add_option("--depth-map", e.depth_mapping, "Mapping of depth to the sort key [log]")
+  app.add_option("--depth-map", a.asked.depth_mapping,
+                 "Mapping of depth to the sort key [what an .rgs states, else log]")
       ->transform(CLI::Transformer(mappings))
       ->option_text("linear|log");
   app.add_option("--axes", a.axes,
@@ -511,13 +538,17 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--min-opacity", a.filter.min_opacity, "Keep Gaussians of at least this opacity")
       ->check(CLI::Range(0.0, 1.0));
   app.add_option("--max-count", a.max_count, "Keep so many (200k, 1.5M) with the largest opacity times area");
-  app.add_option("--aa-mode", a.aa_mode, "Anti-aliasing that the scene was trained with")
+  app.add_option("--aa,--aa-mode", a.asked.aa_mode,
+                 "Anti-aliasing that the scene was trained with [what the input states, else classic]")
       ->transform(CLI::Transformer(aa_modes))
-      ->option_text("classic|mip-splatting|undeclared");
-  app.add_option("--colour-space", a.colour_space, "Colours that SH evaluates to")
+      ->option_text("classic|mip|mip-splatting|undeclared");
+  app.add_option("--low-pass", a.asked.low_pass_px2,
+                 "px^2 added to projected covariances in training [what the input states, else 0.3, mip 0.1]")
+      ->check(CLI::NonNegativeNumber);
+  app.add_option("--colour-space", a.asked.colour_space, "Colours that SH evaluates to")
       ->transform(CLI::Transformer(colour_spaces))
       ->option_text("srgb|linear|undeclared");
-  app.add_option("--metres-per-unit", e.metres_per_unit, "Size of a world unit, if known")
+  app.add_option("--metres-per-unit", a.asked.metres_per_unit, "Size of a unit of the output, if known")
       ->check(CLI::NonNegativeNumber);
   app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
   app.add_flag("--overwrite", a.convert.output.overwrite, "Replace an existing output");

@@ -63,6 +63,7 @@ std::vector<std::uint64_t> find_properties(const PlyElement& element, std::span<
 struct Tables {
   Table chunk, vertex, sh;
   int sh_degree = 0;
+  StatedScene stated;
 };
 
 // Start of the element's rows; checks that they lie in the file.
@@ -125,6 +126,7 @@ Result<Tables> locate_tables(std::span<const std::byte> bytes) {
     return make_error(Errc::bad_header, header->bytes, "a compressed PLY has no element chunk or vertex");
   }
   Tables tables;
+  tables.stated = header->stated;
   for (const auto& [element, table] : {std::pair{chunk, &tables.chunk}, {vertex, &tables.vertex}}) {
     auto found = locate(*header, *element, bytes.size());
     if (!found) return tl::unexpected(found.error());
@@ -261,8 +263,8 @@ std::uint8_t encode_sh(float value) {
   return static_cast<std::uint8_t>(std::clamp(std::floor(static_cast<double>(value) * 32 + 128), 0.0, 255.0));
 }
 
-std::string make_header(std::uint64_t n, int sh_degree) {
-  std::string text = "ply\nformat binary_little_endian 1.0\n";
+std::string make_header(std::uint64_t n, int sh_degree, const StatedScene& stated) {
+  std::string text = "ply\nformat binary_little_endian 1.0\n" + comment_lines(stated);
   const auto element = [&text](const char* name, std::uint64_t count) {
     text += std::string("element ") + name + " " + std::to_string(count) + "\n";
   };
@@ -346,6 +348,7 @@ Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const 
   SplatFile file;
   file.format = SplatFormat::compressed_ply;
   file.bytes = bytes.size();
+  tables->stated.copy_to(file);
   file.cloud.resize(n, tables->sh_degree);
   const auto per_channel = static_cast<std::size_t>(sh_coefficients(tables->sh_degree) - 1);
   Bounds bounds{};
@@ -365,11 +368,12 @@ Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const 
   return file;
 }
 
-Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, bool keep_order) {
+Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, const StatedScene& stated,
+                                                     bool keep_order) {
   if (splats.n > std::numeric_limits<std::uint32_t>::max()) {
     return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene");
   }
-  const std::string header = make_header(splats.n, splats.sh_degree);
+  const std::string header = make_header(splats.n, splats.sh_degree, stated);
   const auto per_channel = static_cast<std::size_t>(sh_coefficients(splats.sh_degree) - 1);
   const std::uint64_t chunks_at = header.size();
   const std::uint64_t vertices_at = chunks_at + (splats.n + kChunk - 1) / kChunk * sizeof(Bounds);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "rgs/interchange.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs::detail {
 
@@ -16,8 +17,9 @@ bool is_compressed_ply(std::span<const std::byte> bytes);
 /// With chunk colours (18 properties) or without (12), with or without SH, as PlayCanvas's tools and gsplat write it.
 Result<SplatFile> decode_compressed_ply(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// Chunks of 256 Gaussians that lie together, or as they come if `keep_order`.
+/// `stated` in comments. Chunks of 256 Gaussians that lie together, or as they come if `keep_order`.
 /// Errors: limit_exceeded (2^32 Gaussians to sort).
-Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, bool keep_order);
+Result<std::vector<std::byte>> encode_compressed_ply(const SplatView& splats, const StatedScene& stated,
+                                                     bool keep_order);
 
 }  // namespace rgs::detail

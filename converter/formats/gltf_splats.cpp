@@ -278,7 +278,7 @@ class SceneWalk {
     return {};
   }
   bool found() const { return found_; }
-  ColourSpace colour_space() const { return colour_space_; }
+  const StatedScene& stated() const { return stated_; }
   SplatCloud take() { return std::move(cloud_); }
   const Origin& origin() const { return origin_; }
 
@@ -300,10 +300,23 @@ class SceneWalk {
         cloud_ = std::move(*part);
         origin_ = origin;
       }
-      const json* space = json_member(*splats, "colorSpace");
-      if (space != nullptr && *space == "lin_rec709_display") colour_space_ = ColourSpace::linear_display;
+      if (!found_) {
+        if (const Status s = read_stated(primitive, *splats, similarity); !s) return s;
+      }
       found_ = true;
     }
+    return {};
+  }
+
+  // The first primitive speaks for all.
+  Status read_stated(const json& primitive, const json& splats, const Similarity& similarity) {
+    const json* space = json_member(splats, "colorSpace");
+    if (space != nullptr && *space == "lin_rec709_display") stated_.colour_space = ColourSpace::linear_display;
+    if (const json* extras = json_member(primitive, "extras"); extras != nullptr && !read_extras(*extras, stated_)) {
+      return make_error(Errc::bad_value, kGlbHeaderBytes + kChunkHeaderBytes,
+                        "a primitive's extras.rgs states a value that it cannot have");
+    }
+    stated_.metres_per_unit = static_cast<float>(static_cast<double>(stated_.metres_per_unit) / similarity.scale);
     return {};
   }
 
@@ -312,7 +325,7 @@ class SceneWalk {
   std::vector<bool> visited_;
   SplatCloud cloud_;
   Origin origin_ = kNoOrigin;
-  ColourSpace colour_space_ = ColourSpace::srgb_display;
+  StatedScene stated_{.axes = kAxesGltf};
   bool found_ = false;
 };
 
@@ -406,7 +419,7 @@ ordered_json add_attributes(const SplatView& splats, BufferBuilder& buffer) {
   return attributes;
 }
 
-std::string make_json(const SplatView& splats, ColourSpace colour_space, const Origin& origin, BufferBuilder& buffer) {
+std::string make_json(const SplatView& splats, const StatedScene& stated, BufferBuilder& buffer) {
   const ordered_json attributes = add_attributes(splats, buffer);
   ordered_json root;
   root["asset"] = {{"version", "2.0"}, {"generator", "RoofGS"}};
@@ -414,13 +427,15 @@ std::string make_json(const SplatView& splats, ColourSpace colour_space, const O
   root["scene"] = 0;
   root["scenes"] = ordered_json::array({{{"nodes", {0}}}});
   root["nodes"] = ordered_json::array({{{"mesh", 0}}});
-  if (origin != kNoOrigin) root["nodes"][0]["translation"] = origin;
+  if (stated.origin != kNoOrigin) root["nodes"][0]["translation"] = stated.origin;
   ordered_json primitive;
   primitive["attributes"] = attributes;
   primitive["mode"] = kModePoints;
   primitive["extensions"][kExtension] = {
       {"kernel", "ellipse"},
-      {"colorSpace", colour_space == ColourSpace::linear_display ? "lin_rec709_display" : "srgb_rec709_display"}};
+      {"colorSpace",
+       stated.colour_space == ColourSpace::linear_display ? "lin_rec709_display" : "srgb_rec709_display"}};
+  if (ordered_json extras = extras_of(stated); !extras.is_null()) primitive["extras"] = std::move(extras);
   root["meshes"] = ordered_json::array({{{"primitives", ordered_json::array({primitive})}}});
   root["buffers"] = ordered_json::array({{{"byteLength", buffer.bin().size()}}});
   root["bufferViews"] = buffer.views();
@@ -449,14 +464,13 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   SplatFile file;
   file.format = SplatFormat::glb;
   file.bytes = bytes.size();
-  file.axes = kAxesGltf;
-  file.colour_space = walk.colour_space();
+  walk.stated().copy_to(file);
   file.origin = walk.origin();
   file.cloud = walk.take();
   return file;
 }
 
-Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space, const Origin& origin) {
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const StatedScene& stated) {
   const std::uint64_t each = 4 * (11 + 1 + 3 * static_cast<std::uint64_t>(sh_coefficients(splats.sh_degree)));
   constexpr std::uint64_t kMostBytes = std::numeric_limits<std::uint32_t>::max() - 65536;  // room for the JSON
   if (splats.n > kMostBytes / each) {
@@ -464,7 +478,7 @@ Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace c
                       "a .glb holds at most 4 GiB; strip harmonics or split the scene", kMostBytes / each, splats.n);
   }
   BufferBuilder buffer(splats.n);
-  const std::string text = make_json(splats, colour_space, origin, buffer);
+  const std::string text = make_json(splats, stated, buffer);
   const std::uint64_t bin_header = kGlbHeaderBytes + kChunkHeaderBytes + text.size();
   const std::uint64_t total = bin_header + kChunkHeaderBytes + buffer.bin().size();
   std::vector<std::byte> file(total);

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "rgs/interchange.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs::detail {
 
@@ -14,8 +15,8 @@ namespace rgs::detail {
 /// the file's own binary chunk. A node's translation that is far becomes the origin, see transform_splats().
 Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimits& limits);
 
-/// One primitive, with COLOR_0 for viewers that show points; an origin is its node's translation. Errors: limit_exceeded (above
-/// 4 GiB).
-Result<std::vector<std::byte>> encode_glb(const SplatView& splats, ColourSpace colour_space, const Origin& origin);
+/// One primitive, with COLOR_0 for viewers that show points; stated.origin is its node's translation, what else the
+/// extension has no place for is in its extras. Errors: limit_exceeded (above 4 GiB).
+Result<std::vector<std::byte>> encode_glb(const SplatView& splats, const StatedScene& stated);
 
 }  // namespace rgs::detail

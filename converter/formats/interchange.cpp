@@ -10,6 +10,7 @@
 #include <filesystem>
 #include <limits>
 #include <string_view>
+#include <utility>
 
 #include "compressed_ply.hpp"
 #include "gltf_splats.hpp"
@@ -21,6 +22,7 @@
 #include "sog.hpp"
 #include "splat_records.hpp"
 #include "spz.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs {
 namespace {
@@ -42,6 +44,7 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
   auto cloud = read_cloud(*ply);
   if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
+  detail::stated_scene(ply->declarations()).copy_to(file);
   file.cloud = *std::move(cloud);
   file.origin = ply->origin();
   return file;
@@ -53,11 +56,15 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   auto cloud = decode(bytes, limits);
   if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
-  file.axes = view->declarations().axes;
-  file.colour_space = view->declarations().colour_space;
-  file.aa_mode = view->declarations().aa_mode;
-  file.low_pass_px2 = view->declarations().low_pass_px2;
-  file.origin = view->declarations().origin;
+  detail::stated_scene(view->declarations()).copy_to(file);
+  file.declarations = view->declarations();
+  file.provenance = view->provenance();
+  if (view->find(SectionType::permutation) != nullptr && file.declarations->n_source >> 32 == 0) {
+    file.source_index.resize(cloud->size());
+    for (std::uint64_t i = 0; i < file.source_index.size(); ++i) {
+      file.source_index[i] = static_cast<std::uint32_t>(view->source_index(i));
+    }
+  }
   file.cloud = std::move(*cloud);
   return file;
 }
@@ -85,6 +92,7 @@ Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64
     convert_axes(file->cloud, file->axes, kAxes3dgs);
     convert_axes(file->origin, file->axes, kAxes3dgs);
     file->axes = kAxes3dgs;
+    if (file->declarations) file->declarations->axes = kAxes3dgs;
   }
   return file;
 }
@@ -108,8 +116,9 @@ Status check_sound(const SplatView& splats) {
   return {};
 }
 
-std::vector<std::byte> encode_ply(const SplatView& splats, const Origin& origin) {
-  const std::string header = ply_header(splats.n, splats.sh_degree, origin);
+std::vector<std::byte> encode_ply(const SplatView& splats, const detail::StatedScene& stated) {
+  const Origin& origin = stated.origin;
+  const std::string header = ply_header(splats.n, splats.sh_degree, stated.declarations());
   const std::uint64_t row = ply_row_bytes(splats.sh_degree, origin);
   std::vector<std::byte> file(header.size() + splats.n * row);
   std::memcpy(file.data(), header.data(), header.size());
@@ -154,6 +163,18 @@ SplatFormat format_of_name(const std::string& path) {
 
 Axes format_axes(SplatFormat format) {
   return format == SplatFormat::spz ? kAxesOpenGl : format == SplatFormat::glb ? kAxesGltf : kAxes3dgs;
+}
+
+EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file) {
+  if (file.declarations) options = keep_declarations(std::move(options), *file.declarations);
+  if (file.declarations) options.provenance = file.provenance;
+  options.axes = file.axes;
+  options.colour_space = file.colour_space;
+  options.aa_mode = file.aa_mode;
+  options.low_pass_px2 = file.low_pass_px2;
+  options.metres_per_unit = file.metres_per_unit;
+  options.origin = file.origin;
+  return options;
 }
 
 bool is_writable(SplatFormat format) {
@@ -224,7 +245,8 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
     }
-    if (format == SplatFormat::ply) return encode_ply(splats, options.origin);
+    const detail::StatedScene stated = detail::stated_scene(options);
+    if (format == SplatFormat::ply) return encode_ply(splats, stated);
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
     std::vector<float> positions;  // FP32, where the format has no place for an origin
     SplatView placed = splats;
@@ -233,9 +255,9 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       placed.mean = positions;
     }
     switch (format) {
-      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(placed, options.keep_order);
+      case SplatFormat::compressed_ply: return detail::encode_compressed_ply(placed, stated, options.keep_order);
       case SplatFormat::spz: return detail::encode_spz(placed, options.aa_mode);
-      case SplatFormat::glb: return detail::encode_glb(placed, options.colour_space, options.origin);
+      case SplatFormat::glb: return detail::encode_glb(placed, stated);
       default: return detail::encode_splat_records(placed);
     }
   });

@@ -98,7 +98,13 @@ Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes) {
     const std::string_view keyword = words.n > 0 ? words.word[0] : std::string_view();
     if (line == 0) {
       if (words.n != 1) return make_error(Errc::bad_magic, 0, "is not a PLY file: the first line is not `ply`");
-    } else if (keyword == "comment" || keyword == "obj_info") {
+    } else if (keyword == "comment") {
+      const std::string_view whole = text.substr(line, end - line);
+      if (!read_comment(whole.substr(whole.find(keyword) + keyword.size()), header.stated)) {
+        return make_error(Errc::bad_value, line,
+                          "a comment rgs_... states a value that it cannot have; mend the line or delete it");
+      }
+    } else if (keyword == "obj_info") {
     } else if (keyword == "format") {
       const auto encoding = words.n == 3 ? encoding_named(words.word[1]) : std::nullopt;
       if (!encoding) return make_error(Errc::bad_syntax, line, "the format line is not `format ENCODING 1.0`");

@@ -11,6 +11,7 @@
 
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs::detail {
 
@@ -44,12 +45,13 @@ struct PlyHeader {
   PlyEncoding encoding = PlyEncoding::ascii;
   std::vector<PlyElement> elements;
   std::uint64_t bytes = 0;  ///< of the header: the data start here
+  StatedScene stated;       ///< by comments
 };
 
 inline constexpr std::uint64_t kMaxPlyHeaderBytes = std::uint64_t{1} << 20;
 
 /// Lines may end in LF or CR LF. Errors carry the byte offset of the offending line: bad_magic, unsupported_version,
-/// bad_syntax, limit_exceeded (header above 1 MiB), truncated (no end_header).
+/// bad_syntax, bad_value (a comment of ours, see read_comment()), limit_exceeded (header above 1 MiB), truncated (no end_header).
 Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes);
 
 /// A Splat seen as 59 floats: mean 0..2, log_scale 3..5, rotation 6..9, opacity_logit 10, sh 11..58.

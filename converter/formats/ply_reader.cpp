@@ -248,9 +248,9 @@ struct PlyFile::Impl {
 
   std::uint64_t n = 0;
   int sh_degree = 0;
+  Declarations stated;
   bool swap = false;
   Layout layout = Layout::mixed;
-  Origin origin = kNoOrigin;
   bool plain_rest = false;  // all but the means are floats in the machine's byte order
   const std::byte* rows = nullptr;
   std::uint32_t row_bytes = 0;
@@ -281,7 +281,7 @@ struct PlyFile::Impl {
   void decode_rebased(const std::byte* row, Splat& out) const {
     for (std::size_t k = 0; k < 3; ++k) {
       const auto x = load_as<double>(columns[k].type, row + columns[k].offset, swap);
-      out.mean[k] = static_cast<float>(x - origin[k]);
+      out.mean[k] = static_cast<float>(x - stated.origin[k]);
     }
     plain_rest ? decode_floats<false>(row, out, 3) : decode_mixed(row, out, 3);
   }
@@ -298,7 +298,7 @@ struct PlyFile::Impl {
         decode_standard<decltype(coefficients)::value>(row + mean, row + rest, out);
       });
     };
-    if (origin != kNoOrigin) return use([this](const std::byte* row, Splat& out) { decode_rebased(row, out); });
+    if (stated.origin != kNoOrigin) return use([this](const std::byte* row, Splat& out) { decode_rebased(row, out); });
     switch (layout) {
       case Layout::standard:
         switch (sh_degree) {
@@ -321,6 +321,7 @@ Status PlyFile::Impl::parse() {
   const auto properties = find_splat_properties(*header);
   if (!properties) return tl::unexpected(properties.error());
   const PlyElement& vertex = header->elements[properties->element];
+  stated = header->stated.declarations();
   n = vertex.count;
   sh_degree = properties->sh_degree;
   swap = header->encoding == PlyEncoding::big_endian;
@@ -495,7 +496,7 @@ void PlyFile::Impl::choose_origin() {
     chosen[axis] = std::nearbyint(middle[axis] / unit) * unit + 0.0;
     if (!(std::fabs(chosen[axis]) <= kMaxOrigin)) return;
   }
-  origin = chosen;
+  stated.origin = chosen;
 }
 
 // x y z in a row, and f_dc, f_rest, opacity, scale, rot in a row; normals may stand between or not.
@@ -580,14 +581,18 @@ PlyFile::~PlyFile() = default;
 std::uint64_t PlyFile::size() const {
   return impl_->n;
 }
+const Declarations& PlyFile::declarations() const {
+  return impl_->stated;
+}
+
 int PlyFile::sh_degree() const {
   return impl_->sh_degree;
 }
 const Origin& PlyFile::origin() const {
-  return impl_->origin;
+  return impl_->stated.origin;
 }
 void PlyFile::rebase(const Origin& origin) {
-  impl_->origin = origin;
+  impl_->stated.origin = origin;
 }
 std::uint64_t PlyFile::bytes() const {
   return impl_->source.size();

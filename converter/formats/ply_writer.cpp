@@ -10,6 +10,7 @@
 
 #include "rgs/guard_memory.hpp"
 #include "rgs/ply.hpp"
+#include "stated_scene.hpp"
 
 namespace rgs {
 namespace {
@@ -53,14 +54,15 @@ void encode_rows(std::span<const Splat> splats, std::byte* out, const Origin& or
 
 }  // namespace
 
-std::string ply_header(std::uint64_t n, int sh_degree, const Origin& origin) {
+std::string ply_header(std::uint64_t n, int sh_degree, const Declarations& stated) {
   assert(sh_degree >= 0 && sh_degree <= kMaxShDegree);
-  std::string header = "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(n) + "\n";
+  std::string header = "ply\nformat binary_little_endian 1.0\n" + detail::comment_lines(detail::stated_scene(stated)) +
+                       "element vertex " + std::to_string(n) + "\n";
   const auto add = [&header](const std::string& name) { header += "property float " + name + "\n"; };
   const auto add_numbered = [&add](const std::string& name, int count) {
     for (int i = 0; i < count; ++i) add(name + std::to_string(i));
   };
-  const std::string type = has_origin(origin) ? "double " : "float ";
+  const std::string type = has_origin(stated.origin) ? "double " : "float ";
   for (const char* name : {"x", "y", "z"}) header += "property " + type + name + "\n";
   for (const char* name : {"nx", "ny", "nz"}) add(name);
   add_numbered("f_dc_", 3);
@@ -87,13 +89,13 @@ void encode_ply_rows(std::span<const Splat> splats, int sh_degree, std::span<std
 }
 
 Result<PlyWriter> PlyWriter::create(const std::string& path, std::uint64_t n, int sh_degree,
-                                    const AtomicFile::Options& options, const Origin& origin) {
+                                    const AtomicFile::Options& options, const Declarations& stated) {
   return detail::guard_memory([&]() -> Result<PlyWriter> {
     if (sh_degree < 0 || sh_degree > kMaxShDegree) {
       return make_error(Errc::bad_argument, Error::kNone, "the SH degree is not 0 to 3");
     }
-    const std::string header = ply_header(n, sh_degree, origin);
-    const std::uint64_t row_bytes = ply_row_bytes(sh_degree, origin);
+    const std::string header = ply_header(n, sh_degree, stated);
+    const std::uint64_t row_bytes = ply_row_bytes(sh_degree, stated.origin);
     constexpr auto kMaxFile = static_cast<std::uint64_t>(std::numeric_limits<std::int64_t>::max());
     if (n > (kMaxFile - header.size()) / row_bytes) {
       return make_error(Errc::bad_argument, Error::kNone, "too many Gaussians for one file", Error::kNone, n);
@@ -105,7 +107,7 @@ Result<PlyWriter> PlyWriter::create(const std::string& path, std::uint64_t n, in
     writer.n_ = n;
     writer.header_bytes_ = header.size();
     writer.sh_degree_ = sh_degree;
-    writer.origin_ = origin;
+    writer.origin_ = stated.origin;
     if (auto ok = writer.file_.reserve(header.size() + n * row_bytes); !ok) {
       return tl::unexpected(ok.error());
     }

@@ -82,6 +82,7 @@ struct Meta {
   std::uint64_t n = 0, palette = 0;
   int sh_degree = 0;
   bool opacity_is_logit = false;
+  AaMode aa_mode = AaMode::classic;
   std::vector<float> mean_low, mean_high;  // [3], in sign(x) ln(1 + |x|)
   std::vector<Lookup> scale, sh0;          // per channel; version 1: the fourth of sh0 is opacity
   std::vector<Lookup> shn;                 // one for all
@@ -180,6 +181,10 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes) {
   if (const json* shn = json_member(root, "shN"); shn != nullptr && !shn->is_null()) {
     if (const Status s = parse_shn(*shn, version, meta); !s) return tl::unexpected(s.error());
   }
+  // Two spellings: "model" is splat-transform's, "antialias" is what other viewers look for.
+  const json *model = json_member(root, "model"), *antialias = json_member(root, "antialias");
+  const bool is_mip = model != nullptr ? *model == "antialiased" : antialias != nullptr && *antialias == true;
+  if (is_mip) meta.aa_mode = AaMode::mip_splatting;
   return meta;
 }
 
@@ -336,6 +341,7 @@ Result<SplatFile> decode_scene(std::span<const std::byte> meta_bytes, const Fetc
   if (const Status s = fetch_images(fetch, *meta, images); !s) return tl::unexpected(s.error());
   SplatFile file;
   file.format = SplatFormat::sog;
+  file.aa_mode = meta->aa_mode;
   file.cloud.resize(meta->n, meta->sh_degree);
   for (std::uint64_t i = 0; i < meta->n; ++i) {
     const auto splat = decode_splat(*meta, images, i);

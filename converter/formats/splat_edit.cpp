@@ -273,7 +273,7 @@ void keep_splats(SplatCloud& cloud, std::span<const std::uint64_t> indices) {
   pack(cloud.sh, static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree)));
 }
 
-void filter_splats(SplatCloud& cloud, const SplatFilter& filter, const Origin& origin) {
+std::vector<std::uint64_t> filter_splats(SplatCloud& cloud, const SplatFilter& filter, const Origin& origin) {
   const WorldBox crop = comparable(filter.crop.value_or(WorldBox()), origin);
   std::vector<std::uint64_t> kept;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
@@ -292,6 +292,7 @@ void filter_splats(SplatCloud& cloud, const SplatFilter& filter, const Origin& o
     std::ranges::sort(kept);
   }
   keep_splats(cloud, kept);
+  return kept;
 }
 
 Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) {

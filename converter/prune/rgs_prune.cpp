@@ -11,6 +11,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <span>
 #include <string>
 #include <thread>
 #include <utility>
@@ -57,6 +58,7 @@ struct Summary {
   std::string format;
   std::uint64_t source_bytes = 0, n_source = 0, output_bytes = 0, pixels = 0;
   std::size_t n_cameras = 0;
+  std::vector<std::string> lost;  ///< of what the source declares
   rgs::prune::Outcome outcome;
   double read_seconds = 0, render_seconds = 0, write_seconds = 0;
 };
@@ -131,29 +133,31 @@ Step<void> write_scores(const Options& o, const std::vector<Contribution>& contr
   return {};
 }
 
-Step<std::uint64_t> write_scene(const Options& o, SplatFormat to, rgs::SplatFile&& file, std::uint64_t n_source,
-                                std::uint64_t hash, std::vector<rgs::Camera> cameras) {
+Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::SplatFile&& file,
+                                      std::span<const std::uint64_t> kept, std::uint64_t n_source, std::uint64_t hash,
+                                      std::vector<rgs::Camera> cameras) {
   // PLY has the axes of 3DGS by habit; an .rgs declares those it came in.
-  if (to == SplatFormat::ply) {
+  if (to == SplatFormat::ply && file.axes[0] != rgs::Axis::undeclared) {
     rgs::convert_axes(file.cloud, file.axes, rgs::kAxes3dgs);
     rgs::convert_axes(file.origin, file.axes, rgs::kAxes3dgs);
+    file.axes = rgs::kAxes3dgs;
   }
   rgs::ConvertOptions options;
+  options.encode = rgs::keep_declarations(std::move(options.encode), file);
   options.encode.profile = rgs::Profile::packed;
-  options.encode.axes = file.axes;
-  options.encode.aa_mode = file.aa_mode;
-  options.encode.colour_space = file.colour_space;
+  options.encode.keep_permutation = !file.source_index.empty();  // what the .rgs kept
   std::string name = fs::path(o.input).filename().string();
   name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
   options.encode.provenance = rgs::Provenance{file.bytes, hash, name, "rgs-prune " RGS_VERSION};
-  options.cameras = std::move(cameras);
+  if (!options.encode.depth) options.cameras = std::move(cameras);  // else the range that the .rgs declares
   options.output = o.file();
   const int degree = file.cloud.sh_degree;
-  const auto written = rgs::convert_scene(
-      {std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree, file.origin}, to,
-      o.output, options);
+  rgs::LoadedScene scene{
+      std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree, file.origin};
+  rgs::keep_source(options.encode, scene, file, kept);
+  auto written = rgs::convert_scene(std::move(scene), to, o.output, options);
   if (!written) return failed(o.output, written.error());
-  return written->output_bytes;
+  return *std::move(written);
 }
 
 const char* score_name(rgs::prune::Score score) {
@@ -172,19 +176,22 @@ std::string summary_json(const Options& o, const Summary& s) {
       {"unseen", s.outcome.n_unseen},
       {"weight_share", s.outcome.weight_share},
       {"lowest_score", s.outcome.lowest_score},
+      {"lost", s.lost},
       {"seconds", {{"read", s.read_seconds}, {"render", s.render_seconds}, {"write", s.write_seconds}}}};
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
 std::string summary_text(const Options& o, const Summary& s) {
   const double share = s.n_source > 0 ? static_cast<double>(s.outcome.n_kept) / static_cast<double>(s.n_source) : 1;
+  const std::string lost =
+      s.lost.empty() ? "" : fmt::format("  lost      not in the ply file: {}\n", fmt::join(s.lost, ", "));
   return fmt::format(
       "{} -> {}: {} of {} Gaussians ({:.1f} %), {:.3f} % of the weight blended into {} pictures of {} pixels\n"
       "  not seen  {} Gaussians; lowest {} kept {:.4g}\n"
-      "  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
+      "{}  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
       o.input, o.output, tool::format_count(s.outcome.n_kept), tool::format_count(s.n_source), 100 * share,
       100 * s.outcome.weight_share, s.n_cameras, tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen),
-      score_name(o.score), s.outcome.lowest_score, s.read_seconds, s.render_seconds, s.write_seconds);
+      score_name(o.score), s.outcome.lowest_score, lost, s.read_seconds, s.render_seconds, s.write_seconds);
 }
 
 int prune(const Options& o) {
@@ -230,9 +237,10 @@ int prune(const Options& o) {
   if (!o.scores.empty()) {
     if (const auto written = write_scores(o, *contributions); !written) return written.error();
   }
-  const auto bytes = write_scene(o, to, *std::move(file), summary.n_source, hash, set->cameras);
-  if (!bytes) return bytes.error();
-  summary.output_bytes = *bytes;
+  const auto written = write_scene(o, to, *std::move(file), kept, summary.n_source, hash, set->cameras);
+  if (!written) return written.error();
+  summary.output_bytes = written->output_bytes;
+  summary.lost = written->lost;
   summary.write_seconds = lap(time);
 
   if (o.json) {
@@ -265,12 +273,15 @@ void add_options(CLI::App& app, Options& o) {
                       .description(""));
   app.add_option("--scores", o.scores, "also write sum and max of every Gaussian of the input, NumPy float64 [n, 2]");
   app.add_option("--low-pass", o.render.low_pass,
-                 "px^2 added to projected covariances [what the file states, else 0.3]")
+                 "px^2 added to projected covariances [what the file states, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber);
-  app.add_option("--aa", o.render.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
-      ->transform(CLI::CheckedTransformer(std::map<std::string, AntiAliasing>{{"classic", AntiAliasing::classic},
-                                                                              {"mip", AntiAliasing::mip_splatting}})
-                      .description(""));
+  app.add_option("--aa,--aa-mode", o.render.anti_aliasing,
+                 "anti-aliasing: classic, mip [what the file states, else classic]")
+      ->transform(
+          CLI::CheckedTransformer(std::map<std::string, AntiAliasing>{{"classic", AntiAliasing::classic},
+                                                                      {"mip", AntiAliasing::mip_splatting},
+                                                                      {"mip-splatting", AntiAliasing::mip_splatting}})
+              .description(""));
   app.add_option("--threads", o.threads, "CPU threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str();

@@ -42,11 +42,12 @@ Result<SceneFile> load_other(const std::string& path) {
 }  // namespace
 
 Declarations declarations_of(const SplatFile& file) {
-  Declarations d;
+  Declarations d = file.declarations.value_or(Declarations());
   d.axes = file.axes;
   d.colour_space = file.colour_space;
   d.aa_mode = file.aa_mode;
-  d.low_pass_px2 = file.low_pass_px2;
+  d.low_pass_px2 = file.low_pass_px2.value_or(default_low_pass_px2(file.aa_mode));
+  d.metres_per_unit = file.metres_per_unit;
   d.origin = file.origin;
   return d;
 }

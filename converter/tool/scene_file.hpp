@@ -20,7 +20,7 @@ struct SceneFile {
   glm::dvec3 up = kWorldUp;      ///< what an .rgs states, or that of 3DGS worlds
 };
 
-/// What a file of another format than .rgs says of itself, for Scene::load(); all else as in the original 3DGS code.
+/// What a file of any format says of itself, for Scene::load(); all else as in the original 3DGS code.
 Declarations declarations_of(const SplatFile& file);
 
 /// Reads `path`; its first bytes decide what it is. Scenes of other formats than .rgs are in the axes of

@@ -7,13 +7,20 @@
 
 namespace rgs {
 
+static_assert(default_low_pass_px2(AaMode::classic) == math::kLowPass, "the reference's low-pass is that of 3DGS");
+
 RenderOptions with_declarations(RenderOptions options, const std::optional<Declarations>& declared) {
   const Declarations d = declared.value_or(Declarations());  // whose defaults are those of the original
   const bool is_mip = d.aa_mode == AaMode::mip_splatting;
   if (!options.anti_aliasing) {
     options.anti_aliasing = is_mip ? math::AntiAliasing::mip_splatting : math::AntiAliasing::classic;
   }
-  if (!options.low_pass) options.low_pass = d.aa_mode == AaMode::undeclared ? math::kLowPass : d.low_pass_px2;
+  if (!options.low_pass) {
+    // A low-pass belongs to its mode: where another is drawn, or none is declared, it is that mode's usual one.
+    const auto drawn =
+        options.anti_aliasing == math::AntiAliasing::mip_splatting ? AaMode::mip_splatting : AaMode::classic;
+    options.low_pass = drawn == d.aa_mode ? d.low_pass_px2 : default_low_pass_px2(drawn);
+  }
   if (!options.paper.depth_mapping) options.paper.depth_mapping = d.depth_mapping;
   if (!options.paper.depth_range) options.paper.depth_range = {d.z_near, d.z_far};
   return options;

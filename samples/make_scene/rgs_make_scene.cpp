@@ -71,7 +71,7 @@ int make_scene(const Options& options, std::uint64_t n) {
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
   rgs::Result<rgs::PlyWriter> writer =
-      rgs::PlyWriter::create(options.output, n, options.degree, file_options, options.origin);
+      rgs::PlyWriter::create(options.output, n, options.degree, file_options, {.origin = options.origin});
   if (!writer) return tool::report(options.output, writer.error());
   const rgs::SceneGenerator scene(options.seed, n, options.degree);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -89,7 +89,7 @@ int make_scene(const Options& options, std::uint64_t n) {
   progress.finish();
 
   if (!options.quiet) {
-    const std::uint64_t bytes = rgs::ply_header(n, options.degree, options.origin).size() +
+    const std::uint64_t bytes = rgs::ply_header(n, options.degree, {.origin = options.origin}).size() +
                                 n * rgs::ply_row_bytes(options.degree, options.origin);
     fmt::print("{}: {} Gaussians, SH degree {}, seed {}, {}\n", options.output, tool::format_count(n), options.degree,
                options.seed, tool::format_bytes(bytes));

@@ -364,11 +364,14 @@ void add_options(CLI::App& app, Options& o) {
       ->capture_default_str()
       ->group(image);
   app.add_option("--low-pass", o.render.low_pass,
-                 "px^2 added to projected covariances [what the file states, else 0.3]")
+                 "px^2 added to projected covariances [what the file states, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber)
       ->group(image);
-  app.add_option("--aa", o.render.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
-      ->transform(names<AntiAliasing>({{"classic", AntiAliasing::classic}, {"mip", AntiAliasing::mip_splatting}}))
+  app.add_option("--aa,--aa-mode", o.render.anti_aliasing,
+                 "anti-aliasing: classic, mip [what the file states, else classic]")
+      ->transform(names<AntiAliasing>({{"classic", AntiAliasing::classic},
+                                       {"mip", AntiAliasing::mip_splatting},
+                                       {"mip-splatting", AntiAliasing::mip_splatting}}))
       ->group(image);
 
   const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";

@@ -42,7 +42,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   ply->gather(indices, gathered);
   require(same_bits(read, gathered));
 
-  const std::string header = rgs::ply_header(n, degree);
+  rgs::Declarations one = ply->declarations();
+  one.origin = rgs::kNoOrigin;  // rows are written as they were read
+  const std::string header = rgs::ply_header(n, degree, one);
   std::vector<std::byte> file(header.size() + n * rgs::ply_row_bytes(degree));
   std::memcpy(file.data(), header.data(), header.size());
   rgs::encode_ply_rows(read, degree, std::span(file).subspan(header.size()));
@@ -50,5 +52,8 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
   require(reopened && reopened->size() == n && reopened->sh_degree() == degree);
   reopened->read(0, again);
   require(same_bits(read, again));
+  const rgs::Declarations& two = reopened->declarations();
+  require(one.axes == two.axes && one.colour_space == two.colour_space && one.aa_mode == two.aa_mode &&
+          one.low_pass_px2 == two.low_pass_px2 && one.metres_per_unit == two.metres_per_unit);
   return 0;
 }

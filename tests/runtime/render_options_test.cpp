@@ -4,10 +4,13 @@
 
 #include <doctest/doctest.h>
 
+#include <fstream>
 #include <limits>
 #include <string>
 
 #include "renderer_fixture.hpp"
+#include "rgs/encode.hpp"
+#include "temporary_folder.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -77,7 +80,9 @@ TEST_CASE("each pipeline has its arithmetic, and turbo is what CUDA draws unless
   }
 }
 
-TEST_CASE("anti-aliasing and low-pass: what is asked for, else what the scene declares, else classic and 0.3") {
+TEST_CASE(
+    "anti-aliasing and low-pass: what is asked for, else what the scene declares, else classic; 0.3, Mip-Splatting "
+    "0.1") {
   const auto declared = [](AaMode mode, float low_pass) {
     Declarations d;
     d.aa_mode = mode, d.low_pass_px2 = low_pass;
@@ -93,14 +98,17 @@ TEST_CASE("anti-aliasing and low-pass: what is asked for, else what the scene de
   const auto classic = AntiAliasing::classic, mip = AntiAliasing::mip_splatting;
   const Row rows[] = {
       {{}, {}, {}, classic, 0.3F},
-      {{}, mip, {}, mip, 0.3F},
+      {{}, mip, {}, mip, 0.1F},
       {{}, {}, 0.1F, classic, 0.1F},
       {declared(AaMode::classic, 0.3F), {}, {}, classic, 0.3F},
       {declared(AaMode::classic, 0.2F), {}, {}, classic, 0.2F},
       {declared(AaMode::classic, 0.2F), mip, 0.0F, mip, 0.0F},
       {declared(AaMode::mip_splatting, 0.3F), {}, {}, mip, 0.3F},
       {declared(AaMode::mip_splatting, 0.1F), {}, {}, mip, 0.1F},
-      {declared(AaMode::mip_splatting, 0.1F), classic, {}, classic, 0.1F},
+      {declared(AaMode::mip_splatting, 0.1F), classic, {}, classic, 0.3F},
+      {declared(AaMode::mip_splatting, 0.2F), mip, {}, mip, 0.2F},
+      {declared(AaMode::classic, 0.2F), mip, {}, mip, 0.1F},
+      {declared(AaMode::undeclared, 0.2F), mip, {}, mip, 0.1F},
       {declared(AaMode::mip_splatting, 0.1F), {}, 0.5F, mip, 0.5F},
       {declared(AaMode::undeclared, 0.1F), {}, {}, classic, 0.3F},
       {declared(AaMode::undeclared, 0.1F), mip, 0.2F, mip, 0.2F},
@@ -217,6 +225,19 @@ TEST_CASE("a scene's declarations choose its picture: a file's, or those that lo
   CHECK(rgb == render(*plain, camera, asked, cpu).rgb);
   CHECK(rgb != render(*plain, camera, {}, cpu).rgb);
   CHECK(rgb == render(*plain, camera, with_declarations({}, declared->declarations()), cpu).rgb);
+  // A file on disk, drawn as a program does that knows nothing of this: samples/minimal.
+  const TemporaryFolder folder;
+  EncodeOptions file_options;
+  file_options.aa_mode = AaMode::mip_splatting;
+  const auto bytes = encode(cloud.view(), file_options);
+  REQUIRE(bytes);
+  std::ofstream(folder.file("mip.rgs"), std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
+  const auto from_file = Scene::load(folder.file("mip.rgs"));
+  REQUIRE(from_file);
+  const auto drawn = render(*from_file, camera, {}, cpu).rgb;
+  CHECK(drawn == render(*from_file, camera, asked, cpu).rgb);
+  CHECK(drawn != render(*from_file, camera, {.low_pass = 0.3F, .anti_aliasing = AntiAliasing::classic}, cpu).rgb);
   const RenderOptions classic{.low_pass = 0.3F, .anti_aliasing = AntiAliasing::classic};
   CHECK(render(*declared, camera, classic, cpu).rgb == render(*plain, camera, {}, cpu).rgb);
 }

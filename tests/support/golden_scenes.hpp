@@ -95,6 +95,7 @@ inline std::vector<GoldenScene> golden_scenes() {
   scenes.back().options.depth = DepthRange{0.5f, 32.f, DepthSource::cameras};
   scenes.back().options.depth_mapping = DepthMapping::logarithmic;
   scenes.back().options.aa_mode = AaMode::mip_splatting;
+  scenes.back().options.low_pass_px2 = 0.3f;
   scenes.back().options.axes = {Axis::right, Axis::up, Axis::backward};
   scenes.back().options.colour_space = ColourSpace::linear_display;
   scenes.back().options.metres_per_unit = 0.5f;

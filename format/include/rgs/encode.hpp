@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "rgs/layout.hpp"
@@ -67,10 +68,26 @@ struct EncodeOptions {
   std::array<Axis, 3> axes{Axis::right, Axis::down, Axis::forward};
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
+  std::optional<float> low_pass_px2 = std::nullopt;  ///< absent: default_low_pass_px2(aa_mode)
   float metres_per_unit = 0;
   Origin origin = kNoOrigin;  ///< that the means are relative to; |x| <= kMaxOrigin
+  float cutoff_sigma = 3.f;
+  float alpha_threshold = 1.f / 255.f;
+  float alpha_max = 0.99f;
+  float transmittance_min = 1e-4f;
   std::optional<Provenance> provenance;
+  /// For Gaussians that were loaded or filtered before, so that a file speaks of the source that they come from:
+  std::uint64_t n_source = 0;    ///< Gaussians in it; 0, or less than are given: those that are given
+  std::uint64_t n_repaired = 0;  ///< mended before
+  /// keep_permutation: position in the source of each Gaussian that is given, [n], all different and below n_source. Must
+  /// outlive the call, or the SceneWriter. Empty: 0, 1, 2, ..., which needs n_source = 0.
+  std::span<const std::uint32_t> source_index = {};
 };
+
+/// `options` with all that `declared` states of a scene: axes, colours, anti-aliasing, low-pass, units, origin, depth range
+/// and its mapping, thresholds, n_source and n_repaired. What encode() needs so that a scene which was loaded and filtered
+/// keeps its declarations. Provenance and positions are no declarations: see FileView::provenance() and source_index().
+EncodeOptions keep_declarations(EncodeOptions options, const Declarations& declared);
 
 /// Whether a scene with this scan can be encoded with these options; an empty scan has the options alone checked.
 /// Errors: bad_argument (options out of range), bad_value (BadPolicy::refuse), too_many_bad.
@@ -78,7 +95,7 @@ Status check_encodable(const SceneScan& scan, const EncodeOptions& options);
 
 /// The file for `splats`. Deterministic (packed and archive: for one version of Zstandard and Draco; archive: and of the C
 /// library's exp() and log() on one kind of processor). Single-threaded but for Profile::archive.
-/// Errors: bad_argument (options out of range, sizes of the view disagree), bad_value (BadPolicy::refuse; offset is the
+/// Errors: bad_argument (options out of range, sizes of the view or of source_index disagree), bad_value (BadPolicy::refuse; offset is the
 /// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those of SceneWriter::finish().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
 

@@ -135,6 +135,11 @@ enum class DepthMapping : std::uint8_t { linear = 1, logarithmic = 2 };
 enum class DepthSource : std::uint8_t { cameras = 1, scene_extent = 2, by_hand = 3 };
 enum class Order : std::uint8_t { input = 1, morton = 2 };
 
+/// The low-pass of a scene that does not state its own, in square pixels: 0.1 as Mip-Splatting has it, else 0.3 as 3DGS.
+constexpr float default_low_pass_px2(AaMode mode) {
+  return mode == AaMode::mip_splatting ? 0.1f : 0.3f;
+}
+
 /// Of means, which are relative to the origin.
 struct Box {
   std::array<float, 3> min{0, 0, 0};
@@ -164,7 +169,7 @@ struct Declarations {
   Box robust;                     ///< of the means without the outermost on each axis
   float robust_fraction = 0.99f;  ///< share of the means inside `robust` on each axis, at least
   std::uint64_t n_source = 0;     ///< Gaussians in the source
-  std::uint64_t n_dropped = 0;    ///< left out as damaged
+  std::uint64_t n_dropped = 0;    ///< left out: damaged, or filtered out
   std::uint64_t n_repaired = 0;
   std::uint64_t n_scale_subnormal = 0;  ///< stored scales below the normal range of FP16, not zero
   std::uint64_t n_scale_zero = 0;       ///< stored scales that are zero

@@ -71,9 +71,14 @@ Declarations declare(const SceneScan& scan, const EncodeOptions& options) {
   d.axes = options.axes;
   d.colour_space = options.colour_space;
   d.aa_mode = options.aa_mode;
+  d.low_pass_px2 = options.low_pass_px2.value_or(default_low_pass_px2(options.aa_mode));
   d.order = options.order;
   d.metres_per_unit = options.metres_per_unit;
   d.origin = options.origin;
+  d.cutoff_sigma = options.cutoff_sigma;
+  d.alpha_threshold = options.alpha_threshold;
+  d.alpha_max = options.alpha_max;
+  d.transmittance_min = options.transmittance_min;
   d.full = scan.full();
   d.robust = scan.robust();
   const DepthRange depth = options.depth.value_or(depth_range_from_extent(d.robust, options.depth_mapping));
@@ -81,10 +86,30 @@ Declarations declare(const SceneScan& scan, const EncodeOptions& options) {
   d.z_far = depth.z_far;
   d.depth_source = depth.source;
   d.depth_mapping = options.depth_mapping;
-  d.n_source = scan.n_source();
-  d.n_dropped = scan.n_source() - scan.n_kept();
-  d.n_repaired = scan.n_repaired();
+  d.n_source = std::max(scan.n_source(), options.n_source);
+  d.n_dropped = d.n_source - scan.n_kept();
+  d.n_repaired = scan.n_repaired() + options.n_repaired;
   return d;
+}
+
+// What validate() would find wrong with the permutation, and what it cannot find.
+Status check_positions(std::uint64_t n_given, const EncodeOptions& options) {
+  if (!options.keep_permutation) return {};
+  const auto bad = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
+  const std::uint64_t n_source = std::max(n_given, options.n_source);
+  if (options.source_index.empty()) {
+    if (options.n_source == 0 || n_given == 0) return {};
+    return bad(
+        "keep_permutation: source_index must say where in their source the Gaussians were, or n_source be 0 to number "
+        "those that are given");
+  }
+  if (options.source_index.size() != n_given) return bad("source_index has not one position for each Gaussian");
+  if (n_source >> 32 != 0) return bad("positions in a source of 2^32 Gaussians and more are not written");
+  std::vector<std::uint32_t> sorted(options.source_index.begin(), options.source_index.end());
+  std::ranges::sort(sorted);
+  if (sorted.back() >= n_source) return bad("source_index names a Gaussian beyond n_source");
+  if (std::ranges::adjacent_find(sorted) != sorted.end()) return bad("source_index names a Gaussian twice");
+  return {};
 }
 
 SectionEntry section(SectionType type, std::uint64_t bytes, std::uint32_t flags = kSectionMustUnderstand) {
@@ -96,6 +121,24 @@ SectionEntry section(SectionType type, std::uint64_t bytes, std::uint32_t flags 
 }
 
 }  // namespace
+
+EncodeOptions keep_declarations(EncodeOptions options, const Declarations& declared) {
+  options.axes = declared.axes;
+  options.colour_space = declared.colour_space;
+  options.aa_mode = declared.aa_mode;
+  options.low_pass_px2 = declared.low_pass_px2;
+  options.metres_per_unit = declared.metres_per_unit;
+  options.origin = declared.origin;
+  options.depth = DepthRange{declared.z_near, declared.z_far, declared.depth_source};
+  options.depth_mapping = declared.depth_mapping;
+  options.cutoff_sigma = declared.cutoff_sigma;
+  options.alpha_threshold = declared.alpha_threshold;
+  options.alpha_max = declared.alpha_max;
+  options.transmittance_min = declared.transmittance_min;
+  options.n_source = declared.n_source;
+  options.n_repaired = declared.n_repaired;
+  return options;
+}
 
 // The diagonal of the robust box is what a camera at one end of the scene sees. Cameras may also stand far outside, and
 // what lies beyond the range loses its order (a crop seen from several diagonals away: 18 dB). With logarithmic bins ten
@@ -134,6 +177,7 @@ std::uint32_t EncodePlan::frame_rows() const {
 
 Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options) {
   if (const Status s = check_encodable(scan, options); !s) return tl::unexpected(s.error());
+  if (const Status s = check_positions(scan.n_source(), options); !s) return tl::unexpected(s.error());
   EncodePlan plan;
   const std::uint64_t n = scan.n_kept();
   plan.options = options;
@@ -175,6 +219,16 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   return plan;
 }
 
+// Positions in the source of Gaussians that are named by their position among those given; none if they are not kept.
+static std::vector<std::uint32_t> positions_in_source(std::span<const std::uint32_t> given,
+                                                      const EncodeOptions& options) {
+  if (!options.keep_permutation) return {};
+  std::vector<std::uint32_t> positions(given.begin(), given.end());
+  if (!options.source_index.empty())
+    std::ranges::transform(given, positions.begin(), [&options](std::uint32_t i) { return options.source_index[i]; });
+  return positions;
+}
+
 Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, const SceneTables& tables) {
   assert(tables.chunks.size() == plan.header.n_chunks && tables.steps.size() == tables.chunks.size());
   const bool chunk_sets = plan.options.chunk_step_sets;
@@ -184,6 +238,7 @@ Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, co
   d.n_scale_zero = tables.counts.scale_zero;
   d.n_opacity_zero = tables.counts.opacity_zero;
   d.n_opacity_one = tables.counts.opacity_one;
+  const std::vector<std::uint32_t> positions = positions_in_source(tables.source_index, plan.options);
   ByteWriter steps, chunks;
   for (std::size_t i = 0; i < tables.chunks.size(); ++i) {
     if (chunk_sets || i == 0) write_step_set(steps, chunk_sets ? tables.steps[i] : plan.file_steps);
@@ -207,7 +262,7 @@ Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, co
       case SectionType::geometry:
       case SectionType::sh: s = file.place_grown(type, plan.frame_rows()); break;
       case SectionType::archive: s = file.place(type, tables.archive); break;
-      case SectionType::permutation: s = file.place(type, std::as_bytes(tables.source_index)); break;
+      case SectionType::permutation: s = file.place(type, std::as_bytes(std::span(positions))); break;
       case SectionType::provenance: s = file.place(type, write_provenance(*plan.options.provenance)); break;
     }
     if (!s) return tl::unexpected(s.error());

@@ -89,7 +89,8 @@ struct RenderOptions {
   float near_plane = math::kNearPlane;  ///< Gaussians at camera z <= near_plane are not drawn
   float far_plane = 0;                  ///< Gaussians at camera z > far_plane are not drawn; 0 = no limit
   int sh_degree_limit = 3;              ///< higher SH degrees are ignored
-  /// px^2 added to the projected covariance; absent: as the scene declares, else 0.3. Mip-Splatting models use 0.1.
+  /// px^2 added to the projected covariance; absent: as the scene declares, or default_low_pass_px2() where another
+  /// anti-aliasing is asked for than it declares.
   std::optional<float> low_pass = std::nullopt;
   std::optional<math::AntiAliasing> anti_aliasing = std::nullopt;  ///< absent: as the scene declares, else classic
   Pipeline pipeline = Pipeline::automatic;
@@ -98,8 +99,8 @@ struct RenderOptions {
   MeasureOptions measure = {};
 };
 
-/// `options` with what they leave to the scene filled in from what it declares: anti-aliasing and low-pass (both
-/// classic, 0.3 if it declares no anti-aliasing), range and mapping of the paper's key. Renderers do this themselves with
+/// `options` with what they leave to the scene filled in from what it declares: anti-aliasing (classic
+/// if it declares none), low-pass, range and mapping of the paper's key. Renderers do this themselves with
 /// Scene::declarations(); it is for drawing other scenes as this one.
 RenderOptions with_declarations(RenderOptions options, const std::optional<Declarations>& declared);
 

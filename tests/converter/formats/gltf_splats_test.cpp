@@ -62,6 +62,43 @@ TEST_CASE(".glb round trip: everything to the last places of a float") {
   }
 }
 
+TEST_CASE(".glb: what the extension has no place for is in a primitive's extras") {
+  const SplatCloud cloud = ordinary_cloud(20, 0, 3);
+  const auto plain = encode_splats(cloud.view(), SplatFormat::glb);
+  REQUIRE(plain);
+  CHECK_FALSE(json_of(*plain)["meshes"][0]["primitives"][0].contains("extras"));
+  WriteOptions options;
+  options.aa_mode = AaMode::mip_splatting;
+  options.low_pass_px2 = 0.3F;
+  options.metres_per_unit = 0.5F;
+  const auto glb = encode_splats(cloud.view(), SplatFormat::glb, options);
+  REQUIRE(glb);
+  const auto file = read_splats(*glb);
+  REQUIRE(file);
+  CHECK(file->aa_mode == AaMode::mip_splatting);
+  CHECK(file->low_pass_px2 == 0.3F);
+  CHECK(file->metres_per_unit == 0.5F);
+  // A node that scales changes the unit with the scene.
+  const auto scaled = read_edited(*glb, [](json& root) { root["nodes"][0]["scale"] = {4, 4, 4}; });
+  REQUIRE(scaled);
+  CHECK(scaled->metres_per_unit == 0.125F);
+  const auto with_extras = [&](const json& ours) {
+    return read_edited(*glb, [&](json& root) {
+      root["meshes"][0]["primitives"][0]["extras"] = {{"rgs", ours}, {"theirs", {{"anti_aliasing", 7}}}};
+    });
+  };
+  CHECK(with_extras({{"anti_aliasing", "classic"}})->aa_mode == AaMode::classic);
+  CHECK(with_extras({{"of_a_later_version", {1, 2}}})->aa_mode == AaMode::classic);
+  CHECK(with_extras(nullptr)->aa_mode == AaMode::classic);
+  for (const json& wrong : {json{{"anti_aliasing", "best"}}, json{{"low_pass_px2", -1}}, json{{"low_pass_px2", {1}}},
+                            json{{"metres_per_unit", 1e300}}, json{{"axes", true}}}) {
+    CAPTURE(wrong.dump());
+    const auto refused = with_extras(wrong);
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == Errc::bad_value);
+  }
+}
+
 TEST_CASE(".glb says what glTF asks for") {
   const SplatCloud cloud = ordinary_cloud(9, 1, 1);
   const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();

@@ -89,6 +89,48 @@ TEST_CASE("Gaussians arrive in the frame of 3DGS unless asked otherwise or undec
   CHECK(declared->cloud.mean[1] == -undeclared->cloud.mean[1]);
 }
 
+TEST_CASE("a file that is read, filtered and encoded again keeps what it declared") {
+  const SplatCloud cloud = ordinary_cloud(100, 1, 5);
+  EncodeOptions first;
+  first.aa_mode = AaMode::mip_splatting;
+  first.low_pass_px2 = 0.2F;
+  first.metres_per_unit = 0.5F;
+  first.depth = DepthRange{0.5F, 32, DepthSource::cameras};
+  first.keep_permutation = true;
+  first.provenance = Provenance{1, 2, "garden.ply", "test"};
+  auto file = read_splats(encode(cloud.view(), first).value());
+  REQUIRE(file);
+  REQUIRE(file->source_index.size() == 100);
+  const std::vector<std::uint64_t> kept = filter_splats(file->cloud, {std::nullopt, 0, 40});
+  REQUIRE(kept.size() == 40);
+  std::vector<std::uint32_t> source_index;
+  for (const std::uint64_t i : kept) source_index.push_back(file->source_index[i]);
+  EncodeOptions again = keep_declarations({}, *file);
+  again.keep_permutation = true;
+  again.source_index = source_index;
+  const Bytes bytes = encode(file->cloud.view(), again).value();
+  const auto view = FileView::open(bytes);
+  REQUIRE(view);
+  REQUIRE(validate(*view));
+  const Declarations& d = view->declarations();
+  CHECK(d.aa_mode == AaMode::mip_splatting);
+  CHECK(d.low_pass_px2 == 0.2F);
+  CHECK(d.metres_per_unit == 0.5F);
+  CHECK(d.z_far == 32);
+  CHECK(d.n_source == 100);
+  CHECK(view->provenance()->source_name == "garden.ply");
+  // Of another format, which has no depth range: that is the new file's own.
+  file = read_splats(encode_splats(cloud.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting}).value());
+  REQUIRE(file);
+  const Bytes own = encode(file->cloud.view(), keep_declarations({}, *file)).value();
+  const Declarations of_spz = FileView::open(own)->declarations();
+  const Declarations usual = FileView::open(encode(file->cloud.view()).value())->declarations();
+  CHECK(of_spz.aa_mode == AaMode::mip_splatting);
+  CHECK(of_spz.low_pass_px2 == 0.1F);
+  CHECK(of_spz.z_far == usual.z_far);
+  CHECK(of_spz.depth_mapping == usual.depth_mapping);
+}
+
 TEST_CASE("limits hold for every format") {
   const SplatCloud cloud = ordinary_cloud(300, 1, 3);
   std::vector<Bytes> files{encode(cloud.view()).value()};

@@ -45,6 +45,35 @@ TEST_CASE("the header is that of the original 3DGS code") {
   CHECK(rgs::ply_row_bytes(3) == 248);
 }
 
+TEST_CASE("comments state what is not as in the original code, and are read back") {
+  using namespace rgs;
+  Declarations d;
+  d.aa_mode = AaMode::mip_splatting, d.low_pass_px2 = 0.1F;
+  const std::string format = "ply\nformat binary_little_endian 1.0\n";
+  CHECK(ply_header(0, 0, d).starts_with(format + "comment SplatRenderMode: mip\nelement vertex 0\n"));
+  d.low_pass_px2 = 0.3F;
+  d.colour_space = ColourSpace::linear_display;
+  d.metres_per_unit = 0.01F;
+  d.axes = {Axis::right, Axis::up, Axis::backward};
+  const std::string header = ply_header(0, 0, d);
+  CHECK(header.starts_with(format + "comment SplatRenderMode: mip\ncomment rgs_low_pass_px2: 0.3\n"
+                                    "comment rgs_colour_space: linear\ncomment rgs_metres_per_unit: 0.01\n"
+                                    "comment rgs_axes: right,up,backward\nelement vertex 0\n"));
+  const auto ply = PlyFile::open(std::as_bytes(std::span(header)));
+  REQUIRE(ply);
+  CHECK(ply->declarations().aa_mode == d.aa_mode);
+  CHECK(ply->declarations().low_pass_px2 == d.low_pass_px2);
+  CHECK(ply->declarations().colour_space == d.colour_space);
+  CHECK(ply->declarations().metres_per_unit == d.metres_per_unit);
+  CHECK(ply->declarations().axes == d.axes);
+  d = {};
+  d.aa_mode = AaMode::undeclared, d.colour_space = ColourSpace::undeclared;
+  d.axes.fill(Axis::undeclared);
+  const std::string unknown = ply_header(0, 0, d);
+  CHECK(PlyFile::open(std::as_bytes(std::span(unknown)))->declarations().aa_mode == AaMode::undeclared);
+  CHECK(PlyFile::open(std::as_bytes(std::span(unknown)))->declarations().axes == d.axes);
+}
+
 TEST_CASE("a row is position, zero normals, DC, channel-major f_rest, opacity, scale, rotation") {
   Splat splat;
   for (int i = 0; i < 3; ++i) {

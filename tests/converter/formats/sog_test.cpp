@@ -206,6 +206,24 @@ TEST_CASE("SOG of versions 1 and 2, zipped and as a folder") {
   }
 }
 
+TEST_CASE("a SOG says that it is anti-aliased in either of two ways") {
+  const auto mode_of = [](const char* key, const json& value) {
+    Files files = version2();
+    json meta = meta_of(files);
+    meta[key] = value;
+    files["meta.json"] = bytes_of(meta.dump());
+    const auto file = read_splats(zipped(files));
+    REQUIRE(file);
+    return file->aa_mode;
+  };
+  CHECK(mode_of("model", "antialiased") == AaMode::mip_splatting);
+  CHECK(mode_of("model", "default") == AaMode::classic);
+  CHECK(mode_of("antialias", true) == AaMode::mip_splatting);
+  CHECK(mode_of("antialias", false) == AaMode::classic);
+  CHECK(mode_of("antialias", "yes") == AaMode::classic);
+  CHECK(mode_of("other", 1) == AaMode::classic);
+}
+
 TEST_CASE("a SOG without harmonics") {
   Files files = version2();
   json meta = meta_of(files);

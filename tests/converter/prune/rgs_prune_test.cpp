@@ -161,6 +161,13 @@ TEST_CASE("scenes of other formats in, .rgs out with what its source declared") 
   EncodeOptions options;
   options.aa_mode = AaMode::mip_splatting;
   options.axes = kAxesOpenGl;
+  options.low_pass_px2 = 0.2F;
+  options.metres_per_unit = 0.5F;
+  options.alpha_max = 0.999F;
+  options.depth = DepthRange{0.5F, 32, DepthSource::by_hand};
+  options.depth_mapping = DepthMapping::linear;
+  options.keep_permutation = true;
+  options.provenance = Provenance{1, 2, "garden.ply", "test"};
   write_bytes(stage.file("scene.rgs"), encode(stage.cloud.view(), options).value());
   for (const std::string name : {"scene.spz", "scene.rgs"}) {
     CAPTURE(name);
@@ -176,7 +183,31 @@ TEST_CASE("scenes of other formats in, .rgs out with what its source declared") 
     if (name == "scene.spz") continue;
     CHECK(view->declarations().aa_mode == AaMode::mip_splatting);
     CHECK(view->declarations().axes == kAxesOpenGl);
+    const Declarations d = view->declarations();
+    CHECK(d.low_pass_px2 == 0.2F);
+    CHECK(d.metres_per_unit == 0.5F);
+    CHECK(d.alpha_max == 0.999F);
+    CHECK(d.z_near == 0.5F);
+    CHECK(d.z_far == 32);
+    CHECK(d.depth_source == DepthSource::by_hand);
+    CHECK(d.depth_mapping == DepthMapping::linear);
+    CHECK(d.n_source == stage.cloud.size());
+    CHECK(d.n_dropped == stage.cloud.size() - 36);
+    REQUIRE(view->provenance());
+    CHECK(view->provenance()->source_name == "garden.ply");
+    for (std::uint64_t i = 0; i < 36; ++i) {
+      ActivatedSplat s;
+      REQUIRE(view->read(i, {&s, 1}));
+      CHECK(s.mean[0] == stage.cloud.mean[3 * view->source_index(i)]);
+    }
   }
+  // A PLY says it in words.
+  REQUIRE(stage.run(stage.file("scene.rgs"), stage.file("words.ply"), {"--keep", "36"}).exit_code == 0);
+  const auto words = read_splats(stage.file("words.ply"));
+  REQUIRE(words);
+  CHECK(words->aa_mode == AaMode::mip_splatting);
+  CHECK(words->low_pass_px2 == 0.2F);
+  CHECK(words->metres_per_unit == 0.5F);
   // A PLY of it is in the axes of 3DGS: y and z are turned.
   REQUIRE(stage.run(stage.file("scene.rgs"), stage.file("turned.ply"), {"--keep", "36"}).exit_code == 0);
   const auto turned = read_ply(stage.file("turned.ply"));

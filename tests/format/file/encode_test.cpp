@@ -216,6 +216,110 @@ TEST_CASE("Gaussians are written in Morton order and equal keys keep theirs") {
   }
 }
 
+TEST_CASE("the low-pass is declared: what is asked for, else that of the anti-aliasing") {
+  const SplatCloud cloud = golden_cloud(3, 0, 3);
+  const auto declared = [&cloud](AaMode mode, std::optional<float> low_pass) {
+    EncodeOptions options;
+    options.aa_mode = mode, options.low_pass_px2 = low_pass;
+    const auto bytes = encode(cloud.view(), options);
+    REQUIRE(bytes);
+    return FileView::open(*bytes)->declarations().low_pass_px2;
+  };
+  CHECK(declared(AaMode::classic, {}) == 0.3f);
+  CHECK(declared(AaMode::undeclared, {}) == 0.3f);
+  CHECK(declared(AaMode::mip_splatting, {}) == 0.1f);
+  CHECK(declared(AaMode::mip_splatting, 0.3f) == 0.3f);
+  CHECK(declared(AaMode::classic, 0.f) == 0.f);
+}
+
+TEST_CASE("a scene that was loaded and filtered keeps all that its file declared") {
+  EncodeOptions first;
+  first.axes = {Axis::right, Axis::up, Axis::backward};
+  first.colour_space = ColourSpace::linear_display;
+  first.aa_mode = AaMode::mip_splatting;
+  first.low_pass_px2 = 0.2f;
+  first.metres_per_unit = 0.5f;
+  first.cutoff_sigma = 2.5f, first.alpha_threshold = 0.01f, first.alpha_max = 0.999f, first.transmittance_min = 0.001f;
+  first.depth = DepthRange{0.5f, 32.f, DepthSource::cameras};
+  first.depth_mapping = DepthMapping::linear;
+  first.keep_permutation = true;
+  SplatCloud cloud = golden_cloud(300, 1, 3);
+  cloud.mean[5] = kNaN;  // dropped
+  const auto bytes = encode(cloud.view(), first);
+  REQUIRE(bytes);
+  const auto view = FileView::open(*bytes);
+  REQUIRE(view);
+  const Declarations d = view->declarations();
+  CHECK(d.low_pass_px2 == 0.2f);
+  CHECK(d.cutoff_sigma == 2.5f);
+  CHECK(d.alpha_threshold == 0.01f);
+  CHECK(d.alpha_max == 0.999f);
+  CHECK(d.transmittance_min == 0.001f);
+
+  const SplatCloud loaded = decode(*bytes).value();
+  SplatCloud half;
+  half.resize(150, 1);
+  std::vector<std::uint32_t> source_index;
+  for (std::uint64_t i = 0; i < 150; ++i) {
+    half.set(i, loaded.view().splat(2 * i));
+    source_index.push_back(static_cast<std::uint32_t>(view->source_index(2 * i)));
+  }
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    EncodeOptions again = keep_declarations({}, d);
+    again.profile = profile;
+    again.keep_permutation = true;
+    CHECK(encode(half.view(), again).error().code == Errc::bad_argument);  // numbers of what?
+    again.source_index = source_index;
+    const auto kept = encode(half.view(), again);
+    REQUIRE(kept);
+    const auto kept_view = FileView::open(*kept);
+    REQUIRE(kept_view);
+    REQUIRE(validate(*kept_view));
+    Declarations e = kept_view->declarations();
+    CHECK(e.n_source == 300);
+    CHECK(e.n_dropped == 150);
+    CHECK(e.axes == d.axes);
+    CHECK(e.colour_space == d.colour_space);
+    CHECK(e.aa_mode == d.aa_mode);
+    CHECK(e.low_pass_px2 == d.low_pass_px2);
+    CHECK(e.metres_per_unit == d.metres_per_unit);
+    CHECK(e.z_near == d.z_near);
+    CHECK(e.z_far == d.z_far);
+    CHECK(e.depth_source == d.depth_source);
+    CHECK(e.depth_mapping == d.depth_mapping);
+    CHECK(e.cutoff_sigma == d.cutoff_sigma);
+    CHECK(e.alpha_threshold == d.alpha_threshold);
+    CHECK(e.alpha_max == d.alpha_max);
+    CHECK(e.transmittance_min == d.transmittance_min);
+    const double tolerance = profile == Profile::archive ? 0.01 : 0;
+    for (std::uint64_t i = 0; i < 150; ++i) {
+      ActivatedSplat s;
+      REQUIRE(kept_view->read(i, {&s, 1}));
+      CHECK(std::abs(s.mean[0] - cloud.mean[3 * kept_view->source_index(i)]) <= tolerance);
+    }
+  }
+  // Positions that no file could have.
+  EncodeOptions wrong = keep_declarations({}, d);
+  wrong.keep_permutation = true;
+  const auto refused = [&](const std::vector<std::uint32_t>& positions) {
+    wrong.source_index = positions;
+    return encode(half.view(), wrong).error().code;
+  };
+  std::vector<std::uint32_t> twice = source_index, beyond = source_index, few = source_index;
+  twice[1] = twice[0], beyond[7] = 300, few.pop_back();
+  CHECK(refused(twice) == Errc::bad_argument);
+  CHECK(refused(beyond) == Errc::bad_argument);
+  CHECK(refused(few) == Errc::bad_argument);
+  // More Gaussians than the source had: two scenes in one. They are their own source.
+  const auto more = encode(loaded.view(), [&] {
+    EncodeOptions o = keep_declarations({}, d);
+    o.n_source = 10;
+    return o;
+  }());
+  REQUIRE(more);
+  CHECK(FileView::open(*more)->declarations().n_source == loaded.size());
+}
+
 TEST_CASE("each kind of damage is found and refused or dropped or repaired") {
   struct Damage {
     Defect kind;
@@ -336,6 +440,10 @@ TEST_CASE("options that no file can state are refused") {
   CHECK(code([](EncodeOptions& o) { o.depth = DepthRange{1, kInfinity}; }) == Errc::bad_argument);
   CHECK(code([](EncodeOptions& o) { o.depth = DepthRange{kNaN, 1}; }) == Errc::bad_argument);
   CHECK(code([](EncodeOptions& o) { o.metres_per_unit = kNaN; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.low_pass_px2 = -0.1f; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.low_pass_px2 = kInfinity; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.alpha_max = kNaN; }) == Errc::bad_argument);
+  CHECK(code([](EncodeOptions& o) { o.cutoff_sigma = -1; }) == Errc::bad_argument);
   CHECK(code([](EncodeOptions& o) { o.axes[1] = Axis::left; }) == Errc::bad_argument);
   CHECK(code([](EncodeOptions& o) { o.aa_mode = static_cast<AaMode>(9); }) == Errc::bad_argument);
   CHECK(code([](EncodeOptions& o) {

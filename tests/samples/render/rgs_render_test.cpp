@@ -54,7 +54,8 @@ rgs::SplatCloud ball() {
 }
 
 void write_ply(const std::string& path, const rgs::SplatCloud& cloud, const rgs::Origin& origin = rgs::kNoOrigin) {
-  auto writer = rgs::PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false}, origin);
+  auto writer = rgs::PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false},
+                                       {.origin = origin});
   REQUIRE(writer);
   std::vector<rgs::Splat> splats;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
@@ -270,7 +271,9 @@ TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, 
     rgs_options.aa_mode = mode;
     const std::string name = mode == AaMode::classic ? "classic" : "mip";
     write(name + ".rgs", rgs::encode(cloud.view(), rgs_options));
-    write(name + ".spz", rgs::encode_splats(cloud.view(), rgs::SplatFormat::spz, {.aa_mode = mode}));
+    for (const auto format : {rgs::SplatFormat::spz, rgs::SplatFormat::ply, rgs::SplatFormat::glb}) {
+      write(name + "." + rgs::format_name(format), rgs::encode_splats(cloud.view(), format, {.aa_mode = mode}));
+    }
   }
   const auto picture = [&](const std::string& arguments) {
     const Outcome outcome = stage.run(arguments + " -c @cameras.json --quiet --overwrite --backend cpu --out @o.exr");
@@ -278,7 +281,7 @@ TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, 
     REQUIRE(outcome.code == 0);
     return stage.picture("o.exr");
   };
-  for (const std::string format : {".rgs", ".spz"}) {
+  for (const std::string format : {".rgs", ".spz", ".ply", ".glb"}) {
     for (const std::string mode : {"", " --mode baseline", " --mode paper", " --mode turbo", " --exp paper"}) {
       CAPTURE(format);
       CAPTURE(mode);
@@ -287,6 +290,8 @@ TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, 
       CHECK(largest_difference(mip, picture("@classic" + format + mode + " --aa mip")) == 0);
       CHECK(largest_difference(classic, picture("@mip" + format + mode + " --aa classic")) == 0);
       CHECK(largest_difference(classic, picture("@classic" + format + mode + " --low-pass 0.3")) == 0);
+      CHECK(largest_difference(mip, picture("@mip" + format + mode + " --low-pass 0.1")) == 0);
+      CHECK(largest_difference(mip, picture("@mip" + format + mode + " --aa mip-splatting")) == 0);
     }
   }
 }

@@ -5,11 +5,13 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
 
 #include "rgs/decode.hpp"
+#include "rgs/encode.hpp"
 #include "rgs/file.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/result.hpp"
@@ -52,10 +54,20 @@ struct SplatFile {
   Axes axes = kAxes3dgs;    ///< of `cloud`
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
-  float low_pass_px2 = 0.3F;  ///< what an .rgs declares
+  std::optional<float> low_pass_px2 = std::nullopt;  ///< absent: default_low_pass_px2(aa_mode)
+  float metres_per_unit = 0;                         ///< 0: unknown
+  /// Of an .rgs: all that it declares (the axes too are those of `cloud`), where it comes from, and the positions of its
+  /// Gaussians in that source, [n], if it keeps them.
+  std::optional<Declarations> declarations = std::nullopt;
+  std::optional<Provenance> provenance = std::nullopt;
+  std::vector<std::uint32_t> source_index = {};
   SplatCloud cloud;
   Origin origin = kNoOrigin;  ///< of `cloud`, in `axes`: of an .rgs, a PLY of doubles (ply.hpp), a far node of a glb
 };
+
+/// `options` with what a file states of its scene: of an .rgs all declarations and its provenance, of others axes,
+/// colours, anti-aliasing, low-pass and units. For encode() of Gaussians that were read, and perhaps filtered, from it.
+EncodeOptions keep_declarations(EncodeOptions options, const SplatFile& file);
 
 struct ReadOptions {
   DecodeLimits limits;
@@ -74,10 +86,13 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
 Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOptions& options = {});
 
 struct WriteOptions {
-  ColourSpace colour_space = ColourSpace::srgb_display;  ///< declared where the format can (glb)
-  AaMode aa_mode = AaMode::classic;                      ///< declared where the format can (spz)
-  Origin origin =
-      kNoOrigin;            ///< of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding()
+  ColourSpace colour_space = ColourSpace::srgb_display;  ///< stated by ply, compressed_ply and glb
+  AaMode aa_mode = AaMode::classic;                      ///< stated by these and spz
+  std::optional<float> low_pass_px2 = std::nullopt;  ///< stated by ply, compressed_ply and glb if it is not the mode's
+  float metres_per_unit = 0;                         ///< stated by these if it is not 0
+  Axes axes = kAxes3dgs;                             ///< of the Gaussians; stated by ply and compressed_ply
+  /// Of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding().
+  Origin origin = kNoOrigin;
   bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
 };
 
@@ -87,7 +102,8 @@ bool is_writable(SplatFormat format);
 /// other has FP32 positions.
 bool keeps_origin(SplatFormat format);
 
-/// A file of that format. `splats` must be in format_axes(format), or of undeclared axes; values that the format
+/// A file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and compressed_ply in
+/// options.axes; values that the format
 /// cannot hold are clamped to its range. Deterministic.
 /// Errors: bad_argument (not writable, inconsistent view), limit_exceeded (more Gaussians than the format counts),
 /// bad_value (damaged, see find_defects(), in formats other than ply; or a mean beyond SPZ's range), whose offset is

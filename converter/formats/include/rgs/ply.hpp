@@ -9,6 +9,7 @@
 #include <string>
 
 #include "rgs/file.hpp"
+#include "rgs/layout.hpp"
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
@@ -26,7 +27,7 @@ namespace RGS_API rgs {
 class PlyFile {
  public:
   /// Errors, header lines with their byte offset: open_failed, read_failed, write_failed (temporary file); bad_magic,
-  /// unsupported_version, bad_syntax, limit_exceeded (header above 1 MiB); truncated (expected and found bytes; lines
+  /// unsupported_version, bad_syntax, bad_value (a comment rgs_KEY with a value that it cannot have), limit_exceeded (header above 1 MiB); truncated (expected and found bytes; lines
   /// in text); bad_value (negative list length); not_gaussian_splats (the missing property is named; 2DGS);
   /// unsupported_feature (packed PLY; a number of f_rest properties that is no degree, in Error::found).
   /// Anything but a regular file is read as by open(int).
@@ -45,6 +46,9 @@ class PlyFile {
   int sh_degree() const;                      ///< 0..3, by the number of f_rest properties: 0, 9, 24, 45
   std::uint64_t bytes() const;                ///< size of the source
   std::span<const std::byte> source() const;  ///< the source's bytes as they lie on disk (for hashing)
+  /// What the header's comments state (docs/INTERCHANGE.md): axes, colour space, anti-aliasing, low-pass, metres per
+  /// unit; all else is as in the original 3DGS code.
+  const Declarations& declarations() const;
 
   /// That the means read are relative to: mean = float(x - origin), the difference in FP64, so that origin + mean is off by
   /// half an ulp of an FP32 number of the mean's size at most. kNoOrigin if all coordinates are FP32 numbers. Otherwise
@@ -80,9 +84,10 @@ Result<SplatCloud> read_ply(const std::string& path);
 /// Rows may be written in any order and from several threads, each once.
 class PlyWriter {
  public:
-  /// Reserves the space. Errors: bad_argument (degree, count), and those of AtomicFile::create and reserve.
+  /// Reserves the space. `stated` is what comments say of the scene, see PlyFile::declarations(); with an
+  /// origin coordinates are doubles. Errors: bad_argument (degree, count), and those of AtomicFile::create and reserve.
   static Result<PlyWriter> create(const std::string& path, std::uint64_t n, int sh_degree,
-                                  const AtomicFile::Options& options, const Origin& origin = kNoOrigin);
+                                  const AtomicFile::Options& options, const Declarations& stated = {});
   /// Rows first .. first + splats.size() - 1. Errors: write_failed.
   Status write(std::uint64_t first, std::span<const Splat> splats);
   /// See AtomicFile::commit: seconds spent syncing.
@@ -97,7 +102,7 @@ class PlyWriter {
 };
 
 /// The PLY header that PlyWriter writes, "ply\n" to "end_header\n".
-std::string ply_header(std::uint64_t n, int sh_degree, const Origin& origin = kNoOrigin);
+std::string ply_header(std::uint64_t n, int sh_degree, const Declarations& stated = {});
 /// Bytes of one row that PlyWriter writes: 4 * (17 + 3 * (coefficients - 1)), and 12 more with an origin.
 std::uint64_t ply_row_bytes(int sh_degree, const Origin& origin = kNoOrigin);
 /// Encodes rows as PlyWriter writes them; out.size() == splats.size() * ply_row_bytes(sh_degree, origin).

@@ -9,6 +9,7 @@
 #include <glm/vec3.hpp>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include "rgs/encode.hpp"
 #include "rgs/interchange.hpp"
@@ -72,8 +73,10 @@ struct SplatFilter {
 
   bool keeps_all() const { return !crop && min_opacity <= 0 && max_n == ~std::uint64_t{0}; }
 };
-/// What passes stays in order. NaN passes neither crop nor opacity. Ties of max_n go to the earlier Gaussian.
-void filter_splats(SplatCloud& cloud, const SplatFilter& filter, const Origin& origin = kNoOrigin);
+/// What passes stays in order: its former positions are returned. NaN passes neither crop nor opacity. Ties of max_n go to
+/// the earlier Gaussian.
+std::vector<std::uint64_t> filter_splats(SplatCloud& cloud, const SplatFilter& filter,
+                                         const Origin& origin = kNoOrigin);
 
 /// Applies options.on_bad and max_bad_fraction as encode() does; the counts are in the result.
 /// Errors: bad_value (refuse; the offset is the first damaged one's index), too_many_bad.

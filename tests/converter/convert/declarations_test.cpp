@@ -1,0 +1,362 @@
+// declarations_test.cpp - what files declare of their scene, on its way through rgs-convert.
+// SPDX-License-Identifier: Apache-2.0
+#include <array>
+#include <cstdlib>
+#include <nlohmann/json.hpp>
+
+#include "convert_scenes.hpp"
+#include "interchange_samples.hpp"
+#include "rgs/ply.hpp"
+#include "rgs/splat_edit.hpp"
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+ProgramResult rgs_convert(std::vector<std::string> arguments) {
+  const char* other = std::getenv("RGS_TEST_CONVERT");  // an older build, to see what it got wrong
+  arguments.insert(arguments.begin(), {other != nullptr ? other : RGS_CONVERT, "--no-sync", "--overwrite"});
+  return run_program(arguments);
+}
+
+// Runs it and returns what --json says.
+nlohmann::json converted(std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), "--json");
+  const ProgramResult run = rgs_convert(arguments);
+  CAPTURE(arguments);
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  return nlohmann::json::parse(run.out);
+}
+
+struct RgsFile {
+  explicit RgsFile(const std::string& path) : bytes(read_bytes(path)) {
+    const auto view = FileView::open(bytes);
+    REQUIRE(view);
+    REQUIRE(validate(*view));
+    d = view->declarations();
+    provenance = view->provenance();
+    if (view->find(SectionType::permutation) == nullptr) return;
+    for (std::uint64_t i = 0; i < view->header().n_gaussians; ++i) source_index.push_back(view->source_index(i));
+  }
+  SplatCloud cloud() const { return decode(bytes).value(); }
+
+  Bytes bytes;
+  Declarations d;
+  std::optional<Provenance> provenance;
+  std::vector<std::uint64_t> source_index;
+};
+
+// All that can be declared, nothing at its default.
+EncodeOptions unusual_options() {
+  EncodeOptions o;
+  o.aa_mode = AaMode::mip_splatting;
+  o.low_pass_px2 = 0.2F;
+  o.colour_space = ColourSpace::linear_display;
+  o.metres_per_unit = 0.5F;
+  o.cutoff_sigma = 2.5F;
+  o.alpha_max = 0.999F;
+  o.depth = DepthRange{0.5F, 32, DepthSource::cameras};
+  o.depth_mapping = DepthMapping::linear;
+  return o;
+}
+
+std::string write_rgs(const std::string& path, const SplatCloud& cloud, const EncodeOptions& options) {
+  write_bytes(path, encode(cloud.view(), options).value());
+  return path;
+}
+
+bool holds(const nlohmann::json& texts, const std::string& part) {
+  return std::ranges::any_of(
+      texts, [&](const auto& t) { return t.template get<std::string>().find(part) != std::string::npos; });
+}
+
+}  // namespace
+
+TEST_CASE("the anti-aliasing flag of an SPZ survives PLY, compressed PLY and glTF") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(300, 1, 1);
+  const std::string spz = folder.file("scene.spz"), rgs = folder.file("scene.rgs");
+  for (const AaMode mode : {AaMode::classic, AaMode::mip_splatting}) {
+    write_bytes(spz, encode_splats(cloud.view(), SplatFormat::spz, {.aa_mode = mode}).value());
+    for (const std::string between : {"ply", "compressed.ply", "glb", "rgs", "spz"}) {
+      CAPTURE(between);
+      const std::string file = folder.file("between." + between);
+      CHECK(converted({spz, file})["lost"] == nlohmann::json::array());
+      converted({file, rgs});
+      CHECK(RgsFile(rgs).d.aa_mode == mode);
+      CHECK(RgsFile(rgs).d.low_pass_px2 == default_low_pass_px2(mode));
+    }
+  }
+  // .splat has no place for it, and says so.
+  const auto json = converted({spz, folder.file("scene.splat")});
+  CHECK(json["declared"]["anti_aliasing"] == "mip-splatting");
+  CHECK(json["declared"]["low_pass_px2"] == 0.1);
+  CHECK(holds(json["lost"], "anti-aliasing"));
+  const ProgramResult text = rgs_convert({spz, folder.file("scene.splat")});
+  CHECK(text.out.find("anti-aliasing") != std::string::npos);
+}
+
+TEST_CASE("the low-pass is declared: by option, else by the anti-aliasing, and stays with the scene") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(100, 0, 2)),
+                    rgs = folder.file("scene.rgs"), again = folder.file("again.rgs");
+  const auto declared = [&](std::vector<std::string> options, const std::string& input) {
+    options.insert(options.end(), {input, again});
+    converted(options);
+    return std::pair(RgsFile(again).d.aa_mode, RgsFile(again).d.low_pass_px2);
+  };
+  using Pair = std::pair<AaMode, float>;
+  CHECK(declared({}, ply) == Pair{AaMode::classic, 0.3F});
+  CHECK(declared({"--aa", "mip-splatting"}, ply) == Pair{AaMode::mip_splatting, 0.1F});
+  CHECK(declared({"--aa", "mip"}, ply) == Pair{AaMode::mip_splatting, 0.1F});
+  CHECK(declared({"--aa-mode", "mip-splatting"}, ply) == Pair{AaMode::mip_splatting, 0.1F});
+  CHECK(declared({"--aa", "mip", "--low-pass", "0.3"}, ply) == Pair{AaMode::mip_splatting, 0.3F});
+  CHECK(declared({"--low-pass", "0"}, ply) == Pair{AaMode::classic, 0.F});
+  converted({"--aa", "mip", "--low-pass", "0.25", ply, rgs});
+  CHECK(declared({}, rgs) == Pair{AaMode::mip_splatting, 0.25F});
+  CHECK(declared({"--aa", "mip"}, rgs) == Pair{AaMode::mip_splatting, 0.25F});
+  CHECK(declared({"--aa", "classic"}, rgs) == Pair{AaMode::classic, 0.3F});
+  CHECK(declared({"--low-pass", "0.1"}, rgs) == Pair{AaMode::mip_splatting, 0.1F});
+  CHECK(rgs_convert({"--low-pass", "-1", ply, again}).exit_code == 2);
+  CHECK(rgs_convert({"--low-pass", "nan", ply, again}).exit_code == 2);
+  // Without a declared mode a low-pass means nothing.
+  CHECK(rgs_convert({"--aa", "undeclared", "--low-pass", "0.1", ply, again}).exit_code == 2);
+}
+
+TEST_CASE("PLY and glTF carry what has no common form in words of ours, and it is read back") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(200, 1, 3);
+  const std::string rgs = write_rgs(folder.file("scene.rgs"), cloud, unusual_options()), back = folder.file("back.rgs");
+  for (const std::string between : {"ply", "compressed.ply", "glb"}) {
+    for (const std::string filter : {"", "--min-opacity=0.001"}) {  // streamed, and not
+      CAPTURE(between);
+      CAPTURE(filter);
+      const std::string file = folder.file("between." + between);
+      const auto json = filter.empty() ? converted({rgs, file}) : converted({filter, rgs, file});
+      REQUIRE(json["lost"].size() == 2);
+      CHECK(holds(json["lost"], "depth range"));
+      CHECK(holds(json["lost"], "thresholds"));
+      converted({file, back});
+      const Declarations d = RgsFile(back).d;
+      CHECK(d.aa_mode == AaMode::mip_splatting);
+      CHECK(d.low_pass_px2 == 0.2F);
+      CHECK(d.colour_space == ColourSpace::linear_display);
+      CHECK(d.metres_per_unit == 0.5F);
+      CHECK(d.axes == kAxes3dgs);
+    }
+  }
+  // What a format cannot hold is said.
+  for (const std::string to : {"spz", "splat"}) {
+    CAPTURE(to);
+    const auto lost = converted({rgs, folder.file("lossy." + to)})["lost"];
+    CHECK(holds(lost, "low-pass"));
+    CHECK(holds(lost, "colour space"));
+    CHECK(holds(lost, "metres per unit"));
+    CHECK(holds(lost, "anti-aliasing") == (to == "splat"));
+  }
+  // Undeclared things stay so.
+  EncodeOptions undeclared;
+  undeclared.axes.fill(Axis::undeclared);
+  undeclared.colour_space = ColourSpace::undeclared;
+  undeclared.aa_mode = AaMode::undeclared;
+  write_rgs(rgs, cloud, undeclared);
+  for (const std::string between : {"ply", "compressed.ply", "glb"}) {
+    CAPTURE(between);
+    const std::string file = folder.file("between." + between);
+    CHECK(converted({rgs, file})["lost"].empty());
+    converted({file, back});
+    CHECK(RgsFile(back).d.axes == undeclared.axes);
+    CHECK(RgsFile(back).d.colour_space == ColourSpace::undeclared);
+    CHECK(RgsFile(back).d.aa_mode == AaMode::undeclared);
+  }
+  // Axes that are not those of 3DGS are stated, so that nobody turns the scene twice.
+  const std::string turned = folder.file("turned.ply");
+  converted({"--to-axes", "opengl", write_scene(folder.file("plain.ply"), cloud), turned});
+  converted({"--keep-order", turned, back});
+  CHECK(RgsFile(back).d.axes == kAxesOpenGl);
+  SplatCloud expected = cloud;
+  convert_axes(expected, kAxes3dgs, kAxesOpenGl);
+  CHECK(RgsFile(back).cloud().mean == expected.mean);
+  CHECK(read_splats(turned)->cloud.mean == cloud.mean);
+}
+
+TEST_CASE("a PLY of usual declarations has no comment, one by others is understood") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(50, 0, 4);
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), rgs = folder.file("scene.rgs"),
+                    back = folder.file("back.ply");
+  converted({ply, rgs});
+  converted({rgs, back});
+  CHECK(text_of(read_bytes(back)).find("comment") == std::string::npos);
+  const std::string plain = text_of(read_bytes(ply)), format = "format binary_little_endian 1.0\n";
+  const std::size_t at = plain.find(format) + format.size();
+  const auto mode_of = [&](const std::string& comments) {
+    write_text(ply, std::string(plain).insert(at, comments));
+    converted({ply, rgs});
+    return RgsFile(rgs).d.aa_mode;
+  };
+  const AaMode mip = AaMode::mip_splatting, classic = AaMode::classic;
+  CHECK(mode_of("comment SplatRenderMode: mip\n") == mip);
+  CHECK(mode_of("comment   SPLATRENDERMODE:  MIP  \r\n") == mip);
+  CHECK(mode_of("comment Exported from Brush\ncomment SplatRenderMode: default\n") == classic);
+  CHECK(mode_of("comment antialiased 1\n") == mip);
+  CHECK(mode_of("comment antialiased 0\n") == classic);
+  CHECK(mode_of("comment SplatRenderMode: mip\ncomment antialiased 0\n") == classic);
+  CHECK(mode_of("comment SplatRenderMode: banana\ncomment antialiased\ncomment\ncomment rgs_later: 1\n") == classic);
+  for (const char* wrong : {"rgs_low_pass_px2: wide", "rgs_low_pass_px2: -1", "rgs_metres_per_unit: nan",
+                            "rgs_axes: up", "rgs_axes: up,down,left", "rgs_colour_space: red", "rgs_anti_aliasing:"}) {
+    CAPTURE(wrong);
+    write_text(ply, std::string(plain).insert(at, std::string("comment ") + wrong + "\n"));
+    const ProgramResult run = rgs_convert({ply, rgs});
+    CHECK(run.exit_code == 4);
+    CHECK(run.err.find("byte " + std::to_string(at)) != std::string::npos);
+  }
+}
+
+TEST_CASE(".rgs to .rgs keeps all that was declared, in units of the new scene") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(300, 1, 5);
+  const std::string rgs = write_rgs(folder.file("scene.rgs"), cloud, unusual_options()), out = folder.file("out.rgs");
+  const auto after = [&](std::vector<std::string> options) {
+    options.insert(options.end(), {rgs, out});
+    converted(options);
+    return RgsFile(out).d;
+  };
+  for (const std::vector<std::string>& options :
+       {std::vector<std::string>{}, {"--profile", "archive"}, {"--crop=-4,-4,-4,4,4,4"}, {"--sh-degree", "0"}}) {
+    CAPTURE(options);
+    const Declarations d = after(options);
+    CHECK(d.aa_mode == AaMode::mip_splatting);
+    CHECK(d.low_pass_px2 == 0.2F);
+    CHECK(d.colour_space == ColourSpace::linear_display);
+    CHECK(d.metres_per_unit == 0.5F);
+    CHECK(d.cutoff_sigma == 2.5F);
+    CHECK(d.alpha_max == 0.999F);
+    CHECK(d.z_near == 0.5F);
+    CHECK(d.z_far == 32);
+    CHECK(d.depth_source == DepthSource::cameras);
+    CHECK(d.depth_mapping == DepthMapping::linear);
+  }
+  // Twice as many units for the same thing.
+  Declarations d = after({"--scale", "2"});
+  CHECK(d.metres_per_unit == 0.25F);
+  CHECK(d.z_near == 1);
+  CHECK(d.z_far == 64);
+  CHECK(d.depth_source == DepthSource::cameras);
+  // Options win.
+  d = after({"--scale", "2", "--metres-per-unit", "3", "--near", "0.125", "--depth-map", "log"});
+  CHECK(d.metres_per_unit == 3);
+  CHECK(d.z_near == 0.125F);
+  CHECK(d.z_far == 64);
+  CHECK(d.depth_source == DepthSource::by_hand);
+  CHECK(d.depth_mapping == DepthMapping::logarithmic);
+  CHECK(after({"--metres-per-unit", "0"}).metres_per_unit == 0);
+  // A range out of the scene's extent belongs to its mapping.
+  EncodeOptions linear;
+  linear.depth_mapping = DepthMapping::linear;
+  const auto extent = FileView::open(encode(cloud.view(), {}).value())->declarations();
+  write_rgs(rgs, cloud, linear);
+  d = after({"--depth-map", "log"});
+  CHECK(d.z_far == extent.z_far);
+  CHECK(d.depth_source == DepthSource::scene_extent);
+}
+
+TEST_CASE("merged inputs that declare different things: the first is taken, and said") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(100, 0, 6);
+  EncodeOptions other = unusual_options();
+  other.aa_mode = AaMode::classic;
+  other.low_pass_px2 = 0.3F;
+  other.metres_per_unit = 2;
+  other.depth = DepthRange{1, 50, DepthSource::by_hand};
+  const std::string a = write_rgs(folder.file("a.rgs"), cloud, unusual_options()),
+                    b = write_rgs(folder.file("b.rgs"), cloud, other), out = folder.file("out.rgs");
+  auto json = converted({"--merge", a, b, out});
+  const Declarations d = RgsFile(out).d;
+  CHECK(d.aa_mode == AaMode::mip_splatting);
+  CHECK(d.low_pass_px2 == 0.2F);
+  CHECK(d.metres_per_unit == 0.5F);
+  CHECK(d.depth_source == DepthSource::scene_extent);
+  CHECK(d.n_source == 200);
+  CHECK(holds(json["notes"], "anti-aliasing"));
+  CHECK(holds(json["notes"], "metres per unit"));
+  CHECK(holds(json["notes"], "depth range"));
+  CHECK(holds(json["notes"], "b.rgs"));
+  CHECK(rgs_convert({"--merge", a, b, out}).out.find("anti-aliasing") != std::string::npos);
+  // Brought to one unit by --scale they agree; what an option says needs no note.
+  json = converted({"--merge", "--scale", "1", "--scale", "4", "--aa", "classic", a, b, out});
+  CHECK_FALSE(holds(json["notes"], "metres per unit"));
+  CHECK_FALSE(holds(json["notes"], "anti-aliasing"));
+  CHECK(RgsFile(out).d.metres_per_unit == 0.5F);
+  json = converted({"--merge", a, a, out});
+  CHECK(json["notes"].empty());
+  CHECK(RgsFile(out).d.z_far == 32);
+}
+
+TEST_CASE("positions in the source: of the original, through .rgs files and filters") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(400, 0, 7);
+  cloud.mean[3 * 17] = std::numeric_limits<float>::quiet_NaN();
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), one = folder.file("one.rgs"),
+                    two = folder.file("two.rgs"), three = folder.file("three.rgs");
+  const auto check = [&](const std::string& path, std::uint64_t n, double tolerance) {
+    const RgsFile file(path);
+    CAPTURE(path);
+    CHECK(file.d.n_source == 400);
+    CHECK(file.d.n_dropped == 400 - n);
+    REQUIRE(file.source_index.size() == n);
+    const SplatCloud there = file.cloud();
+    for (std::uint64_t i = 0; i < n; ++i) {
+      REQUIRE(std::abs(there.mean[3 * i] - cloud.mean[3 * file.source_index[i]]) <= tolerance);
+    }
+    REQUIRE(file.provenance);
+    CHECK(file.provenance->source_name == "scene.ply");
+    CHECK(file.provenance->source_bytes == std::filesystem::file_size(ply));
+  };
+  converted({"--keep-permutation", ply, one});
+  check(one, 399, 0);
+  for (const std::vector<std::string>& options :
+       {std::vector<std::string>{}, {"--keep-order"}, {"--profile", "archive"}, {"--to-axes", "3dgs"}}) {
+    std::vector<std::string> arguments{"--keep-permutation", one, two};
+    arguments.insert(arguments.begin(), options.begin(), options.end());
+    CAPTURE(arguments);
+    CHECK(converted(arguments)["notes"].empty());
+    check(two, 399, options.empty() || options[0] != "--profile" ? 0 : 0.01);
+    CHECK(RgsFile(two).provenance->source_xxh3 == RgsFile(one).provenance->source_xxh3);
+  }
+  // A filter names positions in its source too, from PLY and from .rgs.
+  const std::uint64_t n = converted({"--keep-permutation", "--crop=-4,-4,-4,4,4,4", ply, two})["output"]["gaussians"];
+  CHECK(n > 10);
+  check(two, n, 0);
+  converted({"--keep-permutation", "--crop=-4,-4,-4,4,4,4", one, two});
+  check(two, n, 0);
+  converted({"--keep-permutation", two, three});
+  check(three, n, 0);
+  // Without --keep-permutation they are lost, and that is said.
+  CHECK(holds(converted({one, two})["lost"], "positions"));
+  CHECK(RgsFile(two).d.n_source == 400);
+  CHECK(RgsFile(two).d.n_dropped == 1);
+
+  // A file in the order of its source that lacks none of it needs no permutation to know them.
+  cloud.mean[3 * 17] = 1;
+  write_scene(ply, cloud);
+  converted({"--keep-order", ply, one});
+  converted({"--keep-permutation", one, two});
+  check(two, 400, 0);
+  // A file that has lost them is a source of its own: numbers, counts and provenance are of that one, and it is said.
+  converted({"--crop=-4,-4,-4,4,4,4", ply, one});
+  const auto json = converted({"--keep-permutation", one, two});
+  CHECK(holds(json["notes"], "one.rgs"));
+  const RgsFile own(two);
+  CHECK(own.d.n_source == own.source_index.size());
+  CHECK(own.d.n_dropped == 0);
+  REQUIRE(own.provenance);
+  CHECK(own.provenance->source_name == "one.rgs");
+  CHECK(own.provenance->source_bytes == std::filesystem::file_size(one));
+  const SplatCloud before = RgsFile(one).cloud(), now = own.cloud();
+  for (std::uint64_t i = 0; i < now.size(); ++i) REQUIRE(now.mean[3 * i] == before.mean[3 * own.source_index[i]]);
+}
