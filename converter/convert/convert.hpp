@@ -33,6 +33,7 @@ struct ConvertOptions {
   EncodeOptions encode;
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
+  int spz_version = WriteOptions{}.spz_version;
   AtomicFile::Options output;
 };
 
@@ -42,6 +43,8 @@ struct ConvertSummary {
   std::uint64_t source_bytes = 0, output_bytes = 0;
   std::uint64_t n_source = 0, n_filtered = 0, n_written = 0, n_repaired = 0;
   int source_sh_degree = 0, sh_degree = 0;
+  int spz_version = 0;              ///< of an SPZ
+  std::vector<std::string> unused;  ///< what the source holds besides, see SplatFile::unused
   std::array<std::uint64_t, kDefectKinds> defects{};
   Declarations declarations;
   Header header;
@@ -71,6 +74,7 @@ struct LoadedScene {
   std::uint64_t xxh3 = 0;      ///< of their bytes, one after the other
   std::uint64_t n_source = 0;  ///< Gaussians in them; what is not in `cloud` has been filtered out
   int source_sh_degree = 0;
+  std::vector<std::string> unused;  ///< see SplatFile::unused
 };
 
 /// A scene in memory to a file of any writable format, or .rgs. Its Gaussians must be in the axes that the format has,

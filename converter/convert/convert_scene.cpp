@@ -28,6 +28,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.colour_space = options.encode.colour_space;
   write.aa_mode = options.encode.aa_mode;
   write.keep_order = options.encode.order == Order::input;
+  write.spz_version = options.spz_version;
   const auto bytes = encode_splats(scene.cloud.view(), format, write);
   if (!bytes) return tl::unexpected(bytes.error());
   clock.begin("commit", 0, "");
@@ -37,6 +38,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   clock.end();
   summary.sync_seconds = *synced;
   summary.output_format = format_name(format);
+  summary.spz_version = format == SplatFormat::spz ? options.spz_version : 0;
   summary.output_bytes = bytes->size();
   summary.n_written = scene.cloud.size();
   summary.sh_degree = format == SplatFormat::splat ? 0 : scene.cloud.sh_degree;
@@ -57,6 +59,7 @@ Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, co
   summary->n_source = scene.n_source;
   summary->n_filtered = n_filtered;
   summary->source_sh_degree = scene.source_sh_degree;
+  summary->unused = std::move(scene.unused);
   return summary;
 }
 

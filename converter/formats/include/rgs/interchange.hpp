@@ -23,7 +23,7 @@ enum class SplatFormat : std::uint8_t {
   rgs,
   ply,             ///< 3DGS PLY, see ply.hpp
   compressed_ply,  ///< PLY with packed_position (PlayCanvas, SuperSplat, gsplat)
-  spz,             ///< Niantic SPZ; versions 2 to 4 are read, 4 is written
+  spz,             ///< Niantic SPZ; versions 2 to 4
   splat,           ///< 32 bytes a Gaussian, no harmonics
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; read only
@@ -53,6 +53,9 @@ struct SplatFile {
   ColourSpace colour_space = ColourSpace::srgb_display;
   AaMode aa_mode = AaMode::classic;
   float low_pass_px2 = 0.3F;  ///< what an .rgs declares
+  /// What the file holds besides, one phrase each, and SplatCloud has no place for: extensions of SPZ that do not
+  /// change its Gaussians.
+  std::vector<std::string> unused;
   SplatCloud cloud;
 };
 
@@ -60,6 +63,9 @@ struct ReadOptions {
   DecodeLimits limits;
   SplatFormat format = SplatFormat::unknown;  ///< read as this; unknown: as the content says
   bool keep_axes = false;  ///< leave Gaussians in the file's frame; otherwise declared axes are turned into kAxes3dgs
+  /// SPZ: read past extensions of unknown type, which are unsupported_feature otherwise. They may change what the
+  /// Gaussians mean; SplatFile::unused names them.
+  bool skip_unknown_extensions = false;
 };
 
 /// Reads a whole file of any format. Memory: a constant times the size of the file (decompressed sizes are checked
@@ -76,6 +82,7 @@ struct WriteOptions {
   ColourSpace colour_space = ColourSpace::srgb_display;  ///< declared where the format can (glb)
   AaMode aa_mode = AaMode::classic;                      ///< declared where the format can (spz)
   bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
+  int spz_version = 3;      ///< 2, 3 or 4; docs/INTERCHANGE.md says which viewer reads which
 };
 
 /// True for what encode_splats() writes: ply, compressed_ply, spz, splat and glb.
@@ -83,7 +90,7 @@ bool is_writable(SplatFormat format);
 
 /// A file of that format. `splats` must be in format_axes(format), or of undeclared axes; values that the format
 /// cannot hold are clamped to its range. Deterministic.
-/// Errors: bad_argument (not writable, inconsistent view), limit_exceeded (more Gaussians than the format counts),
+/// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ), limit_exceeded (more Gaussians than the format counts),
 /// bad_value (damaged, see find_defects(), in formats other than ply; or a mean beyond SPZ's range), whose offset is
 /// the Gaussian's index.
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
