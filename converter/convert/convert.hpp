@@ -34,6 +34,7 @@ struct ConvertOptions {
   EncodeOptions encode;         ///< but its origin, which is that of the Gaussians
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
+  int spz_version = WriteOptions{}.spz_version;
   AtomicFile::Options output;
 };
 
@@ -43,6 +44,8 @@ struct ConvertSummary {
   std::uint64_t source_bytes = 0, output_bytes = 0;
   std::uint64_t n_source = 0, n_filtered = 0, n_written = 0, n_repaired = 0;
   int source_sh_degree = 0, sh_degree = 0;
+  int spz_version = 0;              ///< of an SPZ
+  std::vector<std::string> unused;  ///< what the source holds besides, see SplatFile::unused
   std::array<std::uint64_t, kDefectKinds> defects{};
   Declarations declarations;       ///< of an .rgs; of other outputs what the scene declares
   std::vector<std::string> lost;   ///< of what the source declares, what the output cannot state
@@ -83,6 +86,7 @@ struct LoadedScene {
   double position_rounding = 0;  ///< of coordinates, world units, where clouds of several origins were merged
   /// With EncodeOptions::keep_permutation what its source_index becomes, see keep_source(); empty: 0, 1, 2, ...
   std::vector<std::uint32_t> source_index = {};
+  std::vector<std::string> unused;  ///< see SplatFile::unused
 };
 
 /// Makes `scene`, what is left of `file`, and `encode` speak of the source that the file comes from: the count of its

@@ -48,6 +48,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.metres_per_unit = options.encode.metres_per_unit;
   write.axes = options.encode.axes;
   write.keep_order = options.encode.order == Order::input;
+  write.spz_version = options.spz_version;
   write.origin = scene.origin;
   const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
   if (!rounding) return tl::unexpected(rounding.error());
@@ -67,6 +68,7 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   summary.declarations.low_pass_px2 = low_pass_of(options.encode);
   summary.declarations.colour_space = options.encode.colour_space;
   summary.declarations.metres_per_unit = options.encode.metres_per_unit;
+  summary.spz_version = format == SplatFormat::spz ? options.spz_version : 0;
   summary.output_bytes = bytes->size();
   summary.n_written = scene.cloud.size();
   summary.sh_degree = format == SplatFormat::splat ? 0 : scene.cloud.sh_degree;
@@ -144,6 +146,7 @@ Result<ConvertSummary> convert_scene(LoadedScene&& scene, SplatFormat format, co
   summary->n_filtered = n_filtered;
   summary->source_sh_degree = scene.source_sh_degree;
   summary->position_rounding = std::max(summary->position_rounding, scene.position_rounding);
+  summary->unused = std::move(scene.unused);
   return summary;
 }
 

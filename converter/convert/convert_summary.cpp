@@ -93,6 +93,8 @@ std::string summary_text(const ConvertSummary& s) {
     line("  origin     {}, {}, {}; means are FP32 relative to it", s.origin[0], s.origin[1], s.origin[2]);
   }
   if (s.position_rounding > 0) line("  positions  rounded by up to {:.3g} world units", s.position_rounding);
+  if (s.spz_version != 0) line("  version    {}", s.spz_version);
+  for (const std::string& what : s.unused) line("  not kept   {}", what);
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
     line("  sections   {}", profile_name(s.sections));
@@ -143,6 +145,8 @@ std::string summary_json(const ConvertSummary& s) {
                     {"gaussians", s.n_written},
                     {"sh_degree", s.sh_degree},
                     {"bytes_per_gaussian", per_gaussian(s.output_bytes, s.n_written)}};
+  json["source"]["unused"] = s.unused;
+  if (s.spz_version != 0) json["output"]["spz_version"] = s.spz_version;
   ordered_json damaged = ordered_json::object();
   for (std::size_t i = 0; i < kDefectKinds; ++i) damaged[defect_name(static_cast<Defect>(i))] = s.defects[i];
   json["filtered"] = s.n_filtered;

@@ -50,7 +50,7 @@ struct Arguments {
   rgs::AskedDeclarations asked;
   bool merge = false, axes_given = false, to_axes_given = false;
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
-  bool file_scales = false, audit = false;
+  bool file_scales = false, audit = false, spz_version_given = false, skip_unknown_extensions = false;
   int threads = 0;
   const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
 
@@ -128,9 +128,10 @@ class Input {
     name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
     return name;
   }
-  rgs::Result<rgs::SplatFile> read(SplatFormat format) const {
+  rgs::Result<rgs::SplatFile> read(SplatFormat format, bool skip_unknown_extensions) const {
     rgs::ReadOptions options;
     options.format = format;
+    options.skip_unknown_extensions = skip_unknown_extensions;
     options.keep_axes = true;
     // By path where there is one: a SOG may be a folder.
     return path_ == "-" ? rgs::read_splats(bytes_, options) : rgs::read_splats(path_, options);
@@ -189,7 +190,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   std::vector<rgs::InputDeclarations> declared;
   rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto file = inputs[i].read(arguments.from);
+    auto file = inputs[i].read(arguments.from, arguments.skip_unknown_extensions);
     if (!file) return failed(inputs[i].path(), file.error());
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
     if (i == 0) encode.axes = target_axes(arguments, *file, to);
@@ -198,6 +199,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     scene.n_source += file->cloud.size();
     scene.source_sh_degree = std::max(scene.source_sh_degree, file->cloud.sh_degree);
     hash.update(inputs[i].bytes());
+    scene.unused.insert(scene.unused.end(), file->unused.begin(), file->unused.end());
     rgs::convert_axes(file->cloud, file->axes, encode.axes);
     rgs::convert_axes(file->origin, file->axes, encode.axes);
     const auto similarity = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
@@ -408,6 +410,8 @@ int convert_main(Arguments& arguments) {
     return tool::report_usage(std::string("the format ") + rgs::format_name(to) + " is read only");
   if (to != SplatFormat::rgs && arguments.rgs_option != nullptr)
     return tool::report_usage(std::string(arguments.rgs_option) + " is for .rgs outputs");
+  if (to != SplatFormat::spz && arguments.spz_version_given)
+    return tool::report_usage("--spz-version is for .spz outputs");
   if ((to == SplatFormat::spz || to == SplatFormat::glb) && arguments.to_axes_given)
     return tool::report_usage(std::string("the axes of ") + rgs::format_name(to) + " are prescribed by the format");
   std::string auditor;
@@ -493,6 +497,14 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--to", a.to, "Format of the output; default: by its name")
       ->transform(CLI::Transformer(writable))
       ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
+  app.add_option("--spz-version", a.convert.spz_version,
+                 "Version of an SPZ [3]: 3 for most viewers, 2 for GaussianSplats3D, 4 for PlayCanvas's parser and a "
+                 "smaller file (docs/INTERCHANGE.md)")
+      ->check(CLI::IsMember({2, 3, 4}))
+      ->option_text("2|3|4")
+      ->each([&a](const std::string&) { a.spz_version_given = true; });
+  app.add_flag("--skip-unknown-extensions", a.skip_unknown_extensions,
+               "Read an SPZ past extensions of unknown type, though they may change what its Gaussians mean");
   app.add_flag("--merge", a.merge, "Put the Gaussians of several inputs into one output");
   e.profile = rgs::Profile::packed;
   app.add_option_function<std::string>(

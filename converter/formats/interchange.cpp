@@ -69,12 +69,13 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
-Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat format, const DecodeLimits& limits) {
+Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat format, const ReadOptions& options) {
+  const DecodeLimits& limits = options.limits;
   switch (format) {
     case SplatFormat::rgs: return decode_rgs(bytes, limits);
     case SplatFormat::ply: return decode_ply(bytes, limits);
     case SplatFormat::compressed_ply: return detail::decode_compressed_ply(bytes, limits);
-    case SplatFormat::spz: return detail::decode_spz(bytes, limits);
+    case SplatFormat::spz: return detail::decode_spz(bytes, limits, options.skip_unknown_extensions);
     case SplatFormat::splat: return detail::decode_splat_records(bytes, limits);
     case SplatFormat::ksplat: return detail::decode_ksplat(bytes, limits);
     case SplatFormat::sog: return detail::decode_sog(bytes, limits);
@@ -197,7 +198,7 @@ Result<SplatFile> read_splats(std::span<const std::byte> bytes, const ReadOption
       return make_error(Errc::unsupported_feature, 0,
                         "a SOG's meta.json without its images: name the file, or zip the folder");
     }
-    return finish(decode_format(bytes, format, options.limits), format, bytes.size(), options);
+    return finish(decode_format(bytes, format, options), format, bytes.size(), options);
   });
 }
 
@@ -245,6 +246,9 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
     }
+    if (format == SplatFormat::spz && (options.spz_version < 2 || options.spz_version > 4)) {
+      return make_error(Errc::bad_argument, Error::kNone, "SPZ is written in version 2, 3 or 4");
+    }
     const detail::StatedScene stated = detail::stated_scene(options);
     if (format == SplatFormat::ply) return encode_ply(splats, stated);
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
@@ -256,7 +260,7 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
     }
     switch (format) {
       case SplatFormat::compressed_ply: return detail::encode_compressed_ply(placed, stated, options.keep_order);
-      case SplatFormat::spz: return detail::encode_spz(placed, options.aa_mode);
+      case SplatFormat::spz: return detail::encode_spz(placed, options.aa_mode, options.spz_version);
       case SplatFormat::glb: return detail::encode_glb(placed, stated);
       default: return detail::encode_splat_records(placed);
     }

@@ -1,9 +1,12 @@
 // spz.cpp - Niantic's .spz: six arrays of codes, in one gzip stream (versions 2, 3) or in a zstd stream each (4).
 //
-// Sources: the format's README (github.com/nianticlabs/spz) for versions 2 and 3; version 4's framing from files:
+// Sources: the format's README (github.com/nianticlabs/spz) for versions 2 and 3 and for extensions; version 4's framing
+// from files:
 //   0 "NGSP"  4 u32 version  8 u32 n  12 u8 SH degree  13 u8 fractional bits  14 u8 flags
 //   15 u8 streams, 6, without SH 5 (versions 2, 3: reserved)   16 u32 offset of the stream table   20 zeros up to 32
-//   table: u64 stored bytes, u64 decoded bytes of each stream; then the streams without gaps
+//   [extensions]   table: u64 stored bytes, u64 decoded bytes of each stream; then the streams without gaps
+// Versions 2 and 3: the first 16 bytes, the streams, [extensions], all in one gzip member.
+// Extensions, if flag 2 is set: records of u32 type (vendor << 16 | number), u32 bytes, so many bytes.
 // Streams: means 3 x i24 fixed point; alpha u8; colour 3 x u8; log-scale 3 x u8; rotation u32 (version 2: 3 x u8);
 // SH u8 [coefficients - 1, 3].
 // SPDX-License-Identifier: Apache-2.0
@@ -14,6 +17,7 @@
 
 #include <array>
 #include <cmath>
+#include <cstdio>
 #include <functional>
 #include <future>
 #include <memory>
@@ -53,6 +57,14 @@ struct SpzHeader {
 };
 using Streams = std::array<std::span<const std::byte>, kStreams>;
 
+// A file's parts, unpacked.
+struct SpzContent {
+  SpzHeader header;
+  std::vector<std::byte> body;        // the streams, one after the other
+  std::vector<std::byte> extensions;  // records
+  std::uint64_t extensions_at = 0;    // their offset in the file, or in what its gzip stream unfolds to
+};
+
 // The 16 bytes that all versions share. Offsets are those of the unpacked header.
 Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLimits& limits, std::uint64_t file_bytes) {
   if (load<std::uint32_t>(bytes, 0) != kMagicSpz) return make_error(Errc::bad_magic, 0, "is not an SPZ file");
@@ -78,6 +90,84 @@ Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLim
   }
   if (const Status s = check_expansion(h.decoded_bytes(), file_bytes, 8); !s) return tl::unexpected(s.error());
   return h;
+}
+
+// ---- extensions -----------------------------------------------------------------------------------------------------
+
+constexpr std::uint32_t kSafeOrbitCamera = 0xADBE0002, kCoordinateSystem = 0xADBE0003, kGeoreference = 0x4E530001;
+constexpr std::uint64_t kSafeOrbitBytes = 12, kMaxExtensionBytes = std::uint64_t{16} << 20;
+
+// By the value of Adobe's extension. 0 is "unspecified", for which the reference library takes the format's own.
+using enum Axis;
+constexpr Axes kCoordinateSystems[] = {
+    kAxesOpenGl,           {left, down, backward}, {right, down, backward}, {left, up, backward},
+    {right, up, backward}, {left, down, forward},  {right, down, forward},  {left, up, forward},
+    {right, up, forward},  {left, forward, down},  {right, forward, down},  {left, forward, up},
+    {right, forward, up},  {left, backward, down}, {right, backward, down}, {left, backward, up},
+    {right, backward, up}};
+
+struct Extensions {
+  std::optional<Axes> axes;
+  std::vector<std::string> unused;
+};
+
+std::string unused_text(const char* name, std::uint32_t type, std::uint64_t bytes) {
+  char text[96];
+  std::snprintf(text, sizeof text, "SPZ extension 0x%08X (%s, %llu bytes)", type, name,
+                static_cast<unsigned long long>(bytes));
+  return text;
+}
+
+// Types carry no mark of what a reader may skip, and the axes show that they can change what the streams mean. So only
+// those are read past that are known not to, unless the caller takes the risk.
+Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown) {
+  const std::span<const std::byte> block = content.extensions;
+  Extensions out;
+  for (std::uint64_t at = 0; at < block.size();) {
+    const std::uint64_t offset = content.extensions_at + at, left = block.size() - at;
+    if (left < 8) return make_error(Errc::truncated, offset, "the extensions end inside a record", 8, left);
+    const auto type = load<std::uint32_t>(block, at);
+    // The reference library's first builds wrote this record without its length.
+    if (type == kSafeOrbitCamera && left == 4 + kSafeOrbitBytes) {
+      out.unused.push_back(unused_text("safe orbit camera", type, kSafeOrbitBytes));
+      break;
+    }
+    const auto bytes = load<std::uint32_t>(block, at + 4);
+    const bool known = type == kSafeOrbitCamera || type == kCoordinateSystem || type == kGeoreference;
+    if (!known && !skip_unknown) {
+      return make_error(Errc::unsupported_feature, offset,
+                        "an SPZ extension of unknown type, which may change what the file means; rgs-convert "
+                        "--skip-unknown-extensions reads past it",
+                        Error::kNone, type);
+    }
+    if (bytes > left - 8) {
+      return make_error(Errc::truncated, offset + 4, "an extension is longer than what is left for extensions",
+                        left - 8, bytes);
+    }
+    if (type == kCoordinateSystem) {
+      if (bytes != 4) {
+        return make_error(Errc::bad_header, offset + 4, "the extension of the coordinate system is not 4 bytes", 4,
+                          bytes);
+      }
+      const auto value = load<std::uint32_t>(block, at + 8);
+      if (value >= std::size(kCoordinateSystems)) {
+        return make_error(Errc::bad_value, offset + 8, "no such coordinate system", std::size(kCoordinateSystems) - 1,
+                          value);
+      }
+      if (out.axes) return make_error(Errc::bad_header, offset, "a second coordinate system");
+      out.axes = kCoordinateSystems[value];
+    } else if (type == kSafeOrbitCamera && bytes != kSafeOrbitBytes) {
+      return make_error(Errc::bad_header, offset + 4, "the extension of the safe orbit is not 12 bytes",
+                        kSafeOrbitBytes, bytes);
+    } else {
+      out.unused.push_back(unused_text(type == kSafeOrbitCamera ? "safe orbit camera"
+                                       : type == kGeoreference  ? "georeference"
+                                                                : "unknown",
+                                       type, bytes));
+    }
+    at += 8 + std::uint64_t{bytes};
+  }
+  return out;
 }
 
 // ---- gzip -----------------------------------------------------------------------------------------------------------
@@ -107,6 +197,20 @@ class Inflater {
       out = out.subspan(*got);
     }
     return {};
+  }
+  /// What is left of the stream. Errors: those of read(); limit_exceeded beyond kMaxExtensionBytes.
+  Result<std::vector<std::byte>> rest() {
+    std::vector<std::byte> out;
+    for (std::array<std::byte, 4096> piece{};;) {
+      const auto got = some(piece);
+      if (!got) return tl::unexpected(got.error());
+      if (*got == 0) return out;
+      if (out.size() + *got > kMaxExtensionBytes) {
+        return make_error(Errc::limit_exceeded, consumed_, "more bytes of extensions than any file needs",
+                          kMaxExtensionBytes);
+      }
+      out.insert(out.end(), piece.begin(), piece.begin() + static_cast<std::ptrdiff_t>(*got));
+    }
   }
   /// The stream's checksum has been seen and nothing follows.
   Status finish() {
@@ -158,34 +262,37 @@ bool is_gzip(std::span<const std::byte> bytes) {
   return bytes.size() >= 2 && load<std::uint16_t>(bytes, 0) == 0x8B1F;
 }
 
-Result<SpzHeader> unpack_gzip(std::span<const std::byte> bytes, const DecodeLimits& limits,
-                              std::vector<std::byte>& body) {
+Result<SpzContent> unpack_gzip(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   auto inflater = Inflater::begin(bytes);
   if (!inflater) throw std::bad_alloc();
   std::array<std::byte, kGzipHeaderBytes> head{};
   if (const Status s = inflater->read(head); !s) return tl::unexpected(s.error());
   const auto header = parse_header(head, limits, bytes.size());
-  if (!header) return header;
+  if (!header) return tl::unexpected(header.error());
   if (header->version > 3) {
     return make_error(Errc::bad_header, 4, "SPZ of version 4 inside a gzip stream", 3, header->version);
   }
   if (head[15] != std::byte{0}) return make_error(Errc::reserved_bits, 15, "a reserved byte is not zero");
-  body.resize(header->decoded_bytes());
-  if (const Status s = inflater->read(body); !s) return tl::unexpected(s.error());
-  if ((header->flags & kFlagExtensions) != 0) return header;  // vendors' records follow; none of them is for us
+  SpzContent content{*header, {}, {}, kGzipHeaderBytes + header->decoded_bytes()};
+  content.body.resize(header->decoded_bytes());
+  if (const Status s = inflater->read(content.body); !s) return tl::unexpected(s.error());
+  if ((header->flags & kFlagExtensions) != 0) {
+    auto rest = inflater->rest();
+    if (!rest) return tl::unexpected(rest.error());
+    content.extensions = std::move(*rest);
+  }
   if (const Status s = inflater->finish(); !s) return tl::unexpected(s.error());
-  return header;
+  return content;
 }
 
 // ---- zstd -----------------------------------------------------------------------------------------------------------
 
-Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimits& limits,
-                              std::vector<std::byte>& body) {
+Result<SpzContent> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   if (bytes.size() < kHeaderBytesV4) {
     return make_error(Errc::truncated, bytes.size(), "the file ends inside its header", kHeaderBytesV4, bytes.size());
   }
   const auto header = parse_header(bytes, limits, bytes.size());
-  if (!header) return header;
+  if (!header) return tl::unexpected(header.error());
   if (header->version < 4)
     return make_error(Errc::bad_header, 4, "SPZ below version 4 without gzip", 4, header->version);
   const std::uint64_t n_streams = header->n_streams();
@@ -204,7 +311,10 @@ Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimi
     return make_error(Errc::section_gap, kHeaderBytesV4, "bytes between header and stream table", kHeaderBytesV4,
                       table);
   }
-  body.resize(header->decoded_bytes());
+  SpzContent content{*header, {}, {}, kHeaderBytesV4};
+  const auto extensions = bytes.first(table).subspan(kHeaderBytesV4);
+  content.extensions.assign(extensions.begin(), extensions.end());
+  content.body.resize(header->decoded_bytes());
   const auto sizes = header->sizes();
   std::uint64_t at = table + 16 * n_streams, to = 0;
   for (std::uint64_t i = 0; i < n_streams; ++i) {
@@ -217,7 +327,8 @@ Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimi
     if (stored > bytes.size() - at) {
       return make_error(Errc::truncated, entry, "a stream ends behind the file", bytes.size() - at, stored);
     }
-    const std::size_t got = decoded == 0 ? 0 : ZSTD_decompress(body.data() + to, decoded, bytes.data() + at, stored);
+    const std::size_t got =
+        decoded == 0 ? 0 : ZSTD_decompress(content.body.data() + to, decoded, bytes.data() + at, stored);
     if (ZSTD_isError(got) != 0 || got != decoded) {
       return make_error(Errc::bad_value, at, "a zstd stream is damaged", decoded,
                         ZSTD_isError(got) != 0 ? Error::kNone : static_cast<std::uint64_t>(got));
@@ -226,7 +337,7 @@ Result<SpzHeader> unpack_zstd(std::span<const std::byte> bytes, const DecodeLimi
     to += decoded;
   }
   if (at != bytes.size()) return make_error(Errc::trailing_bytes, at, "bytes after the last stream");
-  return header;
+  return content;
 }
 
 // ---- codes ----------------------------------------------------------------------------------------------------------
@@ -276,6 +387,35 @@ std::uint32_t encode_rotation(const float (&rotation)[4]) {
     code = code << 10 | (value < 0 && magnitude != 0 ? 512u : 0u) | magnitude;
   }
   return code;
+}
+
+// Version 2 keeps x, y and z of a quaternion whose w is not negative. Where w is small it takes all of their errors, so
+// of the codes above and below each component those are taken that decode nearest to the rotation:
+// for random ones 0.016 rad (RMS) and 0.12 at worst, where rounding leaves 0.030 and 0.21.
+void encode_rotation_v2(const float (&rotation)[4], std::span<std::byte> code) {
+  double unit[4], squared = 0;
+  for (const float value : rotation) squared += static_cast<double>(value) * static_cast<double>(value);
+  const double factor = squared > 0 ? (rotation[0] < 0 ? -1 : 1) / std::sqrt(squared) : 0;
+  for (unsigned i = 0; i < 4; ++i) unit[i] = static_cast<double>(rotation[i]) * factor;
+  double nearest = -1;
+  for (unsigned choice = 0; choice < 8; ++choice) {
+    std::array<std::byte, 3> tried;
+    for (unsigned i = 0; i < 3; ++i) {
+      const double below = std::floor((unit[i + 1] + 1) * 127.5);
+      tried[i] = static_cast<std::byte>(std::min(static_cast<int>(below) + static_cast<int>(choice >> i & 1), 255));
+    }
+    float decoded[4];
+    decode_rotation_v2(tried, decoded);
+    double dot = 0, length = 0;
+    for (unsigned i = 0; i < 4; ++i) {
+      dot += unit[i] * static_cast<double>(decoded[i]);
+      length += static_cast<double>(decoded[i]) * static_cast<double>(decoded[i]);
+    }
+    if (const double cosine = std::abs(dot) / std::sqrt(length); cosine > nearest) {
+      nearest = cosine;
+      std::ranges::copy(tried, code.begin());
+    }
+  }
 }
 
 // Gaussians as a Morton curve meets them.
@@ -360,8 +500,10 @@ Result<int> choose_fractional_bits(const SplatView& splats) {
   return bits;
 }
 
-std::array<std::vector<std::byte>, kStreams> encode_streams(const SplatView& splats, const SpzHeader& header) {
-  std::array<std::vector<std::byte>, kStreams> out;
+using CodedStreams = std::array<std::vector<std::byte>, kStreams>;
+
+CodedStreams encode_streams(const SplatView& splats, const SpzHeader& header) {
+  CodedStreams out;
   const auto sizes = header.sizes();
   for (std::size_t i = 0; i < kStreams; ++i) out[i].resize(sizes[i]);
   for (std::uint64_t i = 0; i < 3 * splats.n; ++i) {
@@ -378,7 +520,11 @@ std::array<std::vector<std::byte>, kStreams> encode_streams(const SplatView& spl
       out[2][3 * i + c] = static_cast<std::byte>(unit_code(static_cast<double>(sh[c]) * kColourScale + 0.5, 255));
     }
     const float* q = &splats.rotation[4 * i];
-    store(std::span(out[4]), 4 * i, encode_rotation({q[0], q[1], q[2], q[3]}));
+    if (header.version == 2) {
+      encode_rotation_v2({q[0], q[1], q[2], q[3]}, std::span(out[4]).subspan(3 * i, 3));
+    } else {
+      store(std::span(out[4]), 4 * i, encode_rotation({q[0], q[1], q[2], q[3]}));
+    }
   }
   if (header.sh_degree == 0) return out;
   ShDiffusion diffusion(floats - 3);
@@ -390,7 +536,7 @@ std::array<std::vector<std::byte>, kStreams> encode_streams(const SplatView& spl
 
 // One zstd frame. Optimal parsing with few tries: what there is to find are short matches, and entropy. An outdoor scene takes
 // 20.9 bytes a Gaussian and 11 s of CPU time; level 12, which parses lazily, 21.8 and 2.7 s.
-std::vector<std::byte> compress(const std::vector<std::byte>& stream, std::size_t index) {
+std::vector<std::byte> compress_zstd(const std::vector<std::byte>& stream, std::size_t index) {
   const std::unique_ptr<ZSTD_CCtx, decltype(&ZSTD_freeCCtx)> context(ZSTD_createCCtx(), ZSTD_freeCCtx);
   std::vector<std::byte> stored(ZSTD_compressBound(stream.size()));
   if (context == nullptr) throw std::bad_alloc();
@@ -405,6 +551,98 @@ std::vector<std::byte> compress(const std::vector<std::byte>& stream, std::size_
   return stored;
 }
 
+// One stream's share of a DEFLATE stream, ending at a byte. It does not refer to bytes before its own, so that streams are
+// compressed side by side. SH alone needs a long search: 6.45 bytes a Gaussian of the scene above in 9.5 s; zlib's level
+// 6 takes 6.9 and 2 s, level 9 6.3 and 28 s.
+std::vector<std::byte> compress_deflate(const std::vector<std::byte>& stream, std::size_t index) {
+  constexpr int kRaw = -15, kMemory = 8;
+  z_stream z{};
+  if (deflateInit2(&z, Z_BEST_COMPRESSION, Z_DEFLATED, kRaw, kMemory, Z_DEFAULT_STRATEGY) != Z_OK)
+    throw std::bad_alloc();
+  const std::unique_ptr<z_stream, decltype(&deflateEnd)> guard(&z, deflateEnd);
+  if (index == kShStream) deflateTune(&z, 16, 64, 258, 1024);
+  std::vector<std::byte> stored;
+  constexpr std::size_t kPiece = std::size_t{1} << 20;
+  std::size_t done = 0;
+  do {  // zlib counts in 32 bits
+    const std::size_t piece = std::min(kPiece, stream.size() - done);
+    z.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(stream.data() + done));  // zlib does not write there
+    z.avail_in = static_cast<uInt>(piece);
+    done += piece;
+    do {
+      const std::size_t had = stored.size();
+      stored.resize(had + kPiece);
+      z.next_out = reinterpret_cast<Bytef*>(stored.data() + had);
+      z.avail_out = static_cast<uInt>(kPiece);
+      deflate(&z, done == stream.size() ? Z_SYNC_FLUSH : Z_NO_FLUSH);
+      stored.resize(stored.size() - z.avail_out);
+    } while (z.avail_out == 0);
+  } while (done < stream.size());
+  return stored;
+}
+
+// Each stream by `compress`, side by side.
+template <class Compress>
+CodedStreams compress_all(const CodedStreams& streams, Compress compress) {
+  std::array<std::future<std::vector<std::byte>>, kStreams> compressed;
+  for (std::size_t i = kStreams; i-- > 0;) {  // SH, which takes longest, first
+    compressed[i] = std::async(std::launch::async, compress, std::cref(streams[i]), i);
+  }
+  CodedStreams out;
+  for (std::size_t i = 0; i < kStreams; ++i) out[i] = compressed[i].get();
+  return out;
+}
+
+void store_shared_header(std::span<std::byte> file, const SpzHeader& header) {
+  store(file, 0, kMagicSpz);
+  store(file, 4, header.version);
+  store(file, 8, header.n);
+  store(file, 12, header.sh_degree);
+  store(file, 13, header.fractional_bits);
+  store(file, 14, header.flags);
+}
+
+std::vector<std::byte> pack_zstd(const SpzHeader& header, const CodedStreams& streams) {
+  std::vector<std::byte> file(kHeaderBytesV4 + 16 * header.n_streams());
+  store_shared_header(file, header);
+  store(std::span(file), 15, static_cast<std::uint8_t>(header.n_streams()));
+  store(std::span(file), 16, static_cast<std::uint32_t>(kHeaderBytesV4));
+  const CodedStreams compressed = compress_all(streams, compress_zstd);
+  std::uint64_t entry = kHeaderBytesV4;
+  for (std::size_t i = 0; i < header.n_streams(); ++i, entry += 16) {
+    store(std::span(file), entry, static_cast<std::uint64_t>(compressed[i].size()));
+    store(std::span(file), entry + 8, static_cast<std::uint64_t>(streams[i].size()));
+    file.insert(file.end(), compressed[i].begin(), compressed[i].end());
+  }
+  return file;
+}
+
+// RFC 1952 without a name and a time, system unknown, so that the same scene gives the same bytes anywhere.
+std::vector<std::byte> pack_gzip(const SpzHeader& header, CodedStreams streams) {
+  constexpr std::array<std::uint8_t, 10> kHead{0x1F, 0x8B, 8, 0, 0, 0, 0, 0, 2, 255};
+  constexpr std::array<std::uint8_t, 2> kEmptyLastBlock{3, 0};
+  std::array<std::byte, kGzipHeaderBytes> head{};
+  store_shared_header(head, header);
+  streams[0].insert(streams[0].begin(), head.begin(), head.end());
+  uLong crc = crc32_z(0, nullptr, 0);
+  std::uint64_t size = 0;
+  for (const auto& stream : streams) {
+    if (stream.empty()) continue;  // zlib would start its sum anew
+    crc = crc32_z(crc, reinterpret_cast<const Bytef*>(stream.data()), stream.size());
+    size += stream.size();
+  }
+  std::vector<std::byte> file;
+  const auto append = [&file](std::span<const std::byte> bytes) {
+    file.insert(file.end(), bytes.begin(), bytes.end());
+  };
+  append(std::as_bytes(std::span(kHead)));
+  for (const auto& part : compress_all(streams, compress_deflate)) append(part);
+  append(std::as_bytes(std::span(kEmptyLastBlock)));
+  const std::array<std::uint32_t, 2> tail{static_cast<std::uint32_t>(crc), static_cast<std::uint32_t>(size)};
+  append(std::as_bytes(std::span(tail)));
+  return file;
+}
+
 }  // namespace
 
 bool is_spz(std::span<const std::byte> bytes) {
@@ -414,20 +652,24 @@ bool is_spz(std::span<const std::byte> bytes) {
   return inflater && inflater->read(magic) && load<std::uint32_t>(magic, 0) == kMagicSpz;
 }
 
-Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  std::vector<std::byte> body;
-  const auto header = is_gzip(bytes) ? unpack_gzip(bytes, limits, body) : unpack_zstd(bytes, limits, body);
-  if (!header) return tl::unexpected(header.error());
+Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimits& limits,
+                             bool skip_unknown_extensions) {
+  const auto content = is_gzip(bytes) ? unpack_gzip(bytes, limits) : unpack_zstd(bytes, limits);
+  if (!content) return tl::unexpected(content.error());
+  auto extensions = parse_extensions(*content, skip_unknown_extensions);
+  if (!extensions) return tl::unexpected(extensions.error());
+  const SpzHeader& header = content->header;
   Streams streams;
   std::uint64_t at = 0;
-  const auto sizes = header->sizes();
-  for (std::size_t i = 0; i < kStreams; at += sizes[i++]) streams[i] = std::span(body).subspan(at, sizes[i]);
+  const auto sizes = header.sizes();
+  for (std::size_t i = 0; i < kStreams; at += sizes[i++]) streams[i] = std::span(content->body).subspan(at, sizes[i]);
   SplatFile file;
   file.format = SplatFormat::spz;
   file.bytes = bytes.size();
-  file.axes = kAxesOpenGl;
-  file.aa_mode = (header->flags & kFlagAntialiased) != 0 ? AaMode::mip_splatting : AaMode::classic;
-  file.cloud = decode_streams(*header, streams);
+  file.axes = extensions->axes.value_or(kAxesOpenGl);
+  file.aa_mode = (header.flags & kFlagAntialiased) != 0 ? AaMode::mip_splatting : AaMode::classic;
+  file.unused = std::move(extensions->unused);
+  file.cloud = decode_streams(header, streams);
   return file;
 }
 
@@ -435,38 +677,17 @@ Result<int> spz_fractional_bits(const SplatView& splats) {
   return choose_fractional_bits(splats);
 }
 
-Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode) {
+Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode, int version) {
   const auto fractional_bits = choose_fractional_bits(splats);
   if (!fractional_bits) return tl::unexpected(fractional_bits.error());
   SpzHeader header;
-  header.version = 4;
+  header.version = static_cast<std::uint32_t>(version);
   header.n = static_cast<std::uint32_t>(splats.n);
   header.sh_degree = static_cast<std::uint8_t>(splats.sh_degree);
   header.fractional_bits = static_cast<std::uint8_t>(*fractional_bits);
   header.flags = aa_mode == AaMode::mip_splatting ? kFlagAntialiased : 0;
-
-  std::vector<std::byte> file(kHeaderBytesV4 + 16 * header.n_streams());
-  store(std::span(file), 0, kMagicSpz);
-  store(std::span(file), 4, header.version);
-  store(std::span(file), 8, header.n);
-  store(std::span(file), 12, header.sh_degree);
-  store(std::span(file), 13, header.fractional_bits);
-  store(std::span(file), 14, header.flags);
-  store(std::span(file), 15, static_cast<std::uint8_t>(header.n_streams()));
-  store(std::span(file), 16, static_cast<std::uint32_t>(kHeaderBytesV4));
-  const auto streams = encode_streams(splats, header);
-  std::array<std::future<std::vector<std::byte>>, kStreams> compressed;
-  for (std::size_t i = header.n_streams(); i-- > 0;) {  // SH, which takes longest, first
-    compressed[i] = std::async(std::launch::async, compress, std::cref(streams[i]), i);
-  }
-  std::uint64_t entry = kHeaderBytesV4;
-  for (std::size_t i = 0; i < header.n_streams(); ++i, entry += 16) {
-    const std::vector<std::byte> stored = compressed[i].get();
-    store(std::span(file), entry, static_cast<std::uint64_t>(stored.size()));
-    store(std::span(file), entry + 8, static_cast<std::uint64_t>(streams[i].size()));
-    file.insert(file.end(), stored.begin(), stored.end());
-  }
-  return file;
+  const CodedStreams streams = encode_streams(splats, header);
+  return version < 4 ? pack_gzip(header, streams) : pack_zstd(header, streams);
 }
 
 }  // namespace rgs::detail

@@ -13,12 +13,15 @@ namespace rgs::detail {
 /// Whether the bytes begin as an SPZ does; a gzip stream is unpacked far enough to see its signature.
 bool is_spz(std::span<const std::byte> bytes);
 
-/// Versions 2 and 3 (one gzip stream) and 4 (zstd streams by attribute). Gaussians stay in kAxesOpenGl.
-Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimits& limits);
+/// Versions 2 and 3 (one gzip stream) and 4 (zstd streams by attribute). Gaussians stay in kAxesOpenGl, or in the axes
+/// that an extension declares. unsupported_feature for extensions of unknown type, unless they are to be skipped.
+Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimits& limits,
+                             bool skip_unknown_extensions);
 
-/// Version 4 with 12 fractional bits, fewer if a mean needs it; SH of degree 1 in 5 bits, above in 4, as the
-/// reference encoder's default. Single-threaded; Gaussians keep their order.
-Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode);
+/// `version` 2, 3 or 4, with 12 fractional bits, fewer if a mean needs it; SH of degree 1 in 5 bits, above in 4, as the
+/// reference encoder's default. Versions differ in compression, and 2 in rotations. One thread for each attribute, the
+/// same bytes however many run; Gaussians keep their order.
+Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode, int version);
 
 /// Fractional bits that encode_spz() gives the means: steps are of 2^-bits units. Errors: bad_value, no room for a mean.
 Result<int> spz_fractional_bits(const SplatView& splats);

@@ -372,11 +372,16 @@ TEST_CASE("files of other formats are measured, as the asset too") {
   const std::string spz = scene.file("scene.spz"), packed_ply = scene.file("scene.compressed.ply");
   for (const std::string& file : {spz, packed_ply})
     REQUIRE(run_program({RGS_CONVERT, scene.ply, file, "--quiet"}).exit_code == 0);
-  const json also = scene.result({"--also", spz, "--no-attribution"})["also"][0];
-  CHECK(also["measured"] == true);
-  CHECK(also["bytes"] == fs::file_size(spz));
-  CHECK(also["gaussians"] == 700);
-  CHECK(also["psnr"].get<double>() > 25);  // SPZ's other axes were turned back
+  for (const std::string version : {"2", "3", "4"}) {
+    CAPTURE(version);
+    REQUIRE(run_program({RGS_CONVERT, scene.ply, spz, "--quiet", "--overwrite", "--spz-version", version}).exit_code ==
+            0);
+    const json also = scene.result({"--also", spz, "--no-attribution"})["also"][0];
+    CHECK(also["measured"] == true);
+    CHECK(also["bytes"] == fs::file_size(spz));
+    CHECK(also["gaussians"] == 700);
+    CHECK(also["psnr"].get<double>() > 25);  // SPZ's other axes were turned back
+  }
   const ProgramResult run = run_audit({scene.ply, packed_ply, "--cameras", scene.cameras, "--json", "-", "--quiet"});
   REQUIRE(run.exit_code == 0);
   const json j = json::parse(run.out);

@@ -143,6 +143,65 @@ TEST_CASE("axes: declared by the file or the user, turned for formats that presc
   CHECK(mean_error(read(spz).cloud, up) <= 1.0 / 4096);
 }
 
+TEST_CASE("SPZ is written in the version that was asked for, else in 3") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(300, 3, 4);
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), spz = folder.file("scene.spz");
+  const auto first_bytes = [&spz] { return get<std::uint32_t>(read_bytes(spz), 0); };
+  constexpr std::uint32_t kGzip = 0x00088B1F, kSpz = 0x5053474E;
+  for (const std::string number : {"2", "3", "4"}) {
+    CAPTURE(number);
+    const ProgramResult run = rgs_convert({"--json", "--spz-version", number, ply, spz});
+    REQUIRE(run.exit_code == 0);
+    CHECK(nlohmann::json::parse(run.out)["output"]["spz_version"] == std::stoi(number));
+    CHECK(first_bytes() == (number == "4" ? kSpz : kGzip));
+    CHECK(holds(rgs_convert({"--spz-version", number, ply, spz}).out, "  version    " + number + "\n"));
+    REQUIRE(rgs_convert({spz, folder.file("back.ply")}).exit_code == 0);
+    CHECK(mean_error(read_splats(folder.file("back.ply"))->cloud, cloud) <= 1.0 / 4096);
+  }
+  const auto json = nlohmann::json::parse(rgs_convert({"--json", ply, spz}).out);
+  CHECK(json["output"]["spz_version"] == 3);
+  CHECK(first_bytes() == kGzip);
+  const auto other = nlohmann::json::parse(rgs_convert({"--json", ply, folder.file("scene.glb")}).out);
+  CHECK_FALSE(other["output"].contains("spz_version"));
+  for (const std::string number : {"1", "5", "three", ""}) {
+    CHECK(rgs_convert({"--spz-version", number, ply, spz}).exit_code == 2);
+  }
+  const ProgramResult elsewhere = rgs_convert({"--spz-version", "3", ply, folder.file("scene.rgs")});
+  CHECK(elsewhere.exit_code == 2);
+  CHECK(holds(elsewhere.err, "--spz-version is for .spz outputs"));
+}
+
+TEST_CASE("SPZ extensions: what is not kept is said, what is unknown refused unless told otherwise") {
+  const TemporaryFolder folder;
+  const SplatCloud cloud = ordinary_cloud(300, 1, 4);
+  const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, {.spz_version = 4}).value();
+  const auto write = [&](std::uint32_t type, std::uint32_t bytes) {
+    Bytes file = plain;
+    file[14] |= std::byte{2};
+    file.insert(file.begin() + 32, 8 + bytes, std::byte{0});
+    put<std::uint32_t>(file, 16, 40 + bytes);
+    put<std::uint32_t>(file, 32, type);
+    put<std::uint32_t>(file, 36, bytes);
+    write_bytes(folder.file("scene.spz"), file);
+  };
+  const std::string spz = folder.file("scene.spz"), rgs = folder.file("scene.rgs");
+  write(0xADBE0002, 12);
+  const std::string orbit = "SPZ extension 0xADBE0002 (safe orbit camera, 12 bytes)";
+  CHECK(holds(rgs_convert({spz, rgs}).out, "  not kept   " + orbit + "\n"));
+  CHECK(nlohmann::json::parse(rgs_convert({"--json", spz, rgs}).out)["source"]["unused"] ==
+        nlohmann::json::array({orbit}));
+  write(0x12340001, 6);
+  const ProgramResult refused = rgs_convert({spz, folder.file("no.rgs")});
+  CHECK(refused.exit_code == 4);
+  CHECK(holds(refused.err, "byte 32"));
+  CHECK(holds(refused.err, "--skip-unknown-extensions"));
+  CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
+  const ProgramResult skipped = rgs_convert({"--skip-unknown-extensions", spz, rgs});
+  CHECK(skipped.exit_code == 0);
+  CHECK(holds(skipped.out, "  not kept   SPZ extension 0x12340001 (unknown, 6 bytes)\n"));
+}
+
 TEST_CASE("pipes, wrong names and damage in other formats") {
   const TemporaryFolder folder;
   const SplatCloud cloud = ordinary_cloud(300, 1, 5);

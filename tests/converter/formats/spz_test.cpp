@@ -13,14 +13,19 @@ using namespace rgs::test;
 
 namespace {
 
+constexpr double kSmallestThreeError = 0.5 * 3 * 0.70711 / 511;
+// Version 2: half of the worst angle among 200,000 random rotations.
+constexpr double kFirstThreeError = 0.06;
+
 // Half a step of each attribute, and what the smallest three leave to the fourth component; SH as given.
-void check_within_steps(const SplatError& e, double sh1_step, double sh_step) {
+void check_within_steps(const SplatError& e, double sh1_step, double sh_step,
+                        double rotation_error = kSmallestThreeError) {
   for (int k = 0; k < 3; ++k) {
     CHECK(e.mean[k] <= 0.5 / 4096 * 1.001);
     CHECK(e.log_scale[k] <= 0.5 / 16 * 1.001);
   }
   CHECK(e.opacity <= 0.5 / 255 * 1.001);
-  CHECK(e.rotation <= 0.5 * 3 * 0.70711 / 511);
+  CHECK(e.rotation <= rotation_error);
   CHECK(e.sh[0] <= 0.5 / 255 / 0.15 * 1.001);
   CHECK(e.sh[1] <= sh1_step / 128 * 1.001);
   CHECK(e.sh[2] <= sh_step / 128 * 1.001);
@@ -64,18 +69,76 @@ Bytes hand_made_v2() {
   return file;
 }
 
+// A record of an extension.
+Bytes extension(std::uint32_t type, const Bytes& payload, std::optional<std::uint32_t> bytes = std::nullopt) {
+  Bytes record(8);
+  const std::uint32_t size = bytes.value_or(static_cast<std::uint32_t>(payload.size()));
+  std::memcpy(record.data(), &type, 4);
+  std::memcpy(record.data() + 4, &size, 4);
+  record.insert(record.end(), payload.begin(), payload.end());
+  return record;
+}
+
+Bytes joined(Bytes first, const Bytes& second) {
+  first.insert(first.end(), second.begin(), second.end());
+  return first;
+}
+
+Bytes ungzip(const Bytes& data) {
+  z_stream z{};
+  REQUIRE(inflateInit2(&z, 15 + 16) == Z_OK);
+  Bytes out(std::size_t{1} << 22);
+  z.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(data.data()));
+  z.avail_in = static_cast<uInt>(data.size());
+  z.next_out = reinterpret_cast<Bytef*>(out.data());
+  z.avail_out = static_cast<uInt>(out.size());
+  REQUIRE(inflate(&z, Z_FINISH) == Z_STREAM_END);
+  CHECK(z.avail_in == 0);
+  out.resize(z.total_out);
+  inflateEnd(&z);
+  return out;
+}
+
+// The file with these records as its extensions, where its version has them: behind the streams, or before their table.
+Bytes with_extensions(const Bytes& file, const Bytes& records) {
+  Bytes out = get<std::uint16_t>(file, 0) == 0x8B1F ? ungzip(file) : file;
+  out[14] |= std::byte{2};
+  if (out.size() != file.size() || file[0] == std::byte{0x1F}) return gzip(joined(out, records));
+  out.insert(out.begin() + 32, records.begin(), records.end());
+  const auto table = static_cast<std::uint32_t>(32 + records.size());
+  std::memcpy(&out[16], &table, 4);
+  return out;
+}
+
+// Where with_extensions() puts the first record: in the file, or in what its gzip stream unfolds to.
+std::uint64_t extensions_at(const Bytes& file) {
+  return get<std::uint16_t>(file, 0) == 0x8B1F ? ungzip(file).size() : 32;
+}
+
+WriteOptions version(int number, AaMode aa_mode = AaMode::classic) {
+  WriteOptions options;
+  options.spz_version = number;
+  options.aa_mode = aa_mode;
+  return options;
+}
+
+constexpr std::uint32_t kOrbit = 0xADBE0002, kAxesType = 0xADBE0003, kGeoreference = 0x4E530001, kUnknown = 0x12340001;
+
 }  // namespace
 
 TEST_CASE("SPZ files of versions 3 and 4 by the peer hold the PLY's Gaussians within the format's steps") {
   if (!has_peer_files()) return;
   const SplatCloud original = read_splats(peer_file("crop.ply")).value().cloud;
-  for (const std::string name : {"crop.v3.spz", "crop.v4.spz"}) {
+  // The last is in other axes than SPZ's own, which an extension declares.
+  for (const std::string name : {"crop.v3.spz", "crop.v4.spz", "crop.adobe.spz"}) {
     CAPTURE(name);
     const auto file = read_splats(peer_file(name));
     REQUIRE(file);
     CHECK(file->format == SplatFormat::spz);
     CHECK(file->axes == kAxes3dgs);
-    CHECK(file->aa_mode == AaMode::classic);
+    const bool adobe = name == "crop.adobe.spz";
+    CHECK(read_splats(peer_file(name), kKeepAxes)->axes == (adobe ? kAxes3dgs : kAxesOpenGl));
+    CHECK(file->aa_mode == (adobe ? AaMode::mip_splatting : AaMode::classic));
     // Log-scales below -10 do not exist in SPZ; compare what does. The peer rounds SH twice: 4.5 and 8.5 of 128.
     SplatCloud clamped = original;
     for (float& value : clamped.log_scale) value = std::max(value, -10.F);
@@ -86,28 +149,189 @@ TEST_CASE("SPZ files of versions 3 and 4 by the peer hold the PLY's Gaussians wi
   }
 }
 
-TEST_CASE("SPZ version 4 round trip within half a step, 0.62 of SH, whatever the degree") {
+TEST_CASE("SPZ round trip within half a step, 0.62 of SH, whatever version and degree") {
   for (int degree = 0; degree <= 3; ++degree) {
-    for (const std::uint64_t n : {0U, 1U, 2U, 1000U}) {
-      CAPTURE(degree);
-      CAPTURE(n);
-      const SplatCloud cloud = ordinary_cloud(n, degree, n + 7);
-      const auto bytes = encode_splats(cloud.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
-      REQUIRE(bytes);
-      const auto file = read_splats(*bytes, kKeepAxes);
-      REQUIRE(file);
-      CHECK(file->axes == kAxesOpenGl);
-      CHECK(file->aa_mode == AaMode::mip_splatting);
-      CHECK(file->bytes == bytes->size());
-      CHECK(get<std::uint8_t>(*bytes, 15) == (degree == 0 ? 5 : 6));  // streams: the peer wants no empty one
-      check_within_steps(compare(file->cloud, cloud), 4.96, 9.92);
-      const auto again = encode_splats(file->cloud.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
-      REQUIRE(again);  // decoded values give the same codes; a rotation may change which of two equals is the largest
-      const SplatError e = compare(read_splats(*again, kKeepAxes).value().cloud, file->cloud);
-      CHECK(e.sum() == e.rotation);
-      CHECK(e.rotation <= 0.70711 / 511);
+    for (const int number : {2, 3, 4}) {
+      for (const std::uint64_t n : {0U, 1U, 2U, 1000U}) {
+        CAPTURE(degree);
+        CAPTURE(number);
+        CAPTURE(n);
+        const SplatCloud cloud = ordinary_cloud(n, degree, n + 7);
+        const WriteOptions options = version(number, AaMode::mip_splatting);
+        const auto bytes = encode_splats(cloud.view(), SplatFormat::spz, options);
+        REQUIRE(bytes);
+        CHECK(detect_format(*bytes) == SplatFormat::spz);
+        const auto file = read_splats(*bytes, kKeepAxes);
+        REQUIRE(file);
+        CHECK(file->format == SplatFormat::spz);
+        CHECK(file->axes == kAxesOpenGl);
+        CHECK(file->aa_mode == AaMode::mip_splatting);
+        CHECK(file->bytes == bytes->size());
+        CHECK(file->unused.empty());
+        check_within_steps(compare(file->cloud, cloud), 4.96, 9.92,
+                           number == 2 ? kFirstThreeError : kSmallestThreeError);
+        const Bytes head = number == 4 ? *bytes : ungzip(*bytes);
+        CHECK(get<std::uint32_t>(head, 4) == static_cast<std::uint32_t>(number));
+        // Streams: the peer wants no empty one. Reserved before version 4.
+        CHECK(get<std::uint8_t>(head, 15) == (number < 4 ? 0 : degree == 0 ? 5 : 6));
+        const auto again = encode_splats(file->cloud.view(), SplatFormat::spz, options);
+        // Decoded values give the same codes. A rotation may change which of two equals is the largest; in version 2
+        // codes may be longer than a unit quaternion.
+        REQUIRE(again);
+        const SplatError e = compare(read_splats(*again, kKeepAxes).value().cloud, file->cloud);
+        CHECK(e.sum() == e.rotation);
+        CHECK(e.rotation <= (number == 2 ? 1 / 127.5 : 0.70711 / 511));
+      }
     }
   }
+}
+
+TEST_CASE("SPZ versions hold the same codes, but for the rotations of version 2") {
+  const SplatCloud cloud = ordinary_cloud(3000, 3, 11);
+  const auto coded = [&](int number) {
+    return read_splats(encode_splats(cloud.view(), SplatFormat::spz, version(number)).value(), kKeepAxes).value().cloud;
+  };
+  const SplatCloud v2 = coded(2), v3 = coded(3), v4 = coded(4);
+  CHECK(compare(v3, v4).sum() == 0);
+  const SplatError e = compare(v2, v4);
+  CHECK(e.sum() == e.rotation);
+  CHECK(encode_splats(cloud.view(), SplatFormat::spz).value() ==
+        encode_splats(cloud.view(), SplatFormat::spz, version(3)).value());
+  for (const int number : {-1, 0, 1, 5}) {
+    const auto refused = encode_splats(cloud.view(), SplatFormat::spz, version(number));
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == Errc::bad_argument);
+  }
+}
+
+TEST_CASE("SPZ of versions 2 and 3 says nothing of when and where it was written") {
+  const SplatCloud cloud = ordinary_cloud(50, 1, 3);
+  for (const int number : {2, 3}) {
+    const Bytes file = encode_splats(cloud.view(), SplatFormat::spz, version(number)).value();
+    CHECK(std::ranges::equal(std::span(file).first(10), list_of({0x1F, 0x8B, 8, 0, 0, 0, 0, 0, 2, 255})));
+    CHECK(file == encode_splats(cloud.view(), SplatFormat::spz, version(number)).value());
+  }
+}
+
+TEST_CASE("rotations in SPZ version 2 take the nearest of the codes around them") {
+  // Rounding each component leaves a w near 0 with all of their errors.
+  const SplatCloud cloud = ordinary_cloud(20000, 0, 5);
+  const SplatCloud coded =
+      read_splats(encode_splats(cloud.view(), SplatFormat::spz, version(2)).value(), kKeepAxes).value().cloud;
+  double worst = 0, squares = 0;
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+    const float *a = &cloud.rotation[4 * i], *b = &coded.rotation[4 * i];
+    double dot = 0, length = 0;
+    for (int k = 0; k < 4; ++k) {
+      dot += static_cast<double>(a[k]) * static_cast<double>(b[k]);
+      length += static_cast<double>(b[k]) * static_cast<double>(b[k]);
+    }
+    const double angle = 2 * std::acos(std::min(1.0, std::abs(dot) / std::sqrt(length)));
+    worst = std::max(worst, angle);
+    squares += angle * angle;
+  }
+  CHECK(worst < 0.13);                                                    // 0.21 rad by rounding
+  CHECK(std::sqrt(squares / static_cast<double>(cloud.size())) < 0.018);  // 0.030
+}
+
+TEST_CASE("SPZ extensions: axes are honoured, what leaves the Gaussians alone is named, the rest refused") {
+  const SplatCloud cloud = ordinary_cloud(20, 3, 5);
+  const Bytes orbit = extension(kOrbit, Bytes(12)), georeference = extension(kGeoreference, Bytes(85));
+  for (const int number : {2, 3, 4}) {
+    CAPTURE(number);
+    const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, version(number)).value();
+    const SplatCloud coded = read_splats(plain, kKeepAxes).value().cloud;
+    const std::uint64_t at = extensions_at(plain);
+    const auto same_codes = [&](const Result<SplatFile>& file) {
+      REQUIRE(file);
+      CHECK(compare(file->cloud, coded).sum() == 0);
+    };
+    const auto refused = [&](const Bytes& records, Errc code, std::uint64_t offset) {
+      const auto file = read_exact(with_extensions(plain, records));
+      REQUIRE_FALSE(file);
+      CHECK(file.error().code == code);
+      CHECK(file.error().offset == at + offset);
+    };
+    // Axes as the value names them; 0 says nothing, which is the format's own.
+    const std::pair<int, Axes> systems[] = {{0, kAxesOpenGl},
+                                            {4, kAxesOpenGl},
+                                            {6, kAxes3dgs},
+                                            {7, kAxesGltf},
+                                            {1, {Axis::left, Axis::down, Axis::backward}},
+                                            {8, {Axis::right, Axis::up, Axis::forward}},
+                                            {9, {Axis::left, Axis::forward, Axis::down}},
+                                            {12, {Axis::right, Axis::forward, Axis::up}},
+                                            {16, {Axis::right, Axis::backward, Axis::up}}};
+    for (const auto& [value, axes] : systems) {
+      CAPTURE(value);
+      const Bytes file = with_extensions(plain, extension(kAxesType, list_of({value, 0, 0, 0})));
+      const auto kept = read_splats(file, kKeepAxes);
+      same_codes(kept);
+      CHECK(kept->axes == axes);
+      CHECK(kept->unused.empty());
+      SplatCloud turned = coded;
+      convert_axes(turned, axes, kAxes3dgs);
+      CHECK(compare(read_splats(file)->cloud, turned).sum() == 0);
+    }
+    const auto several = read_splats(
+        with_extensions(plain, joined(joined(orbit, extension(kAxesType, list_of({6, 0, 0, 0}))), georeference)),
+        kKeepAxes);
+    same_codes(several);
+    CHECK(several->axes == kAxes3dgs);
+    CHECK(several->unused == std::vector<std::string>{"SPZ extension 0xADBE0002 (safe orbit camera, 12 bytes)",
+                                                      "SPZ extension 0x4E530001 (georeference, 85 bytes)"});
+    same_codes(read_splats(with_extensions(plain, {}), kKeepAxes));
+    // As the first builds of the reference library wrote it: without a length.
+    Bytes old = orbit;
+    old.erase(old.begin() + 4, old.begin() + 8);
+    const auto early = read_splats(with_extensions(plain, old), kKeepAxes);
+    same_codes(early);
+    CHECK(early->unused.size() == 1);
+
+    refused(extension(kUnknown, Bytes(5)), Errc::unsupported_feature, 0);
+    refused(joined(orbit, extension(kUnknown, {})), Errc::unsupported_feature, 20);
+    refused(extension(0xADBE0001, Bytes(2)), Errc::unsupported_feature, 0);
+    ReadOptions lenient = kKeepAxes;
+    lenient.skip_unknown_extensions = true;
+    const auto skipped = read_splats(with_extensions(plain, extension(kUnknown, Bytes(5))), lenient);
+    same_codes(skipped);
+    CHECK(skipped->unused == std::vector<std::string>{"SPZ extension 0x12340001 (unknown, 5 bytes)"});
+
+    refused(extension(kAxesType, list_of({17, 0, 0, 0})), Errc::bad_value, 8);
+    refused(extension(kAxesType, list_of({6, 0, 0, 1})), Errc::bad_value, 8);
+    refused(extension(kAxesType, list_of({6, 0, 0})), Errc::bad_header, 4);
+    refused(extension(kAxesType, list_of({6, 0, 0, 0, 0})), Errc::bad_header, 4);
+    refused(extension(kAxesType, list_of({6, 0, 0, 0}), 5), Errc::truncated, 4);
+    refused(extension(kAxesType, list_of({6, 0, 0, 0}), 0xFFFFFFFF), Errc::truncated, 4);
+    refused(extension(kOrbit, Bytes(13)), Errc::bad_header, 4);
+    refused(joined(orbit, list_of({3, 0, 0xBE})), Errc::truncated, 20);
+    refused(joined(orbit, list_of({3, 0, 0xBE, 0xAD, 4, 0, 0})), Errc::truncated, 20);
+    const Bytes axes = extension(kAxesType, list_of({6, 0, 0, 0}));
+    refused(joined(axes, axes), Errc::bad_header, 12);
+  }
+}
+
+TEST_CASE("damaged SPZ extensions are refused or read, never more") {
+  const SplatCloud cloud = ordinary_cloud(3, 0, 5);
+  const Bytes records = joined(extension(kOrbit, Bytes(12)), extension(kAxesType, list_of({6, 0, 0, 0})));
+  for (const int number : {2, 3, 4}) {
+    const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, version(number)).value();
+    check_hostile(with_extensions(plain, records), 3, 100);
+    SplitMix random(static_cast<std::uint64_t>(number));
+    for (int i = 0; i < 300; ++i) {  // the records alone, so that a checksum does not hide them
+      Bytes damaged = records;
+      damaged[random.below(damaged.size())] = static_cast<std::byte>(random.below(256));
+      damaged.resize(random.below(2) == 0 ? damaged.size() : random.below(damaged.size()));
+      const Bytes bytes = with_extensions(plain, damaged);
+      const auto file = read_exact(bytes);
+      if (!file) CHECK(exit_code(file.error().code) == 4);
+    }
+  }
+  // What a gzip stream unfolds to is bounded before it is kept.
+  const Bytes plain = encode_splats(cloud.view(), SplatFormat::spz, version(3)).value();
+  const auto bomb = read_exact(with_extensions(plain, Bytes((std::size_t{16} << 20) + 1)));
+  REQUIRE_FALSE(bomb);
+  CHECK(bomb.error().code == Errc::limit_exceeded);
 }
 
 TEST_CASE("SPZ's SH codes make up for the errors of neighbours in space, wherever these stand in the file") {
@@ -169,7 +393,9 @@ TEST_CASE("SPZ version 2 by hand") {
 
 TEST_CASE("damaged SPZ files of every version are refused or read, never more") {
   const SplatCloud cloud = ordinary_cloud(20, 1, 5);
-  check_hostile(encode_splats(cloud.view(), SplatFormat::spz).value(), 1);
+  for (const int number : {2, 3, 4}) {
+    check_hostile(encode_splats(cloud.view(), SplatFormat::spz, version(number)).value(), 1);
+  }
   const Bytes v2 = gzip(hand_made_v2());
   check_hostile(v2, 2);
   CHECK(read_splats(v2));
@@ -186,7 +412,7 @@ TEST_CASE("SPZ headers that promise too much are refused before memory is taken"
     REQUIRE_FALSE(file);
     CHECK(file.error().code == code);
   };
-  const Bytes v4 = encode_splats(ordinary_cloud(20, 1, 5).view(), SplatFormat::spz).value();
+  const Bytes v4 = encode_splats(ordinary_cloud(20, 1, 5).view(), SplatFormat::spz, version(4)).value();
   refused(v4, 8, 0xFFFFFFFF, Errc::limit_exceeded);
   refused(v4, 8, 21, Errc::size_mismatch);
   refused(v4, 4, 1, Errc::unsupported_version);

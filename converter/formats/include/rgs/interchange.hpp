@@ -25,7 +25,7 @@ enum class SplatFormat : std::uint8_t {
   rgs,
   ply,             ///< 3DGS PLY, see ply.hpp
   compressed_ply,  ///< PLY with packed_position (PlayCanvas, SuperSplat, gsplat)
-  spz,             ///< Niantic SPZ; versions 2 to 4 are read, 4 is written
+  spz,             ///< Niantic SPZ; versions 2 to 4
   splat,           ///< 32 bytes a Gaussian, no harmonics
   ksplat,          ///< GaussianSplats3D, levels 0 to 2; read only
   sog,             ///< PlayCanvas SOG, zipped or meta.json beside its images; read only
@@ -61,6 +61,9 @@ struct SplatFile {
   std::optional<Declarations> declarations = std::nullopt;
   std::optional<Provenance> provenance = std::nullopt;
   std::vector<std::uint32_t> source_index = {};
+  /// What the file holds besides, one phrase each, and SplatCloud has no place for: extensions of SPZ that do not
+  /// change its Gaussians.
+  std::vector<std::string> unused = {};
   SplatCloud cloud;
   Origin origin = kNoOrigin;  ///< of `cloud`, in `axes`: of an .rgs, a PLY of doubles (ply.hpp), a far node of a glb
 };
@@ -73,6 +76,9 @@ struct ReadOptions {
   DecodeLimits limits;
   SplatFormat format = SplatFormat::unknown;  ///< read as this; unknown: as the content says
   bool keep_axes = false;  ///< leave Gaussians in the file's frame; otherwise declared axes are turned into kAxes3dgs
+  /// SPZ: read past extensions of unknown type, which are unsupported_feature otherwise. They may change what the
+  /// Gaussians mean; SplatFile::unused names them.
+  bool skip_unknown_extensions = false;
 };
 
 /// Reads a whole file of any format. Memory: a constant times the size of the file (decompressed sizes are checked
@@ -94,6 +100,7 @@ struct WriteOptions {
   /// Of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
   bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
+  int spz_version = 3;      ///< 2, 3 or 4; docs/INTERCHANGE.md says which viewer reads which
 };
 
 /// True for what encode_splats() writes: ply, compressed_ply, spz, splat and glb.
@@ -105,7 +112,7 @@ bool keeps_origin(SplatFormat format);
 /// A file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and compressed_ply in
 /// options.axes; values that the format
 /// cannot hold are clamped to its range. Deterministic.
-/// Errors: bad_argument (not writable, inconsistent view), limit_exceeded (more Gaussians than the format counts),
+/// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ), limit_exceeded (more Gaussians than the format counts),
 /// bad_value (damaged, see find_defects(), in formats other than ply; or a mean beyond SPZ's range), whose offset is
 /// the Gaussian's index.
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
