@@ -33,6 +33,8 @@ struct ConvertOptions {
   EncodeOptions encode;
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
+  bool strict =
+      false;  ///< bad_value, and nothing is written, if values would be clamped or flushed to the output's range
   AtomicFile::Options output;
 };
 
@@ -49,6 +51,7 @@ struct ConvertSummary {
   float min_scale = 0, max_scale = 0, min_opacity = 0, max_opacity = 0;
   std::vector<std::pair<const char*, double>> seconds;  ///< by stage, in order
   double sync_seconds = 0;
+  WriteReport clamped;  ///< formats other than .rgs, whose counts are in `declarations`
 };
 
 /// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two

@@ -28,7 +28,8 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.colour_space = options.encode.colour_space;
   write.aa_mode = options.encode.aa_mode;
   write.keep_order = options.encode.order == Order::input;
-  const auto bytes = encode_splats(scene.cloud.view(), format, write);
+  write.strict = options.strict;
+  const auto bytes = encode_splats(scene.cloud.view(), format, write, &summary.clamped);
   if (!bytes) return tl::unexpected(bytes.error());
   clock.begin("commit", 0, "");
   if (const Status s = file->write_at(0, *bytes); !s) return tl::unexpected(s.error());

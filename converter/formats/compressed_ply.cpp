@@ -30,7 +30,6 @@ constexpr std::array<const char*, 18> kChunkNames{
     "min_x",       "min_y",       "min_z",       "max_x", "max_y", "max_z", "min_scale_x", "min_scale_y", "min_scale_z",
     "max_scale_x", "max_scale_y", "max_scale_z", "min_r", "min_g", "min_b", "max_r",       "max_g",       "max_b"};
 constexpr std::array<const char*, 4> kVertexNames{"packed_position", "packed_rotation", "packed_scale", "packed_color"};
-constexpr double kMaxLogScaleStored = 20;  // readers take a bound beyond that for damage
 
 // Rows of one element: where they start and where each wanted property lies in a row.
 struct Table {
@@ -216,7 +215,7 @@ Packed values_of(const Splat& s) {
   Packed p;
   for (int k = 0; k < 3; ++k) {
     p.mean[k] = static_cast<double>(s.mean[k]);
-    p.log_scale[k] = std::clamp(static_cast<double>(s.log_scale[k]), -kMaxLogScaleStored, kMaxLogScaleStored);
+    p.log_scale[k] = std::clamp(static_cast<double>(s.log_scale[k]), -kMaxCompressedLogScale, kMaxCompressedLogScale);
     p.colour[k] = colour_from_dc(s.sh[k]);
   }
   return p;

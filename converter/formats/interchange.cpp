@@ -20,6 +20,7 @@
 #include "sog.hpp"
 #include "splat_records.hpp"
 #include "spz.hpp"
+#include "write_report.hpp"
 
 namespace rgs {
 namespace {
@@ -186,7 +187,8 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
   });
 }
 
-Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
+Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options,
+                                             WriteReport* report) {
   return detail::guard_memory([&]() -> Result<std::vector<std::byte>> {
     if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format is not written");
     if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the sizes of the view disagree");
@@ -194,8 +196,14 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
     }
+    if (report != nullptr) *report = {};
     if (format == SplatFormat::ply) return encode_ply(splats);
     if (const Status s = check_sound(splats); !s) return tl::unexpected(s.error());
+    if (report != nullptr || options.strict) {
+      const WriteReport clamping = detail::measure_clamping(splats, format);
+      if (report != nullptr) *report = clamping;
+      if (const Status s = detail::refuse_clamping(clamping); options.strict && !s) return tl::unexpected(s.error());
+    }
     switch (format) {
       case SplatFormat::compressed_ply: return detail::encode_compressed_ply(splats, options.keep_order);
       case SplatFormat::spz: return detail::encode_spz(splats, options.aa_mode);

@@ -10,6 +10,15 @@
 
 namespace rgs::detail {
 
+/// A colour code is 255 (1/2 + this * coefficient).
+inline constexpr double kSpzColourScale = 0.15;
+/// Fractional bits of means, unless one is too far out.
+inline constexpr int kSpzFractionalBits = 12;
+
+/// As many fractional bits as the farthest mean leaves, at most the usual ones. Errors: bad_value if there is no room at
+/// all; the offset is the Gaussian's index.
+Result<int> choose_fractional_bits(const SplatView& splats);
+
 /// Whether the bytes begin as an SPZ does; a gzip stream is unpacked far enough to see its signature.
 bool is_spz(std::span<const std::byte> bytes);
 

@@ -32,7 +32,7 @@ double growth(std::uint64_t n, const Prepare& prepare, const Work& work) {
   std::uint64_t times = 1;
   while (seconds(small, times) < kLeastSeconds && times < (std::uint64_t{1} << 20)) times *= 2;
   double least_small = std::numeric_limits<double>::infinity(), least_large = least_small;
-  for (int i = 0; i < 5; ++i) {
+  for (int i = 0; i < 4; ++i) {
     least_small = std::min(least_small, seconds(small, times) / static_cast<double>(times));
     const std::uint64_t times_large = std::max<std::uint64_t>(times / 4, 1);
     least_large = std::min(least_large, seconds(large, times_large) / static_cast<double>(times_large));
