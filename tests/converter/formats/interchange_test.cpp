@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <limits>
 
+#include "complexity.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/splat_edit.hpp"
@@ -162,6 +163,38 @@ TEST_CASE("what a format clamps is what comes back farther away than half its st
     CAPTURE(format_name(format));
     CHECK(encode_splats(ordinary.view(), format, {.strict = true}, &report));
     CHECK_FALSE(report.any());
+  }
+}
+
+TEST_CASE("all formats are read and written in linear time, coincident Gaussians and outliers too") {
+  const auto ordinary = [](std::uint64_t n) { return ordinary_cloud(n, 1, 5); };
+  const auto coincident = [](std::uint64_t n) {
+    SplatCloud one = ordinary_cloud(1, 1, 5), cloud;
+    for (std::uint64_t i = 0; i < n; ++i) append_splats(cloud, one);
+    return cloud;
+  };
+  const auto outliers = [](std::uint64_t n) {
+    SplatCloud cloud = ordinary_cloud(n, 1, 5);
+    for (std::uint64_t i = 0; i < 3 * n; i += 7) cloud.mean[i] *= 1000;
+    return cloud;
+  };
+  const auto check = [](SplatFormat format, const auto& prepare) {
+    CAPTURE(std::string(format_name(format)));
+    const auto write = [format](const SplatCloud& cloud) {
+      const auto bytes = format == SplatFormat::rgs ? encode(cloud.view()) : encode_splats(cloud.view(), format);
+      REQUIRE(bytes);
+      return *bytes;
+    };
+    CHECK(growth(2000, prepare, write) < kLinearGrowth);
+    const auto file = [&](std::uint64_t n) { return write(prepare(n)); };
+    CHECK(growth(2000, file, [](const Bytes& bytes) { CHECK(read_splats(bytes)); }) < kLinearGrowth);
+  };
+  std::vector<SplatFormat> formats(std::begin(kWritable), std::end(kWritable));
+  formats.push_back(SplatFormat::rgs);
+  for (const SplatFormat format : formats) {
+    check(format, ordinary);
+    check(format, coincident);
+    check(format, outliers);
   }
 }
 

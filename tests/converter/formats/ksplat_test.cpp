@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstring>
 
+#include "complexity.hpp"
 #include "interchange_samples.hpp"
 
 using namespace rgs;
@@ -256,6 +257,26 @@ TEST_CASE(".ksplat: buckets hold the section's Gaussians, and nothing follows th
   Bytes longer = file;
   longer.resize(file.size() + 4);
   refused(longer, Errc::trailing_bytes, file.size());
+}
+
+TEST_CASE(".ksplat: time is linear in sections and buckets, empty ones too") {
+  const SplatCloud one = near_cloud(1, 0, 3);
+  const auto read = [](const Bytes& file) { CHECK(read_splats(file)); };
+  const auto sections = [&](std::uint64_t n) {
+    return ksplat(std::vector<std::pair<SplatCloud, Layout>>(n, {one, {1, 0, 0, {1}, 0}}));
+  };
+  CHECK(growth(200, sections, read) < kLinearGrowth);
+  const auto buckets = [&](std::uint64_t n) {
+    Bytes file = ksplat({{one, {1, 0, 0, {1}, 0}}});
+    put(file, 4096 + 12, static_cast<std::uint32_t>(n));
+    put(file, 4096 + 36, static_cast<std::uint32_t>(n));
+    put(file, 4096 + 1024, 0U);
+    Bytes more(16 * (n - 1));
+    put(more, 4 * (n - 2), 1U);  // all but the last hold none
+    file.insert(file.begin() + 4096 + 1024 + 4, more.begin(), more.end());
+    return file;
+  };
+  CHECK(growth(20000, buckets, read) < kLinearGrowth);
 }
 
 TEST_CASE("damaged .ksplat files are refused or read, never more") {

@@ -247,7 +247,7 @@ TEST_CASE("appending piece by piece is linear in all pieces together, and fills 
     CHECK(all.size() == n);
   };
   CHECK(growth(
-            1500, [](std::uint64_t n) { return n; }, append) < kLinearGrowth);
+            3000, [](std::uint64_t n) { return n; }, append) < kLinearGrowth);
 
   SplatCloud all = ordinary_cloud(3, 1, 2);
   const SplatCloud narrow = all, wide = ordinary_cloud(2, 2, 3), none = ordinary_cloud(1, 0, 4);
