@@ -35,6 +35,8 @@ struct ConvertOptions {
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
   int spz_version = WriteOptions{}.spz_version;
+  bool strict =
+      false;  ///< bad_value, and nothing is written, if values would be clamped or flushed to the output's range
   AtomicFile::Options output;
 };
 
@@ -57,7 +59,8 @@ struct ConvertSummary {
   double sync_seconds = 0;
   Origin origin = kNoOrigin;  ///< of the output
   double position_rounding =
-      0;  ///< how far coordinates were rounded, world units: see rgs::position_rounding(), and merging
+      0;                ///< how far coordinates were rounded, world units: see rgs::position_rounding(), and merging
+  WriteReport clamped;  ///< formats other than .rgs, whose counts are in `declarations`
 };
 
 /// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two

@@ -49,12 +49,13 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
   write.axes = options.encode.axes;
   write.keep_order = options.encode.order == Order::input;
   write.spz_version = options.spz_version;
+  write.strict = options.strict;
   write.origin = scene.origin;
   const auto rounding = position_rounding(scene.cloud.view(), format, scene.origin);
   if (!rounding) return tl::unexpected(rounding.error());
   summary.position_rounding = *rounding;
   summary.origin = keeps_origin(format) ? scene.origin : kNoOrigin;
-  const auto bytes = encode_splats(scene.cloud.view(), format, write);
+  const auto bytes = encode_splats(scene.cloud.view(), format, write, &summary.clamped);
   if (!bytes) return tl::unexpected(bytes.error());
   clock.begin("commit", 0, "");
   if (const Status s = file->write_at(0, *bytes); !s) return tl::unexpected(s.error());

@@ -58,6 +58,36 @@ double total_seconds(const ConvertSummary& s) {
   return sum;
 }
 
+// One line for each attribute that a format's range clamped.
+std::string clamped_text(const WriteReport& clamped, const std::string& format) {
+  const bool no_sh = format == format_name(SplatFormat::splat);
+  const struct {
+    const Clamped& of;
+    const char* what;
+    const char* unit;
+  } kinds[] = {{clamped.mean, "means in coarser steps, since some are far out", " units"},
+               {clamped.log_scale, "log-scales beyond its range", ""},
+               {clamped.opacity_logit, "opacities that are 0 or 1 in its numbers; logits beyond them", ""},
+               {clamped.sh_dc, "colours (f_dc) beyond its range", ""},
+               {clamped.sh, no_sh ? "harmonics (f_rest) left out" : "harmonics (f_rest) beyond its range", ""}};
+  std::string text;
+  for (const auto& kind : kinds) {
+    if (kind.of.n == 0) continue;
+    text += fmt::format("  {:<11}{}: {} Gaussians, by up to {:.3g}{}\n", text.empty() ? "clamped" : "", kind.what,
+                        tool::format_count(kind.of.n), kind.of.largest, kind.unit);
+  }
+  return text;
+}
+
+nlohmann::ordered_json clamped_json(const WriteReport& clamped) {
+  const auto one = [](const Clamped& c) { return nlohmann::ordered_json{{"gaussians", c.n}, {"largest", c.largest}}; };
+  return {{"mean", one(clamped.mean)},
+          {"log_scale", one(clamped.log_scale)},
+          {"opacity_logit", one(clamped.opacity_logit)},
+          {"sh_dc", one(clamped.sh_dc)},
+          {"sh", one(clamped.sh)}};
+}
+
 std::string type_name(std::uint32_t type) {
   std::string name;
   for (int i = 0; i < 4; ++i) name += static_cast<char>(type >> (8 * i) & 255);
@@ -114,6 +144,7 @@ std::string summary_text(const ConvertSummary& s) {
            format_count(d.n_opacity_one));
     }
   }
+  text += clamped_text(s.clamped, s.output_format);
   const Declarations& declared = s.declarations;
   if (const Declarations usual; declared.aa_mode != usual.aa_mode || declared.low_pass_px2 != usual.low_pass_px2 ||
                                 declared.metres_per_unit != usual.metres_per_unit) {
@@ -185,6 +216,7 @@ std::string summary_json(const ConvertSummary& s) {
                      {"mapping", depth_mapping_name(d.depth_mapping)},
                      {"source", depth_source_name(d.depth_source)}};
   }
+  if (s.output_format != "rgs") json["clamped"] = clamped_json(s.clamped);
   ordered_json seconds = ordered_json::object();
   for (const auto& [stage, value] : s.seconds) seconds[stage] = value;
   seconds["sync"] = s.sync_seconds;

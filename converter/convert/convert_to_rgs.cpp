@@ -204,6 +204,14 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
     if (error.code == Errc::bad_value && error.found != Error::kNone) error.offset = source.row_offset(error.found);
     return tl::unexpected(error);
   }
+  const Declarations& counts = written->declarations;
+  if (const std::uint64_t n = counts.n_scale_subnormal + counts.n_scale_zero; options.strict && n != 0) {
+    return make_error(
+        Errc::bad_value, Error::kNone,
+        "scales are so far below the scene's largest that FP16 flushes or coarsens them; without --strict "
+        "they are stored so",
+        0, n);
+  }
   clock.begin("commit", 0, "");
   const auto synced = file->commit();
   if (!synced) return tl::unexpected(synced.error());

@@ -385,6 +385,7 @@ int convert_main(Arguments& arguments) {
   encode.archive = archive_options(arguments);
   encode.archive.threads = static_cast<unsigned>(arguments.threads);
   if (arguments.explicit_policy) encode.max_bad_fraction = 1;
+  if (arguments.convert.strict) encode.on_bad = rgs::BadPolicy::refuse;
   arguments.convert.output.sync = !arguments.no_sync;
   const std::size_t threads = arguments.threads > 0 ? static_cast<std::size_t>(arguments.threads)
                                                     : std::max(1u, std::thread::hardware_concurrency());
@@ -526,6 +527,9 @@ void add_options(CLI::App& app, Arguments& a) {
       ->transform(CLI::Transformer(policies))
       ->option_text("refuse|drop|repair")
       ->each([&a](const std::string&) { a.explicit_policy = true; });
+  app.add_flag("--strict", a.convert.strict,
+               "Write nothing (exit code 4) if Gaussians are damaged or beyond the range of the output's format")
+      ->excludes("--on-bad");
   app.add_option("--cameras", a.cameras,
                  "Depth range of the sort key as these cameras see the scene (docs/CAMERAS.md)");
   app.add_option("--near", a.convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);

@@ -11,6 +11,9 @@
 
 namespace rgs::detail {
 
+/// Log-scales are written within +- this: readers take a bound beyond that for damage.
+inline constexpr double kMaxCompressedLogScale = 20;
+
 /// Whether a PLY header declares packed_position.
 bool is_compressed_ply(std::span<const std::byte> bytes);
 

@@ -33,7 +33,8 @@ constexpr std::uint64_t kGlbHeaderBytes = 12, kChunkHeaderBytes = 8;
 constexpr int kComponentFloat = 5126, kComponentU8 = 5121, kModePoints = 0;
 constexpr const char* kExtension = "KHR_gaussian_splatting";
 constexpr int kMaxNodeDepth = 64;
-constexpr std::uint64_t kMaxInstances = 16;  // of the file's size: nodes may show a mesh more than once
+// Nodes may show a mesh more than once, and arrays may be shared: Gaussians may take 64 times the file's size, plus 1 MiB.
+constexpr std::uint64_t kMaxUnfolding = 64, kUnfoldingAnyway = std::uint64_t{1} << 20;
 
 std::string attribute(const std::string& name) {
   return std::string(kExtension) + ":" + name;
@@ -153,56 +154,73 @@ Result<Accessor> find_accessor(const Glb& glb, const json& attributes, const std
   return Accessor{glb.bin.subspan(*view_offset + *offset, needed), *count, *stride};
 }
 
-int degree_of(const json& attributes) {
+// By the harmonics that are there, all of them: one that were left out would be lost silently.
+Result<int> degree_of(const json& attributes) {
   int degree = 0;
   while (degree < kMaxShDegree && json_member(attributes, sh_attribute(sh_coefficients(degree)).c_str()) != nullptr)
     ++degree;
+  const std::string prefix = attribute("SH_DEGREE_");
+  std::int64_t n = 0;
+  for (const auto& [name, index] : attributes.items()) n += name.starts_with(prefix) ? 1 : 0;
+  if (n > sh_coefficients(degree)) {
+    return make_error(Errc::unsupported_feature, kGlbHeaderBytes + kChunkHeaderBytes,
+                      "harmonics of a splat primitive are above degree 3, or those below them are missing");
+  }
   return degree;
 }
 
-Result<SplatCloud> read_primitive(const Glb& glb, const json& primitive, std::uint64_t max_n) {
+// Arrays of one splat primitive, all of the same count.
+struct SplatPrimitive {
+  std::uint64_t n = 0;
+  int sh_degree = 0;
+  Accessor position, rotation, scale, opacity;
+  std::vector<Accessor> sh;
+
+  Splat splat(std::uint64_t i) const {
+    Splat s;
+    for (std::uint64_t k = 0; k < 3; ++k) {
+      s.mean[k] = position.at(i, k);
+      s.log_scale[k] = log_from_scale(scale.at(i, k), 0);
+      s.rotation[1 + k] = rotation.at(i, k);
+    }
+    s.rotation[0] = rotation.at(i, 3);
+    s.opacity_logit = logit_from_opacity(opacity.at(i, 0));
+    for (std::uint64_t k = 0; k < 3 * sh.size(); ++k) s.sh[k] = sh[k / 3].at(i, k % 3);
+    return s;
+  }
+};
+
+Result<SplatPrimitive> find_primitive(const Glb& glb, const json& primitive) {
   const json* attributes = json_member(primitive, "attributes");
   if (attributes == nullptr || whole(primitive, "mode", 4) != std::uint64_t{kModePoints}) {
     return bad_gltf("a splat primitive has no attributes or is not of mode POINTS");
   }
-  const int degree = degree_of(*attributes);
-  const auto position = find_accessor(glb, *attributes, "POSITION", "VEC3", 3);
-  if (!position) return tl::unexpected(position.error());
-  const auto rotation = find_accessor(glb, *attributes, attribute("ROTATION"), "VEC4", 4);
-  if (!rotation) return tl::unexpected(rotation.error());
-  const auto scale = find_accessor(glb, *attributes, attribute("SCALE"), "VEC3", 3);
-  if (!scale) return tl::unexpected(scale.error());
-  const auto opacity = find_accessor(glb, *attributes, attribute("OPACITY"), "SCALAR", 1);
-  if (!opacity) return tl::unexpected(opacity.error());
-  std::vector<Accessor> sh;
-  for (int k = 0; k < sh_coefficients(degree); ++k) {
-    const auto coefficient = find_accessor(glb, *attributes, sh_attribute(k), "VEC3", 3);
-    if (!coefficient) return tl::unexpected(coefficient.error());
-    sh.push_back(*coefficient);
+  const auto degree = degree_of(*attributes);
+  if (!degree) return tl::unexpected(degree.error());
+  SplatPrimitive out;
+  out.sh_degree = *degree;
+  out.sh.resize(static_cast<std::size_t>(sh_coefficients(*degree)));
+  struct Wanted {
+    std::string name;
+    const char* type;
+    std::uint64_t components;
+    Accessor& to;
+  };
+  std::vector<Wanted> wanted{{"POSITION", "VEC3", 3, out.position},
+                             {attribute("ROTATION"), "VEC4", 4, out.rotation},
+                             {attribute("SCALE"), "VEC3", 3, out.scale},
+                             {attribute("OPACITY"), "SCALAR", 1, out.opacity}};
+  for (int k = 0; k < sh_coefficients(*degree); ++k) {
+    wanted.push_back({sh_attribute(k), "VEC3", 3, out.sh[static_cast<std::size_t>(k)]});
   }
-  const std::uint64_t n = position->count;
-  bool alike = rotation->count == n && scale->count == n && opacity->count == n;
-  for (const Accessor& coefficient : sh) alike = alike && coefficient.count == n;
-  if (!alike) return bad_gltf("the attributes of a splat primitive differ in count");
-  if (n > max_n) {
-    return make_error(Errc::limit_exceeded, glb.bin_offset, "more Gaussians than the caller or the file's size allows",
-                      max_n, n);
+  for (const Wanted& w : wanted) {
+    const auto accessor = find_accessor(glb, *attributes, w.name, w.type, w.components);
+    if (!accessor) return tl::unexpected(accessor.error());
+    w.to = *accessor;
+    if (w.to.count != out.position.count) return bad_gltf("the attributes of a splat primitive differ in count");
   }
-  SplatCloud cloud;
-  cloud.resize(n, degree);
-  for (std::uint64_t i = 0; i < n; ++i) {
-    Splat s;
-    for (std::uint64_t k = 0; k < 3; ++k) {
-      s.mean[k] = position->at(i, k);
-      s.log_scale[k] = log_from_scale(scale->at(i, k), 0);
-      s.rotation[1 + k] = rotation->at(i, k);
-    }
-    s.rotation[0] = rotation->at(i, 3);
-    s.opacity_logit = logit_from_opacity(opacity->at(i, 0));
-    for (std::uint64_t k = 0; k < 3 * sh.size(); ++k) s.sh[k] = sh[k / 3].at(i, k % 3);
-    cloud.set(i, s);
-  }
-  return cloud;
+  out.n = out.position.count;
+  return out;
 }
 
 bool read_numbers(const json& object, const char* name, std::span<double> out) {
@@ -251,16 +269,26 @@ Result<Similarity> node_transform(const json& node) {
   return compose(*from_matrix, {rotation_from_quaternion(q), scale.x, translation});
 }
 
+// What a node shows: the splat primitives of a mesh, in its place.
+struct Instance {
+  std::size_t mesh = 0;
+  Similarity similarity;
+};
+
+// Goes through the nodes of a scene first and reads Gaussians when all of them are counted: each mesh is looked up once
+// and each Gaussian written once, however often and in however many pieces the scene shows them.
 class SceneWalk {
  public:
-  SceneWalk(const Glb& glb, std::uint64_t max_n) : glb_(glb), max_n_(max_n) {
-    const json* nodes = json_member(glb.root, "nodes");
-    visited_.resize(nodes != nullptr && nodes->is_array() ? nodes->size() : 0);
+  SceneWalk(const Glb& glb, std::uint64_t max_n, std::uint64_t file_bytes)
+      : glb_(glb), max_n_(max_n), max_bytes_(kMaxUnfolding * file_bytes + kUnfoldingAnyway) {
+    visited_.resize(size_of("nodes"));
+    meshes_.resize(size_of("meshes"));
   }
 
   /// All nodes of a list of indices, and below.
   Status visit(const json* indices, const Similarity& outer, int depth) {
-    if (indices == nullptr || !indices->is_array()) return {};
+    if (indices == nullptr) return {};
+    if (!indices->is_array()) return bad_gltf("the scene's nodes or a node's children are no array");
     for (const json& index : *indices) {
       const json* node = element(glb_.root, "nodes", &index);
       if (node == nullptr || depth > kMaxNodeDepth || visited_[index.get<std::size_t>()]) {
@@ -270,46 +298,95 @@ class SceneWalk {
       const auto own = node_transform(*node);
       if (!own) return tl::unexpected(own.error());
       const Similarity both = compose(outer, *own);
-      if (const json* mesh = element(glb_.root, "meshes", json_member(*node, "mesh"))) {
+      if (const json* mesh = json_member(*node, "mesh")) {
         if (const Status s = add_mesh(*mesh, both); !s) return s;
       }
       if (const Status s = visit(json_member(*node, "children"), both, depth + 1); !s) return s;
     }
     return {};
   }
-  bool found() const { return found_; }
+  bool found() const { return !instances_.empty(); }
   const StatedScene& stated() const { return stated_; }
-  SplatCloud take() { return std::move(cloud_); }
-  const Origin& origin() const { return origin_; }
+
+  /// Gaussians of all instances, one after the other, and what their means are relative to.
+  SplatCloud read(Origin& origin) const {
+    SplatCloud cloud;
+    cloud.resize(0, sh_degree_);
+    origin = kNoOrigin;
+    for (const Instance& instance : instances_) {
+      Origin own = kNoOrigin;
+      SplatCloud part = read(instance, own);
+      if (instances_.size() == 1) {
+        origin = own;
+        return part;
+      }
+      append_splats(cloud, origin, std::move(part), own);
+    }
+    return cloud;
+  }
 
  private:
-  Status add_mesh(const json& mesh, const Similarity& similarity) {
-    const json* primitives = json_member(mesh, "primitives");
-    if (primitives == nullptr || !primitives->is_array()) return {};
+  struct Mesh {
+    bool known = false;
+    std::vector<SplatPrimitive> primitives;
+    std::uint64_t n = 0, bytes = 0;
+  };
+
+  std::size_t size_of(const char* name) const {
+    const json* array = json_member(glb_.root, name);
+    return array != nullptr && array->is_array() ? array->size() : 0;
+  }
+
+  Status add_mesh(const json& index, const Similarity& similarity) {
+    const json* stated = element(glb_.root, "meshes", &index);
+    if (stated == nullptr) return bad_gltf("a node shows a mesh that is not there");
+    const auto number = index.get<std::size_t>();
+    Mesh& mesh = meshes_[number];
+    if (!mesh.known) {
+      if (const Status s = find_primitives(*stated, similarity, mesh); !s) return s;
+    }
+    if (mesh.primitives.empty()) return {};
+    if (mesh.n > max_n_ - n_) {
+      return make_error(Errc::limit_exceeded, kGlbHeaderBytes + kChunkHeaderBytes,
+                        "more Gaussians than the caller allows", max_n_, n_ + mesh.n);
+    }
+    if (mesh.bytes > max_bytes_ - bytes_) {
+      return make_error(Errc::limit_exceeded, kGlbHeaderBytes + kChunkHeaderBytes,
+                        "the nodes show meshes so often that Gaussians take more than 64 times the file's bytes",
+                        max_bytes_, bytes_ + mesh.bytes);
+    }
+    n_ += mesh.n;
+    bytes_ += mesh.bytes;
+    instances_.push_back({number, similarity});
+    return {};
+  }
+
+  Status find_primitives(const json& stated, const Similarity& similarity, Mesh& mesh) {
+    mesh.known = true;
+    const json* primitives = json_member(stated, "primitives");
+    if (primitives == nullptr || !primitives->is_array()) return bad_gltf("a mesh has no array of primitives");
     for (const json& primitive : *primitives) {
       const json* extensions = json_member(primitive, "extensions");
       const json* splats = extensions != nullptr ? json_member(*extensions, kExtension) : nullptr;
       if (splats == nullptr) continue;
-      auto part = read_primitive(glb_, primitive, max_n_ - cloud_.size());
-      if (!part) return tl::unexpected(part.error());
-      Origin origin = kNoOrigin;
-      transform_splats(*part, origin, similarity);
-      if (found_) {
-        append_splats(cloud_, origin_, std::move(*part), origin);
-      } else {
-        cloud_ = std::move(*part);
-        origin_ = origin;
-      }
-      if (!found_) {
+      auto found = find_primitive(glb_, primitive);
+      if (!found) return tl::unexpected(found.error());
+      if (!has_stated_) {
         if (const Status s = read_stated(primitive, *splats, similarity); !s) return s;
       }
-      found_ = true;
+      sh_degree_ = std::max(sh_degree_, found->sh_degree);
+      mesh.n += found->n;
+      // An empty one counts as well: going through it takes time.
+      mesh.bytes += 4 * std::max<std::uint64_t>(found->n, 1) *
+                    static_cast<std::uint64_t>(11 + 3 * sh_coefficients(found->sh_degree));
+      mesh.primitives.push_back(std::move(*found));
     }
     return {};
   }
 
   // The first primitive speaks for all.
   Status read_stated(const json& primitive, const json& splats, const Similarity& similarity) {
+    has_stated_ = true;
     const json* space = json_member(splats, "colorSpace");
     if (space != nullptr && *space == "lin_rec709_display") stated_.colour_space = ColourSpace::linear_display;
     if (const json* extras = json_member(primitive, "extras"); extras != nullptr && !read_extras(*extras, stated_)) {
@@ -320,13 +397,27 @@ class SceneWalk {
     return {};
   }
 
+  SplatCloud read(const Instance& instance, Origin& origin) const {
+    const Mesh& mesh = meshes_[instance.mesh];
+    SplatCloud cloud;
+    cloud.resize(mesh.n, sh_degree_);
+    std::uint64_t at = 0;
+    for (const SplatPrimitive& primitive : mesh.primitives) {
+      for (std::uint64_t i = 0; i < primitive.n; ++i) cloud.set(at++, primitive.splat(i));
+    }
+    transform_splats(cloud, origin, instance.similarity);
+    return cloud;
+  }
+
   const Glb& glb_;
-  std::uint64_t max_n_;
+  std::uint64_t max_n_, max_bytes_;
   std::vector<bool> visited_;
-  SplatCloud cloud_;
-  Origin origin_ = kNoOrigin;
+  std::vector<Mesh> meshes_;
+  std::vector<Instance> instances_;
+  std::uint64_t n_ = 0, bytes_ = 0;
+  int sh_degree_ = 0;
   StatedScene stated_{.axes = kAxesGltf};
-  bool found_ = false;
+  bool has_stated_ = false;
 };
 
 // ---- writing --------------------------------------------------------------------------------------------------------
@@ -454,8 +545,7 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   const json* stated = json_member(glb->root, "scene");
   const json* scene = element(glb->root, "scenes", stated != nullptr ? stated : &first);
   if (scene == nullptr) return bad_gltf("the glTF has no scene");
-  constexpr std::uint64_t kLeastBytes = 56;  // of a Gaussian of degree 0
-  SceneWalk walk(*glb, std::min(limits.max_gaussians, kMaxInstances * bytes.size() / kLeastBytes));
+  SceneWalk walk(*glb, limits.max_gaussians, bytes.size());
   if (const Status s = walk.visit(json_member(*scene, "nodes"), {}, 0); !s) return tl::unexpected(s.error());
   if (!walk.found()) {
     return make_error(Errc::not_gaussian_splats, kGlbHeaderBytes + kChunkHeaderBytes,
@@ -465,8 +555,7 @@ Result<SplatFile> decode_glb(std::span<const std::byte> bytes, const DecodeLimit
   file.format = SplatFormat::glb;
   file.bytes = bytes.size();
   walk.stated().copy_to(file);
-  file.origin = walk.origin();
-  file.cloud = walk.take();
+  file.cloud = walk.read(file.origin);
   return file;
 }
 

@@ -23,6 +23,7 @@
 #include "splat_records.hpp"
 #include "spz.hpp"
 #include "stated_scene.hpp"
+#include "write_report.hpp"
 
 namespace rgs {
 namespace {
@@ -223,7 +224,7 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
     if (format == SplatFormat::spz) {
       SplatView placed = splats;
       placed.mean = positions;
-      const auto chosen = detail::spz_fractional_bits(placed);
+      const auto chosen = detail::choose_fractional_bits(placed);
       if (!chosen) return tl::unexpected(chosen.error());
       bits = *chosen;
     }
@@ -238,7 +239,8 @@ Result<double> position_rounding(const SplatView& splats, SplatFormat format, co
   });
 }
 
-Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options) {
+Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format, const WriteOptions& options,
+                                             WriteReport* report) {
   return detail::guard_memory([&]() -> Result<std::vector<std::byte>> {
     if (!is_writable(format)) return make_error(Errc::bad_argument, Error::kNone, "this format is not written");
     if (!splats.consistent()) return make_error(Errc::bad_argument, Error::kNone, "the sizes of the view disagree");
@@ -246,6 +248,7 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
       return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
                         std::numeric_limits<std::uint32_t>::max(), splats.n);
     }
+    if (report != nullptr) *report = {};
     if (format == SplatFormat::spz && (options.spz_version < 2 || options.spz_version > 4)) {
       return make_error(Errc::bad_argument, Error::kNone, "SPZ is written in version 2, 3 or 4");
     }
@@ -255,8 +258,18 @@ Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatForma
     std::vector<float> positions;  // FP32, where the format has no place for an origin
     SplatView placed = splats;
     if (options.origin != kNoOrigin && !keeps_origin(format)) {
+      if (options.strict) {
+        return make_error(Errc::bad_value, Error::kNone,
+                          "the format has no place for the scene's origin: positions would be rounded to FP32; write "
+                          ".rgs, .ply or .glb, or drop --strict");
+      }
       positions = positions_of(splats, options.origin);
       placed.mean = positions;
+    }
+    if (report != nullptr || options.strict) {
+      const WriteReport clamping = detail::measure_clamping(placed, format);
+      if (report != nullptr) *report = clamping;
+      if (const Status s = detail::refuse_clamping(clamping); options.strict && !s) return tl::unexpected(s.error());
     }
     switch (format) {
       case SplatFormat::compressed_ply: return detail::encode_compressed_ply(placed, stated, options.keep_order);

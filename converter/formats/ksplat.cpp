@@ -1,11 +1,13 @@
 // ksplat.cpp - .ksplat of github.com/mkkellogg/GaussianSplats3D: a header of 4,096 bytes, one of 1,024 for each
 // section, then the sections.
 //
-//   header   0 u8 version 0, 1   4 u32 most sections   8 u32 sections   12 u32 most Gaussians   16 u32 Gaussians
+//   header   0 u8 version 0, 1   4 u32 sections   8 u32 sections loaded   12 u32 Gaussians   16 u32 Gaussians loaded
 //            20 u16 level   36 f32 smallest, 40 f32 largest SH of level 2 (0: -3/2, 3/2)
-//   section  0 u32 Gaussians   4 u32 most Gaussians (room for)   8 u32 Gaussians a bucket   12 u32 buckets
+//   section  0 u32 Gaussians loaded   4 u32 Gaussians   8 u32 Gaussians a bucket   12 u32 buckets
 //            16 f32 width of a bucket   20 u16 bytes a bucket   24 u32 code range   32 u32 full buckets
 //            36 u32 partly filled buckets   40 u16 SH degree
+// Counts of what is loaded are those of the page that wrote the file, which may have streamed it: GaussianSplats3D itself
+// reads all sections and all their places whatever these say. See choose_sections().
 //   data     u32 lengths of the partly filled buckets; f32 centre [3] of each bucket; Gaussians
 //   Gaussian mean, scale [3] (activated), rotation w, x, y, z; u8 red, green, blue, opacity; SH by degree, then channel
 // Level 0 has floats; level 1 FP16, and means as u16 about the bucket's centre; level 2 SH as u8 besides.
@@ -28,9 +30,11 @@ constexpr std::uint32_t kDefaultCodeRange = 32767;
 constexpr float kDefaultShBound = 1.5F;
 
 struct Section {
+  // room: places for Gaussians; n: how many of them are loaded, then how many are read.
   std::uint64_t n = 0, room = 0, bucket_size = 0, n_buckets = 0, bucket_bytes = 0, n_full = 0, n_partial = 0;
   double bucket_width = 0, code_range = 1;
   int sh_degree = 0;
+  std::uint64_t header = 0;   // in the file
   std::uint64_t start = 0;    // in the file
   std::uint64_t centres = 0;  // of the buckets
   std::uint64_t data = 0;     // first Gaussian
@@ -40,7 +44,8 @@ struct KsplatHeader {
   int level = 0;
   double sh_low = 0, sh_high = 0;
   std::vector<Section> sections;
-  std::uint64_t n = 0;
+  std::uint64_t n_sections_loaded = 0, room = 0, n = 0;
+  std::uint64_t end = 0;  // of the last section
 };
 
 constexpr std::uint64_t number_bytes(int level) {
@@ -58,6 +63,7 @@ std::uint64_t splat_bytes(int level, int sh_degree) {
 Result<Section> parse_section(std::span<const std::byte> bytes, std::uint64_t at, std::uint64_t start, int level) {
   const auto u32 = [&](std::uint64_t offset) { return load<std::uint32_t>(bytes, at + offset); };
   Section s;
+  s.header = at;
   s.n = u32(0);
   s.room = u32(4);
   s.bucket_size = u32(8);
@@ -76,8 +82,7 @@ Result<Section> parse_section(std::span<const std::byte> bytes, std::uint64_t at
   if (s.n > s.room) {
     return make_error(Errc::bad_header, at, "a section has more Gaussians than it has room for", s.room, s.n);
   }
-  if (level == 0) {
-    s.n_buckets = s.n_full = s.n_partial = s.bucket_bytes = 0;
+  if (level == 0 || s.room == 0) {  // buckets, if there are any, take up space and say nothing
   } else if (s.bucket_bytes < 12 || !std::isfinite(s.bucket_width)) {
     return make_error(Errc::bad_header, at + 16, "a section's buckets have no room for a centre, or no width");
   } else if (s.n_full > s.n_buckets || s.n_partial > s.n_buckets - s.n_full || (s.n_full != 0 && s.bucket_size == 0)) {
@@ -106,25 +111,67 @@ Result<KsplatHeader> parse_header(std::span<const std::byte> bytes) {
     return make_error(Errc::unsupported_feature, 20, "the compression level is not 0 to 2", 2,
                       static_cast<std::uint64_t>(header.level));
   }
-  const std::uint64_t room = load<std::uint32_t>(bytes, 4), n_sections = load<std::uint32_t>(bytes, 8);
-  if (n_sections > room)
-    return make_error(Errc::bad_header, 8, "more sections than there is room for", room, n_sections);
-  if (room > (bytes.size() - kHeaderSize) / kSectionHeaderBytes) {
+  const std::uint64_t n_sections = load<std::uint32_t>(bytes, 4);
+  header.n_sections_loaded = load<std::uint32_t>(bytes, 8);
+  header.room = load<std::uint32_t>(bytes, 12);
+  header.n = load<std::uint32_t>(bytes, 16);
+  if (header.n_sections_loaded > n_sections) {
+    return make_error(Errc::bad_header, 8, "more sections than there is room for", n_sections,
+                      header.n_sections_loaded);
+  }
+  if (n_sections > (bytes.size() - kHeaderSize) / kSectionHeaderBytes) {
     return make_error(Errc::truncated, 4, "the file ends inside its section headers",
-                      (bytes.size() - kHeaderSize) / kSectionHeaderBytes, room);
+                      (bytes.size() - kHeaderSize) / kSectionHeaderBytes, n_sections);
   }
   const float low = load<float>(bytes, 36), high = load<float>(bytes, 40);
   header.sh_low = static_cast<double>(low != 0 ? low : -kDefaultShBound);
   header.sh_high = static_cast<double>(high != 0 ? high : kDefaultShBound);
-  std::uint64_t start = kHeaderSize + room * kSectionHeaderBytes;
+  header.end = kHeaderSize + n_sections * kSectionHeaderBytes;
   for (std::uint64_t i = 0; i < n_sections; ++i) {
-    const auto section = parse_section(bytes, kHeaderSize + i * kSectionHeaderBytes, start, header.level);
+    const auto section = parse_section(bytes, kHeaderSize + i * kSectionHeaderBytes, header.end, header.level);
     if (!section) return tl::unexpected(section.error());
-    start = section->data + splat_bytes(header.level, section->sh_degree) * section->room;
-    header.n += section->n;
+    header.end = section->data + splat_bytes(header.level, section->sh_degree) * section->room;
     header.sections.push_back(*section);
   }
   return header;
+}
+
+// What the header promises has to be in its sections: what is loaded of all of them, or of those that are loaded, or every
+// place, which is all that GaussianSplats3D looks at. It leaves the counts of what is loaded behind the truth when a page
+// streamed the scene: those of a section then name its first piece, or are 0 as the header's. Sets Section::n to
+// what is read.
+Status choose_sections(KsplatHeader& header) {
+  std::uint64_t n_all = 0, n_loaded = 0, n_room = 0;
+  for (std::size_t i = 0; i < header.sections.size(); ++i) {
+    n_all += header.sections[i].n;
+    n_loaded += i < header.n_sections_loaded ? header.sections[i].n : 0;
+    n_room += header.sections[i].room;
+  }
+  if (header.n != 0 && header.n == n_all) return {};
+  if (header.n != 0 && header.n == n_loaded) {
+    for (std::size_t i = header.n_sections_loaded; i < header.sections.size(); ++i) header.sections[i].n = 0;
+    return {};
+  }
+  const std::uint64_t promised = header.n != 0 ? header.n : header.room;
+  if (promised != n_room) {
+    return make_error(Errc::bad_header, header.n != 0 ? 16 : 12,
+                      "the sections hold another number of Gaussians than the header promises", promised,
+                      header.n != 0 ? n_all : n_room);
+  }
+  for (Section& section : header.sections) section.n = section.room;
+  header.n = n_room;
+  return {};
+}
+
+// Buckets hold the section's Gaussians: those that are read, or all that it has places for.
+Status check_buckets(std::span<const std::byte> bytes, const Section& section) {
+  std::uint64_t n = section.n_full * section.bucket_size;  // 32-bit factors
+  for (std::uint64_t i = 0; i < section.n_partial && n <= section.room; ++i) {
+    n += load<std::uint32_t>(bytes, section.start + 4 * i);
+  }
+  if (n == section.n || n == section.room) return {};
+  return make_error(Errc::bad_header, section.header + 32,
+                    "a section's buckets hold another number of Gaussians than the section", section.room, n);
 }
 
 // Goes through a section's buckets as its Gaussians are read in order.
@@ -132,13 +179,9 @@ class Buckets {
  public:
   Buckets(std::span<const std::byte> bytes, const Section& section) : bytes_(bytes), section_(section) {}
 
-  /// Centre of the bucket of the next Gaussian. Errors: bad_header (the buckets hold fewer than the section).
-  Result<std::array<double, 3>> next() {
+  /// Centre of the bucket of the next Gaussian, of which check_buckets() has seen that it is there.
+  const std::array<double, 3>& next() {
     while (left_ == 0) {
-      if (bucket_ + 1 > section_.n_full + section_.n_partial) {
-        return make_error(Errc::bad_header, section_.start,
-                          "a section's buckets hold fewer Gaussians than the section");
-      }
       left_ = bucket_ < section_.n_full ? section_.bucket_size
                                         : load<std::uint32_t>(bytes_, section_.start + 4 * (bucket_ - section_.n_full));
       const std::uint64_t at = section_.centres + bucket_ * section_.bucket_bytes;
@@ -209,8 +252,12 @@ bool looks_like_ksplat(std::span<const std::byte> bytes) {
 }
 
 Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  const auto header = parse_header(bytes);
+  auto header = parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
+  if (const Status s = choose_sections(*header); !s) return tl::unexpected(s.error());
+  if (header->end != bytes.size()) {
+    return make_error(Errc::trailing_bytes, header->end, "bytes after the last section", header->end, bytes.size());
+  }
   if (header->n > limits.max_gaussians) {
     return make_error(Errc::limit_exceeded, 16, "more Gaussians than the caller allows", limits.max_gaussians,
                       header->n);
@@ -225,11 +272,13 @@ Result<SplatFile> decode_ksplat(std::span<const std::byte> bytes, const DecodeLi
   for (const Section& section : header->sections) {
     const std::uint64_t stride = splat_bytes(header->level, section.sh_degree);
     const RecordReader reader(*header, section);
+    if (header->level > 0) {
+      if (const Status s = check_buckets(bytes, section); !s) return tl::unexpected(s.error());
+    }
     Buckets buckets(bytes, section);
     for (std::uint64_t i = 0; i < section.n; ++i) {
-      const auto centre = header->level == 0 ? Result<std::array<double, 3>>() : buckets.next();
-      if (!centre) return tl::unexpected(centre.error());
-      file.cloud.set(written++, reader.read(bytes.subspan(section.data + stride * i, stride), *centre));
+      const auto centre = header->level == 0 ? std::array<double, 3>() : buckets.next();
+      file.cloud.set(written++, reader.read(bytes.subspan(section.data + stride * i, stride), centre));
     }
   }
   return file;

@@ -35,6 +35,7 @@ using FetchFile = std::function<Result<Bytes>(const std::string&)>;
 constexpr std::uint64_t kMaxMetaBytes = std::uint64_t{1} << 24;  // the codebooks take 15 kB
 constexpr std::uint64_t kEntriesPerRow = 64;
 constexpr std::uint64_t kMaxPalette = 65536;
+constexpr std::uint8_t kRotationTag = 252;  // plus which component is the largest
 
 // ---- meta.json ------------------------------------------------------------------------------------------------------
 
@@ -161,6 +162,15 @@ Result<Meta> parse_meta(std::span<const std::byte> bytes) {
                      : whole(shape != nullptr && shape->is_array() && !shape->empty() ? &(*shape)[0] : nullptr);
   if (!n) return bad_meta("meta.json: no number of Gaussians (count, in version 1 means.shape)");
   meta.n = *n;
+  for (const char* name : {"scales", "quats", "sh0"}) {  // version 1 states the number with each
+    const json* object = json_member(root, name);
+    const json* stated = object != nullptr && version == 1 ? json_member(*object, "shape") : nullptr;
+    const bool counts = stated != nullptr && stated->is_array() && !stated->empty();
+    if (counts && whole(&(*stated)[0]) != meta.n) {
+      return make_error(Errc::bad_header, 0, "meta.json: the shapes differ in their number of Gaussians", meta.n,
+                        whole(&(*stated)[0]).value_or(Error::kNone));
+    }
+  }
   meta.mean_low = numbers(means != nullptr ? json_member(*means, "mins") : nullptr, 3);
   meta.mean_high = numbers(means != nullptr ? json_member(*means, "maxs") : nullptr, 3);
   meta.mean_files = file_names(means, 2);
@@ -275,6 +285,18 @@ Status fetch_images(const FetchFile& fetch, Meta& meta, Images& images) {
     auto image = decode_image(files[i], wanted[i].min_pixels, wanted[i].max_pixels);
     if (!image) return tl::unexpected(image.error());
     wanted[i].image = std::move(*image);
+    const Image &first = images.mean_low, &other = wanted[i].image;
+    if (&other != &images.centroids && (other.width != first.width || other.height != first.height)) {
+      return make_error(Errc::size_mismatch, 0, "the images of the SOG differ in size", first.width * first.height,
+                        other.width * other.height);
+    }
+  }
+  // Pixels after the last Gaussian mean nothing, says the format; but a scene without any has no rotations.
+  for (std::size_t i = 3; meta.n == 0 && i < images.quats.rgba.size(); i += 4) {
+    if (images.quats.rgba[i] >= kRotationTag) {
+      return make_error(Errc::size_mismatch, 0, "meta.json counts no Gaussians, and the images hold some", 0,
+                        images.quats.rgba.size() / 4);
+    }
   }
   return meta.shn_files.empty() ? Status() : measure_palette(images.centroids, meta);
 }
@@ -286,10 +308,11 @@ float unfold_mean(double folded) {
 }
 
 Status decode_rotation(const std::uint8_t* pixel, std::uint64_t i, float (&rotation)[4]) {
-  constexpr std::uint8_t kTag = 252;
-  if (pixel[3] < kTag) return make_error(Errc::bad_value, 4 * i + 3, "quats: alpha is not 252 to 255", kTag, pixel[3]);
+  if (pixel[3] < kRotationTag) {
+    return make_error(Errc::bad_value, 4 * i + 3, "quats: alpha is not 252 to 255", kRotationTag, pixel[3]);
+  }
   SmallestThree s;
-  s.largest = pixel[3] - kTag;
+  s.largest = pixel[3] - kRotationTag;
   for (int k = 0; k < 3; ++k) s.rest[k] = (pixel[k] / 255.0 * 2 - 1) * kRootHalf;
   from_smallest_three(s, rotation);
   return {};

@@ -224,25 +224,28 @@ void strip_sh(SplatCloud& cloud, int degree) {
 }
 
 void append_splats(SplatCloud& cloud, const SplatCloud& other) {
-  const int degree = std::max(cloud.sh_degree, other.sh_degree);
-  const auto wide = static_cast<std::uint64_t>(3 * sh_coefficients(degree));
   const std::uint64_t n = cloud.size();
-  std::vector<float> sh(wide * (n + other.size()));
-  const auto spread = [&](const SplatCloud& part, std::uint64_t first) {
-    const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(part.sh_degree));
-    for (std::uint64_t i = 0; i < part.size(); ++i) std::copy_n(&part.sh[floats * i], floats, &sh[wide * (first + i)]);
+  const auto narrow = static_cast<std::uint64_t>(3 * sh_coefficients(other.sh_degree));
+  if (other.sh_degree > cloud.sh_degree) {
+    const auto old = static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree));
+    std::vector<float> sh(narrow * n);
+    for (std::uint64_t i = 0; i < n; ++i) std::copy_n(&cloud.sh[old * i], old, &sh[narrow * i]);
+    cloud.sh = std::move(sh);
+    cloud.sh_degree = other.sh_degree;
+  }
+  const auto wide = static_cast<std::uint64_t>(3 * sh_coefficients(cloud.sh_degree));
+  const std::uint64_t n_other = other.size();  // they may be the same cloud
+  // Grown in place: appending piece by piece is linear in all of them together.
+  cloud.sh.resize(wide * (n + n_other));
+  for (std::uint64_t i = 0; i < n_other; ++i) std::copy_n(&other.sh[narrow * i], narrow, &cloud.sh[wide * (n + i)]);
+  const auto add = [n_other](std::vector<float>& to, const std::vector<float>& from, std::uint64_t each) {
+    to.resize(to.size() + each * n_other);
+    std::copy_n(from.begin(), each * n_other, to.end() - static_cast<std::ptrdiff_t>(each * n_other));
   };
-  spread(cloud, 0);
-  spread(other, n);
-  cloud.sh = std::move(sh);
-  cloud.sh_degree = degree;
-  const auto add = [](std::vector<float>& to, const std::vector<float>& from) {
-    to.insert(to.end(), from.begin(), from.end());
-  };
-  add(cloud.mean, other.mean);
-  add(cloud.log_scale, other.log_scale);
-  add(cloud.rotation, other.rotation);
-  add(cloud.opacity_logit, other.opacity_logit);
+  add(cloud.mean, other.mean, 3);
+  add(cloud.log_scale, other.log_scale, 3);
+  add(cloud.rotation, other.rotation, 4);
+  add(cloud.opacity_logit, other.opacity_logit, 1);
 }
 
 double append_splats(SplatCloud& cloud, Origin& origin, SplatCloud&& other, const Origin& other_origin) {

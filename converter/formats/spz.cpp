@@ -35,8 +35,6 @@ namespace {
 constexpr std::uint32_t kMagicSpz = 0x5053474E;
 constexpr std::uint64_t kGzipHeaderBytes = 16, kHeaderBytesV4 = 32, kStreams = 6, kShStream = 5;
 constexpr std::uint8_t kFlagAntialiased = 1, kFlagExtensions = 2;
-constexpr int kDefaultFractionalBits = 12;
-constexpr double kColourScale = 0.15;
 
 struct SpzHeader {
   std::uint32_t version = 0, n = 0;
@@ -480,24 +478,13 @@ SplatCloud decode_streams(const SpzHeader& header, const Streams& in) {
     std::copy_n(rotation, 4, &cloud.rotation[4 * i]);
     float* sh = &cloud.sh[floats * i];
     for (std::uint64_t c = 0; c < 3; ++c) {
-      sh[c] = static_cast<float>((load_u8(in[2], 3 * i + c) / 255.0 - 0.5) / kColourScale);
+      sh[c] = static_cast<float>((load_u8(in[2], 3 * i + c) / 255.0 - 0.5) / kSpzColourScale);
     }
     for (std::uint64_t k = 3; k < floats; ++k) {
       sh[k] = static_cast<float>((load_u8(in[5], (floats - 3) * i + k - 3) - 128) / 128.0);
     }
   }
   return cloud;
-}
-
-// As many fractional bits as the farthest mean leaves, at most the usual 12; bad_value if there is no room at all.
-Result<int> choose_fractional_bits(const SplatView& splats) {
-  int bits = kDefaultFractionalBits;
-  for (std::uint64_t i = 0; i < splats.mean.size(); ++i) {
-    const double magnitude = std::abs(static_cast<double>(splats.mean[i]));
-    while (bits >= 0 && std::floor(std::ldexp(magnitude, bits) + 0.5) > 8388607) --bits;
-    if (bits < 0) return make_error(Errc::bad_value, i / 3, "a mean is beyond SPZ's range of 2^23 units");
-  }
-  return bits;
 }
 
 using CodedStreams = std::array<std::vector<std::byte>, kStreams>;
@@ -517,7 +504,7 @@ CodedStreams encode_streams(const SplatView& splats, const SpzHeader& header) {
     out[1][i] = static_cast<std::byte>(unit_code(opacity_from_logit(splats.opacity_logit[i]), 255));
     const float* sh = &splats.sh[floats * i];
     for (std::uint64_t c = 0; c < 3; ++c) {
-      out[2][3 * i + c] = static_cast<std::byte>(unit_code(static_cast<double>(sh[c]) * kColourScale + 0.5, 255));
+      out[2][3 * i + c] = static_cast<std::byte>(unit_code(static_cast<double>(sh[c]) * kSpzColourScale + 0.5, 255));
     }
     const float* q = &splats.rotation[4 * i];
     if (header.version == 2) {
@@ -645,6 +632,16 @@ std::vector<std::byte> pack_gzip(const SpzHeader& header, CodedStreams streams) 
 
 }  // namespace
 
+Result<int> choose_fractional_bits(const SplatView& splats) {
+  int bits = kSpzFractionalBits;
+  for (std::uint64_t i = 0; i < splats.mean.size(); ++i) {
+    const double magnitude = std::abs(static_cast<double>(splats.mean[i]));
+    while (bits >= 0 && std::floor(std::ldexp(magnitude, bits) + 0.5) > 8388607) --bits;
+    if (bits < 0) return make_error(Errc::bad_value, i / 3, "a mean is beyond SPZ's range of 2^23 units");
+  }
+  return bits;
+}
+
 bool is_spz(std::span<const std::byte> bytes) {
   if (!is_gzip(bytes)) return bytes.size() >= 4 && load<std::uint32_t>(bytes, 0) == kMagicSpz;
   auto inflater = Inflater::begin(bytes);
@@ -671,10 +668,6 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimit
   file.unused = std::move(extensions->unused);
   file.cloud = decode_streams(header, streams);
   return file;
-}
-
-Result<int> spz_fractional_bits(const SplatView& splats) {
-  return choose_fractional_bits(splats);
 }
 
 Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode, int version) {

@@ -10,6 +10,16 @@
 
 namespace rgs::detail {
 
+/// A colour code is 255 (1/2 + this * coefficient).
+inline constexpr double kSpzColourScale = 0.15;
+/// Fractional bits of means, unless one is too far out.
+inline constexpr int kSpzFractionalBits = 12;
+
+/// As many fractional bits as the farthest mean leaves, at most the usual ones: steps are of
+/// 2^-bits units. Errors: bad_value if there is no room at
+/// all; the offset is the Gaussian's index.
+Result<int> choose_fractional_bits(const SplatView& splats);
+
 /// Whether the bytes begin as an SPZ does; a gzip stream is unpacked far enough to see its signature.
 bool is_spz(std::span<const std::byte> bytes);
 
@@ -22,8 +32,5 @@ Result<SplatFile> decode_spz(std::span<const std::byte> bytes, const DecodeLimit
 /// reference encoder's default. Versions differ in compression, and 2 in rotations. One thread for each attribute, the
 /// same bytes however many run; Gaussians keep their order.
 Result<std::vector<std::byte>> encode_spz(const SplatView& splats, AaMode aa_mode, int version);
-
-/// Fractional bits that encode_spz() gives the means: steps are of 2^-bits units. Errors: bad_value, no room for a mean.
-Result<int> spz_fractional_bits(const SplatView& splats);
 
 }  // namespace rgs::detail

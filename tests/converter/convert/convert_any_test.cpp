@@ -233,3 +233,78 @@ TEST_CASE("pipes, wrong names and damage in other formats") {
   CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
   CHECK_FALSE(std::filesystem::exists(folder.file("no.spz")));
 }
+
+TEST_CASE("what a format clamps is counted in text and JSON, and --strict writes nothing") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(300, 1, 5);
+  cloud.mean[0] = 4.2e6F;      // of SPZ's means, all then move by up to half a unit
+  cloud.log_scale[4] = 17.9F;  // 11.96 beyond SPZ's range; within that of compressed PLY
+  cloud.log_scale[7] = -25;
+  cloud.sh[12 * 9] = 5.5F;        // of f_dc
+  cloud.sh[12 * 10 + 5] = -4.5F;  // of f_rest
+  cloud.opacity_logit[11] = 30;
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud);
+  struct Counts {
+    std::uint64_t mean, log_scale, opacity_logit, sh_dc, sh;
+  };
+  const std::vector<std::pair<std::string, Counts>> formats{{"spz", {300, 2, 0, 1, 1}},
+                                                            {"splat", {0, 0, 0, 1, 300}},
+                                                            {"compressed.ply", {0, 1, 0, 0, 1}},
+                                                            {"glb", {0, 0, 1, 0, 0}},
+                                                            {"ply", {0, 0, 0, 0, 0}}};
+  for (const auto& [format, counts] : formats) {
+    CAPTURE(format);
+    const std::string out = folder.file("out." + format);
+    const ProgramResult text = rgs_convert({ply, out}), run = rgs_convert({"--json", ply, out});
+    REQUIRE(run.exit_code == 0);
+    const auto json = nlohmann::json::parse(run.out)["clamped"];
+    CHECK(json["log_scale"]["gaussians"] == counts.log_scale);
+    CHECK(json["opacity_logit"]["gaussians"] == counts.opacity_logit);
+    CHECK(json["sh_dc"]["gaussians"] == counts.sh_dc);
+    CHECK(json["sh"]["gaussians"] == counts.sh);
+    CHECK(json["mean"]["gaussians"].get<std::uint64_t>() <= counts.mean);
+    CHECK((json["mean"]["gaussians"].get<std::uint64_t>() > 290) == (counts.mean > 0));
+    if (format == "spz") {
+      CHECK(json["log_scale"]["largest"].get<double>() == doctest::Approx(15));  // -25 is farther out than 17.9
+      CHECK(json["sh_dc"]["largest"].get<double>() == doctest::Approx(5.5 - 0.5 / 0.15));
+      CHECK(json["mean"]["largest"].get<double>() == doctest::Approx(0.5).epsilon(0.1));
+    }
+    const bool any = format != "ply";
+    CHECK(holds(text.out, "  clamped ") == any);
+    CHECK(holds(text.out, "colours (f_dc)") == (counts.sh_dc != 0));
+    CHECK(holds(text.out, "log-scales") == (counts.log_scale != 0));
+
+    // Nothing is written, and what is there stays.
+    write_text(out, "as it was");
+    const ProgramResult strict = rgs_convert({"--strict", ply, out});
+    CHECK(strict.exit_code == (any ? 4 : 0));
+    CHECK(holds(strict.err, "--strict") == any);
+    if (any) CHECK(std::filesystem::file_size(out) == 9);
+  }
+}
+
+TEST_CASE("--strict refuses damaged Gaussians and scales that FP16 flushes") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(300, 1, 5);
+  const std::string good = write_scene(folder.file("good.ply"), cloud),
+                    bad = write_scene(folder.file("bad.ply"), damaged(cloud, 100));
+  cloud.log_scale[4] = 20;
+  cloud.log_scale[7] = -20;
+  const std::string wide = write_scene(folder.file("wide.ply"), cloud), out = folder.file("out.rgs");
+  for (const char* profile : {"direct", "packed", "archive"}) {
+    CAPTURE(profile);
+    std::filesystem::remove(out);
+    for (const std::string& input : {bad, wide}) {
+      const ProgramResult run = rgs_convert({"--strict", "--profile", profile, input, out});
+      CHECK(run.exit_code == 4);
+      CHECK(holds(run.err, "bad_value"));
+      CHECK_FALSE(std::filesystem::exists(out));
+    }
+    CHECK(rgs_convert({"--strict", "--profile", profile, good, out}).exit_code == 0);
+    CHECK(rgs_convert({"--profile", profile, wide, out}).exit_code == 0);
+  }
+  CHECK(rgs_convert({"--strict", bad, folder.file("out.glb")}).exit_code == 4);
+  CHECK(rgs_convert({"--strict", bad, folder.file("out.ply")}).exit_code == 0);  // PLY keeps them
+  CHECK(rgs_convert({"--strict", "--on-bad", "drop", good, out}).exit_code == 2);
+  CHECK_FALSE(std::filesystem::exists(folder.file("out.glb")));
+}

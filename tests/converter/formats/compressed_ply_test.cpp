@@ -3,6 +3,7 @@
 #include <cstring>
 #include <limits>
 
+#include "complexity.hpp"
 #include "interchange_samples.hpp"
 
 using namespace rgs;
@@ -163,6 +164,7 @@ TEST_CASE("damaged compressed PLY files are refused or read, never more") {
     CHECK(file.error().code == code);
   };
   refused("vertex 3", "vertex 18446744073709551615", Errc::truncated);
+  refused("vertex 3", "vertex 0", Errc::bad_header);
   refused("chunk 1", "chunk 4611686018427387904", Errc::truncated);
   refused("chunk 1", "chunk 0", Errc::bad_header);
   refused("sh 3", "sh 2", Errc::bad_header);
@@ -172,4 +174,41 @@ TEST_CASE("damaged compressed PLY files are refused or read, never more") {
   refused("uchar f_rest_8", "uchar f_rest_9", Errc::unsupported_feature);
   refused("binary_little_endian", "binary_big_endian", Errc::unsupported_feature);
   refused("uchar f_rest_0", "list uchar int f_rest_0", Errc::unsupported_feature);
+  // Counts that agree with each other, but not with the file.
+  const std::string fewer = replaced(replaced(text, "vertex 3", "vertex 2"), "sh 3", "sh 2");
+  const auto file = read_splats(bytes_of(fewer));
+  REQUIRE_FALSE(file);
+  CHECK(file.error().code == Errc::trailing_bytes);
+  CHECK(file.error().offset == fewer.size() - 16 - 9);
+}
+
+TEST_CASE("compressed PLY is written in linear time wherever the Gaussians are") {
+  const auto write = [](const SplatCloud& cloud) { CHECK(encode_splats(cloud.view(), SplatFormat::compressed_ply)); };
+  const auto placed = [](const auto& place) {
+    return [place](std::uint64_t n) {
+      SplatCloud cloud = ordinary_cloud(n, 0, 7);
+      for (std::uint64_t i = 0; i < n; ++i) {
+        for (std::uint64_t k = 0; k < 3; ++k) cloud.mean[3 * i + k] = place(i, k, n);
+      }
+      return cloud;
+    };
+  };
+  const float huge = std::numeric_limits<float>::max();
+  CHECK(growth(10000, placed([](auto...) { return 1.F; }), write) < kLinearGrowth);
+  CHECK(growth(20000,
+               placed([=](std::uint64_t i, std::uint64_t k, auto) { return k == 0 && i % 2 == 0 ? huge : -huge; }),
+               write) < kLinearGrowth);
+  // One far from the others, one of those far from the rest, ...
+  CHECK(growth(10000, placed([](std::uint64_t i, std::uint64_t k, std::uint64_t n) {
+                 const auto share = static_cast<double>(i) / static_cast<double>(n);
+                 return k == 0 ? static_cast<float>(std::exp2(250 * share - 125)) : 0.F;
+               }),
+               write) < kLinearGrowth);
+}
+
+TEST_CASE("compressed PLY of coincident Gaussians keeps their order") {
+  SplatCloud cloud = ordinary_cloud(2000, 0, 7);
+  std::ranges::fill(cloud.mean, 2.F);
+  CHECK(encode_splats(cloud.view(), SplatFormat::compressed_ply).value() ==
+        encode_splats(cloud.view(), SplatFormat::compressed_ply, {.keep_order = true}).value());
 }

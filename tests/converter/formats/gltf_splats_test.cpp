@@ -3,6 +3,7 @@
 #include <functional>
 #include <nlohmann/json.hpp>
 
+#include "complexity.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/splat_edit.hpp"
 
@@ -186,6 +187,107 @@ TEST_CASE(".glb: what is not supported or not sound is refused with its reason")
         }
       },
       Errc::limit_exceeded);
+}
+
+TEST_CASE(".glb: nothing that a node shows is left out silently") {
+  const Bytes bytes = encode_splats(ordinary_cloud(4, 2, 3).view(), SplatFormat::glb).value();
+  const auto refused = [&](const std::function<void(json&)>& edit, Errc code) {
+    const auto file = read_edited(bytes, edit);
+    REQUIRE_FALSE(file);
+    CHECK(std::string(errc_name(file.error().code)) == errc_name(code));
+    CHECK(file.error().offset == 20);
+  };
+  const auto attributes = [](json& r) -> json& { return r["meshes"][0]["primitives"][0]["attributes"]; };
+  refused([](json& r) { r["nodes"][0]["mesh"] = 1; }, Errc::bad_syntax);
+  refused([](json& r) { r["nodes"][0]["mesh"] = "0"; }, Errc::bad_syntax);
+  refused([](json& r) { r["meshes"][0].erase("primitives"); }, Errc::bad_syntax);
+  refused([](json& r) { r["nodes"].push_back(r["nodes"][0]), r["nodes"][0]["children"] = 1; }, Errc::bad_syntax);
+  refused([&](json& r) { attributes(r).erase("KHR_gaussian_splatting:SH_DEGREE_1_COEF_0"); },
+          Errc::unsupported_feature);
+  refused(
+      [&](json& r) {
+        attributes(r)["KHR_gaussian_splatting:SH_DEGREE_4_COEF_0"] =
+            attributes(r)["KHR_gaussian_splatting:SH_DEGREE_1_COEF_0"];
+      },
+      Errc::unsupported_feature);
+}
+
+TEST_CASE(".glb: meshes of unlike degrees and several primitives are one scene") {
+  const SplatCloud a = ordinary_cloud(5, 0, 1), b = ordinary_cloud(7, 2, 2);
+  Bytes file = encode_splats(a.view(), SplatFormat::glb).value();
+  json root = json_of(file);
+  const json other = json_of(encode_splats(b.view(), SplatFormat::glb).value());
+  const Bytes more = encode_splats(b.view(), SplatFormat::glb).value();
+  const std::size_t bin = 28 + get<std::uint32_t>(more, 12), first_bytes = root["buffers"][0]["byteLength"];
+  file.insert(file.end(), more.begin() + static_cast<std::ptrdiff_t>(bin), more.end());
+  const std::size_t n_views = root["bufferViews"].size(), n_accessors = root["accessors"].size();
+  for (json view : other["bufferViews"]) {
+    view["byteOffset"] = view["byteOffset"].get<std::size_t>() + first_bytes;
+    root["bufferViews"].push_back(view);
+  }
+  for (json accessor : other["accessors"]) {
+    accessor["bufferView"] = accessor["bufferView"].get<std::size_t>() + n_views;
+    root["accessors"].push_back(accessor);
+  }
+  json primitive = other["meshes"][0]["primitives"][0];
+  for (json& index : primitive["attributes"]) index = index.get<std::size_t>() + n_accessors;
+  root["meshes"][0]["primitives"].push_back(primitive);
+  root["nodes"].push_back({{"mesh", 0}, {"translation", {0, 0, 1}}});
+  root["scenes"][0]["nodes"] = {0, 1};
+  root["buffers"][0]["byteLength"] = first_bytes + more.size() - bin;
+  put(file, 20 + get<std::uint32_t>(file, 12), static_cast<std::uint32_t>(first_bytes + more.size() - bin));
+  const auto read = read_splats(with_json(file, root), kKeepAxes);
+  REQUIRE(read);
+  SplatCloud expected = a;
+  append_splats(expected, b);
+  SplatCloud moved = expected;
+  transform_splats(moved, {glm::dmat3(1.0), 1, {0, 0, 1}});
+  append_splats(expected, moved);
+  const SplatError e = compare(read->cloud, expected);
+  for (const double error : e.mean) CHECK(error <= 1e-6);
+  for (const double error : e.sh) CHECK(error == 0);
+}
+
+namespace {
+
+// `n_nodes` that show a mesh of `n_primitives`, all the same.
+Bytes many_instances(const SplatCloud& cloud, std::uint64_t n_nodes, std::uint64_t n_primitives) {
+  const Bytes bytes = encode_splats(cloud.view(), SplatFormat::glb).value();
+  json root = json_of(bytes);
+  const json primitive = root["meshes"][0]["primitives"][0], node{{"mesh", 0}, {"rotation", {0, 0, 1, 0}}};
+  root["meshes"][0]["primitives"] = std::vector<json>(n_primitives, primitive);
+  root["nodes"] = std::vector<json>(n_nodes, node);
+  std::vector<std::uint64_t> indices(n_nodes);
+  for (std::uint64_t i = 0; i < n_nodes; ++i) indices[i] = i;
+  root["scenes"][0]["nodes"] = indices;
+  return with_json(bytes, root);
+}
+
+}  // namespace
+
+TEST_CASE(".glb: time is linear in what the nodes show, and how much that is is bounded by the file's size") {
+  const SplatCloud one = ordinary_cloud(1, 0, 4);
+  const auto read = [](const Bytes& file) { CHECK(read_splats(file)); };
+  CHECK(growth(
+            3000, [&](std::uint64_t n) { return many_instances(one, n, 1); }, read) < kLinearGrowth);
+  CHECK(growth(
+            3000, [&](std::uint64_t n) { return many_instances(one, 1, n); }, read) < kLinearGrowth);
+  // Gaussians that are not there take time as well, if there are many.
+  const auto refuse = [](const Bytes& file) {
+    const auto refused = read_splats(file);
+    REQUIRE_FALSE(refused);
+    CHECK(std::string(errc_name(refused.error().code)) == "limit_exceeded");
+    CHECK(refused.error().offset == 20);
+    CHECK(refused.error().found > refused.error().expected);
+  };
+  const SplatCloud none = ordinary_cloud(0, 0, 4);
+  CHECK(growth(
+            500, [&](std::uint64_t n) { return many_instances(none, n, n); }, refuse) < kLinearGrowth);
+  refuse(many_instances(one, 3000, 3000));
+  // A small scene may show its trees again and again.
+  const auto forest = read_splats(many_instances(ordinary_cloud(50, 0, 5), 100, 1));
+  REQUIRE(forest);
+  CHECK(forest->cloud.size() == 5000);
 }
 
 TEST_CASE("damaged .glb files are refused or read, never more") {

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <limits>
 
+#include "complexity.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/splat_edit.hpp"
@@ -41,6 +42,159 @@ TEST_CASE("what is written is recognised by its content, whatever its name") {
   for (const SplatFormat format : {SplatFormat::rgs, SplatFormat::ksplat, SplatFormat::sog, SplatFormat::unknown}) {
     CHECK_FALSE(is_writable(format));
     CHECK(encode_splats(cloud.view(), format).error().code == Errc::bad_argument);
+  }
+}
+
+namespace {
+
+// Gaussians of which some have attributes that some formats cannot hold.
+SplatCloud wide_cloud(std::uint64_t n, int degree, std::uint64_t seed) {
+  SplatCloud cloud = ordinary_cloud(n, degree, seed);
+  SplitMix random(seed + 1);
+  for (float& x : cloud.mean) x *= random.below(9) == 0 ? 1e5F : 1.F;
+  for (float& x : cloud.log_scale) x *= random.below(9) == 0 ? 4.F : 1.F;
+  for (float& x : cloud.opacity_logit) x *= random.below(9) == 0 ? 40.F : 1.F;
+  for (float& x : cloud.sh) x *= random.below(40) == 0 ? 6.F : 1.F;
+  return cloud;
+}
+
+// Gaussians whose value in the copy is farther from the original than `step`, half the format's, and the largest distance.
+template <class Difference>
+Clamped beyond(const SplatCloud& copy, const SplatCloud& original, double step, const Difference& difference) {
+  Clamped clamped;
+  for (std::uint64_t i = 0; i < original.size(); ++i) {
+    const double apart = difference(copy.view().splat(i), original.view().splat(i));
+    if (apart <= step) continue;
+    ++clamped.n;
+    clamped.largest = std::max(clamped.largest, apart);
+  }
+  return clamped;
+}
+
+double apart(const float* a, const float* b, int count) {
+  double largest = 0;
+  for (int k = 0; k < count; ++k)
+    largest = std::max(largest, std::abs(static_cast<double>(a[k]) - static_cast<double>(b[k])));
+  return largest;
+}
+
+void check_same(const Clamped& counted, const Clamped& seen, double tolerance) {
+  CHECK(counted.n == seen.n);
+  CHECK(counted.largest == doctest::Approx(seen.largest).epsilon(tolerance));
+}
+
+}  // namespace
+
+TEST_CASE("what a format clamps is what comes back farther away than half its step, and it is counted") {
+  for (int degree = 0; degree <= 3; ++degree) {
+    CAPTURE(degree);
+    const SplatCloud cloud = wide_cloud(600, degree, 40);
+    double largest_log_scale = 0;
+    for (const float x : cloud.log_scale)
+      largest_log_scale = std::max(largest_log_scale, std::abs(static_cast<double>(x)));
+    const int n_rest = 3 * (sh_coefficients(degree) - 1);
+    const auto log_scale = [](const Splat& a, const Splat& b) { return apart(a.log_scale, b.log_scale, 3); };
+    const auto mean = [](const Splat& a, const Splat& b) { return apart(a.mean, b.mean, 3); };
+    const auto dc = [](const Splat& a, const Splat& b) { return apart(a.sh, b.sh, 3); };
+    const auto rest = [&](const Splat& a, const Splat& b) { return apart(a.sh + 3, b.sh + 3, n_rest); };
+    WriteReport report;
+    const auto copy_as = [&](SplatFormat format) {
+      const auto bytes = encode_splats(cloud.view(), format, {.keep_order = true}, &report);
+      REQUIRE(bytes);
+      CHECK(*bytes == encode_splats(cloud.view(), format, {.keep_order = true}).value());
+      const auto strict = encode_splats(cloud.view(), format, {.strict = true});
+      CHECK(strict.has_value() == !report.any());
+      if (!strict) {
+        CHECK(std::string(errc_name(strict.error().code)) == "bad_value");
+        CHECK(strict.error().found > 0);
+        CHECK(strict.error().offset == Error::kNone);
+      }
+      SplatCloud copy = read_splats(*bytes, kKeepAxes).value().cloud;
+      if (copy.sh_degree == degree) return copy;
+      SplatCloud wider;  // .splat has no harmonics: as zeros
+      wider.resize(copy.size(), degree);
+      for (std::uint64_t i = 0; i < copy.size(); ++i) wider.set(i, copy.view().splat(i));
+      return wider;
+    };
+    SplatCloud copy = copy_as(SplatFormat::spz);
+    check_same(report.mean, beyond(copy, cloud, 0x1p-13, mean), 1e-6);
+    check_same(report.log_scale, beyond(copy, cloud, 1 / 32.0 + 1e-6, log_scale), 1e-6);
+    check_same(report.sh_dc, beyond(copy, cloud, 0.5 / 255 / 0.15 + 1e-6, dc), 1e-6);
+    // Codes of harmonics take on each other's errors: only those far outside are told by the copy.
+    CHECK(report.sh.n >= beyond(copy, cloud, 0.3, rest).n);
+    CHECK((report.sh.n > 0) == (degree > 0));
+    CHECK(report.opacity_logit.n == 0);
+    CHECK(report.mean.n > 0);
+    CHECK(report.log_scale.n > 0);
+    CHECK(report.sh_dc.n > 0);
+
+    copy = copy_as(SplatFormat::splat);
+    check_same(report.sh_dc, beyond(copy, cloud, 0.5 / 255 / 0.28209479 + 1e-6, dc), 1e-6);
+    check_same(report.sh, beyond(copy, cloud, 0, rest), 1e-6);
+    CHECK(report.mean.n + report.log_scale.n + report.opacity_logit.n == 0);
+
+    copy = copy_as(SplatFormat::compressed_ply);
+    // The outermost codes stand for the ends of the range, a whole step from what else they hold: only beyond it.
+    const auto outside = [&](const Splat& a, const Splat& b) {
+      double largest = 0;
+      for (int k = 3; k < 3 + n_rest; ++k) {
+        if (std::abs(b.sh[k]) > 4) largest = std::max(largest, apart(a.sh + k, b.sh + k, 1));
+      }
+      return largest;
+    };
+    check_same(report.sh, beyond(copy, cloud, 1 / 64.0 + 1e-6, outside), 1e-6);
+    CHECK((report.sh.n > 0) == (degree > 0));
+    CHECK(report.log_scale.n > 0);
+    CHECK(report.log_scale.largest == doctest::Approx(largest_log_scale - 20));
+    CHECK(report.mean.n + report.opacity_logit.n + report.sh_dc.n == 0);
+
+    copy = copy_as(SplatFormat::glb);
+    const auto logit = [](const Splat& a, const Splat& b) { return apart(&a.opacity_logit, &b.opacity_logit, 1); };
+    CHECK(report.opacity_logit.n > 0);
+    CHECK(report.opacity_logit.n == beyond(copy, cloud, 1, logit).n);
+    CHECK(report.mean.n + report.log_scale.n + report.sh_dc.n + report.sh.n == 0);
+
+    copy_as(SplatFormat::ply);
+    CHECK_FALSE(report.any());
+  }
+  WriteReport report;
+  const SplatCloud ordinary = ordinary_cloud(300, 0, 3);
+  for (const SplatFormat format : kWritable) {
+    CAPTURE(format_name(format));
+    CHECK(encode_splats(ordinary.view(), format, {.strict = true}, &report));
+    CHECK_FALSE(report.any());
+  }
+}
+
+TEST_CASE("all formats are read and written in linear time, coincident Gaussians and outliers too") {
+  const auto ordinary = [](std::uint64_t n) { return ordinary_cloud(n, 1, 5); };
+  const auto coincident = [](std::uint64_t n) {
+    SplatCloud one = ordinary_cloud(1, 1, 5), cloud;
+    for (std::uint64_t i = 0; i < n; ++i) append_splats(cloud, one);
+    return cloud;
+  };
+  const auto outliers = [](std::uint64_t n) {
+    SplatCloud cloud = ordinary_cloud(n, 1, 5);
+    for (std::uint64_t i = 0; i < 3 * n; i += 7) cloud.mean[i] *= 1000;
+    return cloud;
+  };
+  const auto check = [](SplatFormat format, const auto& prepare) {
+    CAPTURE(std::string(format_name(format)));
+    const auto write = [format](const SplatCloud& cloud) {
+      const auto bytes = format == SplatFormat::rgs ? encode(cloud.view()) : encode_splats(cloud.view(), format);
+      REQUIRE(bytes);
+      return *bytes;
+    };
+    CHECK(growth(2000, prepare, write) < kLinearGrowth);
+    const auto file = [&](std::uint64_t n) { return write(prepare(n)); };
+    CHECK(growth(2000, file, [](const Bytes& bytes) { CHECK(read_splats(bytes)); }) < kLinearGrowth);
+  };
+  std::vector<SplatFormat> formats(std::begin(kWritable), std::end(kWritable));
+  formats.push_back(SplatFormat::rgs);
+  for (const SplatFormat format : formats) {
+    check(format, ordinary);
+    check(format, coincident);
+    check(format, outliers);
   }
 }
 

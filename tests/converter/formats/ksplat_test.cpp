@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <cstring>
 
+#include "complexity.hpp"
 #include "interchange_samples.hpp"
 
 using namespace rgs;
@@ -106,6 +107,13 @@ Bytes ksplat(const std::vector<std::pair<SplatCloud, Layout>>& sections, std::ui
   file[1] = std::byte{1};
   put(file, 4, n_sections + spare_headers);
   put(file, 8, n_sections);
+  std::uint32_t n = 0, room = 0;
+  for (const auto& [cloud, layout] : sections) {
+    n += static_cast<std::uint32_t>(cloud.size());
+    room += static_cast<std::uint32_t>(cloud.size()) + layout.room;
+  }
+  put(file, 12, room);
+  put(file, 16, n);
   put(file, 20, static_cast<std::uint16_t>(sections[0].second.level));
   put(file, 36, -1.5F);
   put(file, 40, 1.5F);
@@ -166,6 +174,109 @@ TEST_CASE(".ksplat with several sections, room to spare and unlike degrees") {
     }
     CHECK(file->cloud.sh[27 * 6 + 3] == 0);  // b has no harmonics of its own
   }
+}
+
+TEST_CASE(".ksplat: what is loaded may be less than what is there, and GaussianSplats3D reads what is there") {
+  for (int level = 0; level <= 2; ++level) {
+    CAPTURE(level);
+    const SplatCloud a = near_cloud(6, 1, 9), b = near_cloud(3, 1, 10);
+    const Bytes file = ksplat({{a, {level, 1, 1, {2}, 0}}, {b, {level, 1, 0, {3}, 0}}});
+    // How many are read of each section, none if the file is refused.
+    using Counts = std::pair<std::uint64_t, std::uint64_t>;
+    const auto check = [&](const std::vector<std::pair<std::size_t, std::uint32_t>>& edits,
+                           const std::optional<Counts>& counts) {
+      Bytes edited = file;
+      for (const auto& [at, value] : edits) put(edited, at, value);
+      CHECK(detect_format(edited) == SplatFormat::ksplat);
+      const auto read = read_splats(edited);
+      REQUIRE(read.has_value() == counts.has_value());
+      if (!read) {
+        CHECK(std::string(errc_name(read.error().code)) == "bad_header");
+        CHECK((read.error().offset == 12 || read.error().offset == 16));
+        return;
+      }
+      REQUIRE(read->cloud.size() == counts->first + counts->second);
+      const SplatView all = read->cloud.view();
+      for (std::uint64_t i = 0; i < all.n; ++i) {
+        const bool in_a = i < counts->first;
+        check_within_steps(compare(all.splat(i), (in_a ? a : b).view().splat(in_a ? i : i - counts->first), 1), level);
+      }
+    };
+    constexpr std::size_t kLoaded = 8, kRoom = 12, kN = 16, kA = 4096, kB = 4096 + 1024;
+    check({}, Counts(6, 3));
+    check({{kLoaded, 0}}, Counts(6, 3));  // the sections are there all the same
+    check({{kLoaded, 1}}, Counts(6, 3));
+    check({{kLoaded, 0}, {kN, 0}}, Counts(6, 3));
+    check({{kLoaded, 0}, {kN, 0}, {kA, 0}, {kB, 0}}, Counts(6, 3));
+    check({{kA, 2}}, Counts(6, 3));                // streamed: the section counts its first piece
+    check({{kA, 2}, {kN, 5}}, Counts(2, 3));       // so much is loaded, and says so
+    check({{kLoaded, 1}, {kN, 6}}, Counts(6, 0));  // the second section was never reached
+    check({{kA, 2}, {kN, 6}}, std::nullopt);
+    check({{kN, 8}}, std::nullopt);
+    check({{kN, 10}}, std::nullopt);
+    check({{kN, 0}, {kRoom, 0}}, std::nullopt);
+    check({{kN, 0}, {kRoom, 8}}, std::nullopt);
+  }
+}
+
+TEST_CASE(".ksplat: an empty scene is one that promises none") {
+  Bytes file(4096 + 1024);
+  file[1] = std::byte{1};
+  put(file, 4, 1U);
+  const auto empty = read_splats(file);
+  REQUIRE(empty);
+  CHECK(empty->cloud.size() == 0);
+  put(file, 12, 4U);
+  const auto promised = read_splats(file);
+  REQUIRE_FALSE(promised);
+  CHECK(promised.error().offset == 12);
+  CHECK(promised.error().expected == 4);
+  CHECK(promised.error().found == 0);
+  put(file, 4, 0U);  // no section at all
+  CHECK_FALSE(read_splats(file, {{}, SplatFormat::ksplat, true}));
+}
+
+TEST_CASE(".ksplat: buckets hold the section's Gaussians, and nothing follows the last section") {
+  const Bytes file = ksplat({{near_cloud(6, 1, 9), {1, 1, 1, {2}, 0}}});
+  const auto refused = [&](const Bytes& edited, Errc code, std::uint64_t offset) {
+    const auto read = read_splats(edited, {{}, SplatFormat::ksplat, true});
+    REQUIRE_FALSE(read);
+    CHECK(std::string(errc_name(read.error().code)) == errc_name(code));
+    CHECK(read.error().offset == offset);
+  };
+  for (const std::uint32_t length : {0U, 1U, 3U, 0xFFFFFFFFU}) {  // of the partly filled bucket
+    Bytes edited = file;
+    put(edited, 4096 + 1024, length);
+    refused(edited, Errc::bad_header, 4096 + 32);
+  }
+  for (const std::uint32_t size : {3U, 5U}) {  // of the full one
+    Bytes edited = file;
+    put(edited, 4096 + 8, size);
+    refused(edited, Errc::bad_header, 4096 + 32);
+  }
+  Bytes longer = file;
+  longer.resize(file.size() + 4);
+  refused(longer, Errc::trailing_bytes, file.size());
+}
+
+TEST_CASE(".ksplat: time is linear in sections and buckets, empty ones too") {
+  const SplatCloud one = near_cloud(1, 0, 3);
+  const auto read = [](const Bytes& file) { CHECK(read_splats(file)); };
+  const auto sections = [&](std::uint64_t n) {
+    return ksplat(std::vector<std::pair<SplatCloud, Layout>>(n, {one, {1, 0, 0, {1}, 0}}));
+  };
+  CHECK(growth(200, sections, read) < kLinearGrowth);
+  const auto buckets = [&](std::uint64_t n) {
+    Bytes file = ksplat({{one, {1, 0, 0, {1}, 0}}});
+    put(file, 4096 + 12, static_cast<std::uint32_t>(n));
+    put(file, 4096 + 36, static_cast<std::uint32_t>(n));
+    put(file, 4096 + 1024, 0U);
+    Bytes more(16 * (n - 1));
+    put(more, 4 * (n - 2), 1U);  // all but the last hold none
+    file.insert(file.begin() + 4096 + 1024 + 4, more.begin(), more.end());
+    return file;
+  };
+  CHECK(growth(20000, buckets, read) < kLinearGrowth);
 }
 
 TEST_CASE("damaged .ksplat files are refused or read, never more") {

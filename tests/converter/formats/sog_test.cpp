@@ -257,6 +257,19 @@ TEST_CASE("damaged SOG files are refused or read, never more") {
   }
 }
 
+TEST_CASE("SOG of version 1 states its number of Gaussians again and again") {
+  for (const char* name : {"means", "scales", "quats"}) {
+    CAPTURE(name);
+    Files files = version1();
+    json meta = meta_of(files);
+    meta[name]["shape"][0] = 4;
+    files["meta.json"] = bytes_of(meta.dump());
+    const auto file = read_splats(zipped(files));
+    REQUIRE_FALSE(file);
+    CHECK(file.error().code == Errc::bad_header);
+  }
+}
+
 TEST_CASE("SOG texts that contradict their images, or point elsewhere, are refused") {
   const auto refused = [](const std::function<void(json&, Files&)>& edit, Errc code) {
     Files files = version2();
@@ -268,6 +281,9 @@ TEST_CASE("SOG texts that contradict their images, or point elsewhere, are refus
     CHECK(std::string(errc_name(file.error().code)) == errc_name(code));
   };
   refused([](json& m, Files&) { m["count"] = 7; }, Errc::size_mismatch);
+  refused([](json& m, Files&) { m["count"] = 0; }, Errc::size_mismatch);
+  refused([](json&, Files& f) { f["scales.webp"] = webp(6, 1, [](int, int) { return 9; }); }, Errc::size_mismatch);
+  refused([](json&, Files& f) { f["labels.webp"] = webp(4, 2, [](int, int) { return 0; }); }, Errc::size_mismatch);
   refused([](json& m, Files&) { m["count"] = 200000000; }, Errc::limit_exceeded);
   refused([](json& m, Files&) { m["count"] = -1; }, Errc::bad_syntax);
   refused([](json& m, Files&) { m["version"] = 3; }, Errc::unsupported_version);

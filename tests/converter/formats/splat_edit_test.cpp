@@ -5,6 +5,7 @@
 #include <glm/matrix.hpp>
 #include <limits>
 
+#include "complexity.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/math/sh.hpp"
 #include "rgs/splat_edit.hpp"
@@ -236,4 +237,27 @@ TEST_CASE("cleaning applies the damage policies of encode()") {
   options.on_bad = BadPolicy::drop;
   options.max_bad_fraction = 0.001;
   CHECK(clean_splats(cloud, options).error().code == Errc::too_many_bad);
+}
+
+TEST_CASE("appending piece by piece is linear in all pieces together, and fills missing harmonics with zeros") {
+  const SplatCloud piece = ordinary_cloud(1, 0, 1);
+  const auto append = [&](std::uint64_t n) {
+    SplatCloud all;
+    for (std::uint64_t i = 0; i < n; ++i) append_splats(all, piece);
+    CHECK(all.size() == n);
+  };
+  CHECK(growth(
+            3000, [](std::uint64_t n) { return n; }, append) < kLinearGrowth);
+
+  SplatCloud all = ordinary_cloud(3, 1, 2);
+  const SplatCloud narrow = all, wide = ordinary_cloud(2, 2, 3), none = ordinary_cloud(1, 0, 4);
+  append_splats(all, wide);
+  append_splats(all, none);
+  REQUIRE(all.size() == 6);
+  REQUIRE(all.view().consistent());
+  CHECK(all.sh_degree == 2);
+  for (std::uint64_t i = 0; i < 6; ++i) {
+    const Splat s = i < 3 ? narrow.view().splat(i) : i < 5 ? wide.view().splat(i - 3) : none.view().splat(0);
+    CHECK(compare(all.view().splat(i), s, 3).sum() == 0);
+  }
 }

@@ -101,6 +101,26 @@ struct WriteOptions {
   Origin origin = kNoOrigin;
   bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
   int spz_version = 3;      ///< 2, 3 or 4; docs/INTERCHANGE.md says which viewer reads which
+  /// Refuse to clamp: bad_value if WriteReport::any(), or if an origin has no place.
+  bool strict = false;
+};
+
+/// Gaussians with a value that a format cannot hold, and how far the farthest is beyond the format's range.
+struct Clamped {
+  std::uint64_t n = 0;
+  double largest = 0;
+};
+
+/// What a format's ranges did to a scene, by attribute. Rounding to the nearest code is not clamping: it is in
+/// docs/INTERCHANGE.md and for all Gaussians alike.
+struct WriteReport {
+  Clamped mean;           ///< spz: moved farther than usual, since some means are far out; world units
+  Clamped log_scale;      ///< spz, compressed.ply
+  Clamped opacity_logit;  ///< glb: the opacity is 0 or 1 as a 32-bit float
+  Clamped sh_dc;          ///< spz, splat; of f_dc
+  Clamped sh;             ///< spz, compressed.ply; splat, which has none: those that are not 0
+
+  bool any() const { return mean.n + log_scale.n + opacity_logit.n + sh_dc.n + sh.n != 0; }
 };
 
 /// True for what encode_splats() writes: ply, compressed_ply, spz, splat and glb.
@@ -110,13 +130,13 @@ bool is_writable(SplatFormat format);
 bool keeps_origin(SplatFormat format);
 
 /// A file of that format. `splats` must be in format_axes(format) or of undeclared axes, for ply and compressed_ply in
-/// options.axes; values that the format
-/// cannot hold are clamped to its range. Deterministic.
-/// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ), limit_exceeded (more Gaussians than the format counts),
+/// options.axes; values that the format cannot hold are clamped to its range, which `report` counts. Deterministic.
+/// Errors: bad_argument (not writable, inconsistent view, no such version of SPZ), limit_exceeded (more Gaussians than
+/// the format counts),
 /// bad_value (damaged, see find_defects(), in formats other than ply; or a mean beyond SPZ's range), whose offset is
-/// the Gaussian's index.
+/// the Gaussian's index; bad_value without an offset for what WriteOptions::strict refuses, which is in `report`.
 Result<std::vector<std::byte>> encode_splats(const SplatView& splats, SplatFormat format,
-                                             const WriteOptions& options = {});
+                                             const WriteOptions& options = {}, WriteReport* report = nullptr);
 
 /// How far a coordinate in such a file may be from origin + mean, world units: what FP32 takes from the positions where the
 /// format has no place for an origin, and SPZ's fixed point. 0 where positions are kept. What the blocks of a

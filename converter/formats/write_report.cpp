@@ -1,0 +1,155 @@
+// write_report.cpp - ranges of the formats that have one, and the Gaussians beyond them.
+// SPDX-License-Identifier: Apache-2.0
+#include "write_report.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <span>
+#include <utility>
+
+#include "compressed_ply.hpp"
+#include "quantised.hpp"
+#include "rgs/quantize.hpp"
+#include "spz.hpp"
+
+namespace rgs::detail {
+namespace {
+
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+// Values from `low` to `high` have codes; up to `rounding` beyond them the nearest code is as near as it is within.
+struct Range {
+  double low = -kInfinity, high = kInfinity, rounding = 0;
+  double infinite = 0;  // what infinities count as
+
+  bool is_open() const { return low == -kInfinity && high == kInfinity; }
+  double excess(double value) const { return std::max(low - value, value - high); }
+};
+
+struct Ranges {
+  Range log_scale, opacity_logit, sh_dc;
+  Range sh[kMaxShDegree];  // of degrees 1, 2, 3
+};
+
+Ranges ranges_of(SplatFormat format) {
+  Ranges r;
+  if (format == SplatFormat::spz) {
+    r.log_scale = {-10, 255 / 16.0 - 10, 1 / 32.0, static_cast<double>(kMaxLogScale)};
+    r.sh_dc = {-0.5 / kSpzColourScale, 0.5 / kSpzColourScale, 0.5 / 255 / kSpzColourScale};
+    r.sh[0] = {-1, 127 / 128.0, 1 / 32.0};
+    r.sh[1] = r.sh[2] = {-1, 127 / 128.0, 1 / 16.0};
+  } else if (format == SplatFormat::splat) {
+    r.sh_dc = {-0.5 / kSh0, 0.5 / kSh0, 0.5 / 255 / kSh0};
+    std::ranges::fill(r.sh, Range{0, 0, 0});
+  } else if (format == SplatFormat::compressed_ply) {
+    r.log_scale = {-kMaxCompressedLogScale, kMaxCompressedLogScale, 0, static_cast<double>(kMaxLogScale)};
+    std::ranges::fill(r.sh, Range{-4, 4, 1 / 64.0});
+  } else if (format == SplatFormat::glb) {
+    r.opacity_logit = {-103.97, 17.328679, 0, 0};  // beyond these it is 0 or 1 as a 32-bit float; infinite, exactly
+  }
+  return r;
+}
+
+// Part of a row of values with a range of its own.
+struct Segment {
+  std::uint64_t first = 0, count = 0;
+  Range range;
+};
+
+// Rows of `values` [n, each] that lie beyond the range of any segment.
+Clamped count_beyond(std::span<const float> values, std::uint64_t each, std::span<const Segment> segments) {
+  Clamped clamped;
+  // Nearly all Gaussians are within: the largest magnitude tells, in a loop that vectorises.
+  std::array<std::int32_t, kMaxShDegree> within{};
+  for (std::size_t s = 0; s < segments.size(); ++s) {
+    const Range& range = segments[s].range;
+    within[s] = magnitude_bits(static_cast<float>((std::min(-range.low, range.high) + range.rounding) * (1 - 1e-6)));
+  }
+  for (std::uint64_t row = 0; row < values.size(); row += each) {
+    double excess = 0;  // above what is rounding
+    for (std::size_t s = 0; s < segments.size(); ++s) {
+      const auto part = values.subspan(row + segments[s].first, segments[s].count);
+      std::int32_t largest = 0;
+      for (const float value : part) largest = std::max(largest, magnitude_bits(value));
+      if (largest <= within[s]) continue;
+      const Range& range = segments[s].range;
+      for (const float value : part) {
+        const double finite = std::isinf(value) ? std::copysign(range.infinite, value) : static_cast<double>(value);
+        if (const double beyond = range.excess(finite); beyond > range.rounding) excess = std::max(excess, beyond);
+      }
+    }
+    if (excess <= 0) continue;
+    ++clamped.n;
+    clamped.largest = std::max(clamped.largest, excess);
+  }
+  return clamped;
+}
+
+Clamped count_beyond(std::span<const float> values, std::uint64_t each, std::uint64_t count, const Range& range) {
+  if (range.is_open()) return {};
+  const Segment segment{0, count, range};
+  return count_beyond(values, each, {&segment, 1});
+}
+
+Clamped count_beyond_sh(const SplatView& splats, const Ranges& ranges) {
+  if (splats.sh_degree == 0 || ranges.sh[0].is_open()) return {};
+  std::array<Segment, kMaxShDegree> segments;
+  for (int degree = 1; degree <= splats.sh_degree; ++degree) {
+    const auto first = static_cast<std::uint64_t>(3 * sh_coefficients(degree - 1));
+    const auto end = static_cast<std::uint64_t>(3 * sh_coefficients(degree));
+    segments[static_cast<std::size_t>(degree - 1)] = {first, end - first, ranges.sh[degree - 1]};
+  }
+  return count_beyond(splats.sh, static_cast<std::uint64_t>(3 * sh_coefficients(splats.sh_degree)),
+                      std::span(segments).first(static_cast<std::size_t>(splats.sh_degree)));
+}
+
+// SPZ's fixed point has as many fractional bits as the farthest mean leaves. Fewer than usual move means by more than usual.
+Clamped count_coarse_means(const SplatView& splats) {
+  const auto bits = choose_fractional_bits(splats);
+  Clamped clamped;
+  if (!bits || *bits == kSpzFractionalBits) return clamped;
+  const double usual = std::ldexp(0.5, -kSpzFractionalBits);
+  for (std::uint64_t i = 0; i < splats.n; ++i) {
+    double moved = 0;
+    for (std::uint64_t k = 0; k < 3; ++k) {
+      const auto mean = static_cast<double>(splats.mean[3 * i + k]);
+      moved = std::max(moved, std::abs(std::ldexp(std::floor(std::ldexp(mean, *bits) + 0.5), -*bits) - mean));
+    }
+    if (moved <= usual) continue;
+    ++clamped.n;
+    clamped.largest = std::max(clamped.largest, moved);
+  }
+  return clamped;
+}
+
+}  // namespace
+
+WriteReport measure_clamping(const SplatView& splats, SplatFormat format) {
+  const Ranges ranges = ranges_of(format);
+  WriteReport report;
+  if (format == SplatFormat::spz) report.mean = count_coarse_means(splats);
+  report.log_scale = count_beyond(splats.log_scale, 3, 3, ranges.log_scale);
+  report.opacity_logit = count_beyond(splats.opacity_logit, 1, 1, ranges.opacity_logit);
+  const auto floats = static_cast<std::uint64_t>(3 * sh_coefficients(splats.sh_degree));
+  report.sh_dc = count_beyond(splats.sh, floats, 3, ranges.sh_dc);
+  report.sh = count_beyond_sh(splats, ranges);
+  return report;
+}
+
+Status refuse_clamping(const WriteReport& report) {
+  const std::pair<const Clamped&, const char*> kinds[] = {
+      {report.mean,
+       "the format holds means this far out in coarser steps only; move the scene, or go without --strict"},
+      {report.log_scale, "scales are beyond the format's range; without --strict they are clamped"},
+      {report.opacity_logit, "opacities are 0 or 1 in the format's numbers; without --strict they are rounded"},
+      {report.sh_dc, "colours (f_dc) are beyond the format's range; without --strict they are clamped"},
+      {report.sh, "harmonics (f_rest) are beyond the format's range; without --strict they are clamped or left out"}};
+  for (const auto& [clamped, what] : kinds) {
+    if (clamped.n != 0) return make_error(Errc::bad_value, Error::kNone, what, 0, clamped.n);
+  }
+  return {};
+}
+
+}  // namespace rgs::detail
