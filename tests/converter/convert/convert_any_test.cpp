@@ -174,3 +174,44 @@ TEST_CASE("pipes, wrong names and damage in other formats") {
   CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
   CHECK_FALSE(std::filesystem::exists(folder.file("no.spz")));
 }
+
+TEST_CASE("infinite logits and scales of 0 come out of every format as what they are") {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(600, 1, 8);
+  cloud.opacity_logit[10] = kInfinity;
+  cloud.opacity_logit[20] = -kInfinity;
+  cloud.log_scale[3 * 30 + 2] = -kInfinity;
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud),
+                    text = folder.file("text.ply");
+  write_text(text, other_ply(cloud, true));
+  for (const std::string ending : {"rgs", "ply", "compressed.ply", "spz", "splat", "glb"}) {
+    CAPTURE(ending);
+    const std::string one = folder.file("one." + ending), two = folder.file("two.ply");
+    const ProgramResult run =
+        rgs_convert({"--keep-order", "--on-bad", "refuse", "--json", ending == "spz" ? text : ply, one});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(run.err.find("damaged") == std::string::npos);
+    REQUIRE(rgs_convert({"--keep-order", "--on-bad", "refuse", one, two}).exit_code == 0);
+    const auto file = read_splats(two);
+    REQUIRE(file);
+    REQUIRE(file->cloud.size() == 600);
+    CHECK(half_from_float(opacity_from_logit(file->cloud.opacity_logit[10])) == half_from_float(1));
+    CHECK(half_from_float(opacity_from_logit(file->cloud.opacity_logit[20])) == 0);
+    // A code of SPZ is at least e^-10, one of compressed PLY e^-20.
+    CHECK(file->cloud.log_scale[3 * 30 + 2] <= (ending == "spz" ? -10.F : -15.F));
+    for (const float x : file->cloud.log_scale) CHECK(x < 10);
+    if (ending == "ply") CHECK((file->cloud.opacity_logit == cloud.opacity_logit));
+  }
+  for (const std::string profile : {"direct", "packed", "archive"}) {
+    CAPTURE(profile);
+    const ProgramResult run = rgs_convert({"--profile", profile, "--json", ply, folder.file("out.rgs")});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    const auto json = nlohmann::json::parse(run.out);
+    CHECK(json["dropped"] == 0);
+    CHECK(json["repaired"] == 0);
+    CHECK(json["output"]["gaussians"] == 600);
+  }
+}

@@ -348,3 +348,28 @@ TEST_CASE("--json is one JSON object with what was done") {
   CHECK(fs::exists(json["frames"][2]["depth_file"].get<std::string>()));
   CHECK(json["median_ms"] > 0.0);
 }
+
+TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is a scale of 0") {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  const TemporaryFolder folder;
+  rgs::SplatCloud infinite = ball(), finite = ball();
+  for (std::uint64_t i = 0; i < 40; ++i) {
+    infinite.opacity_logit[i] = i % 2 == 0 ? kInfinity : -kInfinity;
+    finite.opacity_logit[i] = i % 2 == 0 ? 40.F : -90.F;
+    infinite.log_scale[3 * i + 1] = -kInfinity;
+    finite.log_scale[3 * i + 1] = -100.F;
+  }
+  write_ply(folder.file("infinite.ply"), infinite);
+  write_ply(folder.file("finite.ply"), finite);
+  std::string pictures[2];
+  for (const int k : {0, 1}) {
+    const std::string name = k == 0 ? "infinite" : "finite";
+    const Outcome run = render("--size 64x48 '" + folder.file(name + ".ply") + "' '" + folder.file(name + ".png") + "'");
+    CAPTURE(run.out);
+    REQUIRE(run.code == 0);
+    std::ifstream in(folder.file(name + ".png"), std::ios::binary);
+    pictures[k] = {std::istreambuf_iterator<char>(in), {}};
+  }
+  CHECK(pictures[0].size() > 100);
+  CHECK(pictures[0] == pictures[1]);
+}
