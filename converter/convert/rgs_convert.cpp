@@ -20,6 +20,7 @@
 #include "convert.hpp"
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
+#include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
@@ -46,6 +47,7 @@ struct Arguments {
   rgs::ArchiveOptions archive;  // of the preset
   ArchiveChanges archive_changes;
   rgs::SplatFilter filter;
+  rgs::DecodeLimits limits;
   std::optional<rgs::AaMode> aa_mode;
   std::optional<rgs::ColourSpace> colour_space;
   bool merge = false, axes_given = false, to_axes_given = false;
@@ -129,8 +131,9 @@ class Input {
     name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
     return name;
   }
-  rgs::Result<rgs::SplatFile> read(SplatFormat format) const {
+  rgs::Result<rgs::SplatFile> read(SplatFormat format, const rgs::DecodeLimits& limits) const {
     rgs::ReadOptions options;
+    options.limits = limits;
     options.format = format;
     options.keep_axes = true;
     // By path where there is one: a SOG may be a folder.
@@ -185,7 +188,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   rgs::EncodeOptions& encode = arguments.convert.encode;
   rgs::Hasher hash;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto file = inputs[i].read(arguments.from);
+    auto file = inputs[i].read(arguments.from, arguments.limits);
     if (!file) return failed(inputs[i].path(), file.error());
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
     if (i == 0) {
@@ -244,7 +247,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
     return outcome(rgs::convert_to_rgs(*ply, arguments.output(), arguments.convert, observer));
   }
   if (from == SplatFormat::rgs && to == SplatFormat::ply && !edits(arguments)) {
-    const auto view = rgs::FileView::open(first.bytes());
+    const auto view = rgs::FileView::open(first.bytes(), arguments.limits);
     if (!view) return failed(first.path(), view.error());
     const rgs::Axes& axes = view->declarations().axes;
     const bool as_is = axes == rgs::kAxes3dgs || axes[0] == rgs::Axis::undeclared;
@@ -516,6 +519,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->option_text("srgb|linear|undeclared");
   app.add_option("--metres-per-unit", e.metres_per_unit, "Size of a world unit, if known")
       ->check(CLI::NonNegativeNumber);
+  tool::add_max_expansion(app, a.limits);
   app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
   app.add_flag("--overwrite", a.convert.output.overwrite, "Replace an existing output");
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");

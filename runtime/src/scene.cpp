@@ -55,8 +55,9 @@ Status check(const SplatView& s) {
     }
   });
   if (first_bad < s.n) {
-    return make_error(Errc::bad_value, first_bad,
-                      "a Gaussian is damaged: NaN, or an infinity that is no opacity; convert with a repair policy first");
+    return make_error(
+        Errc::bad_value, first_bad,
+        "a Gaussian is damaged: NaN, or an infinity that is no opacity; convert with a repair policy first");
   }
   return {};
 }
@@ -224,21 +225,21 @@ Result<Scene> Scene::load(const FileView& file) {
   });
 }
 
-Result<Scene> Scene::load(std::span<const std::byte> bytes) {
-  const auto file = FileView::open(bytes);
+Result<Scene> Scene::load(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  const auto file = FileView::open(bytes, limits);
   if (!file) return tl::unexpected(file.error());
   return load(*file);
 }
 
-Result<Scene> Scene::load(const std::string& path) {
+Result<Scene> Scene::load(const std::string& path, const DecodeLimits& limits) {
   auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  return load(*std::move(file));
+  return load(*std::move(file), limits);
 }
 
-Result<Scene> Scene::load(MappedFile&& file) {
+Result<Scene> Scene::load(MappedFile&& file, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<Scene> {
-    auto opened = FileView::open(file.bytes());
+    auto opened = FileView::open(file.bytes(), limits);
     if (!opened) return tl::unexpected(opened.error());
     auto storage = std::make_shared<Storage>();
     if (const auto ok = storage->decode(*opened); !ok) return tl::unexpected(ok.error());

@@ -499,7 +499,7 @@ def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales:
 
 
 def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_gaussians: int = 2**33,
-         max_expansion: int = 1024) -> Scene:
+         max_expansion: int = 1032) -> Scene:
     """Parses and checks a whole file; raises RgsError on the first broken rule."""
     data = memoryview(data)
     h = read_header(data, max_file_bytes, max_gaussians)
