@@ -104,8 +104,8 @@ RGS_HD inline float sh_step(float max_abs) {
 /// value) for |value| <= 127 * step.
 RGS_HD inline std::int8_t quantize_sh(float value, float step) {
   const float quotient = value / (step > 0.f ? step : 1.f);
-  const float low = quotient < -127.f ? -127.f : quotient;
-  const float clamped = low > 127.f ? 127.f : low;
+  const float low = quotient > -127.f ? quotient : -127.f;  // so that NaN, which nobody should ask for, is a code too
+  const float clamped = low < 127.f ? low : 127.f;
   // 1.5 * 2^23 pushes the fraction out of the significand: the FP32 addition does the rounding, half to even.
   const float rounded = (clamped + 12582912.f) - 12582912.f;
   return static_cast<std::int8_t>(static_cast<std::int32_t>(step > 0.f ? rounded : 0.f));

@@ -35,7 +35,8 @@ class Scene {
   Scene() = default;  ///< no Gaussians
 
   /// Activates training parameters: scale = exp(log_scale), opacity = sigmoid(logit), rotation normalised (all zero
-  /// becomes the identity). Infinite logits are opacities of 1 and 0, a log-scale of -inf is a scale of 0. `declared` is what is known of them otherwise, for with_declarations() (renderer.hpp).
+  /// becomes the identity). Infinite logits are opacities of 1 and 0, a log-scale of -inf is a scale of 0. `declared` is
+  /// what is known of them otherwise, for with_declarations() (renderer.hpp).
   /// Errors: bad_argument (sizes that contradict each other), limit_exceeded (2^31 Gaussians or more), bad_value (a
   /// NaN or another infinity; Error::offset is the index of the Gaussian).
   static Result<Scene> load(const SplatView& splats, const std::optional<Declarations>& declared = std::nullopt);

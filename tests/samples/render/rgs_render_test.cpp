@@ -364,7 +364,8 @@ TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is 
   std::string pictures[2];
   for (const int k : {0, 1}) {
     const std::string name = k == 0 ? "infinite" : "finite";
-    const Outcome run = render("--size 64x48 '" + folder.file(name + ".ply") + "' '" + folder.file(name + ".png") + "'");
+    const Outcome run =
+        render("--size 64x48 '" + folder.file(name + ".ply") + "' '" + folder.file(name + ".png") + "'");
     CAPTURE(run.out);
     REQUIRE(run.code == 0);
     std::ifstream in(folder.file(name + ".png"), std::ios::binary);
@@ -372,4 +373,25 @@ TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is 
   }
   CHECK(pictures[0].size() > 100);
   CHECK(pictures[0] == pictures[1]);
+}
+
+TEST_CASE("--max-expansion says what a compressed scene may decode to") {
+  const TemporaryFolder folder;
+  rgs::SplatCloud cloud;
+  cloud.resize(40'000, 0);
+  const rgs::SplatCloud some = ball();
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) cloud.set(i, some.view().splat(i % 400));
+  for (const rgs::SplatFormat format : {rgs::SplatFormat::rgs, rgs::SplatFormat::spz}) {
+    rgs::EncodeOptions options;
+    options.profile = rgs::Profile::packed;
+    const auto bytes =
+        format == rgs::SplatFormat::rgs ? rgs::encode(cloud.view(), options) : rgs::encode_splats(cloud.view(), format);
+    REQUIRE(bytes);
+    std::ofstream(folder.file("scene"), std::ios::binary)
+        .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
+    const std::string rest = " --size 16x12 --overwrite '" + folder.file("scene") + "' '" + folder.file("a.png") + "'";
+    CHECK(render("--max-expansion 500kB" + rest).code == 4);
+    CHECK(render("--max-expansion 1GB" + rest).code == 0);
+    CHECK(render(rest).code == 0);
+  }
 }
