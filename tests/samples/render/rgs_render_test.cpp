@@ -365,7 +365,7 @@ TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is 
   for (const int k : {0, 1}) {
     const std::string name = k == 0 ? "infinite" : "finite";
     const Outcome run =
-        render("--size 64x48 '" + folder.file(name + ".ply") + "' '" + folder.file(name + ".png") + "'");
+        render("--size 64x48 '" + folder.file(name + ".ply") + "' -o '" + folder.file(name + ".png") + "'");
     CAPTURE(run.out);
     REQUIRE(run.code == 0);
     std::ifstream in(folder.file(name + ".png"), std::ios::binary);
@@ -389,7 +389,7 @@ TEST_CASE("--max-expansion says what a compressed scene may decode to") {
     REQUIRE(bytes);
     std::ofstream(folder.file("scene"), std::ios::binary)
         .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
-    const std::string rest = " --size 16x12 --overwrite '" + folder.file("scene") + "' '" + folder.file("a.png") + "'";
+    const std::string rest = " --size 16x12 --overwrite '" + folder.file("scene") + "' -o '" + folder.file("a.png") + "'";
     CHECK(render("--max-expansion 500kB" + rest).code == 4);
     CHECK(render("--max-expansion 1GB" + rest).code == 0);
     CHECK(render(rest).code == 0);
