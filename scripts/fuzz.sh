@@ -30,7 +30,9 @@ for name in "$@"; do
   grown=build/fuzz/corpus/$name
   mkdir -p "$grown"
   corpus="$grown"
-  [ -d "tests/fuzz/corpus/$name" ] && corpus="$grown tests/fuzz/corpus/$name"
+  seeds=$name
+  [ "$name" = info ] && seeds=reader # the same files
+  [ -d "tests/fuzz/corpus/$seeds" ] && corpus="$grown tests/fuzz/corpus/$seeds"
   log=$log_folder/$name.log
   # shellcheck disable=SC2086  # a list of folders
   if "build/fuzz/bin/rgs_fuzz_$name" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \

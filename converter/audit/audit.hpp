@@ -44,6 +44,7 @@ struct Options {
   std::string gate;             ///< the conditions as text; part of the fingerprint, evaluated by evaluate()
   Backend backend = Backend::automatic;
   int threads = 0;
+  DecodeLimits limits;  ///< of the asset and the files beside it
 };
 
 // ---- size

@@ -20,6 +20,7 @@ namespace {
 constexpr std::uint64_t kBlock = 4096;
 constexpr std::size_t kAtOnce = 128;  // 30 KB of each file: they stay in the second-level cache
 constexpr std::size_t kWorst = 8;
+constexpr float kLeastScale = 0x1p-86f;  // e^-60: what errors of a scale of 0 are counted in
 
 // Every distribution that is kept, in the order of the report.
 enum Series : std::size_t {
@@ -191,7 +192,7 @@ class Comparison {
     float largest_percent = 0, largest_scale = 0;
     for (int i = 0; i < 3; ++i) {
       const float scale = scale_from_log(source.log_scale[i]), error = std::abs(stored.scale[i] - scale);
-      const float percent = 100 * error / scale;
+      const float percent = 100 * error / std::max(scale, kLeastScale);
       note(kScale, error);
       note(kScalePercent, percent);
       largest_percent = std::max(largest_percent, percent);
@@ -216,7 +217,7 @@ class Comparison {
       squared += d * d;
     }
     const auto moved = static_cast<float>(std::sqrt(squared));
-    const float moved_size = moved / largest_scale;
+    const float moved_size = moved / std::max(largest_scale, kLeastScale);
     note(kMean, moved);
     note(kMeanSize, moved_size);
 

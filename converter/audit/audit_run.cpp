@@ -136,7 +136,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.source_name = file_name(options.source);
   report.asset_name = file_name(options.asset);
   progress.begin("reading", source->bytes() + file->bytes().size(), "B");
-  Result<FileView> view = is_rgs(file->bytes()) ? FileView::open(file->bytes()) : Result<FileView>();
+  Result<FileView> view = is_rgs(file->bytes()) ? FileView::open(file->bytes(), options.limits) : Result<FileView>();
   if (!view) return make_error(options.asset, view.error());
   const bool rgs_asset = is_rgs(file->bytes());
   Status valid;
@@ -177,7 +177,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     report.attributes = compare_attributes(*source, *view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {
-    const auto scene = load_scene_file(options.asset);
+    const auto scene = load_scene_file(options.asset, options.limits);
     if (!scene) return make_error(options.asset, scene.error());
     report.asset_format = format_name(scene->format);
     size.asset_bytes = scene->file_bytes;

@@ -19,6 +19,7 @@
 #include "audit_text.hpp"
 #include "console.hpp"
 #include "info_escape.hpp"
+#include "max_expansion.hpp"
 #include "rgs/file.hpp"
 #include "rgs/version.hpp"
 
@@ -179,6 +180,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->check(CLI::Range(0, 1024))
       ->capture_default_str()
       ->group(machine);
+  tool::add_max_expansion(app, o.limits)->group(machine);
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary")->group(machine);
   app.set_version_flag("--version", "rgs-audit " RGS_VERSION);
   app.footer("Conditions of --fail-below:" + names +

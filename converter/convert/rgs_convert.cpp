@@ -21,6 +21,7 @@
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
 #include "input_declarations.hpp"
+#include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
@@ -48,6 +49,7 @@ struct Arguments {
   ArchiveChanges archive_changes;
   rgs::SplatFilter filter;
   rgs::AskedDeclarations asked;
+  rgs::DecodeLimits limits;
   bool merge = false, axes_given = false, to_axes_given = false;
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
   bool file_scales = false, audit = false, spz_version_given = false, skip_unknown_extensions = false;
@@ -128,8 +130,10 @@ class Input {
     name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
     return name;
   }
-  rgs::Result<rgs::SplatFile> read(SplatFormat format, bool skip_unknown_extensions) const {
+  rgs::Result<rgs::SplatFile> read(SplatFormat format, const rgs::DecodeLimits& limits,
+                                   bool skip_unknown_extensions) const {
     rgs::ReadOptions options;
+    options.limits = limits;
     options.format = format;
     options.skip_unknown_extensions = skip_unknown_extensions;
     options.keep_axes = true;
@@ -190,7 +194,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   std::vector<rgs::InputDeclarations> declared;
   rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto file = inputs[i].read(arguments.from, arguments.skip_unknown_extensions);
+    auto file = inputs[i].read(arguments.from, arguments.limits, arguments.skip_unknown_extensions);
     if (!file) return failed(inputs[i].path(), file.error());
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
     if (i == 0) encode.axes = target_axes(arguments, *file, to);
@@ -264,7 +268,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
     return outcome(rgs::convert_to_rgs(*ply, arguments.output(), arguments.convert, observer));
   }
   if (from == SplatFormat::rgs && to == SplatFormat::ply && !edits(arguments)) {
-    const auto view = rgs::FileView::open(first.bytes());
+    const auto view = rgs::FileView::open(first.bytes(), arguments.limits);
     if (!view) return failed(first.path(), view.error());
     const rgs::Axes& axes = view->declarations().axes;
     const bool as_is = axes == rgs::kAxes3dgs || axes[0] == rgs::Axis::undeclared;
@@ -566,6 +570,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->option_text("srgb|linear|undeclared");
   app.add_option("--metres-per-unit", a.asked.metres_per_unit, "Size of a unit of the output, if known")
       ->check(CLI::NonNegativeNumber);
+  tool::add_max_expansion(app, a.limits);
   app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
   app.add_flag("--overwrite", a.convert.output.overwrite, "Replace an existing output");
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");

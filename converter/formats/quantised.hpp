@@ -11,6 +11,7 @@
 #include <cstring>
 #include <span>
 
+#include "rgs/decode.hpp"
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
@@ -80,14 +81,15 @@ inline void from_smallest_three(const SmallestThree& s, float (&q)[4]) {
   q[s.largest] = static_cast<float>(std::sqrt(std::max(0.0, 1 - squared)));
 }
 
-/// Whether a file of `stored` bytes may unfold to `decoded`: at most 1,032 times as much, which is what DEFLATE itself
-/// cannot exceed and what no scene comes near, plus 1 MiB for tiny files. A header can promise more; memory is only
-/// allocated for what passes.
-inline Status check_expansion(std::uint64_t decoded, std::uint64_t stored, std::uint64_t offset) {
-  const std::uint64_t limit = stored > (std::uint64_t{1} << 50) ? Error::kNone - 1 : stored * 1032 + (1u << 20);
+/// Whether a file of `stored` bytes may unfold to `decoded`. A header can promise more; memory is only allocated for what
+/// passes.
+inline Status check_expansion(std::uint64_t decoded, std::uint64_t stored, std::uint64_t offset,
+                              const DecodeLimits& limits) {
+  const std::uint64_t limit = limits.decoded_bytes(stored);
   if (decoded <= limit) return {};
   return make_error(Errc::limit_exceeded, offset,
-                    "the header promises more Gaussians than a file of this size can hold", limit, decoded);
+                    "the file decodes to more than the caller allows for one of its size (max_expansion)", limit,
+                    decoded);
 }
 
 }  // namespace rgs::detail

@@ -256,7 +256,7 @@ Status measure_palette(const Image& centroids, Meta& meta) {
   return {};
 }
 
-Status fetch_images(const FetchFile& fetch, Meta& meta, Images& images) {
+Status fetch_images(const FetchFile& fetch, Meta& meta, const DecodeLimits& limits, Images& images) {
   struct Wanted {
     const std::string& name;
     Image& image;
@@ -280,7 +280,7 @@ Status fetch_images(const FetchFile& fetch, Meta& meta, Images& images) {
     stored += file->size();
     files.push_back(std::move(*file));
   }
-  if (const Status s = check_expansion(4 * wanted.size() * meta.n, stored, 0); !s) return s;
+  if (const Status s = check_expansion(4 * wanted.size() * meta.n, stored, 0, limits); !s) return s;
   for (std::size_t i = 0; i < wanted.size(); ++i) {
     auto image = decode_image(files[i], wanted[i].min_pixels, wanted[i].max_pixels);
     if (!image) return tl::unexpected(image.error());
@@ -361,7 +361,7 @@ Result<SplatFile> decode_scene(std::span<const std::byte> meta_bytes, const Fetc
                       std::min<std::uint64_t>(limits.max_gaussians, std::uint64_t{1} << 28), meta->n);
   }
   Images images;
-  if (const Status s = fetch_images(fetch, *meta, images); !s) return tl::unexpected(s.error());
+  if (const Status s = fetch_images(fetch, *meta, limits, images); !s) return tl::unexpected(s.error());
   SplatFile file;
   file.format = SplatFormat::sog;
   file.aa_mode = meta->aa_mode;
@@ -384,12 +384,13 @@ struct CloseEntry {
   void operator()(zip_file_t* file) const { zip_fclose(file); }
 };
 
-Result<Bytes> read_entry(zip_t* archive, const std::string& name, std::uint64_t file_bytes) {
+Result<Bytes> read_entry(zip_t* archive, const std::string& name, std::uint64_t file_bytes,
+                         const DecodeLimits& limits) {
   zip_stat_t info;
   if (zip_stat(archive, name.c_str(), 0, &info) != 0 || (info.valid & ZIP_STAT_SIZE) == 0) {
     return make_error(Errc::missing_section, Error::kNone, "the SOG lacks meta.json or a file that meta.json names");
   }
-  if (const Status s = check_expansion(info.size, file_bytes, 0); !s) return tl::unexpected(s.error());
+  if (const Status s = check_expansion(info.size, file_bytes, 0, limits); !s) return tl::unexpected(s.error());
   const std::unique_ptr<zip_file_t, CloseEntry> entry(zip_fopen(archive, name.c_str(), 0));
   Bytes bytes(info.size);
   const zip_int64_t got = entry == nullptr ? -1 : zip_fread(entry.get(), bytes.data(), bytes.size());
@@ -429,7 +430,9 @@ Result<SplatFile> decode_sog(std::span<const std::byte> bytes, const DecodeLimit
     zip_error_fini(&error);
     return make_error(Errc::bad_header, Error::kNone, "the zip archive's directory is damaged or missing");
   }
-  const FetchFile fetch = [&](const std::string& name) { return read_entry(archive.get(), name, bytes.size()); };
+  const FetchFile fetch = [&](const std::string& name) {
+    return read_entry(archive.get(), name, bytes.size(), limits);
+  };
   const auto meta = fetch("meta.json");
   if (!meta) return tl::unexpected(meta.error());
   auto file = decode_scene(*meta, fetch, limits);

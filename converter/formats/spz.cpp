@@ -86,7 +86,7 @@ Result<SpzHeader> parse_header(std::span<const std::byte> bytes, const DecodeLim
   if (h.n > limits.max_gaussians) {
     return make_error(Errc::limit_exceeded, 8, "more Gaussians than the caller allows", limits.max_gaussians, h.n);
   }
-  if (const Status s = check_expansion(h.decoded_bytes(), file_bytes, 8); !s) return tl::unexpected(s.error());
+  if (const Status s = check_expansion(h.decoded_bytes(), file_bytes, 8, limits); !s) return tl::unexpected(s.error());
   return h;
 }
 
@@ -521,6 +521,25 @@ CodedStreams encode_streams(const SplatView& splats, const SpzHeader& header) {
   return out;
 }
 
+// A frame that readers do not refuse for what it decodes to: a block takes at least four bytes, and there is one for every
+// 2048. For equal Gaussians.
+std::vector<std::byte> compress_in_blocks(const std::vector<std::byte>& stream) {
+  const std::unique_ptr<ZSTD_CCtx, decltype(&ZSTD_freeCCtx)> context(ZSTD_createCCtx(), ZSTD_freeCCtx);
+  if (context == nullptr) throw std::bad_alloc();
+  constexpr std::size_t kBlock = 2048;
+  std::vector<std::byte> stored(ZSTD_compressBound(stream.size()) + 16 * (stream.size() / kBlock) + 64);
+  ZSTD_CCtx_setPledgedSrcSize(context.get(), stream.size());
+  ZSTD_outBuffer target{stored.data(), stored.size(), 0};
+  for (std::size_t at = 0; at < stream.size(); at += kBlock) {
+    const std::size_t n = std::min(kBlock, stream.size() - at);
+    ZSTD_inBuffer block{stream.data() + at, n, 0};
+    const ZSTD_EndDirective directive = at + n == stream.size() ? ZSTD_e_end : ZSTD_e_flush;
+    if (ZSTD_isError(ZSTD_compressStream2(context.get(), &target, &block, directive)) != 0) throw std::bad_alloc();
+  }
+  stored.resize(target.pos);
+  return stored;
+}
+
 // One zstd frame. Optimal parsing with few tries: what there is to find are short matches, and entropy. An outdoor scene takes
 // 20.9 bytes a Gaussian and 11 s of CPU time; level 12, which parses lazily, 21.8 and 2.7 s.
 std::vector<std::byte> compress_zstd(const std::vector<std::byte>& stream, std::size_t index) {
@@ -535,6 +554,7 @@ std::vector<std::byte> compress_zstd(const std::vector<std::byte>& stream, std::
   const std::size_t size = ZSTD_compress2(context.get(), stored.data(), stored.size(), stream.data(), stream.size());
   if (ZSTD_isError(size) != 0) throw std::bad_alloc();  // the only way to fail with room for the bound
   stored.resize(size);
+  if (stored.size() <= stream.size() / 1024) return compress_in_blocks(stream);
   return stored;
 }
 

@@ -269,7 +269,7 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
     }
   };
 
-  keep(FileView::open(bytes), report.view);
+  keep(FileView::open(bytes, options.limits), report.view);
   if (!report.view) return report;
   const FileView& view = *report.view;
   const std::uint64_t n_chunks = view.header().n_chunks;

@@ -21,6 +21,7 @@ struct InfoOptions {
   bool verify = false;                 ///< check every checksum and every value
   std::optional<bool> statistics;      ///< read the payload for ranges and histograms; absent: if the file is small
   std::optional<std::uint64_t> chunk;  ///< report this chunk instead of the file
+  DecodeLimits limits;
 };
 
 /// Smallest, middle (the lower one of an even number) and largest of a set of numbers.

@@ -9,6 +9,7 @@
 #include "info_json.hpp"
 #include "info_report.hpp"
 #include "info_text.hpp"
+#include "max_expansion.hpp"
 #include "rgs/file.hpp"
 #include "rgs/version.hpp"
 
@@ -60,6 +61,7 @@ int body(int argc, char** argv) {
   app.add_option("--chunk", chunk, "report chunk N (from 0) instead of the file")->type_name("N");
   auto* stats_flag = app.add_flag("--stats", stats, "read all values for ranges and histograms (default up to 1 GB)");
   app.add_flag("--no-stats", no_stats, "read head and tables only")->excludes(stats_flag);
+  add_max_expansion(app, arguments.options.limits);
   app.add_flag("--ascii", arguments.ascii, "no characters beyond ASCII in the text");
   app.footer("Exit codes: 0 fine, 1 internal, 2 usage, 3 input/output, 4 malformed or damaged file.");
   try {

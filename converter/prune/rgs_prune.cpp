@@ -20,6 +20,7 @@
 #include "camera_choice.hpp"
 #include "console.hpp"
 #include "convert.hpp"
+#include "max_expansion.hpp"
 #include "prune.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/renderer.hpp"
@@ -36,6 +37,7 @@ using rgs::Contribution;
 using rgs::SplatFormat;
 
 struct Options {
+  rgs::DecodeLimits limits;
   std::string input, output, cameras, split, view = "all", size, keep_text, scores;
   rgs::prune::Score score = rgs::prune::Score::sum;
   rgs::prune::Keep keep;
@@ -92,6 +94,7 @@ Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   hash = rgs::xxh3(bytes->bytes());
   rgs::ReadOptions as_stored;
   as_stored.keep_axes = true;
+  as_stored.limits = o.limits;
   auto file = rgs::read_splats(o.input, as_stored);
   if (!file) return failed(o.input, file.error());
   if (file->format != SplatFormat::rgs) {
@@ -285,6 +288,7 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--threads", o.threads, "CPU threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str();
+  tool::add_max_expansion(app, o.limits);
   app.add_flag("--overwrite", o.overwrite, "replace existing outputs");
   app.add_flag("--no-sync", o.no_sync, "do not wait until the files are on the disk");
   app.add_flag("--json", o.json, "summary as JSON on standard output");

@@ -60,6 +60,9 @@ const char* hint(const Error& error) {
     case Errc::truncated:
     case Errc::size_mismatch: return "the file is incomplete; copy or convert it again";
     case Errc::checksum_mismatch: return "the file is damaged; copy or convert it again";
+    case Errc::limit_exceeded:
+      if (std::string_view(error.what).find("decode") == std::string_view::npos) return "";
+      return "if you trust the file, allow more: --max-expansion RATIO or a size such as 8GB";
     case Errc::bad_magic: return "the file is of another format; its name does not decide what it is";
     case Errc::unsupported_version: return "the file comes from a newer version of these programs; update them";
     default: return "";

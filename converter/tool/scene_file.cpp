@@ -9,11 +9,11 @@
 namespace rgs {
 namespace {
 
-Result<SceneFile> load_rgs(MappedFile file) {
+Result<SceneFile> load_rgs(MappedFile file, const DecodeLimits& limits) {
   SceneFile out;
   out.format = SplatFormat::rgs;
   out.file_bytes = file.bytes().size();
-  auto scene = Scene::load(std::move(file));
+  auto scene = Scene::load(std::move(file), limits);
   if (!scene) return tl::unexpected(scene.error());
   const Declarations& declarations = *scene->declarations();
   out.up = declared_up(declarations);
@@ -22,8 +22,8 @@ Result<SceneFile> load_rgs(MappedFile file) {
   return out;
 }
 
-Result<SceneFile> load_other(const std::string& path) {
-  auto file = read_splats(path);
+Result<SceneFile> load_other(const std::string& path, const DecodeLimits& limits) {
+  auto file = read_splats(path, {.limits = limits});
   if (!file) return tl::unexpected(file.error());
   SceneFile out;
   out.format = file->format;
@@ -52,11 +52,11 @@ Declarations declarations_of(const SplatFile& file) {
   return d;
 }
 
-Result<SceneFile> load_scene_file(const std::string& path) {
+Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits) {
   auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path);
-  return load_rgs(*std::move(file));
+  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path, limits);
+  return load_rgs(*std::move(file), limits);
 }
 
 }  // namespace rgs

@@ -26,6 +26,6 @@ Declarations declarations_of(const SplatFile& file);
 /// Reads `path`; its first bytes decide what it is. Scenes of other formats than .rgs are in the axes of
 /// 3DGS. Errors: those of read_splats() and of Scene::load(); for a bad_value of the latter, Error::found is the index
 /// of the Gaussian.
-Result<SceneFile> load_scene_file(const std::string& path);
+Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits = {});
 
 }  // namespace rgs

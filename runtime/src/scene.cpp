@@ -9,6 +9,7 @@
 #include <atomic>
 #include <cassert>
 #include <cmath>
+#include <limits>
 #include <mutex>
 #include <utility>
 #include <vector>
@@ -28,6 +29,13 @@ bool all_finite(const float* values, std::uint64_t n) {
   return std::all_of(values, values + n, [](float v) { return std::isfinite(v); });
 }
 
+// Infinite logits are opacities of 1 and 0, and a log-scale of -inf is a scale of 0.
+bool drawable(const SplatView& s, std::uint64_t i, std::uint64_t floats) {
+  const auto scaled = [](float log_scale) { return log_scale < std::numeric_limits<float>::infinity(); };
+  return all_finite(&s.mean[3 * i], 3) && std::all_of(&s.log_scale[3 * i], &s.log_scale[3 * i] + 3, scaled) &&
+         all_finite(&s.rotation[4 * i], 4) && !std::isnan(s.opacity_logit[i]) && all_finite(&s.sh[floats * i], floats);
+}
+
 Status check(const SplatView& s) {
   if (!s.consistent())
     return make_error(Errc::bad_argument, Error::kNone, "the sizes of the attributes contradict each other");
@@ -39,10 +47,7 @@ Status check(const SplatView& s) {
   std::atomic<std::uint64_t> first_bad{s.n};
   detail::parallel_ranges(s.n, kGrain, [&](std::uint64_t begin, std::uint64_t end) {
     for (std::uint64_t i = begin; i < end; ++i) {
-      const bool good = all_finite(&s.mean[3 * i], 3) && all_finite(&s.log_scale[3 * i], 3) &&
-                        all_finite(&s.rotation[4 * i], 4) && std::isfinite(s.opacity_logit[i]) &&
-                        all_finite(&s.sh[floats * i], floats);
-      if (good) continue;
+      if (drawable(s, i, floats)) continue;
       std::uint64_t seen = first_bad.load();
       while (i < seen && !first_bad.compare_exchange_weak(seen, i)) {
       }
@@ -50,8 +55,9 @@ Status check(const SplatView& s) {
     }
   });
   if (first_bad < s.n) {
-    return make_error(Errc::bad_value, first_bad,
-                      "a Gaussian has a non-finite attribute; convert with a repair policy first");
+    return make_error(
+        Errc::bad_value, first_bad,
+        "a Gaussian is damaged: NaN, or an infinity that is no opacity; convert with a repair policy first");
   }
   return {};
 }
@@ -224,21 +230,21 @@ Result<Scene> Scene::load(const FileView& file) {
   });
 }
 
-Result<Scene> Scene::load(std::span<const std::byte> bytes) {
-  const auto file = FileView::open(bytes);
+Result<Scene> Scene::load(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  const auto file = FileView::open(bytes, limits);
   if (!file) return tl::unexpected(file.error());
   return load(*file);
 }
 
-Result<Scene> Scene::load(const std::string& path) {
+Result<Scene> Scene::load(const std::string& path, const DecodeLimits& limits) {
   auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  return load(*std::move(file));
+  return load(*std::move(file), limits);
 }
 
-Result<Scene> Scene::load(MappedFile&& file) {
+Result<Scene> Scene::load(MappedFile&& file, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<Scene> {
-    auto opened = FileView::open(file.bytes());
+    auto opened = FileView::open(file.bytes(), limits);
     if (!opened) return tl::unexpected(opened.error());
     auto storage = std::make_shared<Storage>();
     if (const auto ok = storage->decode(*opened); !ok) return tl::unexpected(ok.error());

@@ -18,6 +18,7 @@
 #include "bench_report.hpp"
 #include "bench_run.hpp"
 #include "console.hpp"
+#include "max_expansion.hpp"
 #include "ppm_file.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/cuda_renderer.hpp"
@@ -41,6 +42,7 @@ struct Options {
   int frames = 100, orbit = 0;
   double orbit_step = 0.25;
   bool ablate = false, roofline = false, overwrite = false;
+  rgs::DecodeLimits limits;
 };
 
 // An output is opened before anything is measured, so that a name that cannot be written costs no minutes.
@@ -57,8 +59,8 @@ tl::unexpected<int> failed(const std::string& file, const rgs::Error& error) {
 }
 
 // An .rgs file or a PLY, by its content: the readers of other formats would bring libraries to machines with a GPU.
-Result<rgs::Scene> load_source(const std::string& path) {
-  auto scene = rgs::Scene::load(path);
+Result<rgs::Scene> load_source(const std::string& path, const rgs::DecodeLimits& limits) {
+  auto scene = rgs::Scene::load(path, limits);
   if (scene || scene.error().code != rgs::Errc::bad_magic) return scene;
   const auto ply = rgs::PlyFile::open(path);
   if (!ply) return tl::unexpected(ply.error());
@@ -80,13 +82,13 @@ tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report
   rgs::bench::DeviceScenes scenes;
   const auto file = rgs::MappedFile::open(o.scene);
   if (!file) return failed(o.scene, file.error());
-  const auto view = rgs::FileView::open(file->bytes());
+  const auto view = rgs::FileView::open(file->bytes(), o.limits);
   if (!view) return failed(o.scene, view.error());
   auto compact = rgs::DeviceScene::upload(*view);
   if (!compact) return failed(o.scene, compact.error());
   scenes.compact = *compact;
   const std::string source = o.source.empty() ? o.scene : o.source;
-  const auto loaded = load_source(source);
+  const auto loaded = load_source(source, o.limits);
   if (!loaded) return failed(source, loaded.error());
   const auto arrays = loaded->view();
   if (!arrays) return failed(source, arrays.error());
@@ -293,6 +295,7 @@ int main(int argc, char** argv) {
     CLI::App app{"Measures the CUDA renderer: time, work and quality of each step of the method.", "rgs-bench"};
     app.set_version_flag("--version", "rgs-bench " RGS_VERSION);
     app.add_option("SCENE", o.scene, ".rgs file")->required();
+    tool::add_max_expansion(app, o.limits);
     app.add_option("--source", o.source, "3DGS PLY that the file was made of, for the baseline [the file itself]");
     app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md)")->required();
     app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");

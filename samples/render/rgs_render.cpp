@@ -19,6 +19,7 @@
 #include "camera_choice.hpp"
 #include "console.hpp"
 #include "image_file.hpp"
+#include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/version.hpp"
@@ -31,6 +32,7 @@ namespace tool = rgs::tool;
 using Clock = std::chrono::steady_clock;
 
 struct Options {
+  rgs::DecodeLimits limits;
   std::string scene, cameras, view, split, size, out, depth, path;
   std::string format = "png";
   int orbit = 0, frames = 120;
@@ -269,7 +271,7 @@ int render(const Options& options) {
   auto renderer = rgs::Renderer::create(options.renderer);
   if (!renderer) return tool::report("", renderer.error());
   const auto opened = Clock::now();  // to the end of the first frame: what a viewer of the scene waits for
-  const auto scene = rgs::load_scene_file(options.scene);
+  const auto scene = rgs::load_scene_file(options.scene, options.limits);
   if (!scene) return tool::report(options.scene, scene.error());
   const double load_seconds = seconds_since(start);
 
@@ -420,6 +422,7 @@ void add_options(CLI::App& app, Options& o) {
       ->group(machine);
   app.add_flag("--scalar", o.scalar, "the scalar definition on the CPU, pixel by pixel, instead of vectors")
       ->group(machine);
+  tool::add_max_expansion(app, o.limits)->group(machine);
   app.add_flag("--json", o.json, "summary as JSON on standard output")->group(machine);
   app.add_flag("--quiet,-q", o.quiet, "no progress and no summary")->group(machine);
   app.set_version_flag("--version", "rgs-render " RGS_VERSION);

@@ -103,10 +103,10 @@ class Scene:
     source_index: NDArray[np.uint64] | None  # [N] position in the source file
 
     def log_scales(self) -> NDArray[np.float32]:
-        """[N, 3] as a 3DGS PLY stores them, within -60 and 60."""
+        """[N, 3] as a 3DGS PLY stores them, at most 60."""
         exponent = -self.header["scale_exponent"]
         stored = np.where(self.scales_stored == 0, 2.0**-26, self.scales_stored.astype(np.float64))
-        return np.log(np.ldexp(stored, exponent)).clip(-60, 60).astype(np.float32)
+        return np.log(np.ldexp(stored, exponent)).clip(None, 60).astype(np.float32)
 
     def opacity_logits(self) -> NDArray[np.float32]:
         """[N] as a 3DGS PLY stores them."""
@@ -502,7 +502,7 @@ def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales:
 
 
 def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_gaussians: int = 2**33,
-         max_expansion: int = 1024) -> Scene:
+         max_expansion: int = 1032) -> Scene:
     """Parses and checks a whole file; raises RgsError on the first broken rule."""
     data = memoryview(data)
     h = read_header(data, max_file_bytes, max_gaussians)

@@ -6,6 +6,15 @@
 #include "edit_file.hpp"
 #include "rgs/decode.hpp"
 
+#if defined(RGS_LIBFUZZER)
+#include "rgs_mutator.hpp"
+
+extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t size, std::size_t max_size,
+                                               unsigned seed) {
+  return rgs::fuzz::mutate_rgs(data, size, max_size, seed);
+}
+#endif
+
 namespace {
 
 // Everything that can be read of decoded attributes; false if an entry of the tables stops it.
@@ -36,8 +45,10 @@ void read_all(std::span<const std::byte> bytes) {
     const auto last = rgs::read_chunks(*view, n_chunks - 1, 1, {.validate = false, .threads = 1});
     if (last) static_cast<void>(read_attributes(*last));
   }
+  const auto cloud = rgs::decode(bytes);
+  if (cloud && !cloud->view().consistent()) std::abort();
   // Documented: after validate() nothing of this can fail.
-  if (valid && !(read && rgs::load_direct(*view, {.threads = 1}))) std::abort();
+  if (valid && !(read && cloud && rgs::load_direct(*view, {.threads = 1}))) std::abort();
 }
 
 }  // namespace

@@ -19,9 +19,20 @@ namespace RGS_API rgs {
 struct DecodeLimits {
   std::uint64_t max_file_bytes = std::uint64_t{1} << 40;
   std::uint64_t max_gaussians = std::uint64_t{1} << 33;
-  /// Coded sections together decode to at most this many times the file's size (and 1 MiB): what a small file can make
-  /// a reader allocate.
-  std::uint64_t max_expansion = 1024;
+  /// What is compressed in a file decodes to at most this many times the file's size (and 1 MiB): what a small file can
+  /// make a reader allocate. The default is what DEFLATE cannot exceed; SceneWriter and the writers of other formats
+  /// keep to it whatever the scene.
+  std::uint64_t max_expansion = 1032;
+  /// And to at most this many bytes, whatever its size: what any file can make a reader allocate.
+  std::uint64_t max_decoded_bytes = std::uint64_t{1} << 40;
+
+  /// The smaller of the two for a file of `file_bytes`.
+  std::uint64_t decoded_bytes(std::uint64_t file_bytes) const {
+    constexpr std::uint64_t kAlways = std::uint64_t{1} << 20, kMost = ~std::uint64_t{0} - kAlways;
+    const bool fits = max_expansion == 0 || file_bytes <= kMost / max_expansion;
+    const std::uint64_t expanded = (fits ? file_bytes * max_expansion : kMost) + kAlways;
+    return expanded < max_decoded_bytes ? expanded : max_decoded_bytes;
+  }
 };
 
 /// One Gaussian as the renderer wants it.

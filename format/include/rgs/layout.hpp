@@ -34,9 +34,6 @@ inline constexpr std::uint64_t kStepSetBytes = 48;   ///< FP32 [4, 3]: degree, c
 inline constexpr std::uint64_t kChunkEntryBytes = 48;
 inline constexpr std::uint64_t kDeclarationBytes = 256;
 
-/// Within it every FP16 scale times 2^-E, and three times that, is an exact finite FP32 number.
-inline constexpr int kMaxScaleExponent = 110;
-
 inline constexpr std::uint32_t kMinChunkSize = 32;
 inline constexpr std::uint32_t kMaxChunkSize = 1u << 16;
 

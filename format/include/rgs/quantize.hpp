@@ -104,8 +104,8 @@ RGS_HD inline float sh_step(float max_abs) {
 /// value) for |value| <= 127 * step.
 RGS_HD inline std::int8_t quantize_sh(float value, float step) {
   const float quotient = value / (step > 0.f ? step : 1.f);
-  const float low = quotient < -127.f ? -127.f : quotient;
-  const float clamped = low > 127.f ? 127.f : low;
+  const float low = quotient > -127.f ? quotient : -127.f;  // so that NaN, which nobody should ask for, is a code too
+  const float clamped = low < 127.f ? low : 127.f;
   // 1.5 * 2^23 pushes the fraction out of the significand: the FP32 addition does the rounding, half to even.
   const float rounded = (clamped + 12582912.f) - 12582912.f;
   return static_cast<std::int8_t>(static_cast<std::int32_t>(step > 0.f ? rounded : 0.f));
@@ -118,7 +118,7 @@ RGS_HD inline float dequantize_sh(std::int8_t code, float step) {
 
 // ---- geometry: FP16, activated -----------------------------------------------------------------------------------
 
-/// Opacity in [0, 1]. Evaluated in FP64 so that hosts agree after rounding to FP32.
+/// Opacity in [0, 1]; infinite logits give 1 and 0. Evaluated in FP64 so that hosts agree after rounding to FP32.
 RGS_HD inline float opacity_from_logit(float logit) {
   return static_cast<float>(1.0 / (1.0 + std::exp(-static_cast<double>(logit))));
 }
@@ -132,21 +132,27 @@ RGS_HD inline float logit_from_opacity(float opacity) {
   return static_cast<float>(std::log(o / (1.0 - o)));
 }
 
+/// -inf gives 0: a flat Gaussian.
 RGS_HD inline float scale_from_log(float log_scale) {
   return static_cast<float>(std::exp(static_cast<double>(log_scale)));
 }
 
-/// Log-scales beyond +-60 are damaged input.
+/// Log-scales above 60 are damaged input. Below -60 there are scales that are next to 0, and 0 itself.
 inline constexpr float kMaxLogScale = 60.f;
 
-/// Logarithm of a stored scale; 0 gives that of 2^-26 * 2^-scale_exponent, which is stored as 0 again. Clamped to
-/// +-kMaxLogScale, which FP16 rounding can exceed; the bound is stored as the same code again.
+/// Logarithm of a stored scale; 0 gives that of 2^-26 * 2^-scale_exponent, which is stored as 0 again: many programs
+/// cannot read -inf. At most kMaxLogScale, which FP16 rounding can exceed; the bound is stored as the same code again.
+/// Infinity and NaN, which other formats may hold, stay what they are.
 RGS_HD inline float log_from_scale(float scale, int scale_exponent) {
-  const double value = scale > 0.f ? static_cast<double>(scale) : std::ldexp(1.0, -26 - scale_exponent);
+  const double value = scale <= 0.f ? std::ldexp(1.0, -26 - scale_exponent) : static_cast<double>(scale);
   const float log_scale = static_cast<float>(std::log(value));
-  const float low = log_scale < -kMaxLogScale ? -kMaxLogScale : log_scale;
-  return low > kMaxLogScale ? kMaxLogScale : low;
+  const bool rounded = log_scale > kMaxLogScale && log_scale < 2 * kMaxLogScale;
+  return rounded ? kMaxLogScale : log_scale;
 }
+
+/// Largest magnitude of a file's exponent E: within it every FP16 scale times 2^-E, and three times that, is an exact
+/// finite FP32 number.
+inline constexpr int kMaxScaleExponent = 110;
 
 /// Rotations of FP16 numbers whose squared norm is this near to 1 are stored as they are. FP16 rounding moves a unit
 /// quaternion's squared norm by little more than 2^-10, so a decoded rotation is never normalised a second time:
@@ -191,7 +197,8 @@ RGS_HD inline float dequantize_scale(std::uint16_t code, int scale_exponent) {
 
 /// The per-file exponent for scales between min_scale and max_scale (> 0): the one nearest to 0 that puts both into
 /// the normal range of FP16 with a factor of two to spare; if the range is too wide for that, the one that brings the
-/// largest to at most 2^15, so that what is lost is lost at the small end, where it is counted.
+/// largest to at most 2^15, so that what is lost is lost at the small end, where it is counted. At most
+/// kMaxScaleExponent, which it is where all scales are 0: what these decode to is 0 again.
 /// Both bounds are first rounded to FP16's 11 significant bits, so that decoded scales choose the same exponent.
 RGS_HD inline int choose_scale_exponent(float min_scale, float max_scale) {
   struct Local {
@@ -214,8 +221,9 @@ RGS_HD inline int choose_scale_exponent(float min_scale, float max_scale) {
       return limit - (exponent - 1);
     }
   };
-  if (!(max_scale > 0.f)) return 0;
-  const int high = Local::largest_exponent(Local::rounded(max_scale), 15);
+  if (!(max_scale > 0.f)) return kMaxScaleExponent;
+  const int largest = Local::largest_exponent(Local::rounded(max_scale), 15);
+  const int high = largest < kMaxScaleExponent ? largest : kMaxScaleExponent;
   if (!(min_scale > 0.f)) return high;
   const int low = Local::smallest_exponent(Local::rounded(min_scale), -13);
   if (low > high) return high;

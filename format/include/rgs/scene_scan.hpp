@@ -21,15 +21,14 @@ enum class BadPolicy : std::uint8_t {
 
 /// Kinds of damage, each counted once per Gaussian that has it.
 enum class Defect : std::uint8_t {
-  mean,   ///< a coordinate is not finite                                   repair: dropped
-  scale,  ///< log-scale is not finite or beyond +-60                       repair: -inf becomes -60; others dropped
-  rotation_nan,      ///< a rotation component is not finite                           repair: identity
-  rotation_zero,     ///< the quaternion is zero (norm below 2^-60)                    repair: identity
-  opacity_nan,       ///< the logit is NaN                                             repair: dropped
-  opacity_infinite,  ///< the logit is infinite                                        repair: +-20
-  sh,                ///< an SH coefficient is not finite or above kShLimit            repair: 0
+  mean,           ///< a coordinate is not finite                             repair: dropped
+  scale,          ///< a log-scale is NaN or above 60; -inf is a scale of 0   repair: dropped
+  rotation_nan,   ///< a rotation component is not finite                     repair: identity
+  rotation_zero,  ///< the quaternion is zero (norm below 2^-60)              repair: identity
+  opacity_nan,    ///< the logit is NaN; +-inf are opacities of 1 and 0       repair: dropped
+  sh,             ///< an SH coefficient is not finite or above kShLimit      repair: 0
 };
-inline constexpr int kDefectKinds = 7;
+inline constexpr int kDefectKinds = 6;
 /// "mean", "scale", "rotation_nan", ...
 const char* defect_name(Defect defect);
 
@@ -68,7 +67,7 @@ class SceneScan {
   std::uint64_t n_kept() const { return n_kept_; }
   std::uint64_t n_repaired() const { return n_repaired_; }
   std::uint64_t defects(Defect defect) const { return defects_[static_cast<std::size_t>(defect)]; }
-  /// Of the kept Gaussians; boxes and ranges are zero if there are none.
+  /// Of the kept Gaussians; boxes and ranges are zero if there are none. Log-scales and logits may be infinite.
   Box full() const { return n_kept_ == 0 ? Box() : full_; }
   /// Bounds that at least 99 of 100 means lie within on each axis; see FORMAT.md "Robust box".
   Box robust() const;

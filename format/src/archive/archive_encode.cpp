@@ -120,8 +120,9 @@ class Encoder {
     auto written = assemble(bytes, source_index);
     if (!written) return written;
     if (Status s = verify_archive(bytes, splats_, order_, n_threads()); !s) {
+      if (s.error().code == Errc::host_out_of_memory || s.error().code == Errc::limit_exceeded)
+        return tl::unexpected(s.error());
       // Whatever is wrong with it is this encoder's fault, and no place in the source.
-      if (s.error().code == Errc::host_out_of_memory) return tl::unexpected(s.error());
       return make_error(Errc::internal, Error::kNone, s.error().what, Error::kNone, s.error().offset);
     }
     if (Status s = sink.write_at(0, bytes); !s) return tl::unexpected(s.error());
@@ -479,7 +480,17 @@ Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const Spla
                                    std::span<const std::uint32_t> source_index) {
   assert(plan.options.profile == Profile::archive && splats.n == plan.header.n_gaussians && splats.n != 0);
   assert(source_index.size() == splats.n && splats.sh_degree == plan.header.sh_degree);
-  return Encoder(plan, splats).run(sink, source_index);
+  // Equal Gaussians may shrink to so little that no reader would take the file for what it is: smaller frames are larger.
+  EncodePlan smaller = plan;
+  for (;; smaller.archive_rows /= 8) {
+    auto written = Encoder(smaller, splats).run(sink, source_index);
+    if (written || written.error().code != Errc::limit_exceeded) return written;
+    if (smaller.frame_rows() == plan.header.chunk_size) {
+      return make_error(Errc::limit_exceeded, Error::kNone,
+                        "the scene's Gaussians are so alike that readers would refuse its archive for what it decodes "
+                        "to: use smaller chunks or profile packed");
+    }
+  }
 }
 
 }  // namespace detail

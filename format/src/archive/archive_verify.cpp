@@ -155,9 +155,7 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
 Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
                       unsigned threads) {
   assert(order.size() == splats.n);
-  DecodeLimits limits;
-  limits.max_expansion = std::uint64_t{1} << 32;  // the caller's own file: a scene of equals may shrink to nothing
-  const auto view = FileView::open(file, limits);
+  const auto view = FileView::open(file);
   if (!view) return tl::unexpected(view.error());
   if (view->archive() == nullptr || view->header().n_gaussians != splats.n) {
     return make_error(Errc::internal, Error::kNone, "not an archive of these Gaussians");

@@ -21,6 +21,7 @@ struct EncodePlan {
   Header header;          ///< file_bytes and n_sections still 0
   Declarations declarations;
   bool mends = false;                  ///< the scan has mended Gaussians
+  std::uint32_t archive_rows = 32768;  ///< wanted a frame of Profile::archive
   ShStepSet file_steps;                ///< the only set, unless chunks have their own
   std::vector<SectionEntry> sections;  ///< in file order; stored_bytes: the most that it can take; hashes and offsets 0
 

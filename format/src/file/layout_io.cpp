@@ -7,6 +7,7 @@
 #include <cmath>
 
 #include "rgs/checksum.hpp"
+#include "rgs/quantize.hpp"
 
 namespace rgs::detail {
 

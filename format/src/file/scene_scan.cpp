@@ -64,7 +64,6 @@ const char* defect_name(Defect defect) {
     case Defect::rotation_nan: return "rotation_nan";
     case Defect::rotation_zero: return "rotation_zero";
     case Defect::opacity_nan: return "opacity_nan";
-    case Defect::opacity_infinite: return "opacity_infinite";
     case Defect::sh: return "sh";
   }
   return "unknown";
@@ -74,7 +73,7 @@ std::uint32_t find_defects(const Splat& s, int sh_degree) {
   std::uint32_t defects = 0;
   if (!std::isfinite(s.mean[0]) || !std::isfinite(s.mean[1]) || !std::isfinite(s.mean[2])) defects |= bit(Defect::mean);
   for (const float value : s.log_scale) {
-    if (!(std::abs(value) <= kMaxLogScale)) defects |= bit(Defect::scale);
+    if (!(value <= kMaxLogScale)) defects |= bit(Defect::scale);
   }
   double squared = 0;
   for (const float value : s.rotation) squared += static_cast<double>(value) * static_cast<double>(value);
@@ -84,7 +83,6 @@ std::uint32_t find_defects(const Splat& s, int sh_degree) {
     defects |= bit(Defect::rotation_zero);
   }
   if (std::isnan(s.opacity_logit)) defects |= bit(Defect::opacity_nan);
-  if (std::isinf(s.opacity_logit)) defects |= bit(Defect::opacity_infinite);
   const int floats = 3 * sh_coefficients(sh_degree);
   std::int32_t largest = 0;
   for (int i = 0; i < floats; ++i) largest = std::max(largest, detail::magnitude_bits(s.sh[i]));
@@ -93,17 +91,10 @@ std::uint32_t find_defects(const Splat& s, int sh_degree) {
 }
 
 bool repair(Splat& s, std::uint32_t defects) {
-  if ((defects & (bit(Defect::mean) | bit(Defect::opacity_nan))) != 0) return false;
-  if ((defects & bit(Defect::scale)) != 0) {
-    for (float& value : s.log_scale) {
-      if (value == -kInfinity) value = -kMaxLogScale;
-      if (!(std::abs(value) <= kMaxLogScale)) return false;
-    }
-  }
+  if ((defects & (bit(Defect::mean) | bit(Defect::scale) | bit(Defect::opacity_nan))) != 0) return false;
   if ((defects & (bit(Defect::rotation_nan) | bit(Defect::rotation_zero))) != 0) {
     std::ranges::copy(Splat().rotation, s.rotation);
   }
-  if ((defects & bit(Defect::opacity_infinite)) != 0) s.opacity_logit = s.opacity_logit > 0 ? 20.f : -20.f;
   if ((defects & bit(Defect::sh)) != 0) {
     for (float& value : s.sh) {
       if (!(std::abs(value) <= kShLimit)) value = 0;

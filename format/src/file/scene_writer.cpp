@@ -203,7 +203,10 @@ void SceneWriter::Batch::encode_chunk() {
       for (Splat& s : chunk) repair(s, find_defects(s, degree));
     }
     if (plan.options.profile == Profile::archive) {
-      for (const Splat& s : chunk) writer_->scene.set(b.first + b.done++, s);
+      for (Splat& s : chunk) {
+        for (float& value : s.log_scale) value = std::max(value, -kMaxLogScale);  // codes have no room for -inf
+        writer_->scene.set(b.first + b.done++, s);
+      }
       return {};
     }
     b.steps.push_back(plan.file_steps);

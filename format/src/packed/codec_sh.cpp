@@ -125,17 +125,20 @@ Correlation correlate_codes(ShLanes& lanes, std::span<const std::byte> rows, con
   return c;
 }
 
-// Lower triangle of the Cholesky factor of the matrix with a little added to its diagonal, so that it has one.
+// Lower triangle of the Cholesky factor of the matrix with a little added to its diagonal, so that it has one. Where codes
+// depend on each other entirely, as in a chunk of equal Gaussians, rounding in FP32 is more than that little: entries are
+// kept to twice what they can be, or they would grow from row to row beyond all numbers.
 std::vector<double> cholesky(const std::vector<float>& matrix, std::size_t n) {
   double trace = 0;
   for (std::size_t i = 0; i < n; ++i) trace += static_cast<double>(matrix[i * n + i]);
   const double ridge = 1e-6 * trace / static_cast<double>(n) + 1e-3;
   std::vector<double> l(n * n);
   for (std::size_t i = 0; i < n; ++i) {
+    const double largest = 2 * std::sqrt(static_cast<double>(matrix[i * n + i]) + ridge);
     for (std::size_t j = 0; j <= i; ++j) {
       double sum = static_cast<double>(matrix[i * n + j]) + (i == j ? ridge : 0);
       for (std::size_t k = 0; k < j; ++k) sum -= l[i * n + k] * l[j * n + k];
-      l[i * n + j] = i == j ? std::sqrt(std::max(sum, ridge)) : sum / l[j * n + j];
+      l[i * n + j] = i == j ? std::sqrt(std::max(sum, ridge)) : std::clamp(sum / l[j * n + j], -largest, largest);
     }
   }
   return l;

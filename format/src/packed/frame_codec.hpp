@@ -46,6 +46,10 @@ class FrameDecoder {
   std::vector<std::uint8_t> content_;
 };
 
+/// A frame's rows take at most so many times its stored bytes: less than DecodeLimits::max_expansion allows a file, so
+/// that every file can be read, also one of a million equal Gaussians.
+inline constexpr std::size_t kMaxFrameExpansion = 1024;
+
 /// Encodes frames, one at a time. Deterministic.
 class FrameEncoder {
  public:
@@ -57,7 +61,7 @@ class FrameEncoder {
   std::vector<std::byte> sh(std::span<const std::byte> rows, const ShFrame& frame);
 
  private:
-  std::vector<std::byte> deflate(std::span<const std::size_t> plane_ends);
+  std::vector<std::byte> deflate(std::span<const std::size_t> plane_ends, std::size_t decoded_bytes);
   std::vector<std::byte> deflate(std::span<const std::size_t> plane_ends, bool matches);
   struct Free {
     void operator()(ZSTD_CCtx_s* context) const;

@@ -74,13 +74,21 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
   return out;
 }
 
-std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_ends) {
+// `decoded_bytes` is what the frame's rows take.
+std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_ends, std::size_t decoded_bytes) {
   std::vector<std::byte> best = deflate(plane_ends, false);
   if (level_ > 1) {
     std::vector<std::byte> other = deflate(plane_ends, true);
     if (other.size() < best.size()) best = std::move(other);
   }
-  return best;
+  if (decoded_bytes / kMaxFrameExpansion < best.size()) return best;
+  // Too small. A block takes at least four bytes: with one for every 2048 the frame is large enough, padding of rows,
+  // which is not coded, included.
+  constexpr std::size_t kSmallBlock = 2048;
+  std::vector<std::size_t> ends;
+  for (std::size_t end = kSmallBlock; end < plane_ends.back(); end += kSmallBlock) ends.push_back(end);
+  ends.push_back(plane_ends.back());
+  return deflate(ends, false);
 }
 
 std::vector<std::byte> FrameEncoder::words(std::span<const std::byte> rows, std::uint64_t row_bytes) {
@@ -99,7 +107,7 @@ std::vector<std::byte> FrameEncoder::words(std::span<const std::byte> rows, std:
     }
     for (std::size_t k = 1; k <= 4; ++k) ends.push_back((4 * word + k) * n);
   }
-  return deflate(ends);
+  return deflate(ends, rows.size());
 }
 
 std::vector<std::byte> FrameEncoder::geometry(std::span<const std::byte> rows) {
@@ -123,7 +131,7 @@ std::vector<std::byte> FrameEncoder::geometry(std::span<const std::byte> rows) {
   }
   std::array<std::size_t, kGeometryBytes> ends;
   for (std::size_t k = 0; k < ends.size(); ++k) ends[k] = (k + 1) * n;
-  return deflate(ends);
+  return deflate(ends, rows.size());
 }
 
 std::vector<std::byte> FrameEncoder::sh(std::span<const std::byte> rows, const ShFrame& frame) {
@@ -134,7 +142,7 @@ std::vector<std::byte> FrameEncoder::sh(std::span<const std::byte> rows, const S
   encode_sh_planes(*lanes_, rows, frame, content_);
   std::vector<std::size_t> ends{weights};
   for (int i = 0; i < n_codes; ++i) ends.push_back(ends.back() + n);
-  return deflate(ends);
+  return deflate(ends, rows.size());
 }
 
 }  // namespace rgs::detail

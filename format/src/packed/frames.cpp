@@ -150,11 +150,9 @@ Status FileView::open_archive() {
 }
 
 Status FileView::open_coded(const DecodeLimits& limits) {
-  constexpr std::uint64_t kAlways = std::uint64_t{1} << 20;
-  std::uint64_t budget = 0;
-  if (!detail::multiply(bytes_.size(), limits.max_expansion, budget) || budget > ~kAlways) budget = ~kAlways;
-  budget += kAlways;
-  budget = std::min<std::uint64_t>(budget, std::numeric_limits<std::size_t>::max() / 2);  // sizes below are size_t
+  // Sizes below are size_t.
+  std::uint64_t budget =
+      std::min<std::uint64_t>(limits.decoded_bytes(bytes_.size()), std::numeric_limits<std::size_t>::max() / 2);
   std::vector<FrameTable> tables(sections_.size());
   for (std::size_t i = 0; i < sections_.size(); ++i) {
     const SectionEntry& s = sections_[i];
@@ -168,8 +166,8 @@ Status FileView::open_coded(const DecodeLimits& limits) {
     frames_.resize(sections_.size());
     if (s.decoded_bytes > budget) {
       return make_error(Errc::limit_exceeded, detail::section_entry_offset(i) + 32,
-                        "coded sections decode to more than the caller allows for a file of this size", budget,
-                        s.decoded_bytes);
+                        "coded sections decode to more than the caller allows for a file of this size (max_expansion)",
+                        budget, s.decoded_bytes);
     }
     budget -= s.decoded_bytes;
   }

@@ -36,10 +36,10 @@ class Scene {
   Scene() = default;  ///< no Gaussians
 
   /// Activates training parameters: scale = exp(log_scale), opacity = sigmoid(logit), rotation normalised (all zero
-  /// becomes the identity). `declared` is what is known of them otherwise: their origin, and the rest for
-  /// with_declarations() (renderer.hpp).
-  /// Errors: bad_argument (sizes that contradict each other, an illegal declaration), limit_exceeded (2^31 Gaussians or more), bad_value (a
-  /// non-finite attribute; Error::offset is the index of the Gaussian).
+  /// becomes the identity). Infinite logits are opacities of 1 and 0, a log-scale of -inf is a scale of 0. `declared` is
+  /// what is known of them otherwise: their origin, and the rest for with_declarations() (renderer.hpp).
+  /// Errors: bad_argument (sizes that contradict each other, an illegal declaration), limit_exceeded (2^31 Gaussians or
+  /// more), bad_value (a NaN or another infinity; Error::offset is the index of the Gaussian).
   static Result<Scene> load(const SplatView& splats, const std::optional<Declarations>& declared = std::nullopt);
   static Result<Scene> load(const SplatCloud& splats, const std::optional<Declarations>& declared = std::nullopt) {
     return load(splats.view(), declared);
@@ -49,12 +49,12 @@ class Scene {
   /// An .rgs file: opened, validated (see validate()) and decoded on all threads. Errors: those of FileView::open(),
   /// validate() and MappedFile::open(), limit_exceeded. These make the FP32 arrays, for the caller's bytes may go.
   static Result<Scene> load(const FileView& file);
-  static Result<Scene> load(std::span<const std::byte> bytes);
+  static Result<Scene> load(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
   /// These keep the file mapped for as long as the scene lives: a GPU gets the attributes as they lie in it, 76 bytes a
   /// Gaussian at SH degree 3 in place of 236, and nothing else is made of them. It must not be changed in place;
   /// replacing it does no harm.
-  static Result<Scene> load(const std::string& path);
-  static Result<Scene> load(MappedFile&& file);
+  static Result<Scene> load(const std::string& path, const DecodeLimits& limits = {});
+  static Result<Scene> load(MappedFile&& file, const DecodeLimits& limits = {});
 
   std::uint64_t size() const;
   int sh_degree() const;

@@ -552,3 +552,35 @@ TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the 
   CHECK(alone.err.find("rgs-audit") != std::string::npos);
   CHECK_FALSE(fs::exists(scene.file("other.rgs")));
 }
+
+TEST_CASE("infinite logits and scales of 0 have finite errors, and nothing is left out") {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  const SceneFolder scene;
+  SplatCloud cloud = scene.cloud;
+  for (std::size_t i = 0; i < 60; ++i) {
+    cloud.opacity_logit[i] = i % 2 == 0 ? kInfinity : -kInfinity;
+    if (i < 20) cloud.log_scale[3 * i] = -kInfinity;
+    if (i < 5) cloud.log_scale[3 * i + 1] = cloud.log_scale[3 * i + 2] = -kInfinity;
+  }
+  const std::string ply = write_ply(scene.file("infinite.ply"), cloud);
+  for (const Profile profile : {Profile::direct, Profile::archive}) {
+    CAPTURE(static_cast<int>(profile));
+    EncodeOptions options;
+    options.profile = profile;
+    const std::string rgs = write_rgs(scene.file("infinite.rgs"), cloud, options);
+    const ProgramResult run = run_audit({ply, rgs, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(run.out.find("nan") == std::string::npos);
+    const json j = json::parse(run.out);
+    CHECK(j["attributes"]["n_paired"] == 700);
+    for (const auto& [name, error] : j["attributes"]["errors"].items()) {
+      CAPTURE(name);
+      CAPTURE(error.dump());
+      CHECK(error.dump().find("null") == std::string::npos);
+    }
+    CHECK(j["rendered"]["psnr"] > (profile == Profile::direct ? 50 : 30));
+    REQUIRE(j["rendered"]["attribution"].size() > 1);
+    for (const json& step : j["rendered"]["attribution"]) CHECK(step["mse"].is_number());
+  }
+}

@@ -308,3 +308,72 @@ TEST_CASE("--strict refuses damaged Gaussians and scales that FP16 flushes") {
   CHECK(rgs_convert({"--strict", "--on-bad", "drop", good, out}).exit_code == 2);
   CHECK_FALSE(std::filesystem::exists(folder.file("out.glb")));
 }
+
+TEST_CASE("infinite logits and scales of 0 come out of every format as what they are") {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(600, 1, 8);
+  cloud.opacity_logit[10] = kInfinity;
+  cloud.opacity_logit[20] = -kInfinity;
+  cloud.log_scale[3 * 30 + 2] = -kInfinity;
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), text = folder.file("text.ply");
+  write_text(text, other_ply(cloud, true));
+  for (const std::string ending : {"rgs", "ply", "compressed.ply", "spz", "splat", "glb"}) {
+    CAPTURE(ending);
+    const std::string one = folder.file("one." + ending), two = folder.file("two.ply");
+    const ProgramResult run =
+        rgs_convert({"--keep-order", "--on-bad", "refuse", "--json", ending == "spz" ? text : ply, one});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(run.err.find("damaged") == std::string::npos);
+    REQUIRE(rgs_convert({"--keep-order", "--on-bad", "refuse", one, two}).exit_code == 0);
+    const auto file = read_splats(two);
+    REQUIRE(file);
+    REQUIRE(file->cloud.size() == 600);
+    CHECK(half_from_float(opacity_from_logit(file->cloud.opacity_logit[10])) == half_from_float(1));
+    CHECK(half_from_float(opacity_from_logit(file->cloud.opacity_logit[20])) == 0);
+    // A code of SPZ is at least e^-10, one of compressed PLY e^-20.
+    CHECK(file->cloud.log_scale[3 * 30 + 2] <= (ending == "spz" ? -10.F : -15.F));
+    for (const float x : file->cloud.log_scale) CHECK(x < 10);
+    if (ending == "ply") CHECK((file->cloud.opacity_logit == cloud.opacity_logit));
+  }
+  for (const std::string profile : {"direct", "packed", "archive"}) {
+    CAPTURE(profile);
+    const ProgramResult run = rgs_convert({"--profile", profile, "--json", ply, folder.file("out.rgs")});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    const auto json = nlohmann::json::parse(run.out);
+    CHECK(json["dropped"] == 0);
+    CHECK(json["repaired"] == 0);
+    CHECK(json["output"]["gaussians"] == 600);
+  }
+}
+
+TEST_CASE("a million equal Gaussians are read again, and --max-expansion says what a file may decode to") {
+  const TemporaryFolder folder;
+  SplatCloud cloud;
+  cloud.resize(300'000, 0);
+  const Splat s = ordinary_cloud(1, 0, 5).view().splat(0);
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) cloud.set(i, s);
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), back = folder.file("back.ply");
+  for (const std::string profile : {"packed", "direct", "archive"}) {
+    CAPTURE(profile);
+    const std::string rgs = folder.file(profile + ".rgs");
+    REQUIRE(rgs_convert({"--profile", profile, ply, rgs}).exit_code == 0);
+    const ProgramResult run = rgs_convert({rgs, back});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(std::filesystem::file_size(back) >= 300'000 * 56);
+    const std::string other = folder.file("other.rgs");
+    CHECK(rgs_convert({"--max-expansion", "4096", "--to-axes", "gltf", rgs, other}).exit_code == 0);
+    if (profile == "direct") continue;  // nothing to decode
+    for (const char* little : {"1", "5MB"}) {
+      const ProgramResult refused = rgs_convert({"--max-expansion", little, rgs, back});
+      CHECK(refused.exit_code == 4);
+      CHECK(holds(refused.err, "limit_exceeded"));
+      CHECK(holds(refused.err, "--max-expansion"));
+      CHECK(rgs_convert({"--max-expansion", little, "--to-axes", "gltf", rgs, other}).exit_code == 4);
+    }
+  }
+  CHECK(rgs_convert({"--max-expansion", "much", ply, back}).exit_code == 2);
+}

@@ -57,7 +57,7 @@ inline std::string other_ply(const SplatCloud& cloud, bool ascii) {
   return text;
 }
 
-/// Damages Gaussians 0, every, 2 every, ...: by turns a NaN mean, an infinite logit, a zero quaternion, an SH
+/// Damages Gaussians 0, every, 2 every, ...: by turns a NaN mean, a NaN rotation, a zero quaternion, an SH
 /// coefficient that is infinite. Repairing mends all but the first kind.
 inline SplatCloud damaged(SplatCloud cloud, std::uint64_t every) {
   constexpr float kInfinity = std::numeric_limits<float>::infinity();
@@ -65,7 +65,7 @@ inline SplatCloud damaged(SplatCloud cloud, std::uint64_t every) {
     Splat s = cloud.view().splat(i);
     switch (kind % 4) {
       case 0: s.mean[1] = std::numeric_limits<float>::quiet_NaN(); break;
-      case 1: s.opacity_logit = -kInfinity; break;
+      case 1: s.rotation[2] = std::numeric_limits<float>::quiet_NaN(); break;
       case 2: std::fill_n(s.rotation, 4, 0.F); break;
       default: s.sh[1] = kInfinity; break;
     }

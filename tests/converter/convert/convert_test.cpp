@@ -303,7 +303,7 @@ TEST_CASE("damaged Gaussians: each policy, its counts and its limit") {
   nlohmann::json json = nlohmann::json::parse(run.out);
   CHECK(json["dropped"] == 8);
   CHECK(json["repaired"] == 0);
-  for (const char* kind : {"mean", "opacity_infinite", "rotation_zero", "sh"}) CHECK(json["damaged"][kind] == 2);
+  for (const char* kind : {"mean", "rotation_nan", "rotation_zero", "sh"}) CHECK(json["damaged"][kind] == 2);
   CHECK(json["damaged"]["scale"] == 0);
 
   run = convert(many, {});

@@ -216,10 +216,33 @@ TEST_CASE("filters keep what they say, in order") {
   CHECK(none.size() == 0);
 }
 
+TEST_CASE("infinite logits and scales of 0 are filtered as what they are") {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  SplatCloud cloud = ordinary_cloud(100, 0, 12);
+  cloud.opacity_logit[3] = kInfinity;
+  cloud.opacity_logit[4] = -kInfinity;
+  for (std::size_t k = 0; k < 3; ++k) cloud.log_scale[3 * 3 + k] = 5;  // by far the largest, and flat
+  cloud.log_scale[3 * 3 + 1] = -kInfinity;
+  SplatCloud most = cloud;
+  filter_splats(most, {.crop = {}, .min_opacity = 0, .max_n = 1});
+  REQUIRE(most.size() == 1);
+  CHECK(most.opacity_logit[0] == kInfinity);
+  SplatCloud seen = cloud;
+  filter_splats(seen, {.crop = {}, .min_opacity = 1e-6F, .max_n = 100});
+  CHECK(std::ranges::count(seen.opacity_logit, kInfinity) == 1);
+  CHECK(std::ranges::count(seen.opacity_logit, -kInfinity) == 0);
+  SplatCloud moved = cloud;
+  transform_splats(moved, {.rotation = rotation_from_euler({10, 20, 30}), .scale = 2, .translation = {1, 2, 3}});
+  append_splats(moved, cloud);
+  CHECK(clean_splats(moved, {.on_bad = BadPolicy::refuse}));
+  CHECK(moved.size() == 200);
+  CHECK(std::ranges::count(moved.opacity_logit, kInfinity) == 2);
+}
+
 TEST_CASE("cleaning applies the damage policies of encode()") {
   SplatCloud cloud = ordinary_cloud(300, 1, 11);
   cloud.mean[3 * 10] = std::numeric_limits<float>::quiet_NaN();
-  cloud.opacity_logit[20] = std::numeric_limits<float>::infinity();
+  cloud.rotation[4 * 20 + 1] = std::numeric_limits<float>::infinity();
   EncodeOptions options;
   SplatCloud dropped = cloud;
   const auto scan = clean_splats(dropped, options);
@@ -231,7 +254,8 @@ TEST_CASE("cleaning applies the damage policies of encode()") {
   SplatCloud repaired = cloud;
   REQUIRE(clean_splats(repaired, options));
   CHECK(repaired.size() == 299);
-  CHECK(repaired.opacity_logit[19] == 20);
+  CHECK(repaired.rotation[4 * 19] == 1);
+  CHECK(repaired.rotation[4 * 19 + 1] == 0);
   options.on_bad = BadPolicy::refuse;
   CHECK(clean_splats(cloud, options).error().offset == 10);
   options.on_bad = BadPolicy::drop;

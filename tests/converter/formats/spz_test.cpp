@@ -430,3 +430,22 @@ TEST_CASE("SPZ headers that promise too much are refused before memory is taken"
     CHECK(file.error().code == (n > 100000 ? Errc::limit_exceeded : Errc::truncated));
   }
 }
+
+TEST_CASE("a file of equal Gaussians is read by the reader's defaults, and a caller's limits are kept") {
+  SplatCloud cloud;
+  cloud.resize(300'000, 0);
+  const Splat s = ordinary_cloud(1, 0, 5).view().splat(0);
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) cloud.set(i, s);
+  const auto bytes = encode_splats(cloud.view(), SplatFormat::spz);
+  REQUIRE(bytes);
+  CHECK(bytes->size() < 300'000 * 20 / 100);
+  const auto file = read_splats(*bytes);
+  REQUIRE(file);
+  CHECK(file->cloud.size() == 300'000);
+  ReadOptions options;
+  options.limits.max_expansion = 2;
+  CHECK(read_splats(*bytes, options).error().code == Errc::limit_exceeded);
+  options.limits.max_expansion = 1032;
+  options.limits.max_decoded_bytes = 5'000'000;
+  CHECK(read_splats(*bytes, options).error().code == Errc::limit_exceeded);
+}

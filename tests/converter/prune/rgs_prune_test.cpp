@@ -2,9 +2,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <random>
 #include <string>
@@ -251,4 +253,18 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input; outputs that exist a
   const ProgramResult nan = stage.run(stage.file("nan.ply"), stage.file("a.ply"), {"--keep", "1"});
   CHECK(nan.exit_code == 4);
   CHECK(nan.err.find("(found 7)") != std::string::npos);
+}
+
+TEST_CASE("infinite logits are opacities of 1 and 0: the one is kept and hides, the other goes") {
+  const Stage stage;
+  SplatCloud cloud = stage.cloud;
+  for (std::size_t i = 0; i < 36; ++i) cloud.opacity_logit[i] = std::numeric_limits<float>::infinity();
+  for (std::size_t i = 36; i < 72; ++i) cloud.opacity_logit[i] = -std::numeric_limits<float>::infinity();
+  cloud.log_scale[2] = -std::numeric_limits<float>::infinity();
+  write_bytes(stage.file("infinite.ply"), encode_splats(cloud.view(), SplatFormat::ply).value());
+  const ProgramResult result = stage.run(stage.file("infinite.ply"), stage.file("kept.ply"), {"--keep", "36"});
+  REQUIRE_MESSAGE(result.exit_code == 0, result.err);
+  const auto kept = read_ply(stage.file("kept.ply"));
+  REQUIRE(kept);
+  CHECK(std::ranges::count(kept->opacity_logit, std::numeric_limits<float>::infinity()) == 36);
 }

@@ -1,6 +1,7 @@
 // console_test.cpp - error reports, number formats and number parsing of the command-line programs.
 // SPDX-License-Identifier: Apache-2.0
 #include "console.hpp"
+#include "max_expansion.hpp"
 
 #include <doctest/doctest.h>
 
@@ -88,4 +89,22 @@ TEST_CASE("lines of a report end behind their last word") {
   lines.line(" x");
   CHECK(lines.take() == "ab       7\n\n\n x\n");
   CHECK(lines.take() == "");
+}
+
+TEST_CASE("--max-expansion takes a ratio, or bytes whatever the ratio") {
+  const auto parse = [](const char* text) -> std::optional<DecodeLimits> {
+    DecodeLimits limits;
+    if (!parse_max_expansion(text, limits)) return {};
+    return limits;
+  };
+  CHECK(parse("1")->max_expansion == 1);
+  CHECK(parse("4096")->max_expansion == 4096);
+  CHECK(parse("4096")->max_decoded_bytes == DecodeLimits().max_decoded_bytes);
+  CHECK(parse("8GB")->decoded_bytes(1) == 8'000'000'000);
+  CHECK(parse("3MiB")->decoded_bytes(std::uint64_t{1} << 50) == 3u << 20);
+  for (const char* bad : {"", "0", "0GB", "-1", "1.5", "GB", "8 GB", "8gb", "x", "1e3", "nan", "99999999999999999999",
+                          "99999999999TiB"}) {
+    CAPTURE(bad);
+    CHECK_FALSE(parse(bad));
+  }
 }

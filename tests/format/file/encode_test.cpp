@@ -332,14 +332,11 @@ TEST_CASE("each kind of damage is found and refused or dropped or repaired") {
       {Defect::scale, false, [](Splat& s) { s.log_scale[0] = kNaN; }},
       {Defect::scale, false, [](Splat& s) { s.log_scale[1] = kInfinity; }},
       {Defect::scale, false, [](Splat& s) { s.log_scale[2] = 60.01f; }},
-      {Defect::scale, true, [](Splat& s) { s.log_scale[2] = -kInfinity; }},
       {Defect::rotation_nan, true, [](Splat& s) { s.rotation[3] = kNaN; }},
       {Defect::rotation_nan, true, [](Splat& s) { s.rotation[0] = kInfinity; }},
       {Defect::rotation_zero, true, [](Splat& s) { std::fill(s.rotation, s.rotation + 4, 0.f); }},
       {Defect::rotation_zero, true, [](Splat& s) { std::fill(s.rotation, s.rotation + 4, 0x1p-63f); }},
       {Defect::opacity_nan, false, [](Splat& s) { s.opacity_logit = kNaN; }},
-      {Defect::opacity_infinite, true, [](Splat& s) { s.opacity_logit = kInfinity; }},
-      {Defect::opacity_infinite, true, [](Splat& s) { s.opacity_logit = -kInfinity; }},
       {Defect::sh, true, [](Splat& s) { s.sh[11] = kNaN; }},
       {Defect::sh, true, [](Splat& s) { s.sh[0] = 0x1p100f; }},
   };
@@ -378,18 +375,98 @@ TEST_CASE("each kind of damage is found and refused or dropped or repaired") {
 
 TEST_CASE("repairing gives what is documented") {
   Splat s;
-  s.log_scale[1] = -kInfinity;
   s.rotation[2] = kNaN;
-  s.opacity_logit = -kInfinity;
   s.sh[5] = -kInfinity;
   s.sh[6] = 3.f;
   REQUIRE(repair(s, find_defects(s, 3)));
-  CHECK(s.log_scale[1] == -60.f);
   CHECK(std::to_array(s.rotation) == std::array{1.f, 0.f, 0.f, 0.f});
-  CHECK(s.opacity_logit == -20.f);
   CHECK(s.sh[5] == 0.f);
   CHECK(s.sh[6] == 3.f);
   CHECK(find_defects(s, 3) == 0);
+}
+
+TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is a scale of 0, in every profile") {
+  SplatCloud cloud = golden_cloud(600, 1, 9);
+  constexpr std::uint64_t kOpaque = 17, kClear = 300, kFlat = 599, kPoint = 5;
+  cloud.opacity_logit[kOpaque] = kInfinity;
+  cloud.opacity_logit[kClear] = -kInfinity;
+  cloud.log_scale[3 * kFlat + 1] = -kInfinity;
+  for (std::size_t k = 0; k < 3; ++k) cloud.log_scale[3 * kPoint + k] = -kInfinity;
+  CHECK(find_defects(cloud.view().splat(kOpaque), 1) == 0);
+  CHECK(find_defects(cloud.view().splat(kFlat), 1) == 0);
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    CAPTURE(static_cast<int>(profile));
+    EncodeOptions options;
+    options.profile = profile;
+    options.on_bad = BadPolicy::refuse;
+    options.keep_permutation = true;
+    const auto bytes = encode(cloud.view(), options);
+    REQUIRE(bytes);
+    const auto view = FileView::open(*bytes);
+    REQUIRE(view);
+    CHECK(validate(*view));
+    CHECK(view->header().n_gaussians == 600);
+    std::vector<ActivatedSplat> stored(600);
+    std::vector<Splat> trained(600);
+    REQUIRE(view->read(0, std::span(stored)));
+    REQUIRE(view->read(0, std::span(trained)));
+    for (std::uint64_t i = 0; i < 600; ++i) {
+      const std::uint64_t source = view->source_index(i);
+      const bool flat = source == kFlat || source == kPoint;
+      if (source == kOpaque) CHECK(stored[i].opacity == 1);
+      // The archive has a quarter of a level for it, which is not drawn either.
+      if (source == kClear) CHECK(stored[i].opacity <= (profile == Profile::archive ? 1.f / 255 : 0.f));
+      if (flat) CHECK(stored[i].scale[1] == 0);
+      if (source == kPoint) CHECK((stored[i].scale[0] == 0 && stored[i].scale[2] == 0));
+      if (!flat) CHECK(stored[i].scale[1] > 0);
+      CHECK(std::isfinite(trained[i].opacity_logit));
+      CHECK(std::isfinite(trained[i].log_scale[1]));
+    }
+    if (profile == Profile::archive) continue;
+    CHECK(view->declarations().n_scale_zero == 4);
+    // What was decoded gives the same codes again.
+    const auto again = decode(*bytes);
+    REQUIRE(again);
+    const auto second = encode(again->view(), options);
+    REQUIRE(second);
+    const auto reopened = FileView::open(*second);
+    REQUIRE(reopened);
+    CHECK(reopened->header().scale_exponent == view->header().scale_exponent);
+    const auto a = load_direct(*view), b = load_direct(*reopened);
+    REQUIRE(a);
+    REQUIRE(b);
+    CHECK(std::ranges::equal(a->geometry(), b->geometry()));
+  }
+}
+
+TEST_CASE("scales of 0 and next to 0 alone are stored as what they are") {
+  for (const float log_scale : {-kInfinity, -61.f, -80.f, -200.f}) {
+    CAPTURE(log_scale);
+    SplatCloud cloud = golden_cloud(70, 0, 9);
+    std::ranges::fill(cloud.log_scale, log_scale);
+    for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+      EncodeOptions options;
+      options.profile = profile;
+      options.on_bad = BadPolicy::refuse;
+      const auto bytes = encode(cloud.view(), options);
+      REQUIRE(bytes);
+      const auto view = FileView::open(*bytes);
+      REQUIRE(view);
+      CHECK(validate(*view));
+      std::vector<ActivatedSplat> stored(70);
+      REQUIRE(view->read(0, std::span(stored)));
+      for (const ActivatedSplat& s : stored) CHECK(s.scale[0] <= 0x1p-86f);
+      if (profile == Profile::archive) continue;
+      const double wanted = std::exp(static_cast<double>(log_scale));
+      CHECK(std::abs(static_cast<double>(stored[0].scale[2]) - wanted) <= std::max(wanted * 0x1p-11, 0x1p-134));
+      const auto again = decode(*bytes);
+      REQUIRE(again);
+      const auto second = encode(again->view(), options);
+      REQUIRE(second);
+      CHECK(FileView::open(*second)->header().scale_exponent == view->header().scale_exponent);
+      CHECK(std::ranges::equal(load_direct(*FileView::open(*second))->geometry(), load_direct(*view)->geometry()));
+    }
+  }
 }
 
 TEST_CASE("coefficients above the degree that is kept are not looked at") {

@@ -72,6 +72,25 @@ TEST_CASE("packed files decode to the bytes of direct files") {
   }
 }
 
+TEST_CASE("scenes of equal Gaussians, for which no prediction can be fitted, decode exactly") {
+  SplitMix random{61};
+  for (const int degree : {0, 1, 2, 3}) {
+    for (const std::uint64_t n : {64u, 256u, 20000u}) {
+      for (const bool zero : {false, true}) {
+        CAPTURE(degree);
+        CAPTURE(n);
+        CAPTURE(zero);
+        SplatCloud cloud;
+        cloud.resize(n, degree);
+        Splat s = random_cloud(1, degree, random).view().splat(0);
+        for (float& x : s.sh) x = zero ? 0.f : random.dyadic(-1, 1);
+        for (std::uint64_t i = 0; i < n; ++i) cloud.set(i, s);
+        check_equal(encode_both(cloud, {}));
+      }
+    }
+  }
+}
+
 TEST_CASE("packed sections of every size around lanes, chunks and frames decode exactly") {
   for (const std::uint64_t n : {1u, 31u, 63u, 64u, 65u, 127u, 128u, 1000u, 16383u, 16384u, 16385u, 40000u}) {
     for (const int degree : {0, 1, 2, 3}) {

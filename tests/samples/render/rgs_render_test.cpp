@@ -379,3 +379,50 @@ TEST_CASE("--json is one JSON object with what was done") {
   CHECK(fs::exists(json["frames"][2]["depth_file"].get<std::string>()));
   CHECK(json["median_ms"] > 0.0);
 }
+
+TEST_CASE("infinite logits are opacities of 1 and 0, and a log-scale of -inf is a scale of 0") {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity();
+  const TemporaryFolder folder;
+  rgs::SplatCloud infinite = ball(), finite = ball();
+  for (std::uint64_t i = 0; i < 40; ++i) {
+    infinite.opacity_logit[i] = i % 2 == 0 ? kInfinity : -kInfinity;
+    finite.opacity_logit[i] = i % 2 == 0 ? 40.F : -90.F;
+    infinite.log_scale[3 * i + 1] = -kInfinity;
+    finite.log_scale[3 * i + 1] = -100.F;
+  }
+  write_ply(folder.file("infinite.ply"), infinite);
+  write_ply(folder.file("finite.ply"), finite);
+  std::string pictures[2];
+  for (const int k : {0, 1}) {
+    const std::string name = k == 0 ? "infinite" : "finite";
+    const Outcome run =
+        render("--size 64x48 '" + folder.file(name + ".ply") + "' -o '" + folder.file(name + ".png") + "'");
+    CAPTURE(run.out);
+    REQUIRE(run.code == 0);
+    std::ifstream in(folder.file(name + ".png"), std::ios::binary);
+    pictures[k] = {std::istreambuf_iterator<char>(in), {}};
+  }
+  CHECK(pictures[0].size() > 100);
+  CHECK(pictures[0] == pictures[1]);
+}
+
+TEST_CASE("--max-expansion says what a compressed scene may decode to") {
+  const TemporaryFolder folder;
+  rgs::SplatCloud cloud;
+  cloud.resize(40'000, 0);
+  const rgs::SplatCloud some = ball();
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) cloud.set(i, some.view().splat(i % 400));
+  for (const rgs::SplatFormat format : {rgs::SplatFormat::rgs, rgs::SplatFormat::spz}) {
+    rgs::EncodeOptions options;
+    options.profile = rgs::Profile::packed;
+    const auto bytes =
+        format == rgs::SplatFormat::rgs ? rgs::encode(cloud.view(), options) : rgs::encode_splats(cloud.view(), format);
+    REQUIRE(bytes);
+    std::ofstream(folder.file("scene"), std::ios::binary)
+        .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
+    const std::string rest = " --size 16x12 --overwrite '" + folder.file("scene") + "' -o '" + folder.file("a.png") + "'";
+    CHECK(render("--max-expansion 500kB" + rest).code == 4);
+    CHECK(render("--max-expansion 1GB" + rest).code == 0);
+    CHECK(render(rest).code == 0);
+  }
+}

@@ -1,0 +1,31 @@
+// fuzz_info.cpp - any bytes as an .rgs file through all that rgs-info prints of it, and decoded as a whole.
+// SPDX-License-Identifier: Apache-2.0
+#include <cstdlib>
+
+#include "info_json.hpp"
+#include "info_report.hpp"
+#include "info_text.hpp"
+#include "rgs/decode.hpp"
+
+#if defined(RGS_LIBFUZZER)
+#include "rgs_mutator.hpp"
+
+extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t size, std::size_t max_size,
+                                               unsigned seed) {
+  return rgs::fuzz::mutate_rgs(data, size, max_size, seed);
+}
+#endif
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+  const auto bytes = std::as_bytes(std::span(data, size));
+  const auto whole = rgs::tool::inspect("a", bytes, {.verify = true, .statistics = true});
+  const auto chunk = rgs::tool::inspect("a", bytes, {.chunk = size % 3});
+  for (const auto* report : {&whole, &chunk}) {
+    if (rgs::tool::info_json(*report).empty() || rgs::tool::info_text(*report, true).empty()) std::abort();
+  }
+  const auto cloud = rgs::decode(bytes);
+  // What is valid decodes, and every error says what it is.
+  if (whole.verified && !cloud) std::abort();
+  if (!cloud && cloud.error().what[0] == '\0') std::abort();
+  return 0;
+}
