@@ -15,7 +15,7 @@
 namespace rgs::detail {
 namespace {
 
-constexpr std::string_view kRenderMode = "splatrendermode:", kPostshot = "antialiased ", kOurs = "rgs_";
+constexpr std::string_view kRenderMode = "splatrendermode", kPostshot = "antialiased ", kOurs = "rgs_";
 constexpr const char* kExtras = "rgs";
 constexpr std::array<std::pair<std::string_view, Axis>, 6> kDirections{{{"right", Axis::right},
                                                                         {"left", Axis::left},
@@ -155,7 +155,8 @@ StatedScene stated_scene(const WriteOptions& o) {
 bool read_comment(std::string_view text, StatedScene& scene) {
   const std::string comment = lower(trimmed(text));
   if (comment.starts_with(kRenderMode)) {
-    const std::string_view mode = trimmed(std::string_view(comment).substr(kRenderMode.size()));
+    std::string_view mode = trimmed(std::string_view(comment).substr(kRenderMode.size()));
+    if (mode.starts_with(':')) mode = trimmed(mode.substr(1));  // some readers know it without
     if (mode == "mip" || mode == "default") scene.aa_mode = mode == "mip" ? AaMode::mip_splatting : AaMode::classic;
   } else if (comment.starts_with(kPostshot)) {
     const std::string_view flag = trimmed(std::string_view(comment).substr(kPostshot.size()));

@@ -125,6 +125,11 @@ TEST_CASE("the low-pass is declared: by option, else by the anti-aliasing, and s
   CHECK(rgs_convert({"--low-pass", "nan", ply, again}).exit_code == 2);
   // Without a declared mode a low-pass means nothing.
   CHECK(rgs_convert({"--aa", "undeclared", "--low-pass", "0.1", ply, again}).exit_code == 2);
+  converted({"--aa", "undeclared", ply, rgs});
+  CHECK(declared({}, rgs) == Pair{AaMode::undeclared, 0.3F});
+  const ProgramResult refused = rgs_convert({"--low-pass", "0.1", rgs, again});
+  CHECK(refused.exit_code == 2);
+  CHECK(refused.err.find("--aa") != std::string::npos);
 }
 
 TEST_CASE("PLY and glTF carry what has no common form in words of ours, and it is read back") {
@@ -203,6 +208,7 @@ TEST_CASE("a PLY of usual declarations has no comment, one by others is understo
   CHECK(mode_of("comment SplatRenderMode: mip\n") == mip);
   CHECK(mode_of("comment   SPLATRENDERMODE:  MIP  \r\n") == mip);
   CHECK(mode_of("comment Exported from Brush\ncomment SplatRenderMode: default\n") == classic);
+  CHECK(mode_of("comment SplatRenderMode mip\n") == mip);
   CHECK(mode_of("comment antialiased 1\n") == mip);
   CHECK(mode_of("comment antialiased 0\n") == classic);
   CHECK(mode_of("comment SplatRenderMode: mip\ncomment antialiased 0\n") == classic);
@@ -336,6 +342,21 @@ TEST_CASE("positions in the source: of the original, through .rgs files and filt
   check(two, n, 0);
   converted({"--keep-permutation", two, three});
   check(three, n, 0);
+  // Other formats get the order of the source back, filtered or not.
+  for (const std::string to : {"ply", "splat", "glb"}) {
+    for (const std::string filter : {"--min-opacity=0", "--min-opacity=0.5"}) {
+      CAPTURE(to);
+      const std::string file = folder.file("ordered." + to);
+      converted({filter, one, file});
+      const SplatCloud ordered = read_splats(file).value().cloud;
+      std::uint64_t at = 0;  // every Gaussian is found behind the one before
+      for (std::uint64_t i = 0; i < cloud.size() && at < ordered.size(); ++i) {
+        if (std::abs(ordered.mean[3 * at] - cloud.mean[3 * i]) < 1e-6F) ++at;
+      }
+      CHECK(at == ordered.size());
+      CHECK(ordered.size() > 100);
+    }
+  }
   // Without --keep-permutation they are lost, and that is said.
   CHECK(holds(converted({one, two})["lost"], "positions"));
   CHECK(RgsFile(two).d.n_source == 400);
