@@ -145,9 +145,9 @@ Step<std::uint64_t> write_scene(const Options& o, SplatFormat to, rgs::SplatFile
   options.cameras = std::move(cameras);
   options.output = o.file();
   const int degree = file.cloud.sh_degree;
-  const auto written =
-      rgs::convert_scene({std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree}, to,
-                         o.output, options);
+  const auto written = rgs::convert_scene({std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash,
+                                           n_source, degree, std::move(file.unused)},
+                                          to, o.output, options);
   if (!written) return failed(o.output, written.error());
   return written->output_bytes;
 }
