@@ -27,7 +27,7 @@ import numpy as np
 WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--profile", "direct"]),
            ("rgs archive:high", "high.rgs", ["--profile", "archive:high"]),
            ("rgs archive:small", "small.rgs", ["--profile", "archive:small"]),
-           ("compressed.ply", "scene.compressed.ply", []), ("spz", "scene.spz", []), ("splat", "scene.splat", []),
+           ("compressed.ply", "scene.compressed.ply", []), ("spz", "scene.spz", ["--spz-version", "4"]), ("splat", "scene.splat", []),
            ("glb", "scene.glb", [])]
 TRANSFORM, SPLATS3D = "@playcanvas/splat-transform@2.7.1", "@mkkellogg/gaussian-splats-3d@0.4.7"
 # format, writer, name of the file, command

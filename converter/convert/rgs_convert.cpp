@@ -503,8 +503,8 @@ void add_options(CLI::App& app, Arguments& a) {
       ->transform(CLI::Transformer(writable))
       ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
   app.add_option("--spz-version", a.convert.spz_version,
-                 "Version of an SPZ [3]: 3 for most viewers, 2 for GaussianSplats3D, 4 for PlayCanvas's parser and a "
-                 "smaller file (docs/INTERCHANGE.md)")
+                 "Version of an SPZ [3]: Spark reads 2 and 3, GaussianSplats3D 2, PlayCanvas's engine 4 "
+                 "(docs/INTERCHANGE.md)")
       ->check(CLI::IsMember({2, 3, 4}))
       ->option_text("2|3|4")
       ->each([&a](const std::string&) { a.spz_version_given = true; });

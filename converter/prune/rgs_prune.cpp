@@ -157,6 +157,7 @@ Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::Spl
   const int degree = file.cloud.sh_degree;
   rgs::LoadedScene scene{
       std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree, file.origin};
+  scene.unused = std::move(file.unused);
   rgs::keep_source(options.encode, scene, file, kept);
   auto written = rgs::convert_scene(std::move(scene), to, o.output, options);
   if (!written) return failed(o.output, written.error());
