@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -18,7 +19,9 @@
 #include "rgs/checksum.hpp"
 #include "rgs/image_metrics.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/splat_edit.hpp"
 #include "run_program.hpp"
+#include "scene_file.hpp"
 #include "skip.hpp"
 #include "temporary_folder.hpp"
 
@@ -305,6 +308,25 @@ TEST_CASE("files of other formats are measured, as the asset too") {
   const json j = json::parse(run.out);
   CHECK(j["asset"]["format"] == "compressed.ply");
   CHECK(j["rendered"]["psnr"].get<double>() > 25);
+}
+
+TEST_CASE("an asset of another format is drawn as it declares, and the source with it") {
+  const SceneFolder scene;
+  SplatCloud turned = scene.cloud;
+  convert_axes(turned, kAxes3dgs, format_axes(SplatFormat::spz));
+  const auto bytes = encode_splats(turned.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
+  REQUIRE(bytes);
+  const std::string spz = write_bytes(scene.file("mip.spz"), *bytes);
+  const std::string cameras = write_cameras(scene.file("far.json"), std::array{9.0});
+  const ProgramResult run = run_audit({scene.ply, spz, "--cameras", cameras, "--json", "-", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const SceneFile asset = load_scene_file(spz).value();
+  REQUIRE(asset.scene.declarations()->aa_mode == AaMode::mip_splatting);
+  const Scene as_declared = Scene::load(scene.cloud, asset.scene.declarations()).value(),
+              classic = Scene::load(scene.cloud).value();
+  const double expected = difference(render(as_declared, 9), render(asset.scene, 9))->psnr;
+  CHECK(json::parse(run.out)["rendered"]["psnr"].get<double>() == doctest::Approx(expected).epsilon(1e-6));
+  CHECK(difference(render(as_declared, 9), render(classic, 9))->psnr < 40);  // it matters
 }
 
 TEST_CASE("a packed asset has the direct one's errors and pictures, in fewer bytes") {
