@@ -462,6 +462,18 @@ TEST_CASE("two folders become a table that goes on where it was interrupted") {
   CHECK(run_audit({folder.file("ply"), folder.file("rgs")}).exit_code == 2);
 }
 
+TEST_CASE("a conversion that grows does not call its output smaller") {
+  const SceneFolder scene;
+  const std::string small = scene.file("small.spz"), large = scene.file("large.ply");
+  REQUIRE(run_program({RGS_CONVERT, scene.ply, small, "--quiet"}).exit_code == 0);
+  const ProgramResult run = run_program({RGS_CONVERT, small, large});
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("smaller") == std::string::npos);
+  CHECK(run.out.find("x larger, ") != std::string::npos);
+  const ProgramResult audited = run_audit({scene.ply, scene.ply, "--no-render"});
+  CHECK(audited.out.find(": same size, ") != std::string::npos);
+}
+
 TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the verdict on") {
   const SceneFolder scene;
   const std::string out = scene.file("made.rgs");
