@@ -69,6 +69,11 @@ std::string own_or_common(const std::string& path, const std::string& own) {
   return !path.empty() && fs::exists(candidate, ignored) ? candidate.string() : path;
 }
 
+// Pictures were made, and none of them shows the scene.
+bool is_unrated(const FolderRow& row) {
+  return row.n_views != 0 && row.n_rated == 0;
+}
+
 // Absent from a damaged or older file: the pair is then audited again.
 std::optional<double> real(const Json& j, const char* key) {
   if (!j.is_object() || !j.contains(key)) return {};
@@ -273,23 +278,24 @@ class Folder {
       return a->status != b->status ? a->status > b->status : a->worst_psnr.value_or(0) < b->worst_psnr.value_or(0);
     });
     const auto passed = std::count_if(rows_.begin(), rows_.end(), [](const FolderRow& r) { return r.exit_code == 0; });
+    const auto n_unrated = std::count_if(rows_.begin(), rows_.end(), is_unrated);
     std::string text = page_begin("rgs-audit of " + options_.audit.asset);
     fmt::format_to(
         std::back_inserter(text),
-        "<main>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n<h1>{} of {} pairs pass.</h1>\n"
+        "<main>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n<h1>{} of {} pairs pass{}.</h1>\n"
         "<div class=\"wrap\" role=\"region\" tabindex=\"0\" aria-label=\"Pairs\"><table>\n<thead><tr><th>Pair</th>"
         "<th class=\"left\">Result</th><th>Source</th><th>Asset</th><th>Ratio</th><th>Bytes per Gaussian</th>"
         "<th>PSNR, dB</th><th>Worst view, dB</th><th>SSIM</th><th>Lost to photos, dB</th></tr></thead><tbody>\n",
-        html(options_.audit.source), html(options_.audit.asset), passed, rows_.size());
+        html(options_.audit.source), html(options_.audit.asset), passed, rows_.size(),
+        n_unrated == 0 ? "" : fmt::format(", {} not rated", n_unrated));
     for (const FolderRow* row : rows) text += page_row(*row);
     return text + "</tbody></table></div>\n</main>\n" + page_end();
   }
 
   static std::string page_row(const FolderRow& r) {
-    const bool is_unrated = r.grade == "unrated";
     const char* colour = r.status == Status::gate_failed ? "fair"
                          : r.status != Status::passed    ? "bad"
-                         : is_unrated                    ? "soft"
+                         : is_unrated(r)                 ? "soft"
                                                          : "good";
     if (!r.error.empty())
       return fmt::format("<tr><td>{}</td><td class=\"left {}\">{}</td><td colspan=\"8\" class=\"left\">{}</td></tr>\n",
@@ -300,7 +306,7 @@ class Folder {
     return fmt::format(
         "<tr><td><a href=\"{12}\">{0}</a></td><td class=\"left {1}\" title=\"{2}\">{3}</td><td>{4}</td><td>{5}</td>"
         "<td>{6:.2f}</td><td>{7:.2f}</td><td>{8}</td><td>{9}</td><td>{10}</td><td>{11}</td></tr>\n",
-        html(r.stem), colour, html(r.headline), std::string(name_of(r.status)) + (is_unrated ? ", unrated" : ""),
+        html(r.stem), colour, html(r.headline), std::string(name_of(r.status)) + (is_unrated(r) ? ", unrated" : ""),
         tool::format_bytes(r.source_bytes), tool::format_bytes(r.asset_bytes), r.ratio, r.bytes_per_gaussian,
         cell(r.psnr, 2), cell(r.worst_psnr, 2), cell(r.ssim, 6), cell(r.loss, 4), link_to_file(r.stem + ".html"));
   }

@@ -239,7 +239,9 @@ TEST_CASE("two folders: unrated pairs are no pairs of infinite PSNR") {
   const std::string csv = read_text(out + "/index.csv");
   CHECK(csv.find("inf") == std::string::npos);
   CHECK(csv.find("nan") == std::string::npos);
-  CHECK(read_text(out + "/index.html").find("&infin;") == std::string::npos);
+  const std::string table = read_text(out + "/index.html");
+  CHECK(table.find("&infin;") == std::string::npos);
+  CHECK(table.find("2 of 2 pairs pass, 1 not rated.") != std::string::npos);
   std::vector<std::string> gated = command;
   gated.insert(gated.end(), {"--fail-below", "psnr=20", "--overwrite"});
   CHECK(run_audit(gated).exit_code == 5);
@@ -281,6 +283,13 @@ TEST_CASE("cameras that mirror the scene and pictures without pixels are refused
   CHECK(audit_with("96", "-1").exit_code == 4);
   CHECK(audit_with("0", "1").exit_code == 4);
   CHECK(run_audit({scene.ply, scene.rgs, "--size", "0x0"}).exit_code == 2);
+  // Colours beyond FP32: the pictures are not finite.
+  SplatCloud glaring = scene.cloud;
+  std::fill(glaring.sh.begin(), glaring.sh.end(), std::numeric_limits<float>::max());
+  const std::string ply = write_ply(scene.file("glaring.ply"), glaring);
+  const ProgramResult run = run_audit({ply, ply, "--cameras", scene.cameras, "--quiet", "--fail-below", "psnr=1"});
+  CHECK(run.exit_code == 4);
+  CHECK(run.err.find("view a.png") != std::string::npos);
   for (const char* gate : {"largest=nan", "psnr=-inf", "rated-views=nan", "psnr=1e999"})
     CHECK(run_audit({scene.ply, scene.rgs, "--fail-below", gate}).exit_code == 2);
 }
