@@ -98,9 +98,7 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
     if (row.exit_code != tool::kSuccess)
       fmt::print(stderr, "rgs-audit: {}: {}\n", tool::escape_untrusted(row.stem, false),
                  tool::escape_untrusted(row.error.empty() ? row.headline : row.error, false, 4096));
-  if (!a.quiet)
-    fmt::print("table: {}\n",
-               tool::escape_untrusted((std::filesystem::path(a.report) / "index.html").string(), false, 4096));
+  if (!a.quiet) fmt::print("table: {}\n", (std::filesystem::path(a.report) / "index.html").string());
   return audit::exit_code_of(*rows);
 }
 
