@@ -62,6 +62,8 @@ def main() -> None:
             results[name] = json.loads(pathlib.Path(result).read_text(encoding="utf-8"))
 
     first = next(iter(results.values()))
+    if any(j["rendered"]["n_rated"] == 0 for j in results.values()):
+        sys.exit(f"{options.folder}: no camera shows the scene")
     views = first["rendered"]["views"]
     print(f"{scene.name}: {first['source']['gaussians']:,} Gaussians, SH degree {first['source']['sh_degree']}, {len(views)} "
           f"views of {views[0]['width']}x{views[0]['height']}; {first['tool']}, {datetime.date.today()}, "

@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <optional>
 #include <string>
 #include <vector>
@@ -137,11 +138,22 @@ struct PhotoScore {
   double loss() const { return source_psnr == asset_psnr ? 0 : source_psnr - asset_psnr; }  // both may be infinite
 };
 
+/// Share of its pixels on which the source or the asset must draw for a view to be rated. Where one pixel in a hundred is
+/// drawn, the equal background around them adds 20 dB: what is 28 dB in them would pass for 48 dB, "no visible loss".
+inline constexpr double kRatedShare = 0.01;
+/// Below this share a view is rated, but flagged: 10 dB of its PSNR are background. Below this share of the source's
+/// Gaussians that lie in any view, most of the scene has not been compared.
+inline constexpr double kHardlySeenShare = 0.1;
+
 struct ViewResult {
   std::string name;
   int width = 0, height = 0;
-  Score score;
+  double drawn = 1;  ///< share of the pixels on which the source draws, or the asset where that is more
+  Score score;       ///< of rated views
   std::optional<PhotoScore> photo;
+
+  bool rated() const { return drawn >= kRatedShare; }
+  bool hardly_sees() const { return drawn < kHardlySeenShare; }
 };
 
 /// One cause of loss alone, or all together.
@@ -165,12 +177,17 @@ struct AlsoReport {
   std::optional<double> psnr, worst_psnr, ssim, loss;
 };
 
+/// "The views" of means, worst values and attribution are the rated ones.
 struct RenderReport {
   std::string backend;
   bool automatic_views = false;
-  std::vector<ViewResult> views;  ///< worst PSNR first
-  double psnr = 0, worst_psnr = 0, ssim = 1, worst_ssim = 1, mse = 0;
-  float largest = 0;
+  std::vector<ViewResult> views;  ///< rated ones first, worst PSNR first
+  std::size_t n_rated = 0;
+  double drawn = 0;           ///< ViewResult::drawn, mean over all views
+  double gaussians_seen = 0;  ///< share of the source's Gaussians whose mean lies in at least one view
+  /// NaN without a rated view, which no condition takes for a pass.
+  double psnr = kUnrated, worst_psnr = kUnrated, ssim = kUnrated, worst_ssim = kUnrated, mse = kUnrated;
+  float largest = std::numeric_limits<float>::quiet_NaN();
   std::optional<double> loss;       ///< mean over the views, dB
   std::optional<PhotoScore> photo;  ///< means over the views
   std::vector<AttributionRow> attribution;
@@ -178,6 +195,8 @@ struct RenderReport {
   std::uint64_t n_undrawable = 0;        ///< damaged Gaussians of the source, not in the reference
   std::vector<ViewPictures> pictures{};  ///< of the worst views, worst first
   double seconds = 0;
+
+  static constexpr double kUnrated = std::numeric_limits<double>::quiet_NaN();
 };
 
 // ---- all
@@ -193,7 +212,7 @@ struct Report {
   std::uint64_t source_xxh3 = 0, asset_xxh3 = 0;
   std::string fingerprint;               ///< of tool, options and inputs: equal fingerprints give equal results
   std::optional<bool> made_from_source;  ///< whether the asset's provenance names this very source; absent: it has none
-  std::optional<Declarations> declarations;
+  std::optional<Declarations> declarations;  ///< the asset's, of whatever format
   SizeReport size;
   std::optional<AttributeReport> attributes;
   std::optional<RenderReport> render;
@@ -209,9 +228,13 @@ struct Verdict {
   enum class Grade : std::uint8_t { identical, lossless, close, visible, poor, unrated };
   Grade grade = Grade::unrated;
   bool depth_range_misfit = false;  ///< the quantised sort key alone is below 35 dB in some view
+  bool hardly_seen = false;         ///< rated, but what was compared is background or a small part of the scene
   std::string headline, detail;
 };
 Verdict verdict(const Report& report);
+
+/// What makes the verdict say less than it seems to: views that are unrated or hardly see the scene. Sentences.
+std::vector<std::string> warnings(const Report& report);
 
 /// Hash over this program's version, the contents of all inputs and every option that changes a result; what decides
 /// whether an earlier result still holds. Reads all inputs. Errors: open_failed, read_failed.

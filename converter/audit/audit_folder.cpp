@@ -13,6 +13,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "audit_encoding.hpp"
 #include "audit_gate.hpp"
 #include "audit_json.hpp"
 #include "audit_page.hpp"
@@ -27,6 +28,8 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 using Status = FolderRow::Status;
+
+constexpr const char* kTableStem = "index";  // index.html, index.json, index.csv
 
 struct Pair {
   std::string source, asset;  // empty: there is none
@@ -66,6 +69,11 @@ std::string own_or_common(const std::string& path, const std::string& own) {
   return !path.empty() && fs::exists(candidate, ignored) ? candidate.string() : path;
 }
 
+// Pictures were made, and none of them shows the scene.
+bool is_unrated(const FolderRow& row) {
+  return row.n_views != 0 && row.n_rated == 0;
+}
+
 // Absent from a damaged or older file: the pair is then audited again.
 std::optional<double> real(const Json& j, const char* key) {
   if (!j.is_object() || !j.contains(key)) return {};
@@ -76,6 +84,7 @@ FolderRow row_of(const std::string& stem, const Json& j) {
   FolderRow row;
   row.stem = stem;
   row.headline = j["verdict"]["headline"].get<std::string>();
+  row.grade = j["verdict"]["grade"].get<std::string>();
   row.status = j["gate"]["holds"].get<bool>() ? Status::passed : Status::gate_failed;
   row.exit_code = row.status == Status::passed ? tool::kSuccess : tool::kGate;
   row.source_bytes = j["source"]["bytes"].get<std::uint64_t>();
@@ -85,6 +94,8 @@ FolderRow row_of(const std::string& stem, const Json& j) {
   row.bytes_per_gaussian = j["size"]["bytes_per_gaussian"].get<double>();
   if (!j.contains("rendered")) return row;
   const Json& r = j["rendered"];
+  row.n_views = r["n_views"].get<std::uint64_t>();
+  row.n_rated = r["n_rated"].get<std::uint64_t>();
   row.psnr = real(r, "psnr");
   row.worst_psnr = real(r, "worst_psnr");
   row.ssim = real(r, "ssim");
@@ -99,7 +110,7 @@ std::optional<FolderRow> earlier_result(const std::string& stem, const fs::path&
   const char* text = reinterpret_cast<const char*>(bytes.data());
   try {
     const Json j = Json::parse(text, text + bytes.size());
-    if (j.at("schema") != "rgs-audit/1" || j.at("fingerprint") != fingerprint) return {};
+    if (j.at("schema") != "rgs-audit/2" || j.at("fingerprint") != fingerprint) return {};
     FolderRow row = row_of(stem, j);
     row.reused = true;
     return row;
@@ -133,6 +144,10 @@ class Folder {
 
  private:
   FolderRow audit(const std::string& stem, const Pair& pair) {
+    if (stem == kTableStem)
+      return failed_row(stem, {"",
+                               {Errc::bad_argument, Error::kNone,
+                                "the folder's table has this name: rename the pair, and its report finds a place"}});
     if (pair.source.empty() || pair.asset.empty()) {
       FolderRow row;
       row.stem = stem;
@@ -186,27 +201,38 @@ class Folder {
     std::fflush(stdout);
   }
 
+  fs::path table(const char* extension) const { return out_ / (std::string(kTableStem) + "." + extension); }
+
   Outcome<void> write_tables() const {
-    for (const auto& [name, text] : {std::pair(out_ / "index.csv", csv()), std::pair(out_ / "index.json", json()),
-                                     std::pair(out_ / "index.html", page())})
+    for (const auto& [name, text] :
+         {std::pair(table("csv"), csv()), std::pair(table("json"), json()), std::pair(table("html"), page())})
       if (auto ok = write_text(name, text, true); !ok) return make_error(name.string(), ok.error());
     return {};
   }
 
+  // One harmless cell: escaped as on a terminal, and with an apostrophe before what a spreadsheet would calculate, which
+  // the full-width forms of the same signs are in some.
   static std::string quoted(const std::string& text) {
+    const std::string shown = tool::escape_untrusted(text, false, 4096);
     std::string out = "\"";
-    for (const char c : text) out += c == '"' ? "\"\"" : std::string(1, c);
+    const std::string_view start = std::string_view(shown).substr(std::min(shown.find_first_not_of(' '), shown.size()));
+    for (const char* sign : {"=", "+", "-", "@", "\uFF1D", "\uFF0B", "\uFF0D", "\uFF20"})
+      if (start.starts_with(sign)) out += '\'';
+    for (const char c : shown) out += c == '"' ? "\"\"" : std::string(1, c);
     return out + '"';
   }
 
   std::string csv() const {
     std::string text =
-        "name,status,source_bytes,asset_bytes,gaussians,ratio,bytes_per_gaussian,psnr,worst_psnr,ssim,loss,error\n";
+        "name,status,grade,source_bytes,asset_bytes,gaussians,ratio,bytes_per_gaussian,views,rated,psnr,worst_psnr,"
+        "ssim,"
+        "loss,error\n";
     const auto cell = [](const std::optional<double>& v) { return v ? fmt::format("{}", *v) : std::string(); };
     for (const FolderRow& r : rows_)
-      fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{},{},{}\n", quoted(r.stem),
-                     name_of(r.status), r.source_bytes, r.asset_bytes, r.n_gaussians, r.ratio, r.bytes_per_gaussian,
-                     cell(r.psnr), cell(r.worst_psnr), cell(r.ssim), cell(r.loss), quoted(r.error));
+      fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n", quoted(r.stem),
+                     name_of(r.status), r.grade, r.source_bytes, r.asset_bytes, r.n_gaussians, r.ratio,
+                     r.bytes_per_gaussian, r.n_views, r.n_rated, cell(r.psnr), cell(r.worst_psnr), cell(r.ssim),
+                     cell(r.loss), quoted(r.error));
     return text;
   }
 
@@ -220,21 +246,26 @@ class Folder {
         row["report"] = r.stem + ".html";
         row["result"] = r.stem + ".json";
         row["verdict"] = r.headline;
+        row["grade"] = r.grade;
         row["source_bytes"] = r.source_bytes;
         row["asset_bytes"] = r.asset_bytes;
         row["gaussians"] = r.n_gaussians;
         row["ratio"] = r.ratio;
         row["bytes_per_gaussian"] = r.bytes_per_gaussian;
-        row["psnr"] = cell(r.psnr);
-        row["worst_psnr"] = cell(r.worst_psnr);
-        row["ssim"] = cell(r.ssim);
-        row["loss"] = cell(r.loss);
+        row["n_views"] = r.n_views;
+        row["n_rated"] = r.n_rated;
+        if (r.n_rated != 0) {
+          row["psnr"] = cell(r.psnr);
+          row["worst_psnr"] = cell(r.worst_psnr);
+          row["ssim"] = cell(r.ssim);
+          row["loss"] = cell(r.loss);
+        }
       } else {
         row["error"] = r.error;
       }
       rows.push_back(std::move(row));
     }
-    return Json{{"schema", "rgs-audit-index/1"}, {"pairs", std::move(rows)}}.dump(2, ' ', true,
+    return Json{{"schema", "rgs-audit-index/2"}, {"pairs", std::move(rows)}}.dump(2, ' ', true,
                                                                                   Json::error_handler_t::replace) +
            "\n";
   }
@@ -247,20 +278,25 @@ class Folder {
       return a->status != b->status ? a->status > b->status : a->worst_psnr.value_or(0) < b->worst_psnr.value_or(0);
     });
     const auto passed = std::count_if(rows_.begin(), rows_.end(), [](const FolderRow& r) { return r.exit_code == 0; });
+    const auto n_unrated = std::count_if(rows_.begin(), rows_.end(), is_unrated);
     std::string text = page_begin("rgs-audit of " + options_.audit.asset);
     fmt::format_to(
         std::back_inserter(text),
-        "<main>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n<h1>{} of {} pairs pass.</h1>\n"
+        "<main>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n<h1>{} of {} pairs pass{}.</h1>\n"
         "<div class=\"wrap\" role=\"region\" tabindex=\"0\" aria-label=\"Pairs\"><table>\n<thead><tr><th>Pair</th>"
         "<th class=\"left\">Result</th><th>Source</th><th>Asset</th><th>Ratio</th><th>Bytes per Gaussian</th>"
         "<th>PSNR, dB</th><th>Worst view, dB</th><th>SSIM</th><th>Lost to photos, dB</th></tr></thead><tbody>\n",
-        html(options_.audit.source), html(options_.audit.asset), passed, rows_.size());
+        html(options_.audit.source), html(options_.audit.asset), passed, rows_.size(),
+        n_unrated == 0 ? "" : fmt::format(", {} not rated", n_unrated));
     for (const FolderRow* row : rows) text += page_row(*row);
     return text + "</tbody></table></div>\n</main>\n" + page_end();
   }
 
   static std::string page_row(const FolderRow& r) {
-    const char* colour = r.status == Status::passed ? "good" : r.status == Status::gate_failed ? "fair" : "bad";
+    const char* colour = r.status == Status::gate_failed ? "fair"
+                         : r.status != Status::passed    ? "bad"
+                         : is_unrated(r)                 ? "soft"
+                                                         : "good";
     if (!r.error.empty())
       return fmt::format("<tr><td>{}</td><td class=\"left {}\">{}</td><td colspan=\"8\" class=\"left\">{}</td></tr>\n",
                          html(r.stem), colour, name_of(r.status), html(r.error));
@@ -268,11 +304,11 @@ class Folder {
       return !v ? std::string() : std::isfinite(*v) ? fmt::format("{:.{}f}", *v, digits) : "&infin;";
     };
     return fmt::format(
-        "<tr><td><a href=\"{0}.html\">{0}</a></td><td class=\"left {1}\" title=\"{2}\">{3}</td><td>{4}</td><td>{5}</td>"
+        "<tr><td><a href=\"{12}\">{0}</a></td><td class=\"left {1}\" title=\"{2}\">{3}</td><td>{4}</td><td>{5}</td>"
         "<td>{6:.2f}</td><td>{7:.2f}</td><td>{8}</td><td>{9}</td><td>{10}</td><td>{11}</td></tr>\n",
-        html(r.stem), colour, html(r.headline), name_of(r.status), tool::format_bytes(r.source_bytes),
-        tool::format_bytes(r.asset_bytes), r.ratio, r.bytes_per_gaussian, cell(r.psnr, 2), cell(r.worst_psnr, 2),
-        cell(r.ssim, 6), cell(r.loss, 4));
+        html(r.stem), colour, html(r.headline), std::string(name_of(r.status)) + (is_unrated(r) ? ", unrated" : ""),
+        tool::format_bytes(r.source_bytes), tool::format_bytes(r.asset_bytes), r.ratio, r.bytes_per_gaussian,
+        cell(r.psnr, 2), cell(r.worst_psnr, 2), cell(r.ssim, 6), cell(r.loss, 4), link_to_file(r.stem + ".html"));
   }
 
   const FolderOptions& options_;

@@ -22,12 +22,14 @@ struct FolderOptions {
 struct FolderRow {
   enum class Status : std::uint8_t { passed, gate_failed, error, unpaired };
   std::string stem, headline, error;
+  std::string grade;  ///< Verdict::Grade as in the JSON; empty without a result
   Status status = Status::error;
   int exit_code = 0;
   bool reused = false;  ///< an earlier result with the same fingerprint
   std::uint64_t source_bytes = 0, asset_bytes = 0, n_gaussians = 0;
   double ratio = 0, bytes_per_gaussian = 0;
-  std::optional<double> psnr, worst_psnr, ssim, loss;  ///< infinite for identical pictures
+  std::uint64_t n_views = 0, n_rated = 0;
+  std::optional<double> psnr, worst_psnr, ssim, loss;  ///< infinite for identical pictures; absent if not rated
 };
 
 /// Audits every SOURCE/x.ply with ASSET/x.rgs, in the order of their names; a failure is a row and does not stop the

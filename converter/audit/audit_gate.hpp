@@ -10,7 +10,7 @@
 
 namespace rgs::audit {
 
-/// A condition by name: psnr, worst-psnr, ssim, worst-ssim, together-psnr and ratio must reach their limit; largest (in
+/// A condition by name: psnr, worst-psnr, ssim, worst-ssim, together-psnr, rated-views and ratio must reach their limit; largest (in
 /// 8-bit levels), loss (dB), bytes-per-gaussian, gpu-bytes-per-gaussian and dropped (Gaussians) must not exceed it.
 struct ConditionKind {
   const char* name;
@@ -24,7 +24,8 @@ std::span<const ConditionKind> condition_kinds();
 tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::string& text);
 /// A message if a condition asks for what `options` do not measure; else empty.
 std::string unmeasurable(std::span<const Condition> conditions, const Options& options);
-/// Fills in report.gate. A condition on something that turned out not to exist (the attribution of a PLY) fails.
+/// Fills in report.gate. A condition on something that turned out not to exist (the attribution of a PLY, the PSNR of
+/// views that do not show the scene) fails. Where pictures were made and none is rated, every gate fails.
 void evaluate(std::vector<Condition> conditions, Report& report);
 /// "psnr 48.20 < 50".
 std::string describe(const Condition& condition);

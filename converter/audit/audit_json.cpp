@@ -1,4 +1,4 @@
-// audit_json.cpp - schema "rgs-audit/1".
+// audit_json.cpp - schema "rgs-audit/2".
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_json.hpp"
 
@@ -15,7 +15,8 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-// JSON has no infinity: null, which the schema explains for each field.
+// JSON has no infinity: null, which the schema explains for each field. What was not rated is left out, so that its
+// absence is not taken for infinity.
 Json number(double value) {
   return std::isfinite(value) ? Json(value) : Json();
 }
@@ -130,10 +131,15 @@ Json json(const RenderReport& r) {
     Json view{{"name", v.name},
               {"width", v.width},
               {"height", v.height},
-              {"psnr", number(v.score.psnr)},
-              {"mse", v.score.mse},
-              {"ssim", v.score.ssim},
-              {"largest", {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}}}};
+              {"rated", v.rated()},
+              {"hardly_sees", v.hardly_sees()},
+              {"drawn", v.drawn}};
+    if (v.rated()) {
+      view["psnr"] = number(v.score.psnr);
+      view["mse"] = v.score.mse;
+      view["ssim"] = v.score.ssim;
+      view["largest"] = {{"difference", v.score.largest}, {"x", v.score.x}, {"y", v.score.y}};
+    }
     if (v.photo) view["photo"] = json(*v.photo);
     views.push_back(std::move(view));
   }
@@ -144,19 +150,22 @@ Json json(const RenderReport& r) {
                            {"mse", row.mse},
                            {"share", row.share},
                            {"loss", optional(row.loss)}});
-  Json out{{"backend", r.backend},
-           {"automatic_views", r.automatic_views},
-           {"psnr", number(r.psnr)},
-           {"worst_psnr", number(r.worst_psnr)},
-           {"mse", r.mse},
-           {"ssim", r.ssim},
-           {"worst_ssim", r.worst_ssim},
-           {"largest", r.largest},
-           {"photos", r.photo ? json(*r.photo) : Json()},
-           {"n_undrawable", r.n_undrawable},
-           {"attribution", std::move(attribution)},
-           {"views", std::move(views)},
-           {"seconds", r.seconds}};
+  Json out{{"backend", r.backend},      {"automatic_views", r.automatic_views},
+           {"n_views", r.views.size()}, {"n_rated", r.n_rated},
+           {"drawn", r.drawn},          {"gaussians_seen", r.gaussians_seen}};
+  if (r.n_rated != 0) {
+    out["psnr"] = number(r.psnr);
+    out["worst_psnr"] = number(r.worst_psnr);
+    out["mse"] = r.mse;
+    out["ssim"] = r.ssim;
+    out["worst_ssim"] = r.worst_ssim;
+    out["largest"] = r.largest;
+  }
+  out["photos"] = r.photo ? json(*r.photo) : Json();
+  out["n_undrawable"] = r.n_undrawable;
+  out["attribution"] = std::move(attribution);
+  out["views"] = std::move(views);
+  out["seconds"] = r.seconds;
   if (!r.attribution_note.empty()) out["attribution_note"] = r.attribution_note;
   return out;
 }
@@ -165,7 +174,7 @@ Json json(const RenderReport& r) {
 
 std::string audit_json(const Report& report) {
   const Verdict v = verdict(report);
-  Json j{{"schema", "rgs-audit/1"},
+  Json j{{"schema", "rgs-audit/2"},
          {"tool", report.tool},
          {"fingerprint", report.fingerprint},
          {"source",
@@ -185,8 +194,10 @@ std::string audit_json(const Report& report) {
          {"verdict",
           {{"grade", name_of(v.grade)},
            {"depth_range_misfit", v.depth_range_misfit},
+           {"hardly_seen", v.hardly_seen},
            {"headline", v.headline},
            {"detail", v.detail}}},
+         {"warnings", warnings(report)},
          {"size", json(report.size)}};
   if (report.attributes) j["attributes"] = json(*report.attributes);
   if (report.render) j["rendered"] = json(*report.render);

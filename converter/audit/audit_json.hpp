@@ -8,7 +8,7 @@
 
 namespace rgs::audit {
 
-/// Schema "rgs-audit/1", ASCII, "\n" at the end.
+/// Schema "rgs-audit/2", ASCII, "\n" at the end.
 std::string audit_json(const Report& report);
 
 }  // namespace rgs::audit

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_page.hpp"
 
+#include "audit_encoding.hpp"
 #include "info_escape.hpp"
 
 namespace rgs::audit {
@@ -27,6 +28,7 @@ a{color:var(--accent)}
 .names{color:var(--soft);font-size:.95rem;overflow-wrap:anywhere}
 .names b{color:var(--ink);font-weight:600}
 .lead{font-size:1.08rem}
+.badges{margin:0}
 .badge{display:inline-block;border-radius:99px;padding:2px 12px;font-size:.8rem;font-weight:600;border:1.5px solid currentColor}
 .good{color:var(--good)}.fair{color:var(--fair)}.bad{color:var(--bad)}
 .three{display:grid;grid-template-columns:repeat(3,1fr);gap:16px;margin:22px 0}
@@ -64,7 +66,7 @@ border-radius:6px;pointer-events:none}
 .triple img{image-rendering:pixelated;border:1px solid var(--line)}
 .triple span{font-size:.78rem;color:var(--soft)}
 .scale{display:flex;align-items:center;gap:10px;font-size:.88rem;color:var(--soft);margin:6px 0 14px;flex-wrap:wrap}
-.scale i{display:block;width:min(320px,50vw);height:12px;border-radius:3px;border:1px solid var(--line)}
+.scale svg{display:block;width:min(320px,50vw);height:12px;border-radius:3px;border:1px solid var(--line)}
 .wrap{overflow-x:auto;margin:12px 0;background:var(--card);border:1px solid var(--line);border-radius:12px}
 table{border-collapse:collapse;width:100%;font-size:.92rem}
 th,td{padding:7px 12px;text-align:right;border-top:1px solid var(--line);white-space:nowrap}
@@ -76,9 +78,9 @@ tbody tr:hover{background:var(--tint)}
 tr.sum>*{border-top:2px solid var(--soft);font-weight:650}
 tr.group>*{color:var(--soft);font-size:.82rem;font-weight:600;text-align:left;background:var(--tint)}
 .meter{display:inline-block;vertical-align:middle;width:90px;height:9px;border-radius:3px;background:var(--tint);
-border:1px solid var(--line);overflow:hidden;margin-right:12px;text-align:left}
+border:1px solid var(--line);overflow:hidden;margin-right:12px}
 .meter+b{display:inline-block;min-width:3.6em;font-weight:inherit}
-.meter i{display:block;height:100%;background:var(--accent)}
+.meter rect{fill:var(--accent)}
 .panel{padding:14px 16px;min-width:0}
 .panel th,.panel td{padding:5px 4px}
 .panel p{margin:0 0 6px;font-size:.88rem}
@@ -88,8 +90,7 @@ border:1px solid var(--line);overflow:hidden;margin-right:12px;text-align:left}
 .chart .mark{stroke:var(--ink);stroke-width:1.5}
 .chart .dashed{stroke-dasharray:5 3}.chart .dotted{stroke-dasharray:1.5 3}
 .chart text{fill:var(--soft);font:11px system-ui,sans-serif}
-.stack{display:flex;height:26px;border-radius:6px;overflow:hidden;border:1px solid var(--line);margin:12px 0 6px}
-.stack i{display:block;min-width:1px}
+.stack{display:block;width:100%;height:26px;border-radius:6px;overflow:hidden;border:1px solid var(--line);margin:12px 0 6px}
 .key{display:inline-block;width:.8em;height:.8em;border-radius:3px;margin-right:7px;vertical-align:-.05em}
 details{margin:12px 0}
 summary{cursor:pointer;color:var(--accent);width:fit-content}
@@ -97,6 +98,7 @@ code{font:.92em ui-monospace,"SF Mono",Menlo,Consolas,"DejaVu Sans Mono",monospa
 dl.facts{display:grid;grid-template-columns:max-content 1fr;gap:4px 20px;font-size:.92rem;margin:12px 0}
 dl.facts dt{color:var(--soft)}dl.facts dd{margin:0;overflow-wrap:anywhere}
 ul.gate{list-style:none;padding:0;margin:14px 0}
+.warnings{margin:14px 0;padding-left:1.2em}
 :focus-visible{outline:3px solid var(--accent);outline-offset:2px}
 @media (max-width:640px){main{padding:18px 14px 40px}.three{grid-template-columns:1fr;gap:10px}.card{padding:12px 16px}
 h2{margin-top:40px}th,td{padding:6px 9px}.meter{width:60px}dl.facts{grid-template-columns:1fr;gap:0}dl.facts dd{margin-bottom:8px}}
@@ -108,7 +110,7 @@ h2{margin-top:20pt;break-after:avoid}figure,.panel,.card,tr{break-inside:avoid}
 .ab .tag.b{left:calc(50% + 13px);right:auto}.wrap{overflow:visible}table{font-size:8.5pt}
 th,td{padding:3px 6px;white-space:normal}.three{grid-template-columns:repeat(3,1fr)}
 .grid{grid-template-columns:repeat(3,1fr)}.grid.wide{grid-template-columns:repeat(2,1fr)}.grid.narrow{grid-template-columns:repeat(4,1fr)}
-.meter{width:50px;margin-right:6px}i,.chart,.badge,.stack{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
+.meter{width:50px;margin-right:6px}svg,.badge{print-color-adjust:exact;-webkit-print-color-adjust:exact}}
 )css";
 
 constexpr std::string_view kScript = R"js(
@@ -159,6 +161,11 @@ function selfTest() {
 addEventListener('load', () => { if (location.hash === '#self-test') selfTest(); });
 )js";
 
+// The source expression of a policy that admits this very text and no other.
+std::string allowed(std::string_view text) {
+  return "'sha256-" + base64(sha256(text)) + "'";
+}
+
 }  // namespace
 
 std::string html(std::string_view text) {
@@ -180,9 +187,9 @@ std::string page_begin(std::string_view title) {
   std::string page = "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
   page += "<meta name=\"viewport\" content=\"width=device-width,initial-scale=1\">\n";
   page +=
-      "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; img-src data:; style-src "
-      "'unsafe-inline'; "
-      "script-src 'unsafe-inline'\">\n";
+      "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; base-uri 'none'; form-action "
+      "'none'; ";
+  page += "img-src data:; style-src " + allowed(kStyle) + "; script-src " + allowed(kScript) + "\">\n";
   page += "<title>" + html(title) + "</title>\n<link rel=\"icon\" href=\"data:,\">\n<style>";
   page += kStyle;
   return page + "</style>\n</head>\n<body>\n";

@@ -11,7 +11,9 @@ namespace rgs::audit {
 /// as \xHH, the characters that HTML gives a meaning are escaped.
 std::string html(std::string_view text);
 
-/// The page from doctype to <body>, and its end. Loads nothing: the policy in the head forbids it. `title` is escaped.
+/// The page from doctype to <body>, and its end. Loads nothing: the policy in the head forbids it, and admits by their
+/// hashes the one style and the one script of the page. So style attributes have no effect: use classes, or attributes of
+/// SVG. `title` is escaped.
 std::string page_begin(std::string_view title);
 std::string page_end();
 

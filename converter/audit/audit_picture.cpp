@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdint>
 
+#include "audit_encoding.hpp"
 #include "image_file.hpp"
 
 namespace rgs::audit {
@@ -73,19 +74,6 @@ Image combined(const Image& image, int width, const Combine& combine) {
     }
   }
   return out;
-}
-
-std::string base64(std::span<const std::byte> bytes) {
-  constexpr const char* kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  text.reserve((bytes.size() + 2) / 3 * 4);
-  for (std::size_t i = 0; i < bytes.size(); i += 3) {
-    std::uint32_t three = 0;
-    for (std::size_t k = 0; k < 3; ++k)
-      three = three << 8 | (i + k < bytes.size() ? static_cast<std::uint32_t>(bytes[i + k]) : 0);
-    for (std::size_t k = 0; k < 4; ++k) text += i + k <= bytes.size() ? kDigits[three >> (18 - 6 * k) & 63] : '=';
-  }
-  return text;
 }
 
 }  // namespace

@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "audit_render.hpp"
 
+#include <tbb/parallel_for.h>
+
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -54,6 +56,19 @@ Image clamped(const Image& image) {
   return out;
 }
 
+// Share of the pixels of which Gaussians are a part, however faint.
+double drawn_share(std::span<const float> alpha) {
+  const auto n = std::count_if(alpha.begin(), alpha.end(), [](float a) { return a > 0; });
+  return static_cast<double>(n) / static_cast<double>(alpha.size());
+}
+
+bool in_view(const Camera& camera, const glm::dvec3& mean_world) {
+  const glm::dvec4 p = camera.world_to_camera * glm::dvec4(mean_world, 1);
+  if (!(p.z > static_cast<double>(math::kNearPlane))) return false;
+  const double u = camera.fx * p.x / p.z + camera.cx, v = camera.fy * p.y / p.z + camera.cy;
+  return u >= 0 && u < camera.width && v >= 0 && v < camera.height;
+}
+
 // Mean of PSNRs, of the views that differ: one identical view does not make a mean infinite.
 double mean_psnr(std::span<const double> values) {
   double sum = 0;
@@ -90,12 +105,12 @@ class PictureAudit {
     renderer_.emplace(std::move(*renderer));
     report_.backend = renderer_->backend_name();
     report_.automatic_views = options_.cameras.empty();
-    if (inputs_.rgs != nullptr) declared_ = inputs_.rgs->declarations();
     plan_attribution();
     if (auto ok = load_source(); !ok) return tl::unexpected(ok.error());
     auto views = choose_views(options_, bounds_, up());
     if (!views) return tl::unexpected(views.error());
     views_ = std::move(*views);
+    rated_.resize(views_.size());
     progress_.begin("rendering", views_.size() * frames_per_view(), "frames");
     for (std::size_t first = 0; first < views_.size();) {
       std::size_t end = first;
@@ -117,7 +132,7 @@ class PictureAudit {
 
   // ---- what is rendered
 
-  bool attribute() const { return options_.attribution && declared_ && inputs_.pairing != nullptr && mixable(); }
+  bool attribute() const { return options_.attribution && inputs_.pairing != nullptr && mixable(); }
   bool mixable() const { return inputs_.pairing->n_paired == inputs_.pairing->source_of.size(); }
 
   void plan_attribution() {
@@ -149,7 +164,7 @@ class PictureAudit {
                std::count_if(also_.begin(), also_.end(), [](auto& a) { return a.note.empty(); }));
   }
 
-  glm::dvec3 up() const { return declared_ ? declared_up(*declared_) : kWorldUp; }
+  glm::dvec3 up() const { return inputs_.declared ? declared_up(*inputs_.declared) : kWorldUp; }
 
   Done load_source() {
     auto source = source_scene(*inputs_.source);
@@ -163,12 +178,14 @@ class PictureAudit {
   // ---- one batch of views [first, end)
 
   Done batch(std::size_t first, std::size_t end) {
-    const RenderOptions exact = reference_arithmetic(declared_);
+    const RenderOptions exact = reference_arithmetic(inputs_.declared);
     if (scene_.size() == 0 && first > 0)
       if (auto ok = load_source(); !ok) return ok;
+    if (auto ok = look_for_gaussians(first, end); !ok) return ok;
     references_.clear();
+    reference_drawn_.clear();
     for (std::size_t i = first; i < end; ++i) {
-      auto image = render(i, exact);
+      auto image = render(i, exact, &reference_drawn_.emplace_back());
       if (!image) return tl::unexpected(image.error());
       references_.push_back(std::move(*image));
     }
@@ -191,9 +208,11 @@ class PictureAudit {
       scene_ = std::move(file->scene);
     }
     for (std::size_t i = first; i < end; ++i) {
-      auto image = render(i, exact);
+      double drawn = 0;
+      auto image = render(i, exact, &drawn);
       if (!image) return tl::unexpected(image.error());
-      if (auto ok = score(i, references_[i - first], std::move(*image)); !ok) return ok;
+      drawn = std::max(drawn, reference_drawn_[i - first]);
+      if (auto ok = score(i, drawn, references_[i - first], std::move(*image)); !ok) return ok;
     }
     if (Series* together = find("together")) {
       const RenderOptions paper = with_lists(with_exp(with_key(exact)));
@@ -246,6 +265,7 @@ class PictureAudit {
     other.n_gaussians = scene_.size();
     auto& sums = also_sums_[static_cast<std::size_t>(&other - also_.data())];
     for (std::size_t i = first; i < end; ++i) {
+      if (!is_rated(i)) continue;
       auto image = render(i, exact);
       if (!image) return tl::unexpected(image.error());
       const auto d = difference(references_[i - first], *image);
@@ -263,17 +283,44 @@ class PictureAudit {
 
   // ---- pictures and numbers
 
-  Outcome<Image> render(std::size_t view, const RenderOptions& how) {
+  // `drawn` becomes the share of the pixels on which the scene draws, if it is asked for.
+  Outcome<Image> render(std::size_t view, const RenderOptions& how, double* drawn = nullptr) {
     const Camera& camera = views_[view].camera;
     Image image = Image::make(camera.width, camera.height, 3);
-    const auto stats = renderer_->render(scene_, camera, {.rgb = image.pixels}, how);
+    if (drawn != nullptr) alpha_.resize(image.pixels.size() / 3);
+    const auto stats = renderer_->render(
+        scene_, camera, {.rgb = image.pixels, .alpha = drawn != nullptr ? std::span(alpha_) : std::span<float>()}, how);
     if (!stats) return make_error("view " + camera.name, stats.error());
+    if (drawn != nullptr) *drawn = drawn_share(alpha_);
     progress_.advance(1);
     return image;
   }
 
+  // Whether pictures of the view say anything; if not, its frame of a variant is skipped.
+  bool is_rated(std::size_t view) {
+    if (rated_[view] == 0) progress_.advance(1);
+    return rated_[view] != 0;
+  }
+
+  // Marks the Gaussians of the source whose means lie in views [first, end).
+  Done look_for_gaussians(std::size_t first, std::size_t end) {
+    const auto source = scene_.view();
+    if (!source) return make_error(options_.source, source.error());
+    seen_.resize(source->n);
+    constexpr std::uint64_t kBlock = 4096;
+    tbb::parallel_for(std::uint64_t{0}, (source->n + kBlock - 1) / kBlock, [&](std::uint64_t block) {
+      for (std::uint64_t g = block * kBlock; g < std::min(source->n, (block + 1) * kBlock); ++g) {
+        const float* mean = &source->mean[3 * g];
+        for (std::size_t i = first; i < end && seen_[g] == 0; ++i)
+          seen_[g] = in_view(views_[i].camera, {mean[0], mean[1], mean[2]}) ? 1 : 0;
+      }
+    });
+    return {};
+  }
+
   Done render_variant(Series& series, std::size_t first, std::size_t end, const RenderOptions& how) {
     for (std::size_t i = first; i < end; ++i) {
+      if (!is_rated(i)) continue;
       const auto image = render(i, how);
       if (!image) return tl::unexpected(image.error());
       const auto d = difference(references_[i - first], *image);
@@ -285,15 +332,19 @@ class PictureAudit {
     return {};
   }
 
-  Done score(std::size_t view, const Image& reference, Image image) {
+  Done score(std::size_t view, double drawn, const Image& reference, Image image) {
     const Camera& camera = views_[view].camera;
+    ViewResult result{camera.name, camera.width, camera.height, drawn, {}, {}};
+    rated_[view] = result.rated() ? 1 : 0;
+    if (!result.rated()) {
+      report_.views.push_back(std::move(result));
+      return {};
+    }
     const auto d = difference(reference, image);
     const auto s = ssim(reference, image);
     if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
-    ViewResult result{camera.name, camera.width, camera.height, {d->mse, d->psnr, *s, d->largest, 0, 0}, {}};
     const auto pixel = static_cast<int>(d->largest_index / 3);
-    result.score.x = pixel % camera.width;
-    result.score.y = pixel / camera.width;
+    result.score = {d->mse, d->psnr, *s, d->largest, pixel % camera.width, pixel / camera.width};
     if (!views_[view].photo.empty()) {
       auto photo = compare_to_photo(views_[view], reference, image);
       if (!photo) return tl::unexpected(photo.error());
@@ -350,6 +401,12 @@ class PictureAudit {
 
   void summarise() {
     summarise_views();
+    if (report_.n_rated == 0) {
+      if (!variants_.empty()) report_.attribution_note = "no view shows the scene";
+      for (AlsoReport& a : also_)
+        if (a.note.empty()) a.note = "no view shows the scene";
+      return;
+    }
     double all = 0;
     if (const Series* together = find("together")) all = mean(together->mse);
     for (const Series& s : variants_) {
@@ -361,7 +418,7 @@ class PictureAudit {
     }
     for (std::size_t i = 0; i < also_.size(); ++i) {
       const AlsoSums& sums = also_sums_[i];
-      if (sums.psnr.empty()) continue;
+      if (sums.psnr.empty() || !also_[i].note.empty()) continue;
       const auto n = static_cast<double>(sums.psnr.size());
       also_[i].psnr = mean_psnr(sums.psnr);
       also_[i].worst_psnr = *std::min_element(sums.psnr.begin(), sums.psnr.end());
@@ -374,10 +431,21 @@ class PictureAudit {
     auto& views = report_.views;
     std::vector<double> psnr;
     PhotoScore photo;
-    double ssim_sum = 0, mse_sum = 0;
-    report_.worst_psnr = std::numeric_limits<double>::infinity();
-    const auto n = static_cast<double>(views.size());
+    double ssim_sum = 0, mse_sum = 0, drawn = 0;
     for (const ViewResult& v : views) {
+      drawn += v.drawn;
+      if (v.rated()) ++report_.n_rated;
+    }
+    report_.drawn = drawn / static_cast<double>(views.size());
+    const auto n_seen = std::count(seen_.begin(), seen_.end(), 1);
+    report_.gaussians_seen = seen_.empty() ? 0 : static_cast<double>(n_seen) / static_cast<double>(seen_.size());
+    if (report_.n_rated == 0) return;
+    report_.worst_psnr = std::numeric_limits<double>::infinity();
+    report_.worst_ssim = 1;
+    report_.largest = 0;
+    const auto n = static_cast<double>(report_.n_rated);
+    for (const ViewResult& v : views) {
+      if (!v.rated()) continue;
       psnr.push_back(v.score.psnr);
       ssim_sum += v.score.ssim;
       mse_sum += v.score.mse;
@@ -397,11 +465,13 @@ class PictureAudit {
       report_.photo = photo;
       report_.loss = photo.loss();
     }
-    // Worst first; pictures keep pointing at their views.
+    // Rated ones first, of these the worst; pictures keep pointing at their views.
     std::vector<std::size_t> order(views.size()), place(views.size());
     for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
-    std::stable_sort(order.begin(), order.end(),
-                     [&](std::size_t a, std::size_t b) { return views[a].score.psnr < views[b].score.psnr; });
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+      if (views[a].rated() != views[b].rated()) return views[a].rated();
+      return views[a].score.psnr < views[b].score.psnr;
+    });
     std::vector<ViewResult> sorted;
     for (std::size_t i = 0; i < order.size(); ++i) {
       sorted.push_back(std::move(views[order[i]]));
@@ -427,11 +497,14 @@ class PictureAudit {
   std::vector<AlsoReport>& also_;
   tool::Progress& progress_;
   std::optional<Renderer> renderer_;
-  std::optional<Declarations> declared_;
   Scene scene_;  // the one being rendered
   SceneBounds bounds_;
   std::vector<View> views_;
-  std::vector<Image> references_;  // of the batch
+  std::vector<std::uint8_t> rated_;      // [views], as far as they are drawn
+  std::vector<std::uint8_t> seen_;       // [Gaussians drawn of the source]
+  std::vector<Image> references_;        // of the batch
+  std::vector<double> reference_drawn_;  // of the batch
+  std::vector<float> alpha_;             // of the last frame that asked for it
   std::vector<Series> variants_;
   std::vector<AlsoSums> also_sums_ = std::vector<AlsoSums>(also_.size());
   RenderReport report_;

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
-#include <span>
+#include <optional>
 
 #include "audit.hpp"
 #include "audit_pairing.hpp"
@@ -13,16 +13,18 @@
 namespace rgs::audit {
 
 /// What is rendered against what. `rgs` and `pairing` are absent for assets of other formats, which then have no
-/// attribution.
+/// attribution. All is drawn as the asset declares.
 struct RenderInputs {
   const PlyFile* source = nullptr;
   const FileView* rgs = nullptr;
   const Pairing* pairing = nullptr;
+  std::optional<Declarations> declared = {};
 };
 
 /// Renders every view of source and asset in the reference definition (FP32, square extent, exact order and
 /// exponential), and the attribution's variants. Views are taken in batches whose reference pictures fit into 512 MB,
-/// and at most two scenes are in memory at a time. Fills `also` too.
+/// and at most two scenes are in memory at a time. Fills `also` too. Variants and other files are drawn in the rated
+/// views alone.
 Outcome<RenderReport> compare_pictures(const RenderInputs& inputs, const Options& options,
                                        std::vector<AlsoReport>& also, tool::Progress& progress);
 

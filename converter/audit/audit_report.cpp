@@ -35,7 +35,7 @@ constexpr std::array kSectionColours{"#4e79a7", "#e08a3c", "#c85c5f", "#6aa7a2",
 
 const char* colour_of(const Report& report, const Verdict& verdict) {
   if (!report.gate_holds()) return "bad";
-  if (verdict.depth_range_misfit) return "fair";
+  if (verdict.depth_range_misfit || verdict.hardly_seen) return "fair";
   switch (verdict.grade) {
     case Verdict::Grade::identical:
     case Verdict::Grade::lossless:
@@ -54,7 +54,7 @@ const char* badge_of(Verdict::Grade grade) {
     case Verdict::Grade::close: return "Very close";
     case Verdict::Grade::visible: return "Visible differences";
     case Verdict::Grade::poor: return "Heavy damage";
-    case Verdict::Grade::unrated: return "Not rendered";
+    case Verdict::Grade::unrated: return "Not rated";
   }
   return "";
 }
@@ -120,7 +120,7 @@ class Page {
   void head() {
     add("<header>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n", html(report_.source_name),
         html(report_.asset_name));
-    add("<p style=\"margin:0\"><span class=\"badge {}\">{}</span></p>\n", colour_of(report_, verdict_), badge());
+    add("<p class=\"badges\"><span class=\"badge {}\">{}</span></p>\n", colour_of(report_, verdict_), badge());
     add("<h1>{}.</h1>\n<p class=\"lead\">{}</p>\n", headline(), html(verdict_.detail));
     if (!report_.gate.empty()) {
       add("<ul class=\"gate\" aria-label=\"Conditions\">\n");
@@ -129,17 +129,24 @@ class Page {
             html(describe(c)));
       add("</ul>\n");
     }
+    if (const auto sentences = warnings(report_); !sentences.empty()) {
+      add("<ul class=\"warnings fair\" aria-label=\"Warnings\">\n");
+      for (const std::string& w : sentences) add("<li>{}</li>\n", html(w));
+      add("</ul>\n");
+    }
     add("</header>\n");
   }
 
   const char* badge() const {
     if (!report_.gate_holds()) return "Gate failed";
+    if (verdict_.hardly_seen) return "Cameras hardly see the scene";
     return verdict_.depth_range_misfit ? "Depth range does not fit" : badge_of(verdict_.grade);
   }
 
   std::string headline() const {
     std::string text = html(verdict_.headline);
-    if (const std::size_t at = text.find("x smaller"); at != std::string::npos) text.replace(at, 1, "&times;");
+    for (const char* change : {"x smaller", "x larger"})
+      if (const std::size_t at = text.find(change); at != std::string::npos) text.replace(at, 1, "&times;");
     return text;
   }
 
@@ -151,7 +158,10 @@ class Page {
   void numbers() {
     const SizeReport& s = report_.size;
     add("<dl class=\"three\">\n");
-    card("Size", fmt::format("{:.2f}", s.ratio()), "&times; smaller",
+    const std::string change = tool::format_size_change(s.source_bytes, s.asset_bytes);
+    const std::size_t at = change.find("x ");  // "4.87x smaller", or words alone
+    const bool is_factor = at != std::string::npos;
+    card("Size", is_factor ? change.substr(0, at) : "", is_factor ? "&times;" + change.substr(at + 1) : change,
          fmt::format("{} &rarr; {}; {:.1f} bytes per Gaussian", format_bytes(s.source_bytes),
                      format_bytes(s.asset_bytes), s.bytes_per_gaussian()));
     if (!report_.render) {
@@ -159,6 +169,11 @@ class Page {
       return;
     }
     const RenderReport& r = *report_.render;
+    if (r.n_rated == 0) {
+      card("Likeness to the original", "?", "", "no view shows the scene");
+      add("</dl>\n");
+      return;
+    }
     const bool same = !std::isfinite(r.psnr);
     card("Likeness to the original", same ? "&infin;" : fmt::format("{:.1f}", r.psnr), "dB PSNR",
          same ? "every pixel is the same"
@@ -197,8 +212,8 @@ class Page {
         "of 255 "
         "levels, at pixel ({}, {}). <span class=\"screen\">Drag, or use the arrow "
         "keys.</span>{}{}</figcaption>\n</figure>\n",
-        r.views.size(), alt, format_psnr(v.score.psnr), v.score.ssim, 255 * static_cast<double>(v.score.largest),
-        v.score.x, v.score.y, lossless_a && lossless_b ? "" : " Shown as JPEG.",
+        r.n_rated, alt, format_psnr(v.score.psnr), v.score.ssim, 255 * static_cast<double>(v.score.largest), v.score.x,
+        v.score.y, lossless_a && lossless_b ? "" : " Shown as JPEG.",
         p.source.width > kTopWidth ? fmt::format(" Scaled down to {} pixels.", kTopWidth) : "");
   }
 
@@ -214,14 +229,15 @@ class Page {
   // ---- pictures
 
   void scale_bar() {
-    std::string stops;
+    add("<div class=\"scale\"><span>0</span><svg role=\"img\" aria-label=\"Colour scale\"><defs><linearGradient "
+        "id=\"heat\">");
     for (int i = 0; i <= 10; ++i) {
       const Colour c = heat(static_cast<float>(i) / 10);
-      fmt::format_to(std::back_inserter(stops), ",rgb({:.0f} {:.0f} {:.0f})", 255 * c.r, 255 * c.g, 255 * c.b);
+      add("<stop offset=\"{}%\" stop-color=\"rgb({:.0f},{:.0f},{:.0f})\"/>", 10 * i, 255 * c.r, 255 * c.g, 255 * c.b);
     }
-    add("<div class=\"scale\"><span>0</span><i role=\"img\" aria-label=\"Colour scale\" "
-        "style=\"background:linear-gradient(90deg{})\"></i><span>{:.3g} of 255 levels, white above</span></div>\n",
-        stops, top_);
+    add("</linearGradient></defs><rect width=\"100%\" height=\"100%\" fill=\"url(#heat)\"/></svg><span>{:.3g} of 255 "
+        "levels, white above</span></div>\n",
+        top_);
   }
 
   void where() {
@@ -276,19 +292,22 @@ class Page {
       return v.width == r.views.front().width && v.height == r.views.front().height;
     });
     table("Views");
-    add("<thead><tr><th>View{}</th><th>PSNR, dB</th><th>Error, levels RMS</th><th>SSIM</th><th>Largest, levels</th>{}"
-        "</tr></thead><tbody>\n",
+    add("<thead><tr><th>View{}</th><th>PSNR, dB</th><th>Error, levels RMS</th><th>SSIM</th><th>Largest, levels</th>"
+        "<th>Drawn, % of the pixels</th>{}</tr></thead><tbody>\n",
         one_size && !r.views.empty() ? fmt::format(" ({} x {})", r.views.front().width, r.views.front().height) : "",
         photos ? "<th>Original to photo, dB</th><th>Asset to photo, dB</th><th>Lost, dB</th>" : "");
-    const double highest = levels(r.views.empty() ? 0 : r.views.front().score.mse);
-    for (std::size_t i = 0; i < std::min(kListedViews, r.views.size()); ++i) view_row(r.views[i], highest, !one_size);
-    add("<tr class=\"sum\"><td>{} views</td><td>mean {}</td><td>mean {:.3f}</td><td>mean {:.6f}</td><td>max "
-        "{:.1f}</td>",
-        r.views.size(), number(r.psnr, 2), levels(r.mse), r.ssim, 255 * static_cast<double>(r.largest));
-    if (photos)
-      add("<td>mean {}</td><td>mean {}</td><td>mean {}</td>", number(r.photo->source_psnr, 3),
-          number(r.photo->asset_psnr, 3), number(r.photo->loss(), 4));
-    add("</tr>\n");
+    const double highest = levels(r.n_rated == 0 ? 0 : r.views.front().score.mse);
+    for (std::size_t i = 0; i < std::min(kListedViews, r.views.size()); ++i)
+      view_row(r.views[i], highest, !one_size, photos);
+    if (r.n_rated != 0) {
+      add("<tr class=\"sum\"><td>{} rated views</td><td>mean {}</td><td>mean {:.3f}</td><td>mean {:.6f}</td><td>max "
+          "{:.1f}</td><td></td>",
+          r.n_rated, number(r.psnr, 2), levels(r.mse), r.ssim, 255 * static_cast<double>(r.largest));
+      if (photos)
+        add("<td>mean {}</td><td>mean {}</td><td>mean {}</td>", number(r.photo->source_psnr, 3),
+            number(r.photo->asset_psnr, 3), number(r.photo->loss(), 4));
+      add("</tr>\n");
+    }
     end_table();
     if (r.views.size() > kListedViews) add("<p class=\"note\">The JSON output lists all views.</p>\n");
     if (r.n_undrawable != 0)
@@ -298,16 +317,22 @@ class Page {
   }
 
   static std::string meter(double share) {
-    return fmt::format("<span class=\"meter\" aria-hidden=\"true\"><i style=\"width:{:.0f}%\"></i></span>",
+    return fmt::format("<svg class=\"meter\" aria-hidden=\"true\"><rect width=\"{:.0f}%\" height=\"100%\"/></svg>",
                        100 * std::clamp(share, 0.0, 1.0));
   }
 
-  void view_row(const ViewResult& v, double highest, bool with_size) {
+  void view_row(const ViewResult& v, double highest, bool with_size, bool photos) {
     const double rms = levels(v.score.mse);
-    add("<tr><td>{}{}</td><td>{}</td><td>{}<b>{:.3f}</b></td><td>{:.6f}</td><td>{:.1f}</td>", html(v.name),
-        with_size ? fmt::format(" <span class=\"soft\">{} x {}</span>", v.width, v.height) : "",
-        number(v.score.psnr, 2), meter(highest > 0 ? rms / highest : 0), rms, v.score.ssim,
-        255 * static_cast<double>(v.score.largest));
+    add("<tr><td>{}{}</td>", html(v.name),
+        with_size ? fmt::format(" <span class=\"soft\">{} x {}</span>", v.width, v.height) : "");
+    if (v.rated()) {
+      add("<td>{}</td><td>{}<b>{:.3f}</b></td><td>{:.6f}</td><td>{:.1f}</td>", number(v.score.psnr, 2),
+          meter(highest > 0 ? rms / highest : 0), rms, v.score.ssim, 255 * static_cast<double>(v.score.largest));
+    } else {
+      add("<td colspan=\"4\" class=\"fair\">not rated: hardly anything is drawn</td>");
+    }
+    add("<td{}>{:.1f}</td>", v.hardly_sees() ? " class=\"fair\"" : "", 100 * v.drawn);
+    if (!v.rated() && photos) add("<td colspan=\"3\"></td>");
     if (v.photo)
       add("<td>{}</td><td>{}</td><td>{}</td>", number(v.photo->source_psnr, 3), number(v.photo->asset_psnr, 3),
           number(v.photo->loss(), 4));
@@ -494,8 +519,9 @@ class Page {
     file_row(report_.source_name, s.source_bytes, s.n_source, "<td colspan=\"3\" class=\"soft\">the reference</td>");
     std::string quality = "<td colspan=\"3\" class=\"soft\">not rendered</td>";
     if (const auto& r = report_.render)
-      quality =
-          fmt::format("<td>{}</td><td>{}</td><td>{:.6f}</td>", number(r->psnr, 2), number(r->worst_psnr, 2), r->ssim);
+      quality = r->n_rated == 0 ? "<td colspan=\"3\" class=\"soft\">not rated</td>"
+                                : fmt::format("<td>{}</td><td>{}</td><td>{:.6f}</td>", number(r->psnr, 2),
+                                              number(r->worst_psnr, 2), r->ssim);
     file_row(report_.asset_name, s.asset_bytes, s.n_asset, quality);
     for (const AlsoReport& a : report_.also) {
       const std::string measured = a.psnr ? fmt::format("<td>{}</td><td>{}</td><td>{:.6f}</td>", number(*a.psnr, 2),
@@ -518,12 +544,16 @@ class Page {
   }
 
   void sections(const SizeReport& s) {
-    add("<div class=\"stack\" role=\"img\" aria-label=\"Sections of the asset by size; the table below has the "
+    add("<svg class=\"stack\" role=\"img\" aria-label=\"Sections of the asset by size; the table below has the "
         "numbers\">");
-    for (std::size_t i = 0; i < std::min(kListedSections, s.sections.size()); ++i)
-      add("<i style=\"background:{};width:{:.3f}%\"></i>", kSectionColours[i % kSectionColours.size()],
-          100 * static_cast<double>(s.sections[i].stored_bytes) / static_cast<double>(s.asset_bytes));
-    add("</div>\n");
+    double left = 0;
+    for (std::size_t i = 0; i < std::min(kListedSections, s.sections.size()); ++i) {
+      const double share = 100 * static_cast<double>(s.sections[i].stored_bytes) / static_cast<double>(s.asset_bytes);
+      add("<rect x=\"{:.3f}%\" width=\"{:.3f}%\" height=\"100%\" fill=\"{}\"/>", left, share,
+          kSectionColours[i % kSectionColours.size()]);
+      left += share;
+    }
+    add("</svg>\n");
     table("Sections of the asset");
     add("<thead><tr><th>Section</th><th class=\"left\">Content</th><th>Stored, bytes</th><th>Decoded, "
         "bytes</th><th>Per "
@@ -532,7 +562,8 @@ class Page {
     for (std::size_t i = 0; i < std::min(kListedSections, s.sections.size()); ++i) {
       const SectionSize& section = s.sections[i];
       stored += section.stored_bytes;
-      add("<tr><td><span class=\"key\" style=\"background:{}\"></span><code>{}</code></td><td "
+      add("<tr><td><svg class=\"key\" aria-hidden=\"true\"><rect width=\"100%\" height=\"100%\" "
+          "fill=\"{}\"/></svg><code>{}</code></td><td "
           "class=\"left\">{}</td><td>{}</td>"
           "<td>{}</td><td>{:.2f}</td><td>{:.2f} %</td></tr>\n",
           kSectionColours[i % kSectionColours.size()], html(section.type),
@@ -573,7 +604,10 @@ class Page {
       fact("PSNR",
            "-10 log10 of the mean squared difference of floating-point values with peak 1, neither clamped nor rounded "
            "to "
-           "8 bits; means are over the views that differ");
+           "8 bits; means are over the rated views that differ");
+      fact("Rated", fmt::format("views on whose pixels source or asset draw to {:g} % at least; below {:g} % they are "
+                                "flagged, because equal background raises PSNR",
+                                100 * kRatedShare, 100 * kHardlySeenShare));
       fact("SSIM", "as in 3DGS: 11 x 11 Gaussian window, sigma 1.5, zero padding");
       if (report_.render->photo)
         fact("Photographs",

@@ -180,12 +180,14 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     const auto scene = load_scene_file(options.asset, options.limits);
     if (!scene) return make_error(options.asset, scene.error());
     report.asset_format = format_name(scene->format);
+    report.declarations = scene->scene.declarations();
     size.asset_bytes = scene->file_bytes;
     size.n_asset = scene->scene.size();
     size.asset_sh_degree = scene->scene.sh_degree();
   }
   if (options.render) {
-    const RenderInputs inputs{&*source, rgs_asset ? &*view : nullptr, rgs_asset ? &pairing : nullptr};
+    const RenderInputs inputs{&*source, rgs_asset ? &*view : nullptr, rgs_asset ? &pairing : nullptr,
+                              report.declarations};
     auto rendered = compare_pictures(inputs, options, *also, progress);
     if (!rendered) return tl::unexpected(rendered.error());
     report.render = std::move(*rendered);

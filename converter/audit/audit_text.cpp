@@ -26,18 +26,19 @@ class Text : private tool::TextLines {
     if (report_.render) pictures(*report_.render);
     for (const AlsoReport& a : report_.also) also(a);
     for (const Condition& c : report_.gate) line("  {}      {}", c.holds ? "holds " : "FAILED", describe(c));
+    for (const std::string& w : warnings(report_)) line("  warning     {}", w);
     const Verdict v = verdict(report_);
     line("{}. {}", v.headline, v.detail);
-    if (!report_path.empty()) line("report: {}", report_path);
+    if (!report_path.empty()) line("report: {}", escape(report_path));
     return take();
   }
 
  private:
   void sizes() {
     const SizeReport& s = report_.size;
-    line("{} ({}) -> {} ({}): {:.2f}x smaller, {:.2f} bytes per Gaussian", escape(report_.source_name),
-         format_bytes(s.source_bytes), escape(report_.asset_name), format_bytes(s.asset_bytes), s.ratio(),
-         s.bytes_per_gaussian());
+    line("{} ({}) -> {} ({}): {}, {:.2f} bytes per Gaussian", escape(report_.source_name), format_bytes(s.source_bytes),
+         escape(report_.asset_name), format_bytes(s.asset_bytes),
+         tool::format_size_change(s.source_bytes, s.asset_bytes), s.bytes_per_gaussian());
     if (s.gpu_bytes != 0)
       line("  on the GPU  {}, {:.2f} bytes per Gaussian; FP32 attributes {}", format_bytes(s.gpu_bytes),
            s.gpu_bytes_per_gaussian(), format_bytes(s.gpu_bytes_fp32));
@@ -65,9 +66,15 @@ class Text : private tool::TextLines {
   }
 
   void pictures(const RenderReport& r) {
-    line("  pictures    {} views{}: {} on average, worst {}; SSIM {:.6f}, worst {:.6f}; largest difference {:.1f}/255",
-         r.views.size(), r.automatic_views ? " around the scene" : "", format_psnr(r.psnr), format_psnr(r.worst_psnr),
-         r.ssim, r.worst_ssim, 255 * static_cast<double>(r.largest));
+    const std::string views =
+        fmt::format("{}{} views{}", r.n_rated == r.views.size() ? "" : fmt::format("{} of ", r.n_rated), r.views.size(),
+                    r.automatic_views ? " around the scene" : "");
+    if (r.n_rated == 0) {
+      line("  pictures    {} show the scene", views);
+    } else {
+      line("  pictures    {}: {} on average, worst {}; SSIM {:.6f}, worst {:.6f}; largest difference {:.1f}/255", views,
+           format_psnr(r.psnr), format_psnr(r.worst_psnr), r.ssim, r.worst_ssim, 255 * static_cast<double>(r.largest));
+    }
     if (r.photo)
       line("  photos      source {:.3f} dB, asset {:.3f} dB: loss {:.4f} dB; SSIM {:.5f}, {:.5f}", r.photo->source_psnr,
            r.photo->asset_psnr, r.photo->loss(), r.photo->source_ssim, r.photo->asset_ssim);
@@ -92,6 +99,7 @@ class Text : private tool::TextLines {
 }  // namespace
 
 std::string format_psnr(double psnr) {
+  if (std::isnan(psnr)) return "not rated";
   return std::isfinite(psnr) ? fmt::format("{:.2f} dB", psnr) : "identical";
 }
 

@@ -8,7 +8,7 @@
 
 namespace rgs::audit {
 
-/// "54.32 dB"; "identical" for infinity.
+/// "54.32 dB"; "identical" for infinity, "not rated" for NaN.
 std::string format_psnr(double psnr);
 /// Lines for a person, the verdict last. `report_path` is named in it if not empty.
 std::string audit_text(const Report& report, const std::string& report_path);

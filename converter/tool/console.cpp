@@ -102,6 +102,16 @@ std::string format_bytes(std::uint64_t bytes) {
   return unit == 0 ? fmt::format("{} B", bytes) : fmt::format("{:.1f} {}", value, kUnits[unit]);
 }
 
+std::string format_size_change(std::uint64_t before, std::uint64_t after) {
+  if (before == after) return "same size";
+  if (after == 0) return "empty";
+  if (before == 0) return "larger than nothing";
+  const double factor = static_cast<double>(before) / static_cast<double>(after);
+  const std::string times = fmt::format("{:.2f}x", std::max(factor, 1 / factor));
+  if (times == "1.00x") return "nearly the same size";
+  return times + (factor > 1 ? " smaller" : " larger");
+}
+
 std::string format_count(std::uint64_t count) {
   std::string digits = std::to_string(count);
   for (std::size_t i = digits.size(); i > 3; i -= 3) digits.insert(i - 3, 1, ',');

@@ -32,6 +32,8 @@ int run(const std::function<int()>& body);
 
 /// "193.1 MB", decimal units as file managers and disks count.
 std::string format_bytes(std::uint64_t bytes);
+/// What became of a size: "4.87x smaller", "1.67x larger", "nearly the same size" (1.00x), "same size", "empty".
+std::string format_size_change(std::uint64_t before, std::uint64_t after);
 /// "778,812".
 std::string format_count(std::uint64_t count);
 /// "812 us", "35.2 ms", "1.25 s", "3 min 07 s".

@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <filesystem>
@@ -12,13 +13,15 @@
 #include <string>
 #include <vector>
 
+#include "audit_program_fixture.hpp"
 #include "audit_report.hpp"
-#include "audit_scenes_fixture.hpp"
 #include "image_file.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/image_metrics.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/splat_edit.hpp"
 #include "run_program.hpp"
+#include "scene_file.hpp"
 #include "skip.hpp"
 #include "temporary_folder.hpp"
 
@@ -28,34 +31,6 @@ using namespace rgs;
 using namespace rgs::test;
 
 namespace {
-
-ProgramResult run_audit(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), RGS_AUDIT);
-  return run_program(arguments);
-}
-
-// A folder with a scene as scene.ply and scene.rgs and three cameras of 96x72 pixels.
-struct SceneFolder : TemporaryFolder {
-  SplatCloud cloud = audit_cloud();
-  std::string ply = write_ply(file("scene.ply"), cloud);
-  std::string rgs;
-  std::string cameras = write_cameras(file("cameras.json"), 3);
-
-  SceneFolder() {
-    EncodeOptions options;
-    options.provenance = Provenance{fs::file_size(ply), 0, "scene.ply", "a test"};
-    options.provenance->source_xxh3 = xxh3(MappedFile::open(ply)->bytes());
-    rgs = write_rgs(file("scene.rgs"), cloud, options);
-  }
-  json result(std::vector<std::string> more = {}) const {
-    std::vector<std::string> arguments{ply, rgs, "--cameras", cameras, "--json", "-", "--quiet"};
-    arguments.insert(arguments.end(), more.begin(), more.end());
-    const ProgramResult run = run_audit(arguments);
-    INFO(run.err);
-    REQUIRE((run.exit_code == 0 || run.exit_code == 5));
-    return json::parse(run.out);
-  }
-};
 
 // Pictures named like the cameras; what is in them does not matter.
 void write_photos(const std::string& folder, int n, int width = 96, int height = 72) {
@@ -81,33 +56,6 @@ Image render(const Scene& scene, double z) {
   return image;
 }
 
-void write_text(const std::string& path, const std::string& text) {
-  std::ofstream(path, std::ios::binary) << text;
-}
-
-std::string browser() {
-  for (const char* path : {"/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"})
-    if (::access(path, X_OK) == 0) return path;
-  return {};
-}
-
-// Opens a page with its own test switched on; checks the verdict that it leaves in the document and that the console
-// stays empty.
-void check_in_browser(const TemporaryFolder& folder, const std::string& page, const std::string& expected) {
-  const std::string program = browser();
-  for (const char* window : {"--window-size=1280,900", "--window-size=500,900"}) {
-    const ProgramResult run =
-        run_program({program, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage",
-                     "--no-first-run", "--enable-logging=stderr", "--user-data-dir=" + folder.file("profile"), window,
-                     "--virtual-time-budget=4000", "--dump-dom", "file://" + page + "#self-test"},
-                    [&] { ::setenv("HOME", folder.path().c_str(), 1); });
-    const std::size_t at = run.out.find("data-self-test=\"");
-    REQUIRE(at != std::string::npos);
-    CHECK(run.out.substr(at + 16, run.out.find('"', at + 16) - at - 16) == expected);
-    CHECK_MESSAGE(run.err.find("CONSOLE") == std::string::npos, run.err);
-  }
-}
-
 // A report with all that it can hold, of a file with a hostile name.
 ProgramResult full_report(const SceneFolder& scene, const std::string& page) {
   const std::string hostile = scene.file("<img src=x onerror=alert(1)> \"&'.ply");
@@ -122,7 +70,7 @@ ProgramResult full_report(const SceneFolder& scene, const std::string& page) {
 TEST_CASE("an audit measures sizes, attributes and pictures, and its JSON has what the document promises") {
   const SceneFolder scene;
   const json j = scene.result();
-  CHECK(j["schema"] == "rgs-audit/1");
+  CHECK(j["schema"] == "rgs-audit/2");
   CHECK(j["source"]["gaussians"] == 700);
   CHECK(j["asset"]["format"] == "rgs");
   CHECK(j["asset"]["made_from_source"] == true);
@@ -240,6 +188,7 @@ TEST_CASE("large noisy pictures stay within the report's size") {
     report.render->views.push_back(view);
   }
   report.render->psnr = report.render->worst_psnr = 8;
+  report.render->n_rated = 3;
   const std::string page = audit::audit_html(report);
   CHECK(page.size() < audit::kMaxReportBytes);
   CHECK(page.size() > 3'000'000);
@@ -389,6 +338,25 @@ TEST_CASE("files of other formats are measured, as the asset too") {
   CHECK(j["rendered"]["psnr"].get<double>() > 25);
 }
 
+TEST_CASE("an asset of another format is drawn as it declares, and the source with it") {
+  const SceneFolder scene;
+  SplatCloud turned = scene.cloud;
+  convert_axes(turned, kAxes3dgs, format_axes(SplatFormat::spz));
+  const auto bytes = encode_splats(turned.view(), SplatFormat::spz, {.aa_mode = AaMode::mip_splatting});
+  REQUIRE(bytes);
+  const std::string spz = write_bytes(scene.file("mip.spz"), *bytes);
+  const std::string cameras = write_cameras(scene.file("far.json"), std::array{9.0});
+  const ProgramResult run = run_audit({scene.ply, spz, "--cameras", cameras, "--json", "-", "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const SceneFile asset = load_scene_file(spz).value();
+  REQUIRE(asset.scene.declarations()->aa_mode == AaMode::mip_splatting);
+  const Scene as_declared = Scene::load(scene.cloud, asset.scene.declarations()).value(),
+              classic = Scene::load(scene.cloud).value();
+  const double expected = difference(render(as_declared, 9), render(asset.scene, 9))->psnr;
+  CHECK(json::parse(run.out)["rendered"]["psnr"].get<double>() == doctest::Approx(expected).epsilon(1e-6));
+  CHECK(difference(render(as_declared, 9), render(classic, 9))->psnr < 40);  // it matters
+}
+
 TEST_CASE("a packed asset has the direct one's errors and pictures, in fewer bytes") {
   const SceneFolder scene;
   EncodeOptions options;
@@ -459,7 +427,7 @@ TEST_CASE("an empty scene is audited without a division by zero") {
       {ply, rgs, "--views", "1", "--size", "32x32", "--json", "-", "--report", folder.file("e.html"), "--quiet"});
   INFO(run.err);
   REQUIRE(run.exit_code == 0);
-  CHECK(json::parse(run.out)["verdict"]["grade"] == "identical");
+  CHECK(json::parse(run.out)["verdict"]["grade"] == "unrated");
   CHECK(read_text(folder.file("e.html")).find("nan") == std::string::npos);
 }
 
@@ -520,6 +488,18 @@ TEST_CASE("two folders become a table that goes on where it was interrupted") {
   replace[9] = "psnr=300";
   CHECK(run_audit(replace).exit_code == 5);
   CHECK(run_audit({folder.file("ply"), folder.file("rgs")}).exit_code == 2);
+}
+
+TEST_CASE("a conversion that grows does not call its output smaller") {
+  const SceneFolder scene;
+  const std::string small = scene.file("small.spz"), large = scene.file("large.ply");
+  REQUIRE(run_program({RGS_CONVERT, scene.ply, small, "--quiet"}).exit_code == 0);
+  const ProgramResult run = run_program({RGS_CONVERT, small, large});
+  REQUIRE(run.exit_code == 0);
+  CHECK(run.out.find("smaller") == std::string::npos);
+  CHECK(run.out.find("x larger, ") != std::string::npos);
+  const ProgramResult audited = run_audit({scene.ply, scene.ply, "--no-render"});
+  CHECK(audited.out.find(": same size, ") != std::string::npos);
 }
 
 TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the verdict on") {

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <fstream>
 #include <iterator>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -61,19 +62,27 @@ inline std::string read_text(const std::string& path) {
   return {std::istreambuf_iterator<char>(in), {}};
 }
 
-/// Cameras "a.png", "b.png", ... that look at the ball around `origin` from the front, farther and farther away.
-inline std::string write_cameras(const std::string& path, int n, int width = 96, int height = 72,
-                                 const Origin& origin = kNoOrigin) {
+/// Cameras "a.png", "b.png", ... that look along +z from -depths[i]: the ball around `origin` is so far before them, or
+/// behind them.
+inline std::string write_cameras(const std::string& path, std::span<const double> depths, int width = 96,
+                                 int height = 72, const Origin& origin = kNoOrigin) {
   std::string text = "[";
-  for (int i = 0; i < n; ++i) {
+  for (std::size_t i = 0; i < depths.size(); ++i) {
     text += std::string(i == 0 ? "" : ",") + R"({"name":")" + std::string(1, static_cast<char>('a' + i)) +
             R"(.png","split":"test","width":)" + std::to_string(width) + R"(,"height":)" + std::to_string(height) +
             R"(,"fx":90,"fy":90,"world_to_camera":[[1,0,0,)" + std::to_string(-origin[0]) + R"(],[0,1,0,)" +
-            std::to_string(-origin[1]) + R"(],[0,0,1,)" + std::to_string(2.5 + 0.5 * i - origin[2]) +
-            R"(],[0,0,0,1]]})";
+            std::to_string(-origin[1]) + R"(],[0,0,1,)" + std::to_string(depths[i] - origin[2]) + R"(],[0,0,0,1]]})";
   }
   std::ofstream(path) << text << "]";
   return path;
+}
+
+/// n of them from the front, farther and farther away.
+inline std::string write_cameras(const std::string& path, int n, int width = 96, int height = 72,
+                                 const Origin& origin = kNoOrigin) {
+  std::vector<double> depths;
+  for (int i = 0; i < n; ++i) depths.push_back(2.5 + 0.5 * i);
+  return write_cameras(path, depths, width, height, origin);
 }
 
 }  // namespace rgs::test

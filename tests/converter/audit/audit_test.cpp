@@ -18,7 +18,9 @@
 #include "audit_page.hpp"
 #include "audit_pairing.hpp"
 #include "audit_picture.hpp"
+#include "audit_report.hpp"
 #include "audit_scenes_fixture.hpp"
+#include "audit_text.hpp"
 #include "image_file.hpp"
 #include "rgs/quantize.hpp"
 #include "temporary_folder.hpp"
@@ -332,6 +334,7 @@ TEST_CASE("conditions are parsed, refused, evaluated and named") {
   report.size.asset_bytes = 7000;
   report.size.n_asset = 100;
   report.render.emplace();
+  report.render->n_rated = 1;
   report.render->psnr = 49.5;
   report.render->largest = 2.F / 255;
   evaluate(*conditions, report);
@@ -362,6 +365,11 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   CHECK(verdict(report).grade == Verdict::Grade::unrated);
   report.render.emplace();
   RenderReport& r = *report.render;
+  CHECK(verdict(report).grade == Verdict::Grade::unrated);  // pictures, but no view that shows the scene
+  CHECK(verdict(report).headline == "3.00x smaller, not rated: no view shows the scene");
+  r.n_rated = 1;
+  r.gaussians_seen = 1;
+  r.mse = 1e-6, r.largest = 0, r.worst_ssim = r.ssim = 1;
   r.worst_psnr = r.psnr = std::numeric_limits<double>::infinity();
   CHECK(verdict(report).grade == Verdict::Grade::identical);
   CHECK(verdict(report).headline.starts_with("3.00x smaller"));
@@ -374,6 +382,18 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   CHECK(grade_at(45) == Verdict::Grade::close);
   CHECK(grade_at(35) == Verdict::Grade::visible);
   CHECK(grade_at(25) == Verdict::Grade::poor);
+  const auto grade_with = [&](float levels) {
+    r.largest = levels / 255;
+    return grade_at(55);
+  };
+  CHECK(grade_with(15.9F) == Verdict::Grade::lossless);
+  CHECK(grade_with(16.1F) == Verdict::Grade::close);
+  CHECK(grade_with(63.9F) == Verdict::Grade::close);
+  CHECK(grade_with(87.8F) == Verdict::Grade::visible);
+  CHECK(grade_with(1000) == Verdict::Grade::visible);  // one pixel is no heavy damage
+  CHECK(grade_with(std::numeric_limits<float>::quiet_NaN()) == Verdict::Grade::visible);
+  CHECK(verdict(report).detail.find("largest difference of a pixel") != std::string::npos);
+  r.largest = 0;
   r.worst_psnr = 55;
   r.worst_ssim = 0.9;
   CHECK(verdict(report).grade == Verdict::Grade::visible);
@@ -387,6 +407,27 @@ TEST_CASE("the verdict follows the worst view and says what is missing") {
   report.attributes->n_source_only = 1234;
   CHECK(verdict(report).detail.find("1,234 Gaussians of the source are not in the asset") != std::string::npos);
   CHECK(verdict(report).detail.find("another file") != std::string::npos);
+}
+
+TEST_CASE("a file that grew or stayed is not called smaller") {
+  Report report;
+  const auto headline = [&](std::uint64_t source, std::uint64_t asset) {
+    report.size.source_bytes = source;
+    report.size.asset_bytes = asset;
+    return verdict(report).headline;
+  };
+  CHECK(headline(300, 100).starts_with("3.00x smaller;"));
+  CHECK(headline(60, 100).starts_with("1.67x larger;"));
+  CHECK(headline(100, 100).starts_with("same size;"));
+  CHECK(headline(1000, 1001).starts_with("nearly the same size;"));
+  CHECK(headline(1000, 0).starts_with("empty;"));
+  CHECK(headline(0, 9).starts_with("larger than nothing;"));
+  report.size.source_bytes = 60, report.size.asset_bytes = 100;
+  CHECK(audit_text(report, "").find("1.67x larger") != std::string::npos);
+  CHECK(audit_html(report).find("1.67&times; larger") != std::string::npos);
+  CHECK(audit_html(report).find("smaller") == std::string::npos);
+  report.size.source_bytes = 100;
+  CHECK(audit_html(report).find("<small>same size</small>") != std::string::npos);
 }
 
 TEST_CASE("difference maps keep single bad pixels, and find the worst regions apart from each other") {

@@ -14,6 +14,18 @@
 using namespace rgs;
 using namespace rgs::tool;
 
+TEST_CASE("what became of a size is said as it is") {
+  CHECK(format_size_change(487, 100) == "4.87x smaller");
+  CHECK(format_size_change(60, 100) == "1.67x larger");
+  CHECK(format_size_change(100, 100) == "same size");
+  CHECK(format_size_change(0, 0) == "same size");
+  CHECK(format_size_change(100000, 100001) == "nearly the same size");
+  CHECK(format_size_change(100001, 100000) == "nearly the same size");
+  CHECK(format_size_change(100, 0) == "empty");
+  CHECK(format_size_change(0, 100) == "larger than nothing");
+  CHECK(format_size_change(~0ull, 1) == "18446744073709551616.00x smaller");
+}
+
 TEST_CASE("an error is described with its place, both numbers and the system's reason") {
   CHECK(describe({Errc::truncated, 512, "the data end early", 1000, 900}) ==
         "byte 512: the data end early (expected 1,000, found 900)");
