@@ -28,7 +28,7 @@ class Text : private tool::TextLines {
     for (const Condition& c : report_.gate) line("  {}      {}", c.holds ? "holds " : "FAILED", describe(c));
     const Verdict v = verdict(report_);
     line("{}. {}", v.headline, v.detail);
-    if (!report_path.empty()) line("report: {}", report_path);
+    if (!report_path.empty()) line("report: {}", escape(report_path));
     return take();
   }
 

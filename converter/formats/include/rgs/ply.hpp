@@ -16,16 +16,16 @@ namespace RGS_API rgs {
 
 /// A 3DGS PLY opened for random access by Gaussian; attributes are read from the mapped file when asked for.
 /// Properties are found by name (x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*), in any order and of any scalar
-/// type; other properties and elements are skipped, and what follows the vertices is not looked at. Binary (both byte
+/// type; other properties and elements are skipped, and the file must end where its header says. Binary (both byte
 /// orders) is read in place; ASCII (a line each vertex), and vertices with list properties, are converted once into
 /// rows of floats in an unlinked temporary file in $TMPDIR. Values are passed on as they are, NaN and infinity too.
-/// Reading is thread-safe. The file may lose its name while it is open, but must not shrink: the size is checked once,
-/// in open(), and touching a mapped page behind a new end raises SIGBUS.
+/// Reading is thread-safe. The file may lose its name while it is open, but must not change: the size is checked once, in
+/// open(), and touching a mapped page behind a new end raises SIGBUS. See check_unchanged().
 class PlyFile {
  public:
   /// Errors, header lines with their byte offset: open_failed, read_failed, write_failed (temporary file); bad_magic,
   /// unsupported_version, bad_syntax, limit_exceeded (header above 1 MiB); truncated (expected and found bytes; lines
-  /// in text); bad_value (negative list length); not_gaussian_splats (the missing property is named; 2DGS);
+  /// in text); trailing_bytes; bad_value (negative list length); not_gaussian_splats (the missing property is named; 2DGS);
   /// unsupported_feature (packed PLY; a number of f_rest properties that is no degree, in Error::found).
   /// Anything but a regular file is read as by open(int).
   static Result<PlyFile> open(const std::string& path);
@@ -43,6 +43,8 @@ class PlyFile {
   int sh_degree() const;                      ///< 0..3, by the number of f_rest properties: 0, 9, 24, 45
   std::uint64_t bytes() const;                ///< size of the source
   std::span<const std::byte> source() const;  ///< the source's bytes as they lie on disk (for hashing)
+  /// That of MappedFile, for a file that was opened by path or descriptor.
+  Status check_unchanged() const;
 
   /// Byte at which row i starts in the source; Error::kNone if rows were converted into a temporary file.
   std::uint64_t row_offset(std::uint64_t i) const;
