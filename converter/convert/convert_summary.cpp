@@ -54,8 +54,8 @@ std::string summary_text(const ConvertSummary& s) {
   const auto line = [&text]<class... T>(fmt::format_string<T...> format, T&&... args) {
     text += fmt::format(format, std::forward<T>(args)...) + "\n";
   };
-  line("{} ({}, {}) -> {} ({}): {:.2f}x smaller, {:.1f} bytes per Gaussian", tool::printable(s.source_name), s.source_format,
-       format_bytes(s.source_bytes), s.output_format, format_bytes(s.output_bytes),
+  line("{} ({}, {}) -> {} ({}): {:.2f}x smaller, {:.1f} bytes per Gaussian", tool::printable(s.source_name),
+       s.source_format, format_bytes(s.source_bytes), s.output_format, format_bytes(s.output_bytes),
        s.output_bytes == 0 ? 0.0 : static_cast<double>(s.source_bytes) / static_cast<double>(s.output_bytes),
        per_gaussian(s.output_bytes, s.n_written));
   line("  Gaussians  {} read, {} written, {} dropped, {} repaired{}", format_count(s.n_source),

@@ -468,7 +468,8 @@ void add_options(CLI::App& app, Arguments& a) {
   const std::map<std::string, rgs::ColourSpace> colour_spaces{{"undeclared", rgs::ColourSpace::undeclared},
                                                               {"srgb", rgs::ColourSpace::srgb_display},
                                                               {"linear", rgs::ColourSpace::linear_display}};
-  app.add_option("files", a.files, "Inputs, " RGS_SCENE_FORMATS " (with --merge more than one), then the output; - for a standard stream")
+  app.add_option("files", a.files,
+                 "Inputs, " RGS_SCENE_FORMATS " (with --merge more than one), then the output; - for a standard stream")
       ->required()
       ->expected(2, -1)
       ->option_text("input... output");

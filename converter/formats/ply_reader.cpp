@@ -346,8 +346,8 @@ Status PlyFile::Impl::check_rest(const PlyHeader& header, std::size_t first, Cur
                       "a line after the last one that the header announces");
   }
   if (cursor.remaining() == 0) return {};
-  return make_error(Errc::trailing_bytes, cursor.at, "bytes after the last row that the header announces",
-                    cursor.at, source.size());
+  return make_error(Errc::trailing_bytes, cursor.at, "bytes after the last row that the header announces", cursor.at,
+                    source.size());
 }
 
 Status PlyFile::Impl::skip_element(const PlyElement& element, PlyEncoding encoding, Cursor& cursor) const {

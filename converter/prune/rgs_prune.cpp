@@ -76,7 +76,7 @@ int check_outputs(const Options& o, const tool::InputFiles& inputs, SplatFormat 
     std::error_code ignored;
     if (!output.empty() && !o.overwrite && fs::exists(output, ignored))
       return tool::report(output, {rgs::Errc::output_exists, rgs::Error::kNone,
-                                    "the output exists already; pass --overwrite to replace it"});
+                                   "the output exists already; pass --overwrite to replace it"});
   }
   return tool::kSuccess;
 }
@@ -176,9 +176,10 @@ std::string summary_text(const Options& o, const Summary& s) {
       "{} -> {}: {} of {} Gaussians ({:.1f} %), {:.3f} % of the weight blended into {} pictures of {} pixels\n"
       "  not seen  {} Gaussians; lowest {} kept {:.4g}\n"
       "  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
-      tool::printable(o.input), tool::printable(o.output), tool::format_count(s.outcome.n_kept), tool::format_count(s.n_source), 100 * share,
-      100 * s.outcome.weight_share, s.n_cameras, tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen),
-      score_name(o.score), s.outcome.lowest_score, s.read_seconds, s.render_seconds, s.write_seconds);
+      tool::printable(o.input), tool::printable(o.output), tool::format_count(s.outcome.n_kept),
+      tool::format_count(s.n_source), 100 * share, 100 * s.outcome.weight_share, s.n_cameras,
+      tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen), score_name(o.score), s.outcome.lowest_score,
+      s.read_seconds, s.render_seconds, s.write_seconds);
 }
 
 int prune(const Options& o) {

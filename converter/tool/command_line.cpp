@@ -20,7 +20,7 @@ std::string empty_argument(int argc, const char* const* argv) {
       return std::string(argument.substr(0, equals)) + " has an empty value";
     if (!argument.empty()) continue;
     return i > 1 && before.size() > 1 && before.starts_with("-") ? std::string(before) + " has an empty value"
-                                                                  : "an argument is empty";
+                                                                 : "an argument is empty";
   }
   return {};
 }
@@ -32,7 +32,8 @@ std::string number_not_finite(const CLI::App& app) {
     for (const std::string& text : option->results()) {
       char* end = nullptr;
       const double value = std::strtod(text.c_str(), &end);
-      if (end != text.c_str() && !std::isfinite(value)) return option->get_name() + " takes a finite number, not " + text;
+      if (end != text.c_str() && !std::isfinite(value))
+        return option->get_name() + " takes a finite number, not " + text;
     }
   }
   return {};

@@ -71,6 +71,10 @@ int guarded(const std::function<int()>& body) {
   } catch (const std::length_error&) {  // of a container that cannot be as large
     return report_out_of_memory();
   } catch (const std::exception& e) {
+    // A thread that cannot be made, mostly for lack of memory for its stack: libraries say so in words alone.
+    const std::string_view what = e.what();
+    for (const int error : {EAGAIN, ENOMEM})
+      if (what.find(std::generic_category().message(error)) != what.npos) return report_out_of_memory();
     print_error(fmt::format("{}: internal error: {}\n", program(), printable(e.what())));
   }
   return kInternal;
@@ -81,8 +85,8 @@ int finish(int code) {
   flush();
   if (code != kSuccess && code != kGate) return code;
   if (const int error = g_output_error; error != 0) {
-    return report("standard output", {Errc::write_failed, Error::kNone, "cannot be written", Error::kNone, Error::kNone,
-                                      error});
+    return report("standard output",
+                  {Errc::write_failed, Error::kNone, "cannot be written", Error::kNone, Error::kNone, error});
   }
   return g_message_error != 0 ? kInputOutput : code;
 }

@@ -50,10 +50,14 @@ InputFiles::State InputFiles::look(const std::string& path, int standard_stream)
     // A pipe or terminal is no file that could be written over.
     if (::fstat(standard_stream, &info) != 0 || !S_ISREG(info.st_mode)) return state;
   } else if (const std::string target = follow_links(path); ::stat(target.c_str(), &info) != 0) {
-    const fs::path place(target);
-    const std::string folder = place.has_parent_path() ? place.parent_path().string() : ".";
-    if (::stat(folder.c_str(), &info) == 0)
-      state.identity = FileIdentity{info.st_dev, info.st_ino, place.filename().string()};
+    // From the innermost folder that is there: others are still to be made.
+    const fs::path place = fs::path(target).lexically_normal();
+    fs::path folder = place.parent_path();
+    while (!folder.empty() && folder != folder.root_path() && ::stat(folder.c_str(), &info) != 0)
+      folder = folder.parent_path();
+    const fs::path from = folder.empty() ? fs::path(".") : folder;
+    if (::stat(from.c_str(), &info) == 0)
+      state.identity = FileIdentity{info.st_dev, info.st_ino, place.lexically_relative(from).string()};
     return state;
   }
   state.identity = FileIdentity{info.st_dev, info.st_ino, {}};

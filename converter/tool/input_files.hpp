@@ -15,8 +15,8 @@ namespace rgs::tool {
 /// What a path stands for on disk: the file there or, where there is none, a place in a folder. Different names of one
 /// file (links, "./a", "A/../a") have the same. "-" is what standard input or output has been redirected to.
 struct FileIdentity {
-  std::uint64_t device = 0, inode = 0;  ///< of the file, or of the folder that it would be made in
-  std::string name;                     ///< in that folder; empty if the file exists
+  std::uint64_t device = 0, inode = 0;  ///< of the file, or of the innermost folder on its path that exists
+  std::string name;                     ///< from that folder on; empty if the file exists
 
   bool operator==(const FileIdentity&) const = default;
 };

@@ -301,7 +301,8 @@ int main(int argc, char** argv) {
     CLI::App app{"Measures the CUDA renderer: time, work and quality of each step of the method.", "rgs-bench"};
     app.set_version_flag("--version", "rgs-bench " RGS_VERSION);
     app.add_option("SCENE", o.scene, ".rgs file")->required();
-    app.add_option("--source", o.source, "3DGS .ply (or .rgs) that the file was made of, for the baseline [the file itself]");
+    app.add_option("--source", o.source,
+                   "3DGS .ply (or .rgs) that the file was made of, for the baseline [the file itself]");
     app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md)")->required();
     app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");
     app.add_option("--photos", o.photos, "folder of photographs NAME.ppm of these cameras, binary PPM of their size");

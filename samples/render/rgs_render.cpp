@@ -306,7 +306,8 @@ int render(const Options& options) {
   }
   if (const int code = writing.get(); code != tool::kSuccess) return code;
   progress.finish();
-  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;  // a scene reads on as it is drawn
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess)
+    return code;  // a scene reads on as it is drawn
 
   const double total_seconds = seconds_since(start);
   if (options.json) {
@@ -318,9 +319,8 @@ int render(const Options& options) {
                             tool::format_count(scene->scene.size()), scene->scene.sh_degree(),
                             tool::format_seconds(load_seconds)));
     for (const Frame& frame : frames)
-      tool::print(fmt::format("{}  {}x{}  {}  {} visible\n", tool::printable(frame.shot->out),
-                              frame.shot->camera.width, frame.shot->camera.height,
-                              tool::format_seconds(frame.stats.total_ms * 1e-3),
+      tool::print(fmt::format("{}  {}x{}  {}  {} visible\n", tool::printable(frame.shot->out), frame.shot->camera.width,
+                              frame.shot->camera.height, tool::format_seconds(frame.stats.total_ms * 1e-3),
                               tool::format_count(frame.stats.visible)));
     tool::print(fmt::format("{} {}: median {} a frame, {} in all\n", frames.size(),
                             frames.size() == 1 ? "picture" : "pictures", tool::format_seconds(median_ms(frames) * 1e-3),
@@ -372,15 +372,16 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::NonNegativeNumber)
       ->group(image);
   app.add_option("--aa", o.render.anti_aliasing, "anti-aliasing: classic, mip [what the file states, else classic]")
-      ->transform(tool::one_of<AntiAliasing>({{"classic", AntiAliasing::classic}, {"mip", AntiAliasing::mip_splatting}}))
+      ->transform(
+          tool::one_of<AntiAliasing>({{"classic", AntiAliasing::classic}, {"mip", AntiAliasing::mip_splatting}}))
       ->group(image);
 
   const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
   auto* const mode =
       app.add_option("--mode", o.render.pipeline, "all of these at once: baseline (3DGS), paper, turbo [turbo on CUDA]")
           ->transform(tool::one_of<rgs::Pipeline>({{"baseline", rgs::Pipeline::baseline},
-                                            {"paper", rgs::Pipeline::paper},
-                                            {"turbo", rgs::Pipeline::turbo}}))
+                                                   {"paper", rgs::Pipeline::paper},
+                                                   {"turbo", rgs::Pipeline::turbo}}))
           ->group(arithmetic);
   app.add_option("--extent", o.render.paper.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
       ->transform(tool::one_of<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))

@@ -167,7 +167,8 @@ Result<MappedFile> MappedFile::map(int fd) {
   file.fd_ = ::fcntl(fd, F_DUPFD_CLOEXEC, kFirstFree);
   if (file.fd_ < 0) return system_error(Errc::open_failed, "cannot keep the file open");
   file.size_ = static_cast<std::size_t>(info.st_size);
-  file.stamp_ = {{info.st_mtim.tv_sec, info.st_mtim.tv_nsec}, {info.st_ctim.tv_sec, info.st_ctim.tv_nsec}, info.st_nlink};
+  file.stamp_ = {
+      {info.st_mtim.tv_sec, info.st_mtim.tv_nsec}, {info.st_ctim.tv_sec, info.st_ctim.tv_nsec}, info.st_nlink};
   if (file.size_ == 0) return file;  // mmap refuses length 0
   void* data = ::mmap(nullptr, file.size_, PROT_READ, MAP_PRIVATE, fd, 0);
   if (data == MAP_FAILED) return system_error(Errc::read_failed, "cannot map the file");
@@ -235,6 +236,8 @@ Result<AtomicFile> AtomicFile::begin(const std::string& name, const Options& opt
   const std::string path = name == kStdout ? name : follow_links(name);
   struct stat info {};
   const bool replaces = path != kStdout && ::stat(path.c_str(), &info) == 0;
+  if (path != kStdout && !replaces && errno == ELOOP)
+    return system_error(Errc::output_unusable, "the output's name is a link that leads to itself");
   if (replaces) {
     if (S_ISDIR(info.st_mode)) return make_error(Errc::output_unusable, Error::kNone, "the output is a directory");
     if (!S_ISREG(info.st_mode))

@@ -164,7 +164,8 @@ Result<WrittenScene> SceneWriter::finish() {
     if (state_->plan.options.profile == Profile::archive) {
       return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
     }
-    if (!same_box(state_->tables.chunks, state_->plan.declarations.full)) return tl::unexpected(source_changed().error());
+    if (!same_box(state_->tables.chunks, state_->plan.declarations.full))
+      return tl::unexpected(source_changed().error());
     return detail::finish_file(state_->file, state_->plan, state_->tables);
   });
 }

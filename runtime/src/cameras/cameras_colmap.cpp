@@ -21,8 +21,9 @@ namespace rgs {
 namespace {
 
 // Models in the order of their numbers in cameras.bin, and what is said of those with lens distortion.
-#define RGS_UNDISTORT(model) \
-  "the camera of this index is of model " model "; run colmap image_undistorter and use the model in its sparse folder"
+#define RGS_UNDISTORT(model)                                                                                      \
+  "the camera of this index is of model " model "; run colmap image_undistorter and use the model in its sparse " \
+                                                "folder"
 struct Model {
   std::string_view name;
   const char* refusal;  // empty: a pinhole camera
@@ -139,8 +140,8 @@ Result<Lenses> binary_lenses(std::span<const std::byte> bytes) {
     const auto id = in.read<std::uint32_t>(), model = in.read<std::uint32_t>();
     const auto width = in.read<std::uint64_t>(), height = in.read<std::uint64_t>();
     if (in.ok() && model > 1) {
-      return make_error(Errc::unsupported_feature, start, model < std::size(kModels) ? kModels[model].refusal : kUnknownModel,
-                        Error::kNone, i);
+      return make_error(Errc::unsupported_feature, start,
+                        model < std::size(kModels) ? kModels[model].refusal : kUnknownModel, Error::kNone, i);
     }
     double parameters[4] = {};
     const std::size_t n_parameters = model == 0 ? 3 : 4;

@@ -172,14 +172,14 @@ void read_training_entry(Fields& fields, Camera& camera) {
 }
 
 // Coefficients of lens distortion, and what is said of one that is not 0.
-#define RGS_DISTORTED(key)                                                                                       \
-  {                                                                                                              \
-    key, "the camera of this index has lens distortion (" key                                                    \
-         " is not 0); undistort the photographs (colmap image_undistorter) and use their cameras"                \
+#define RGS_DISTORTED(key)                                                                        \
+  {                                                                                               \
+    key, "the camera of this index has lens distortion (" key                                     \
+         " is not 0); undistort the photographs (colmap image_undistorter) and use their cameras" \
   }
 constexpr std::pair<const char*, const char*> kDistortion[] = {
-    RGS_DISTORTED("k1"), RGS_DISTORTED("k2"), RGS_DISTORTED("k3"), RGS_DISTORTED("k4"), RGS_DISTORTED("k5"),
-    RGS_DISTORTED("k6"), RGS_DISTORTED("p1"), RGS_DISTORTED("p2")};
+    RGS_DISTORTED("k1"), RGS_DISTORTED("k2"), RGS_DISTORTED("k3"), RGS_DISTORTED("k4"),
+    RGS_DISTORTED("k5"), RGS_DISTORTED("k6"), RGS_DISTORTED("p1"), RGS_DISTORTED("p2")};
 #undef RGS_DISTORTED
 
 // A frame of transforms.json. Its camera axes are OpenGL's (x right, y up, z back), so two columns change sign.

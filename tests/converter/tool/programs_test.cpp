@@ -69,9 +69,8 @@ std::string read_text(const std::string& path) {
   return {std::istreambuf_iterator<char>(in), {}};
 }
 
-constexpr const char* kCameras =
-    R"([{"name":"a.jpg","split":"test","width":32,"height":24,"fx":30,"fy":30,)"
-    R"("world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,8],[0,0,0,1]]}])";
+constexpr const char* kCameras = R"([{"name":"a.jpg","split":"test","width":32,"height":24,"fx":30,"fy":30,)"
+                                 R"("world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,8],[0,0,0,1]]}])";
 
 // A folder with a scene as PLY and as .rgs, and cameras.
 struct Scene {
@@ -90,15 +89,13 @@ struct Scene {
   std::string file(const std::string& name) const { return folder.file(name); }
   // A run of each program that succeeds and prints to both streams; the output, if there is one, is `out`.
   std::vector<Arguments> runs(const std::string& out) const {
-    std::vector<Arguments> all{{program("rgs-convert"), "--overwrite", "--no-sync", ply, out + ".rgs"},
-                               {program("rgs-info"), rgs},
-                               {program("rgs-audit"), ply, rgs, "--no-render", "--overwrite", "-o", out + ".html"},
-                               {program("rgs-prune"), ply, out + ".ply", "-c", cameras, "--keep", "50%", "--overwrite",
-                                "--no-sync"},
-                               {program("rgs-render"), rgs, "-o", out + ".png", "-c", cameras, "--overwrite", "--backend",
-                                "cpu"},
-                               {program("rgs-make-scene"), out + ".ply", "--gaussians", "100", "--overwrite",
-                                "--no-sync"}};
+    std::vector<Arguments> all{
+        {program("rgs-convert"), "--overwrite", "--no-sync", ply, out + ".rgs"},
+        {program("rgs-info"), rgs},
+        {program("rgs-audit"), ply, rgs, "--no-render", "--overwrite", "-o", out + ".html"},
+        {program("rgs-prune"), ply, out + ".ply", "-c", cameras, "--keep", "50%", "--overwrite", "--no-sync"},
+        {program("rgs-render"), rgs, "-o", out + ".png", "-c", cameras, "--overwrite", "--backend", "cpu"},
+        {program("rgs-make-scene"), out + ".ply", "--gaussians", "100", "--overwrite", "--no-sync"}};
     std::erase_if(all, [](const Arguments& a) { return a.front().empty(); });
     return all;
   }
@@ -249,8 +246,9 @@ TEST_CASE("an output to standard output that is closed or full is exit code 3") 
   CHECK(run_program(run).exit_code == 0);
   CHECK(run_program(run, closed({STDOUT_FILENO})).exit_code == 3);
   CHECK(run_program(run, full(STDOUT_FILENO)).exit_code == 3);
-  CHECK(run_program({program("rgs-convert"), "--quiet", "-", scene.file("out.rgs")}, closed({STDIN_FILENO})).exit_code ==
-        3);
+  CHECK(
+      run_program({program("rgs-convert"), "--quiet", "-", scene.file("out.rgs")}, closed({STDIN_FILENO})).exit_code ==
+      3);
 }
 
 TEST_CASE("names and values from outside are printed without effect on a terminal") {
@@ -272,12 +270,14 @@ TEST_CASE("names and values from outside are printed without effect on a termina
     CHECK(check({kHostile}) != 0);
     check({kHostile, kHostile});
     check({kHostile + "1", kHostile + "2", kHostile + "3"});
+    const bool makes = fs::path(path).filename() == "rgs-make-scene";
     for (const Option& option : options_of(path)) {
       CAPTURE(option.name);
-      check({option.name, kHostile});
-      check({scene.rgs, "--cameras", kHostile, option.name, kHostile});
-      check({scene.ply, scene.rgs, option.name, kHostile});
-      check({scene.ply, scene.file("o.ply"), "--cameras", scene.cameras, option.name, kHostile});
+      // With all else as it should be, so that the value is looked at.
+      Arguments run{scene.ply, scene.file("o.rgs"), option.name, kHostile};
+      if (makes) run.erase(run.begin());
+      if (option.name != "--cameras") run.insert(run.end(), {"--cameras", scene.cameras});
+      check(run);
     }
     fs::remove(link);
     fs::create_symlink(path, link);  // the name under which a program is called
@@ -311,18 +311,18 @@ TEST_CASE("no option takes an empty value, and none that takes a number takes on
     CAPTURE(path);
     for (const Option& option : options_of(path)) {
       CAPTURE(option.name);
-      for (const Arguments& value : {Arguments{option.name, ""}, Arguments{option.name + "="}}) {
-        Arguments run{path, scene.ply, scene.file("never.ply")};
-        run.insert(run.end(), value.begin(), value.end());
-        const ProgramResult result = run_program(run);
-        CHECK(result.exit_code == 2);
-        CHECK(result.err.find(option.name) != std::string::npos);
-      }
+      const bool apart = option.name.size() % 2 == 0;  // either way by turns: each run takes its time
+      Arguments run{path, scene.ply, scene.file("never.ply"), apart ? option.name : option.name + "="};
+      if (apart) run.emplace_back();
+      const ProgramResult result = run_program(run);
+      CHECK(result.exit_code == 2);
+      CHECK(result.err.find(option.name) != std::string::npos);
       if (option.text.find("FLOAT") == std::string::npos) continue;
       ++n_numbers;
-      for (const char* value : {"nan", "-nan", "inf", "-inf", "NaN", "Infinity", "1e999"}) {
+      for (const char* value : {"nan", "inf", "-Infinity"}) {
         CAPTURE(value);
-        CHECK(run_program({path, scene.ply, scene.file("never.ply"), "--cameras", scene.cameras, option.name + "=" + value})
+        CHECK(run_program(
+                  {path, scene.ply, scene.file("never.ply"), "--cameras", scene.cameras, option.name + "=" + value})
                   .exit_code == 2);
       }
     }
@@ -496,13 +496,19 @@ TEST_CASE("a program that gets no more memory says so with exit code 3") {
     const std::string name = fs::path(run.front()).filename().string();
     if (name == "rgs-info" || name == "rgs-make-scene") continue;  // little memory is enough for any size
     CAPTURE(name);
-    bool told = false;
-    for (const rlim_t megabytes : {4U, 8U, 16U, 24U, 32U, 48U, 64U}) {
-      CAPTURE(megabytes);
-      const ProgramResult result = run_program(run, [megabytes] {
+    const auto within = [](rlim_t megabytes) {
+      return [megabytes] {
         const rlimit limit{megabytes << 20, megabytes << 20};
         ::setrlimit(RLIMIT_DATA, &limit);
-      });
+      };
+    };
+    // What the libraries need before main() is not ours to report.
+    rlim_t least = 8;
+    while (run_program({run.front(), "--help"}, within(least)).exit_code != 0) REQUIRE((least += 8) < 512);
+    bool told = false;
+    for (const rlim_t more : {0U, 4U, 8U, 12U, 16U, 24U, 32U}) {
+      CAPTURE(more);
+      const ProgramResult result = run_program(run, within(least + more));
       CAPTURE(result.err);
       CHECK(result.signal == 0);
       CHECK((result.exit_code == 0 || result.exit_code == 3));
