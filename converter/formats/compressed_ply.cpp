@@ -86,6 +86,15 @@ Result<Table> locate(const PlyHeader& header, const PlyElement& wanted, std::uin
   return make_error(Errc::internal, Error::kNone, "an element is not in its header");
 }
 
+// The file must end where its header says, with all elements that it announces.
+Status check_end(const PlyHeader& header, std::uint64_t file_bytes) {
+  const auto last = locate(header, header.elements.back(), file_bytes);
+  if (!last) return tl::unexpected(last.error());
+  const std::uint64_t end = last->offset + last->row_bytes * last->count;
+  if (end == file_bytes) return {};
+  return make_error(Errc::trailing_bytes, end, "bytes after the last row that the header announces", end, file_bytes);
+}
+
 std::vector<std::string> numbered(int count) {
   std::vector<std::string> names;
   names.reserve(static_cast<std::size_t>(count));
@@ -145,6 +154,7 @@ Result<Tables> locate_tables(std::span<const std::byte> bytes) {
     return make_error(Errc::bad_header, vertex->line,
                       "the element vertex lacks one of the four properties uint packed_*");
   }
+  if (const Status s = check_end(*header, bytes.size()); !s) return tl::unexpected(s.error());
   const std::uint64_t n_chunks = vertex->count / kChunk + (vertex->count % kChunk != 0 ? 1 : 0);
   if (chunk->count != n_chunks) {
     return make_error(Errc::bad_header, chunk->line, "the number of chunks is not that of vertices over 256", n_chunks,

@@ -33,8 +33,11 @@ int info(const Arguments& arguments) {
     report.path = arguments.path;
     report.error = file.error();
   }
-  // What was found in a file that somebody writes to at the same time is true of no file.
-  if (const int code = inputs.check_unchanged(); code != kSuccess) return code;
+  if (inputs.changed()) {  // what was found in a file that somebody writes to meanwhile is true of no file
+    report = {};
+    report.path = arguments.path;
+    report.error = kFileChanged;
+  }
   print_to_pipe(arguments.json ? info_json(report) : info_text(report, arguments.ascii));
   return report.error ? rgs::tool::report(arguments.path, *report.error) : kSuccess;
 }

@@ -97,15 +97,17 @@ std::string describe(const Error& error) {
   std::string text;
   if (error.offset != Error::kNone) text += fmt::format("byte {}: ", error.offset);
   text += error.what;
+  // A record of a file is named by its number.
+  constexpr std::string_view kRecord = "this index";
+  if (const std::size_t at = text.find(kRecord); at != text.npos && error.found != Error::kNone)
+    text.replace(at, kRecord.size(), "index " + number(error, error.found));
   const bool expected = error.expected != Error::kNone, found = error.found != Error::kNone;
   if (expected && found) {
     text += fmt::format(" (expected {}, found {})", number(error, error.expected), number(error, error.found));
   } else if (expected) {
     text += fmt::format(" (expected {})", number(error, error.expected));
   } else if (found) {
-    // A record of a file is named by its number; what is wrong with it is in the text.
-    const bool index = std::string_view(error.what).find("of this index") != std::string_view::npos;
-    text += fmt::format(" ({} {})", index ? "index" : "found", number(error, error.found));
+    text += fmt::format(" (found {})", number(error, error.found));
   }
   if (error.system != 0) text += ": " + std::generic_category().message(error.system);
   return text;

@@ -138,7 +138,7 @@ std::optional<std::string> InputFiles::changed() const {
 int InputFiles::check_unchanged() const {
   const auto path = changed();
   if (!path) return kSuccess;
-  return report(*path, {Errc::read_failed, Error::kNone, "the file changed while it was read; run the program again"});
+  return report(*path, kFileChanged);
 }
 
 }  // namespace rgs::tool

@@ -21,6 +21,10 @@ struct FileIdentity {
   bool operator==(const FileIdentity&) const = default;
 };
 
+/// What is said of a file that changed.
+inline constexpr Error kFileChanged{.code = Errc::read_failed,
+                                    .what = "the file changed while it was read; run the program again"};
+
 class InputFiles {
  public:
   /// Adds a file. Nothing happens for an empty path.

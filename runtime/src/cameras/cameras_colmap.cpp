@@ -21,9 +21,10 @@ namespace rgs {
 namespace {
 
 // Models in the order of their numbers in cameras.bin, and what is said of those with lens distortion.
-#define RGS_UNDISTORT(model)                                                                                      \
-  "the camera of this index is of model " model "; run colmap image_undistorter and use the model in its sparse " \
-                                                "folder"
+#define RGS_UNDISTORT(model)                                        \
+  "the camera of this index is of model " model                     \
+  "; run colmap image_undistorter and use the model in its sparse " \
+  "folder"
 struct Model {
   std::string_view name;
   const char* refusal;  // empty: a pinhole camera
@@ -221,7 +222,8 @@ Result<Lenses> text_lenses(std::string_view text) {
     std::uint32_t id = 0;
     if (!in.number(id)) return make_error(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected a camera id");
     const std::string_view model = in.word();
-    if (model.empty()) return make_error(Errc::bad_syntax, in.line_offset(), "cameras.txt: a camera without a model");
+    if (model.empty())
+      return make_error(Errc::unsupported_feature, in.line_offset(), "cameras.txt: a camera without a model");
     if (model != "PINHOLE" && model != "SIMPLE_PINHOLE") {
       const auto* const known = std::ranges::find(kModels, model, &Model::name);
       return make_error(Errc::unsupported_feature, in.line_offset(),
