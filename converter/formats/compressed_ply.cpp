@@ -154,13 +154,13 @@ Result<Tables> locate_tables(std::span<const std::byte> bytes) {
     return make_error(Errc::bad_header, vertex->line,
                       "the element vertex lacks one of the four properties uint packed_*");
   }
-  if (const Status s = check_end(*header, bytes.size()); !s) return tl::unexpected(s.error());
   const std::uint64_t n_chunks = vertex->count / kChunk + (vertex->count % kChunk != 0 ? 1 : 0);
   if (chunk->count != n_chunks) {
     return make_error(Errc::bad_header, chunk->line, "the number of chunks is not that of vertices over 256", n_chunks,
                       chunk->count);
   }
   if (const Status s = locate_sh(*header, bytes.size(), tables); !s) return tl::unexpected(s.error());
+  if (const Status s = check_end(*header, bytes.size()); !s) return tl::unexpected(s.error());
   return tables;
 }
 
