@@ -3,11 +3,11 @@
 #include <fmt/format.h>
 #include <tbb/global_control.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
-#include <cstdio>
+#include <array>
 #include <filesystem>
 #include <map>
+#include <set>
 #include <string>
 #include <thread>
 
@@ -17,8 +17,9 @@
 #include "audit_json.hpp"
 #include "audit_report.hpp"
 #include "audit_text.hpp"
+#include "command_line.hpp"
 #include "console.hpp"
-#include "info_escape.hpp"
+#include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/file.hpp"
 #include "rgs/version.hpp"
@@ -26,6 +27,7 @@
 namespace {
 
 namespace audit = rgs::audit;
+namespace fs = std::filesystem;
 namespace tool = rgs::tool;
 
 struct Arguments {
@@ -54,20 +56,31 @@ int write_outputs(const audit::Report& report, const Arguments& a) {
   if (!a.json.empty())
     if (const auto ok = write_text(a.json, audit::audit_json(report), a.overwrite); !ok)
       return tool::report(a.json, ok.error());
-  if (!a.quiet && a.json != "-" && a.report != "-") std::fputs(audit::audit_text(report, a.report).c_str(), stdout);
-  if (std::fflush(stdout) != 0)
-    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot write the summary",
-                                            rgs::Error::kNone, rgs::Error::kNone, errno});
+  if (!a.quiet && a.json != "-" && a.report != "-") tool::print(audit::audit_text(report, a.report));
   return tool::kSuccess;
 }
 
 int report_gate(const audit::Report& report) {
   for (const audit::Condition& c : report.gate)
-    if (!c.holds) fmt::print(stderr, "rgs-audit: condition failed: {}\n", audit::describe(c));
+    if (!c.holds) tool::print_error(fmt::format("rgs-audit: condition failed: {}\n", audit::describe(c)));
   return report.gate_holds() ? tool::kSuccess : tool::kGate;
 }
 
+// What a pair of files, or two folders, are audited with.
+tool::InputFiles common_inputs(const Arguments& a) {
+  tool::InputFiles inputs;
+  inputs.add_cameras(a.audit.cameras);
+  inputs.add_pictures(a.audit.photos);
+  for (const std::string& also : a.audit.also) inputs.add_scene(also);
+  return inputs;
+}
+
 int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
+  tool::InputFiles inputs = common_inputs(a);
+  inputs.add(a.audit.source);
+  inputs.add_scene(a.audit.asset);
+  const std::array outputs{a.report, a.json};
+  if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   // Found before the work, not after it.
   for (const std::string& out : {a.report, a.json}) {
     if (out.empty() || out == "-") continue;
@@ -79,13 +92,40 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
     tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
     report = audit::run(a.audit, progress);
   }
+  // That a file changed explains whatever was found wrong in it.
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!report) return report_failure(report.error());
   const auto fingerprint = audit::fingerprint(a.audit);
   if (!fingerprint) return report_failure(fingerprint.error());
   report->fingerprint = *fingerprint;
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;  // since the fingerprint
   audit::evaluate(std::move(conditions), *report);
   if (const int code = write_outputs(*report, a); code != tool::kSuccess) return code;
   return report_gate(*report);
+}
+
+// Pairs are read by their stem, and written by it.
+int check_folders(const Arguments& a) {
+  tool::InputFiles inputs = common_inputs(a);
+  std::set<std::string> stems;
+  std::error_code ignored;
+  const fs::path out(a.report), cameras(a.audit.cameras), photos(a.audit.photos);
+  for (const auto& [folder, extension] : {std::pair(a.audit.source, ".ply"), std::pair(a.audit.asset, ".rgs")}) {
+    for (fs::directory_iterator it(folder, ignored), end; !ignored && it != end; it.increment(ignored)) {
+      if (it->path().extension() != extension) continue;
+      inputs.add(it->path().string());
+      stems.insert(it->path().stem().string());
+    }
+  }
+  std::vector<std::string> outputs;
+  for (const char* name : {"index.csv", "index.json", "index.html"}) outputs.push_back((out / name).string());
+  for (const std::string& stem : stems) {
+    const std::string own = (cameras / (stem + ".json")).string();
+    if (!cameras.empty() && fs::exists(own, ignored)) inputs.add(own);
+    if (!photos.empty()) inputs.add_pictures((photos / stem).string());
+    for (const char* extension : {".json", ".html"}) outputs.push_back((out / (stem + extension)).string());
+  }
+  return inputs.check_outputs(outputs);
 }
 
 int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
@@ -93,18 +133,18 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
     return tool::report_usage("two folders need a folder for the reports: --report FOLDER");
   if (!a.json.empty()) return tool::report_usage("with two folders JSON goes into the folder of --report; drop --json");
   if (!a.audit.also.empty()) return tool::report_usage("--also goes with one pair, not with two folders");
+  if (const int code = check_folders(a); code != tool::kSuccess) return code;
   const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.overwrite, a.quiet});
   if (!rows) return report_failure(rows.error());
   for (const audit::FolderRow& row : *rows)
     if (row.exit_code != tool::kSuccess)
-      fmt::print(stderr, "rgs-audit: {}: {}\n", tool::escape_untrusted(row.stem, false),
-                 tool::escape_untrusted(row.error.empty() ? row.headline : row.error, false, 4096));
-  if (!a.quiet) fmt::print("table: {}\n", (std::filesystem::path(a.report) / "index.html").string());
+      tool::print_error(fmt::format("rgs-audit: {}: {}\n", tool::printable(row.stem),
+                                    tool::printable(row.error.empty() ? row.headline : row.error)));
+  if (!a.quiet) tool::print(fmt::format("table: {}\n", tool::printable((fs::path(a.report) / "index.html").string())));
   return audit::exit_code_of(*rows);
 }
 
 int audit_main(Arguments& a) {
-  rgs::remove_temporaries_on_signal();
   a.audit.render = !a.no_render;
   a.audit.attribution = !a.no_attribution;
   if (!a.size.empty()) {
@@ -128,8 +168,8 @@ int audit_main(Arguments& a) {
                                                   : std::max(1u, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
   std::error_code ignored;
-  const bool folders = std::filesystem::is_directory(a.audit.source, ignored);
-  if (folders != std::filesystem::is_directory(a.audit.asset, ignored))
+  const bool folders = fs::is_directory(a.audit.source, ignored);
+  if (folders != fs::is_directory(a.audit.asset, ignored))
     return tool::report_usage("source and asset are two files or two folders, not one of each");
   return folders ? audit_pairs(a, std::move(conditions)) : audit_pair(a, std::move(conditions));
 }
@@ -141,7 +181,7 @@ void add_options(CLI::App& app, Arguments& a) {
     names += fmt::format("\n  {:<24}{} {}", kind.name, kind.at_least ? "at least:" : "at most: ", kind.meaning);
   app.add_option("source", o.source, "3DGS PLY that the asset was made from, or a folder of such")->required();
   app.add_option("asset", o.asset,
-                 "What was made from it: .rgs, a file of another format, or a folder of .rgs files of the same names")
+                 "What was made from it: " RGS_SCENE_FORMATS "; or a folder of .rgs files of the same names")
       ->required();
   app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");
@@ -171,10 +211,8 @@ void add_options(CLI::App& app, Arguments& a) {
 
   const std::string machine = "Machine";
   app.add_option("--backend", o.backend, "Renderer: auto, cpu, cuda [auto]")
-      ->transform(CLI::CheckedTransformer(std::map<std::string, rgs::Backend>{{"auto", rgs::Backend::automatic},
-                                                                              {"cpu", rgs::Backend::cpu},
-                                                                              {"cuda", rgs::Backend::cuda}})
-                      .description(""))
+      ->transform(tool::one_of<rgs::Backend>(
+          {{"auto", rgs::Backend::automatic}, {"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
       ->group(machine);
   app.add_option("--threads", o.threads, "Threads, 0 for all cores")
       ->check(CLI::Range(0, 1024))
@@ -195,11 +233,7 @@ int main(int argc, char** argv) {
     CLI::App app{"Audits a conversion: size, attribute error and rendered quality of an asset against its source.",
                  "rgs-audit"};
     add_options(app, arguments);
-    try {
-      app.parse(argc, argv);
-    } catch (const CLI::ParseError& error) {
-      return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
-    }
+    if (const auto code = tool::parse(app, argc, argv)) return *code;
     return audit_main(arguments);
   });
 }

@@ -103,7 +103,7 @@ std::string summary_text(const ConvertSummary& s) {
   const auto line = [&text]<class... T>(fmt::format_string<T...> format, T&&... args) {
     text += fmt::format(format, std::forward<T>(args)...) + "\n";
   };
-  line("{} ({}, {}) -> {} ({}): {}, {:.1f} bytes per Gaussian", s.source_name, s.source_format,
+  line("{} ({}, {}) -> {} ({}): {}, {:.1f} bytes per Gaussian", tool::printable(s.source_name), s.source_format,
        format_bytes(s.source_bytes), s.output_format, format_bytes(s.output_bytes),
        tool::format_size_change(s.source_bytes, s.output_bytes), per_gaussian(s.output_bytes, s.n_written));
   line("  Gaussians  {} read, {} written, {} dropped, {} repaired{}", format_count(s.n_source),
@@ -222,7 +222,7 @@ std::string summary_json(const ConvertSummary& s) {
   seconds["total"] = total_seconds(s);
   json["seconds"] = std::move(seconds);
   // File names need not be UTF-8; JSON must be.
-  return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
+  return json.dump(2, ' ', true, ordered_json::error_handler_t::replace) + "\n";
 }
 
 }  // namespace rgs

@@ -4,9 +4,8 @@
 #include <tbb/global_control.h>
 #include <unistd.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
-#include <cstdio>
+#include <array>
 #include <deque>
 #include <filesystem>
 #include <map>
@@ -16,11 +15,13 @@
 #include <utility>
 #include <vector>
 
+#include "command_line.hpp"
 #include "console.hpp"
 #include "convert.hpp"
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
 #include "input_declarations.hpp"
+#include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/spool_file.hpp"
@@ -137,8 +138,9 @@ class Input {
     options.format = format;
     options.skip_unknown_extensions = skip_unknown_extensions;
     options.keep_axes = true;
-    // By path where there is one: a SOG may be a folder.
-    return path_ == "-" ? rgs::read_splats(bytes_, options) : rgs::read_splats(path_, options);
+    // The bytes that are hashed, unless others lie beside them: a SOG may be a folder.
+    const bool folder = path_ != "-" && rgs::detect_format(bytes_) == SplatFormat::sog;
+    return folder ? rgs::read_splats(path_, options) : rgs::read_splats(bytes_, options);
   }
 
  private:
@@ -164,7 +166,7 @@ tl::unexpected<Failure> failed(const std::string& file, const rgs::Error& error)
 Failure explained(Failure failure, const std::deque<Input>& inputs) {
   if (concerns_output(failure.error.code)) return failure;
   for (const Input& input : inputs) {
-    if (const rgs::Status s = input.file().check_size(); !s) return {input.path(), s.error()};
+    if (const rgs::Status s = input.file().check_unchanged(); !s) return {input.path(), s.error()};
   }
   return failure;
 }
@@ -379,8 +381,24 @@ rgs::ArchiveOptions archive_options(const Arguments& a) {
   return o;
 }
 
+// What is read must neither be written over nor change before the output has its name. Those of the files that inputs
+// does not hold are opened into `beside`. Returns an exit code.
+int check_files(Arguments& a, std::deque<rgs::MappedFile>& beside) {
+  tool::InputFiles scenes, all;
+  for (std::size_t i = 0; i < a.n_inputs(); ++i) scenes.add_scene(a.files[i]), all.add_scene(a.files[i]);
+  all.add_cameras(a.cameras);
+  const std::array outputs{a.output(), a.audit ? report_path(a.output()) : std::string()};
+  if (const int code = all.check_outputs(outputs); code != tool::kSuccess) return code;
+  for (const std::string& path : scenes.paths()) {
+    if (std::find(a.files.begin(), a.files.end() - 1, path) != a.files.end() - 1) continue;
+    auto file = rgs::MappedFile::open(path);
+    if (!file) return tool::report(path, file.error());
+    a.convert.output.inputs.push_back(&beside.emplace_back(std::move(*file)));
+  }
+  return tool::kSuccess;
+}
+
 int convert_main(Arguments& arguments) {
-  rgs::remove_temporaries_on_signal();
   if (const auto message = check_arguments(arguments)) return tool::report_usage(*message);
   rgs::EncodeOptions& encode = arguments.convert.encode;
   encode.axes = rgs::parse_axes(arguments.axes).value();
@@ -396,14 +414,12 @@ int convert_main(Arguments& arguments) {
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
   const std::string& output = arguments.output();
+  std::deque<rgs::MappedFile> beside;
+  if (const int code = check_files(arguments, beside); code != tool::kSuccess) return code;
   std::deque<Input> inputs;
   std::uint64_t source_bytes = 0;
   for (std::size_t i = 0; i < arguments.n_inputs(); ++i) {
     const std::string& path = arguments.files[i];
-    if (path != "-" && output != "-" && rgs::same_file(path, output)) {
-      return tool::report(output,
-                          {rgs::Errc::output_unusable, rgs::Error::kNone, "input and output are the same file"});
-    }
     if (const rgs::Status s = inputs.emplace_back().open(path); !s) return tool::report(path, s.error());
     source_bytes += inputs.back().bytes().size();
     arguments.convert.output.inputs.push_back(&inputs.back().file());
@@ -440,15 +456,13 @@ int convert_main(Arguments& arguments) {
   }
   summary->source_name = name;
   if (arguments.json) {
-    std::fputs(rgs::summary_json(*summary).c_str(), stdout);
+    tool::print(rgs::summary_json(*summary));
   } else if (!arguments.quiet) {
-    std::fputs(rgs::summary_text(*summary).c_str(), output == "-" ? stderr : stdout);
+    (output == "-" ? tool::print_error : tool::print)(rgs::summary_text(*summary));
   }
-  if (std::fflush(stdout) != 0) {
-    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot write the summary",
-                                            rgs::Error::kNone, rgs::Error::kNone, errno});
-  }
-  return arguments.audit ? run_audit(arguments, auditor) : tool::kSuccess;
+  if (!arguments.audit) return tool::kSuccess;
+  tool::flush();  // before what the other program prints
+  return run_audit(arguments, auditor);
 }
 
 void choose_profile(const std::string& name, Arguments& a) {
@@ -492,15 +506,16 @@ void add_options(CLI::App& app, Arguments& a) {
   const std::map<std::string, rgs::ColourSpace> colour_spaces{{"undeclared", rgs::ColourSpace::undeclared},
                                                               {"srgb", rgs::ColourSpace::srgb_display},
                                                               {"linear", rgs::ColourSpace::linear_display}};
-  app.add_option("files", a.files, "Inputs (with --merge more than one), then the output; - for a standard stream")
+  app.add_option("files", a.files,
+                 "Inputs, " RGS_SCENE_FORMATS " (with --merge more than one), then the output; - for a standard stream")
       ->required()
       ->expected(2, -1)
       ->option_text("input... output");
   app.add_option("--from", a.from, "Format of the inputs; default: by their content")
-      ->transform(CLI::Transformer(readable))
+      ->transform(tool::one_of(readable))
       ->option_text("rgs|ply|compressed.ply|spz|splat|ksplat|sog|glb");
   app.add_option("--to", a.to, "Format of the output; default: by its name")
-      ->transform(CLI::Transformer(writable))
+      ->transform(tool::one_of(writable))
       ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
   app.add_option("--spz-version", a.convert.spz_version,
                  "Version of an SPZ [3]: Spark reads 2 and 3, GaussianSplats3D 2, PlayCanvas's engine 4 "
@@ -528,7 +543,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--file-scales", a.file_scales, "One set of SH scales for the file instead of one per chunk");
   app.add_option("--sh-degree", e.sh_degree, "Strip SH above this degree")->check(CLI::Range(0, 3));
   app.add_option("--on-bad", e.on_bad, "Damaged Gaussians; by default they are dropped if at most 1 % are damaged")
-      ->transform(CLI::Transformer(policies))
+      ->transform(tool::one_of(policies))
       ->option_text("refuse|drop|repair")
       ->each([&a](const std::string&) { a.explicit_policy = true; });
   app.add_flag("--strict", a.convert.strict,
@@ -540,7 +555,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--far", a.convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--depth-map", a.asked.depth_mapping,
                  "Mapping of depth to the sort key [what an .rgs states, else log]")
-      ->transform(CLI::Transformer(mappings))
+      ->transform(tool::one_of(mappings))
       ->option_text("linear|log");
   app.add_option("--axes", a.axes,
                  "Where the input's +x,+y,+z point, if not where its format says: 3dgs (right,down,forward), opengl "
@@ -560,13 +575,13 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--max-count", a.max_count, "Keep so many (200k, 1.5M) with the largest opacity times area");
   app.add_option("--aa,--aa-mode", a.asked.aa_mode,
                  "Anti-aliasing that the scene was trained with [what the input states, else classic]")
-      ->transform(CLI::Transformer(aa_modes))
+      ->transform(tool::one_of(aa_modes))
       ->option_text("classic|mip|mip-splatting|undeclared");
   app.add_option("--low-pass", a.asked.low_pass_px2,
                  "px^2 added to projected covariances in training [what the input states, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--colour-space", a.asked.colour_space, "Colours that SH evaluates to")
-      ->transform(CLI::Transformer(colour_spaces))
+      ->transform(tool::one_of(colour_spaces))
       ->option_text("srgb|linear|undeclared");
   app.add_option("--metres-per-unit", a.asked.metres_per_unit, "Size of a unit of the output, if known")
       ->check(CLI::NonNegativeNumber);
@@ -577,6 +592,10 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));
   app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
   app.add_flag("--quiet", a.quiet, "No progress, no summary");
+  app.footer(
+      "Written are .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
+      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input; with --audit also those of "
+      "rgs-audit.");
   for (const char* name : kRgsOptions) app.get_option(name)->group("Options for .rgs output");
 }
 
@@ -585,11 +604,7 @@ int parse_and_convert(int argc, char** argv) {
   app.set_version_flag("--version", "rgs-convert " RGS_VERSION);
   Arguments arguments;
   add_options(app, arguments);
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
-  }
+  if (const auto code = tool::parse(app, argc, argv)) return *code;
   for (const char* name : kRgsOptions) {
     if (app.get_option(name)->count() != 0) arguments.rgs_option = name;
   }

@@ -86,13 +86,13 @@ Result<Table> locate(const PlyHeader& header, const PlyElement& wanted, std::uin
   return make_error(Errc::internal, Error::kNone, "an element is not in its header");
 }
 
-// The data end where the header says.
+// The file must end where its header says, with all elements that it announces.
 Status check_end(const PlyHeader& header, std::uint64_t file_bytes) {
   const auto last = locate(header, header.elements.back(), file_bytes);
   if (!last) return tl::unexpected(last.error());
   const std::uint64_t end = last->offset + last->row_bytes * last->count;
   if (end == file_bytes) return {};
-  return make_error(Errc::trailing_bytes, end, "bytes after what the PLY header counts", end, file_bytes);
+  return make_error(Errc::trailing_bytes, end, "bytes after the last row that the header announces", end, file_bytes);
 }
 
 std::vector<std::string> numbered(int count) {

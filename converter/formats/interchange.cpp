@@ -208,7 +208,10 @@ Result<SplatFile> read_splats(const std::string& path, const ReadOptions& option
     const auto file = MappedFile::open(path);
     if (!file) return tl::unexpected(file.error());
     if (!detail::is_sog_meta(file->bytes())) {
-      return read_splats(file->bytes(), options);
+      auto splats = read_splats(file->bytes(), options);
+      // That the file changed explains whatever was found wrong in it.
+      if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
+      return splats;
     }
     const std::string folder = std::filesystem::path(path).parent_path().string();
     return finish(detail::decode_sog_folder(file->bytes(), folder.empty() ? "." : folder, options.limits),

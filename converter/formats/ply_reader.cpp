@@ -102,7 +102,7 @@ struct Cursor {
   std::uint64_t remaining() const { return bytes.size() - at; }
   Status skip(std::uint64_t n) {
     if (n > remaining()) {
-      return make_error(Errc::truncated, bytes.size(), "the file ends before its last vertex", saturating_sum(at, n),
+      return make_error(Errc::truncated, bytes.size(), "the file ends before its last row", saturating_sum(at, n),
                         bytes.size());
     }
     at += n;
@@ -259,6 +259,7 @@ struct PlyFile::Impl {
 
   Status parse();
   Status skip_element(const PlyElement& element, PlyEncoding encoding, Cursor& cursor) const;
+  Status check_rest(const PlyHeader& header, std::size_t first, Cursor& cursor) const;
   Status convert(const PlyElement& element, PlyEncoding encoding, const SplatProperties& properties, Cursor& cursor);
   void choose_layout();
   void choose_origin();
@@ -339,7 +340,10 @@ Status PlyFile::Impl::parse() {
     return make_error(Errc::truncated, source.size(), "the file is too short for the vertex count in its header",
                       saturating_sum(cursor.at, least - last_line_end), source.size());
   }
-  if (ascii || vertex.has_lists) return convert(vertex, header->encoding, *properties, cursor);
+  if (ascii || vertex.has_lists) {
+    if (auto ok = convert(vertex, header->encoding, *properties, cursor); !ok) return ok;
+    return check_rest(*header, properties->element + 1, cursor);
+  }
 
   std::uint32_t offset = 0;
   for (std::size_t i = 0; i < vertex.properties.size(); ++i) {
@@ -353,7 +357,25 @@ Status PlyFile::Impl::parse() {
   row_bytes = offset;
   choose_layout();
   choose_origin();
-  return {};
+  cursor.at += least;
+  return check_rest(*header, properties->element + 1, cursor);
+}
+
+// What follows the vertices holds nothing for us, but must be what the header says: a file that is cut off there, or that
+// goes on, is not the file that was written.
+Status PlyFile::Impl::check_rest(const PlyHeader& header, std::size_t first, Cursor& cursor) const {
+  for (std::size_t i = first; i < header.elements.size(); ++i) {
+    if (auto ok = skip_element(header.elements[i], header.encoding, cursor); !ok) return ok;
+  }
+  if (header.encoding == PlyEncoding::ascii) {
+    const auto line = next_line(cursor);
+    if (line.empty()) return {};
+    return make_error(Errc::trailing_bytes, static_cast<std::uint64_t>(line.data() - source.data()),
+                      "a line after the last one that the header announces");
+  }
+  if (cursor.remaining() == 0) return {};
+  return make_error(Errc::trailing_bytes, cursor.at, "bytes after the last row that the header announces", cursor.at,
+                    source.size());
 }
 
 Status PlyFile::Impl::skip_element(const PlyElement& element, PlyEncoding encoding, Cursor& cursor) const {
@@ -361,7 +383,7 @@ Status PlyFile::Impl::skip_element(const PlyElement& element, PlyEncoding encodi
   if (encoding == PlyEncoding::ascii) {
     for (std::uint64_t i = 0; i < element.count; ++i) {
       if (next_line(cursor).empty()) {
-        return make_error(Errc::truncated, source.size(), "the file ends before its last vertex line");
+        return make_error(Errc::truncated, source.size(), "the file ends before its last line");
       }
     }
     return {};
@@ -601,6 +623,10 @@ std::span<const std::byte> PlyFile::source() const {
   return impl_->source;
 }
 
+Status PlyFile::check_unchanged() const {
+  return impl_->file.check_unchanged();
+}
+
 std::uint64_t PlyFile::row_offset(std::uint64_t i) const {
   const std::less<> before;
   const auto bytes = source();
@@ -659,6 +685,7 @@ Result<SplatCloud> read_cloud(const PlyFile& ply) {
       ply.read(first, part);
       for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
     }
+    if (const Status s = ply->check_unchanged(); !s) return tl::unexpected(s.error());
     return cloud;
   });
 }

@@ -16,15 +16,25 @@ namespace {
 
 constexpr std::size_t kBufferBytes = std::size_t{1} << 20;
 
+// Messages to a standard stream that is closed must not end up in the file.
+int beyond_standard_streams(int fd) {
+  if (fd < 0 || fd > STDERR_FILENO) return fd;
+  const int moved = ::fcntl(fd, F_DUPFD_CLOEXEC, STDERR_FILENO + 1);
+  const int error = errno;
+  ::close(fd);
+  errno = error;
+  return moved;
+}
+
 int open_unlinked() {
   const char* variable = std::getenv("TMPDIR");
   const std::string folder = variable != nullptr && *variable != '\0' ? variable : "/tmp";
   const int fd = ::open(folder.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
-  if (fd >= 0) return fd;
+  if (fd >= 0) return beyond_standard_streams(fd);
   std::string path = folder + "/rgs-spool-XXXXXX";
   const int named = ::mkostemp(path.data(), O_CLOEXEC);
   if (named >= 0) ::unlink(path.c_str());
-  return named;
+  return beyond_standard_streams(named);
 }
 
 }  // namespace

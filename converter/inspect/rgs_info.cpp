@@ -1,14 +1,13 @@
 // rgs_info.cpp - prints and checks .rgs files.
 // SPDX-License-Identifier: Apache-2.0
-#include <CLI/CLI.hpp>
-#include <cerrno>
 #include <csignal>
-#include <cstdio>
 
+#include "command_line.hpp"
 #include "console.hpp"
 #include "info_json.hpp"
 #include "info_report.hpp"
 #include "info_text.hpp"
+#include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/file.hpp"
 #include "rgs/version.hpp"
@@ -24,18 +23,10 @@ struct Arguments {
   bool json = false, ascii = false;
 };
 
-// A reader that has seen enough and closed the pipe (head) is no failure; a full disk is.
-Status print(const std::string& text) {
-  errno = 0;
-  if ((std::fwrite(text.data(), 1, text.size(), stdout) != text.size() || std::fflush(stdout) != 0) && errno != EPIPE) {
-    return make_error(Errc::write_failed, Error::kNone, "cannot write to standard output", Error::kNone, Error::kNone,
-                      errno);
-  }
-  return {};
-}
-
 int info(const Arguments& arguments) {
   InfoReport report;
+  InputFiles inputs;
+  inputs.add(arguments.path);
   const auto file = MappedFile::open(arguments.path);
   if (file) {
     report = inspect(arguments.path, file->bytes(), arguments.options);
@@ -43,10 +34,13 @@ int info(const Arguments& arguments) {
     report.path = arguments.path;
     report.error = file.error();
   }
-  const Status printed = print(arguments.json ? info_json(report) : info_text(report, arguments.ascii));
-  if (report.error) return rgs::tool::report(arguments.path, *report.error);
-  if (!printed) return rgs::tool::report("", printed.error());
-  return kSuccess;
+  if (inputs.changed()) {  // what was found in a file that somebody writes to meanwhile is true of no file
+    report = {};
+    report.path = arguments.path;
+    report.error = kFileChanged;
+  }
+  print_to_pipe(arguments.json ? info_json(report) : info_text(report, arguments.ascii));
+  return report.error ? rgs::tool::report(arguments.path, *report.error) : kSuccess;
 }
 
 int body(int argc, char** argv) {
@@ -55,7 +49,7 @@ int body(int argc, char** argv) {
   std::string chunk;
   CLI::App app("Prints what an .rgs file holds and declares, and checks it.", "rgs-info");
   app.set_version_flag("--version", "rgs-info " RGS_VERSION);
-  app.add_option("FILE", arguments.path, "an .rgs file")->required();
+  app.add_option("FILE", arguments.path, "an .rgs file; rgs-convert makes one of other formats")->required();
   app.add_flag("--verify", arguments.options.verify, "check every checksum and every stored value");
   app.add_flag("--json", arguments.json, "one JSON document (schema rgs-info/1, docs/INFO_JSON.md)");
   app.add_option("--chunk", chunk, "report chunk N (from 0) instead of the file")->type_name("N");
@@ -64,13 +58,7 @@ int body(int argc, char** argv) {
   add_max_expansion(app, arguments.options.limits);
   app.add_flag("--ascii", arguments.ascii, "no characters beyond ASCII in the text");
   app.footer("Exit codes: 0 fine, 1 internal, 2 usage, 3 input/output, 4 malformed or damaged file.");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::Success& e) {  // --help, --version
-    return app.exit(e);
-  } catch (const CLI::ParseError& e) {
-    return report_usage(e.what());
-  }
+  if (const auto code = parse(app, argc, argv)) return *code;
   if (stats || no_stats) arguments.options.statistics = stats;
   if (!chunk.empty()) {
     const auto index = parse_count(chunk);

@@ -3,10 +3,8 @@
 #include <fmt/format.h>
 #include <tbb/global_control.h>
 
-#include <CLI/CLI.hpp>
-#include <cerrno>
+#include <array>
 #include <chrono>
-#include <cstdio>
 #include <filesystem>
 #include <map>
 #include <nlohmann/json.hpp>
@@ -18,8 +16,10 @@
 #include <vector>
 
 #include "camera_choice.hpp"
+#include "command_line.hpp"
 #include "console.hpp"
 #include "convert.hpp"
+#include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "prune.hpp"
 #include "rgs/checksum.hpp"
@@ -71,18 +71,16 @@ double lap(Clock::time_point& start) {
 }
 
 // What can be told before a minute of work rather than after it. Returns an exit code.
-int check_outputs(const Options& o, SplatFormat to) {
+int check_outputs(const Options& o, const tool::InputFiles& inputs, SplatFormat to) {
   if (to != SplatFormat::ply && to != SplatFormat::rgs)
     return tool::report_usage("the output is a .ply or an .rgs file; rgs-convert makes other formats of it");
-  for (const std::string* output : {&o.output, &o.scores}) {
-    if (output->empty()) continue;
-    if (rgs::same_file(o.input, *output))
-      return tool::report(*output,
-                          {rgs::Errc::output_unusable, rgs::Error::kNone, "input and output are the same file"});
+  const std::array outputs{o.output, o.scores};
+  if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
+  for (const std::string& output : outputs) {
     std::error_code ignored;
-    if (!o.overwrite && fs::exists(*output, ignored))
-      return tool::report(*output, {rgs::Errc::output_exists, rgs::Error::kNone,
-                                    "the output exists already; pass --overwrite to replace it"});
+    if (!output.empty() && !o.overwrite && fs::exists(output, ignored))
+      return tool::report(output, {rgs::Errc::output_exists, rgs::Error::kNone,
+                                   "the output exists already; pass --overwrite to replace it"});
   }
   return tool::kSuccess;
 }
@@ -182,7 +180,7 @@ std::string summary_json(const Options& o, const Summary& s) {
       {"lowest_score", s.outcome.lowest_score},
       {"lost", s.lost},
       {"seconds", {{"read", s.read_seconds}, {"render", s.render_seconds}, {"write", s.write_seconds}}}};
-  return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
+  return json.dump(2, ' ', true, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
 std::string summary_text(const Options& o, const Summary& s) {
@@ -193,18 +191,21 @@ std::string summary_text(const Options& o, const Summary& s) {
       "{} -> {}: {} of {} Gaussians ({:.1f} %), {:.3f} % of the weight blended into {} pictures of {} pixels\n"
       "  not seen  {} Gaussians; lowest {} kept {:.4g}\n"
       "{}  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
-      o.input, o.output, tool::format_count(s.outcome.n_kept), tool::format_count(s.n_source), 100 * share,
-      100 * s.outcome.weight_share, s.n_cameras, tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen),
-      score_name(o.score), s.outcome.lowest_score, lost, s.read_seconds, s.render_seconds, s.write_seconds);
+      tool::printable(o.input), tool::printable(o.output), tool::format_count(s.outcome.n_kept),
+      tool::format_count(s.n_source), 100 * share, 100 * s.outcome.weight_share, s.n_cameras,
+      tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen), score_name(o.score), s.outcome.lowest_score,
+      lost, s.read_seconds, s.render_seconds, s.write_seconds);
 }
 
 int prune(const Options& o) {
-  rgs::remove_temporaries_on_signal();
   const unsigned threads =
       o.threads > 0 ? static_cast<unsigned>(o.threads) : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
   const SplatFormat to = rgs::format_of_name(o.output);
-  if (const int code = check_outputs(o, to); code != tool::kSuccess) return code;
+  tool::InputFiles inputs;
+  inputs.add_scene(o.input);
+  inputs.add_cameras(o.cameras);
+  if (const int code = check_outputs(o, inputs, to); code != tool::kSuccess) return code;
 
   const auto set = rgs::read_camera_set(o.cameras);
   if (!set) return tool::report(o.cameras, set.error());
@@ -223,6 +224,8 @@ int prune(const Options& o) {
   auto time = Clock::now();
   std::uint64_t hash = 0;
   auto file = read_scene(o, hash);
+  // The scene is in memory now. That its file changed explains whatever was found wrong in it.
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!file) return file.error();
   summary.format = rgs::format_name(file->format);
   summary.source_bytes = file->bytes;
@@ -248,20 +251,17 @@ int prune(const Options& o) {
   summary.write_seconds = lap(time);
 
   if (o.json) {
-    std::fputs(summary_json(o, summary).c_str(), stdout);
+    tool::print(summary_json(o, summary));
   } else if (!o.quiet) {
-    std::fputs(summary_text(o, summary).c_str(), stdout);
+    tool::print(summary_text(o, summary));
   }
-  if (std::fflush(stdout) != 0)
-    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot be written",
-                                            rgs::Error::kNone, rgs::Error::kNone, errno});
   return tool::kSuccess;
 }
 
 void add_options(CLI::App& app, Options& o) {
   using rgs::math::AntiAliasing;
   using rgs::prune::Score;
-  app.add_option("input", o.input, "scene of any format that rgs-convert reads; its content decides")->required();
+  app.add_option("input", o.input, "scene, " RGS_SCENE_FORMATS "; its content decides")->required();
   app.add_option("output", o.output, "what is kept of it, .ply or .rgs")->required();
   app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/CAMERAS.md)")->required();
   app.add_option("--split", o.split, "only these cameras; train leaves the test cameras to judge the result")
@@ -273,19 +273,16 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::NonNegativeNumber)
       ->excludes(keep);
   app.add_option("--score", o.score, "weight over all pixels: sum, or the largest in any pixel: max [sum]")
-      ->transform(CLI::CheckedTransformer(std::map<std::string, Score>{{"sum", Score::sum}, {"max", Score::max}})
-                      .description(""));
+      ->transform(tool::one_of<Score>({{"sum", Score::sum}, {"max", Score::max}}));
   app.add_option("--scores", o.scores, "also write sum and max of every Gaussian of the input, NumPy float64 [n, 2]");
   app.add_option("--low-pass", o.render.low_pass,
                  "px^2 added to projected covariances [what the file states, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--aa,--aa-mode", o.render.anti_aliasing,
                  "anti-aliasing: classic, mip [what the file states, else classic]")
-      ->transform(
-          CLI::CheckedTransformer(std::map<std::string, AntiAliasing>{{"classic", AntiAliasing::classic},
-                                                                      {"mip", AntiAliasing::mip_splatting},
-                                                                      {"mip-splatting", AntiAliasing::mip_splatting}})
-              .description(""));
+      ->transform(tool::one_of<AntiAliasing>({{"classic", AntiAliasing::classic},
+                                              {"mip", AntiAliasing::mip_splatting},
+                                              {"mip-splatting", AntiAliasing::mip_splatting}}));
   app.add_option("--threads", o.threads, "CPU threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0, 1024))
       ->capture_default_str();
@@ -302,7 +299,6 @@ void add_options(CLI::App& app, Options& o) {
 std::string read_values(Options& o) {
   if (!o.size.empty() && !tool::parse_size(o.size)) return "--size takes WxH, sides 1 to 65536, not '" + o.size + "'";
   if (o.keep_text.empty() && !o.min_contribution) return "say how much to keep: --keep or --min-contribution";
-  if (o.scores == o.output) return "--scores and the output are the same file";
   if (o.keep_text.empty()) return {};
   const auto keep = rgs::prune::parse_keep(o.keep_text);
   if (!keep) return "--keep takes a percentage up to 100% or a number, not '" + o.keep_text + "'";
@@ -317,11 +313,7 @@ int main(int argc, char** argv) {
     Options options;
     CLI::App app{"Keeps the Gaussians of a scene that give most to the pictures of given cameras.", "rgs-prune"};
     add_options(app, options);
-    try {
-      app.parse(argc, argv);
-    } catch (const CLI::ParseError& error) {
-      return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
-    }
+    if (const auto code = tool::parse(app, argc, argv)) return *code;
     if (const std::string wrong = read_values(options); !wrong.empty()) return tool::report_usage(wrong);
     return prune(options);
   });

@@ -1,8 +1,9 @@
-// console.cpp - error reports, exit codes, progress and number formats of the command-line programs.
+// console.cpp - start and end of a program, error reports, progress and number formats of the command-line programs.
 // SPDX-License-Identifier: Apache-2.0
 #include "console.hpp"
 
 #include <errno.h>  // program_invocation_short_name
+#include <fcntl.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -15,7 +16,11 @@
 #include <exception>
 #include <limits>
 #include <new>
+#include <stdexcept>
 #include <system_error>
+
+#include "info_escape.hpp"
+#include "rgs/file.hpp"
 
 namespace rgs::tool {
 namespace {
@@ -27,12 +32,75 @@ std::string number(const Error& error, std::uint64_t value) {
   return error.code == Errc::checksum_mismatch ? fmt::format("{:016x}", value) : format_count(value);
 }
 
+constexpr std::size_t kLongestText = 8192;  // bytes; paths end at 4096
+
+// The name under which the program was called, which is anybody's choice.
+std::string program() {
+  return printable(program_invocation_short_name);
+}
+
+// errno of the first write to standard output or standard error that failed, 0 if none has.
+std::atomic<int> g_output_error{0}, g_message_error{0};
+
+void write(std::FILE* stream, std::string_view text, std::atomic<int>& failed) {
+  errno = 0;
+  if (std::fwrite(text.data(), 1, text.size(), stream) == text.size()) return;
+  int none = 0;
+  failed.compare_exchange_strong(none, errno != 0 ? errno : EIO);
+}
+
+// Whatever is opened gets the lowest free number. If that is 2, messages go into the file, so no number of a standard
+// stream stays free. What stands there can neither be read nor written: both fail with EBADF, as on a closed stream.
+void occupy_standard_streams() {
+  for (const int fd : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) {
+    if (::fcntl(fd, F_GETFD) < 0 && errno == EBADF && ::open("/", O_PATH) != fd) ::_exit(kInputOutput);
+  }
+}
+
+int report_out_of_memory() {
+  print_error(fmt::format("{}: out of memory [{}]\n  hint: {}\n", program(), errc_name(Errc::host_out_of_memory),
+                          hint({Errc::host_out_of_memory})));
+  return exit_code(Errc::host_out_of_memory);
+}
+
+int guarded(const std::function<int()>& body) {
+  try {
+    return body();
+  } catch (const std::bad_alloc&) {
+    return report_out_of_memory();
+  } catch (const std::length_error&) {  // of a container that cannot be as large
+    return report_out_of_memory();
+  } catch (const std::exception& e) {
+    // A thread that cannot be made, mostly for lack of memory for its stack: libraries say so in words alone.
+    const std::string_view what = e.what();
+    for (const int error : {EAGAIN, ENOMEM})
+      if (what.find(std::generic_category().message(error)) != what.npos) return report_out_of_memory();
+    print_error(fmt::format("{}: internal error: {}\n", program(), printable(e.what())));
+  }
+  return kInternal;
+}
+
+// The exit code, once all that was printed has left the process.
+int finish(int code) {
+  flush();
+  if (code != kSuccess && code != kGate) return code;
+  if (const int error = g_output_error; error != 0) {
+    return report("standard output",
+                  {Errc::write_failed, Error::kNone, "cannot be written", Error::kNone, Error::kNone, error});
+  }
+  return g_message_error != 0 ? kInputOutput : code;
+}
+
 }  // namespace
 
 std::string describe(const Error& error) {
   std::string text;
   if (error.offset != Error::kNone) text += fmt::format("byte {}: ", error.offset);
   text += error.what;
+  // A record of a file is named by its number.
+  constexpr std::string_view kRecord = "this index";
+  if (const std::size_t at = text.find(kRecord); at != text.npos && error.found != Error::kNone)
+    text.replace(at, kRecord.size(), "index " + number(error, error.found));
   const bool expected = error.expected != Error::kNone, found = error.found != Error::kNone;
   if (expected && found) {
     text += fmt::format(" (expected {}, found {})", number(error, error.expected), number(error, error.found));
@@ -64,6 +132,7 @@ const char* hint(const Error& error) {
       if (std::string_view(error.what).find("decode") == std::string_view::npos) return "";
       return "if you trust the file, allow more: --max-expansion RATIO or a size such as 8GB";
     case Errc::bad_magic: return "the file is of another format; its name does not decide what it is";
+    case Errc::host_out_of_memory: return "raise the limit of memory (ulimit -v), or use a machine with more";
     case Errc::unsupported_version: return "the file comes from a newer version of these programs; update them";
     default: return "";
   }
@@ -71,27 +140,47 @@ const char* hint(const Error& error) {
 
 int report(const std::string& file, const Error& error) {
   const char* advice = hint(error);
-  fmt::print(stderr, "{}: {}{}{} [{}]\n", program_invocation_short_name, file, file.empty() ? "" : ": ",
-             describe(error), errc_name(error.code));
-  if (*advice != '\0') fmt::print(stderr, "  hint: {}\n", advice);
+  std::string text = fmt::format("{}: {}{}{} [{}]\n", program(), printable(file), file.empty() ? "" : ": ",
+                                 describe(error), errc_name(error.code));
+  if (*advice != '\0') text += fmt::format("  hint: {}\n", advice);
+  print_error(text);
   return exit_code(error.code);
 }
 
 int report_usage(std::string_view message) {
-  fmt::print(stderr, "{0}: {1}\nRun {0} --help for usage.\n", program_invocation_short_name, message);
+  print_error(fmt::format("{0}: {1}\nRun {0} --help for usage.\n", program(), printable(message)));
   return kUsage;
 }
 
 int run(const std::function<int()>& body) {
-  try {
-    return body();
-  } catch (const std::bad_alloc&) {
-    fmt::print(stderr, "{}: out of memory [{}]\n", program_invocation_short_name, errc_name(Errc::host_out_of_memory));
-    return exit_code(Errc::host_out_of_memory);
-  } catch (const std::exception& e) {
-    fmt::print(stderr, "{}: internal error: {}\n", program_invocation_short_name, e.what());
-  }
-  return kInternal;
+  occupy_standard_streams();
+  remove_temporaries_on_signal();
+  return finish(guarded(body));
+}
+
+void print(std::string_view text) {
+  write(stdout, text, g_output_error);
+}
+
+void print_to_pipe(std::string_view text) {
+  write(stdout, text, g_output_error);
+  flush();
+  int closed = EPIPE;
+  g_output_error.compare_exchange_strong(closed, 0);
+}
+
+void print_error(std::string_view text) {
+  write(stderr, text, g_message_error);
+}
+
+void flush() {
+  errno = 0;
+  int none = 0;
+  if (std::fflush(stdout) != 0) g_output_error.compare_exchange_strong(none, errno != 0 ? errno : EIO);
+}
+
+std::string printable(std::string_view text) {
+  return escape_untrusted(text, false, kLongestText);
 }
 
 std::string format_bytes(std::uint64_t bytes) {
@@ -175,7 +264,7 @@ Result<ImageSize> parse_size(std::string_view text) {
 Progress::Progress(Mode mode) : quiet_(mode == Mode::quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
 
 Progress::~Progress() {
-  if (open_ && terminal_ && !quiet_) fmt::print(stderr, "\r\x1b[K");
+  if (open_ && terminal_ && !quiet_) print_error("\r\x1b[K");
 }
 
 std::string Progress::amount(double units) const {
@@ -223,8 +312,7 @@ void Progress::draw(Clock::time_point now) {
   line += fmt::format("{}  {}/s", amount(done), amount(rate));
   if (total_ > 0 && rate > 0)
     line += fmt::format("  {} left", format_seconds(std::max(static_cast<double>(total_) - done, 0.0) / rate));
-  fmt::print(stderr, "{}{}{}", terminal_ ? "\r" : "", line, terminal_ ? "\x1b[K" : "\n");
-  std::fflush(stderr);
+  print_error(fmt::format("{}{}{}", terminal_ ? "\r" : "", line, terminal_ ? "\x1b[K" : "\n"));
 }
 
 void Progress::finish() {
@@ -234,8 +322,8 @@ void Progress::finish() {
   const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
   const double done = static_cast<double>(done_.load());
   const std::string units = *unit_ == '\0' ? "" : amount(done) + " in ";  // a stage without units only takes time
-  fmt::print(stderr, "{}{:<12} {}{}{}\n", terminal_ ? "\r" : "", stage_, units, format_seconds(seconds),
-             terminal_ ? "\x1b[K" : "");
+  print_error(fmt::format("{}{:<12} {}{}{}\n", terminal_ ? "\r" : "", stage_, units, format_seconds(seconds),
+                          terminal_ ? "\x1b[K" : ""));
 }
 
 }  // namespace rgs::tool

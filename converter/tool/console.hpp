@@ -1,7 +1,8 @@
-// console.hpp - what the command-line programs share: error reports, exit codes, progress and number formats.
+// console.hpp - what the command-line programs share: their start and end, error reports, progress and number formats.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Standard output belongs to results (and stays parseable with --json); everything here goes to standard error.
+// Standard output belongs to results (and stays parseable with --json); reports and progress go to standard error. What
+// came from a command line or a file is escaped (info_escape.hpp) before it is printed on either.
 #pragma once
 
 #include <atomic>
@@ -23,12 +24,26 @@ enum ExitCode : int { kSuccess = 0, kInternal = 1, kUsage = 2, kInputOutput = 3,
 std::string describe(const Error& error);
 /// What the user can do about it; empty if the text of the error already says all there is.
 const char* hint(const Error& error);
-/// Prints `PROGRAM: FILE: ERROR` and, if there is one, a hint. Returns the exit code. `file` may be empty.
+/// Prints `PROGRAM: FILE: ERROR` and, if there is one, a hint. Returns the exit code. `file` may be empty; it is escaped.
 int report(const std::string& file, const Error& error);
-/// Prints `PROGRAM: MESSAGE` and how to get help. Returns kUsage.
+/// Prints `PROGRAM: MESSAGE`, which is escaped, and how to get help. Returns kUsage.
 int report_usage(std::string_view message);
-/// Runs a program's body; what escapes as an exception is printed: out of memory becomes kInputOutput, a bug kInternal.
+/// Runs a program's body. Before it: no file can get the number of a standard stream that is closed; signals remove
+/// unfinished outputs, see remove_temporaries_on_signal(). After it: success and a failed gate become kInputOutput if
+/// something could not be written to standard output or standard error. What escapes as an exception is printed: out of
+/// memory becomes kInputOutput, a bug kInternal.
 int run(const std::function<int()>& body);
+
+/// Writes to standard output, and to standard error; never throws. run() looks whether all arrived. Names in `text` must
+/// have been escaped.
+void print(std::string_view text);
+/// print() for a program that ignores SIGPIPE: a reader that has seen enough and closed the pipe (head) is no failure.
+void print_to_pipe(std::string_view text);
+void print_error(std::string_view text);
+/// Lets what was printed go, before another program writes to the same place.
+void flush();
+/// A name or value from outside as part of a line: escape_untrusted() at a length that paths need.
+std::string printable(std::string_view text);
 
 /// "193.1 MB", decimal units as file managers and disks count.
 std::string format_bytes(std::uint64_t bytes);

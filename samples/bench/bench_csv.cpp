@@ -6,6 +6,7 @@
 #include <type_traits>
 
 #include "bench_report.hpp"
+#include "console.hpp"
 
 namespace rgs::bench {
 namespace {
@@ -19,7 +20,7 @@ std::string quoted(const std::string& text) {
 // A line, and the line of names beside it, so that they cannot come apart.
 class Line {
  public:
-  void text(const std::string& name, const std::string& value) { field(name, quoted(value)); }
+  void text(const std::string& name, const std::string& value) { field(name, quoted(tool::printable(value))); }
   template <class T>
   void number(const std::string& name, T value) {
     if constexpr (std::is_floating_point_v<T>) {

@@ -166,7 +166,7 @@ std::string report_json(const Report& report) {
   }
   if (report.orbit) json["orbit"] = orbit_json(*report.orbit);
   // File names need not be UTF-8; JSON must be.
-  return json.dump(2, ' ', false, ordered_json::error_handler_t::replace) + "\n";
+  return json.dump(2, ' ', true, ordered_json::error_handler_t::replace) + "\n";
 }
 
 }  // namespace rgs::bench

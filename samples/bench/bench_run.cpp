@@ -200,7 +200,7 @@ Result<DeviceInfo> device_info() {
   int device = 0;
   cudaDeviceProp properties{};
   if (cudaGetDevice(&device) != cudaSuccess || cudaGetDeviceProperties(&properties, device) != cudaSuccess) {
-    return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers");
+    return make_error(Errc::device_failed, Error::kNone, "no CUDA device answers");
   }
   const auto kilohertz = [device](cudaDeviceAttr attribute) {
     int value = 0;

@@ -45,8 +45,8 @@ std::string header_text(const Report& report) {
       fmt::format("{}, sm_{}{}, {} multiprocessors, CUDA {} on driver {}; rgs-bench {}, {}\n", d.name,
                   d.capability_major, d.capability_minor, d.multiprocessors, version_text(d.runtime_version),
                   version_text(d.driver_version), report.version, report.date);
-  text += fmt::format("{}: {} Gaussians, SH degree {}", report.scene, tool::format_count(report.gaussians),
-                      report.sh_degree);
+  text += fmt::format("{}: {} Gaussians, SH degree {}", tool::printable(report.scene),
+                      tool::format_count(report.gaussians), report.sh_degree);
   if (report.n_quality_cameras > 0) text += fmt::format("; quality at {} cameras", report.n_quality_cameras);
   text += "\n";
   if (report.rates) text += rates_text(*report.rates);

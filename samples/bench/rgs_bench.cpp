@@ -3,21 +3,23 @@
 #include <fmt/chrono.h>
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <chrono>
-#include <cstdio>
 #include <filesystem>
 #include <optional>
 #include <span>
 #include <string>
+#include <string_view>
 #include <utility>
 #include <vector>
 
 #include "bench_plot.hpp"
 #include "bench_report.hpp"
 #include "bench_run.hpp"
+#include "command_line.hpp"
 #include "console.hpp"
+#include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "ppm_file.hpp"
 #include "rgs/camera_file.hpp"
@@ -32,6 +34,7 @@ namespace tool = rgs::tool;
 using rgs::Result;
 using rgs::bench::Configuration;
 using rgs::bench::Report;
+using Print = void(std::string_view);
 
 struct Options {
   std::string scene, source, cameras, quality_cameras, photos, pixel_format = "rgb32f";
@@ -173,12 +176,12 @@ Step measure_quality(const rgs::bench::DeviceScenes& scenes, const Views& views,
 
 // One size of all modes; rows are printed as they come.
 Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::Camera> cameras, tool::ImageSize size,
-                  std::FILE* text, Report& report) {
+                  Print* print, Report& report) {
   std::vector<rgs::Camera> sized;
   for (const rgs::Camera& c : cameras) sized.push_back(rgs::resized(c, size.width, size.height));
   report.sizes.push_back({size.width, size.height, {}});
   rgs::bench::SizeReport& rows = report.sizes.back();
-  fmt::print(text, "{}", rgs::bench::size_text(rows, report));
+  print(rgs::bench::size_text(rows, report));
   for (std::size_t row = 0; row < report.modes.size(); ++row) {
     const Configuration& c = report.modes[row].configuration;
     const auto timing = rgs::bench::measure(c, scenes, sized, report.frames);
@@ -186,20 +189,20 @@ Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::C
     rows.rows.push_back(
         {*timing, rgs::bench::stage_costs({timing->mean, c.options, size.width, size.height, c.compact,
                                            scenes.of(c).sh_degree(), rgs::bench::pixel_bytes(c.packed)})});
-    fmt::print(text, "{}", rgs::bench::row_text(rows, row, report));
-    std::fflush(text);
+    print(rgs::bench::row_text(rows, row, report));
+    tool::flush();
   }
   return {};
 }
 
 // The first camera at the first size.
 Step measure_orbit(const Options& o, const rgs::bench::DeviceScenes& scenes, const rgs::Camera& camera,
-                   tool::ImageSize size, std::FILE* text, Report& report) {
+                   tool::ImageSize size, Print* print, Report& report) {
   std::vector<Configuration> modes;
   for (const rgs::bench::ModeReport& mode : report.modes) modes.push_back(mode.configuration);
   auto orbit = rgs::bench::orbit(modes, scenes, rgs::resized(camera, size.width, size.height), o.orbit_step, o.orbit);
   if (!orbit) return failed("", orbit.error());
-  fmt::print(text, "{}", rgs::bench::orbit_text(*orbit));
+  print(rgs::bench::orbit_text(*orbit));
   report.orbit = *std::move(orbit);
   return {};
 }
@@ -241,6 +244,14 @@ tl::expected<std::vector<tool::ImageSize>, int> parse_sizes(const Options& o) {
 int bench(const Options& o) {
   const auto sizes = parse_sizes(o);
   if (!sizes) return sizes.error();
+  tool::InputFiles inputs;
+  inputs.add(o.scene);
+  inputs.add(o.source);
+  inputs.add_cameras(o.cameras);
+  inputs.add_cameras(o.quality_cameras);
+  inputs.add_pictures(o.photos);
+  const std::array output_paths{o.json, o.csv, o.svg};
+  if (const int code = inputs.check_outputs(output_paths); code != tool::kSuccess) return code;
   auto outputs = open_outputs(o);
   if (!outputs) return outputs.error();
   Report report;
@@ -258,6 +269,8 @@ int bench(const Options& o) {
   if (!views) return views.error();
   report.n_quality_cameras = views->cameras.size();
   const auto scenes = load_scenes(o, report);
+  // All is on the device now. That a file changed explains whatever was found wrong in it.
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scenes) return scenes.error();
   for (Configuration& c : configurations(o, scenes->compact.declarations())) report.modes.push_back({std::move(c), {}});
   const bool floors = o.roofline || !o.svg.empty();
@@ -269,17 +282,17 @@ int bench(const Options& o) {
 
   // A report on standard output stays parseable.
   const bool piped = std::any_of(outputs->begin(), outputs->end(), [](const Output& out) { return out.path == "-"; });
-  std::FILE* const text = piped ? stderr : stdout;
-  fmt::print(text, "{}", rgs::bench::header_text(report));
+  Print* const print = piped ? tool::print_error : tool::print;
+  print(rgs::bench::header_text(report));
   if (const auto ok = measure_quality(*scenes, *views, report); !ok) return ok.error();
   for (const tool::ImageSize& size : *sizes) {
-    if (const auto ok = measure_size(*scenes, *cameras, size, text, report); !ok) return ok.error();
+    if (const auto ok = measure_size(*scenes, *cameras, size, print, report); !ok) return ok.error();
   }
   for (const rgs::bench::SizeReport& size : report.sizes) {
-    if (floors) fmt::print(text, "{}", rgs::bench::roofline_text(size, report));
+    if (floors) print(rgs::bench::roofline_text(size, report));
   }
   if (o.orbit > 0) {
-    if (const auto ok = measure_orbit(o, *scenes, cameras->front(), sizes->front(), text, report); !ok)
+    if (const auto ok = measure_orbit(o, *scenes, cameras->front(), sizes->front(), print, report); !ok)
       return ok.error();
   }
   if (const auto ok = write(*outputs, report); !ok) return ok.error();
@@ -290,13 +303,13 @@ int bench(const Options& o) {
 
 int main(int argc, char** argv) {
   return tool::run([&]() -> int {
-    rgs::remove_temporaries_on_signal();
     Options o;
     CLI::App app{"Measures the CUDA renderer: time, work and quality of each step of the method.", "rgs-bench"};
     app.set_version_flag("--version", "rgs-bench " RGS_VERSION);
     app.add_option("SCENE", o.scene, ".rgs file")->required();
     tool::add_max_expansion(app, o.limits);
-    app.add_option("--source", o.source, "3DGS PLY that the file was made of, for the baseline [the file itself]");
+    app.add_option("--source", o.source,
+                   "3DGS .ply (or .rgs) that the file was made of, for the baseline [the file itself]");
     app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md)")->required();
     app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");
     app.add_option("--photos", o.photos, "folder of photographs NAME.ppm of these cameras, binary PPM of their size");
@@ -324,13 +337,7 @@ int main(int argc, char** argv) {
     app.add_option("--svg", o.svg, "write the roofline as a picture; implies --roofline");
     app.add_flag("--overwrite", o.overwrite, "replace outputs that exist");
     app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
-    try {
-      app.parse(argc, argv);
-    } catch (const CLI::Success& e) {  // --help, --version
-      return app.exit(e);
-    } catch (const CLI::ParseError& e) {
-      return tool::report_usage(e.what());
-    }
+    if (const auto code = tool::parse(app, argc, argv)) return *code;
     if (!o.photos.empty() && o.quality_cameras.empty()) return tool::report_usage("--photos needs --quality-cameras");
     return bench(o);
   });

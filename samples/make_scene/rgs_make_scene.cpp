@@ -5,15 +5,18 @@
 #include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
+#include <array>
 #include <mutex>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "command_line.hpp"
 #include "console.hpp"
+#include "input_files.hpp"
 #include "rgs/ply.hpp"
+#include "rgs/version.hpp"
 #include "scene_generator.hpp"
 
 namespace {
@@ -66,7 +69,8 @@ rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer
 
 int make_scene(const Options& options, std::uint64_t n) {
   const rgs::AtomicFile::Options file_options{options.overwrite, options.sync};
-  rgs::remove_temporaries_on_signal();
+  const std::array outputs{options.output, options.cameras};
+  if (const int code = tool::InputFiles().check_outputs(outputs); code != tool::kSuccess) return code;
   const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
@@ -91,8 +95,8 @@ int make_scene(const Options& options, std::uint64_t n) {
   if (!options.quiet) {
     const std::uint64_t bytes = rgs::ply_header(n, options.degree, {.origin = options.origin}).size() +
                                 n * rgs::ply_row_bytes(options.degree, options.origin);
-    fmt::print("{}: {} Gaussians, SH degree {}, seed {}, {}\n", options.output, tool::format_count(n), options.degree,
-               options.seed, tool::format_bytes(bytes));
+    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, seed {}, {}\n", tool::printable(options.output),
+                            tool::format_count(n), options.degree, options.seed, tool::format_bytes(bytes)));
   }
   return tool::kSuccess;
 }
@@ -121,18 +125,13 @@ int parse_and_make_scene(int argc, char** argv) {
   app.add_flag("--overwrite", options.overwrite, "replace existing outputs");
   app.add_flag("!--no-sync", options.sync, "do not wait until the files are on the disk");
   app.add_flag("--quiet", options.quiet, "print errors only");
+  app.set_version_flag("--version", "rgs-make-scene " RGS_VERSION);
   app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output.");
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
-  }
+  if (const auto code = tool::parse(app, argc, argv)) return *code;
   const rgs::Result<std::uint64_t> n = tool::parse_count(options.gaussians);
   if (!n || *n > rgs::kMaxSceneGaussians)
     return tool::report_usage(
         fmt::format("--gaussians takes a whole number from 0 to 200M, not '{}'", options.gaussians));
-  if (!options.cameras.empty() && options.cameras == options.output)
-    return tool::report_usage("--cameras and the output are the same file");
   return make_scene(options, *n);
 }
 

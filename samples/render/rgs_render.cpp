@@ -2,11 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 
-#include <CLI/CLI.hpp>
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <cstdio>
 #include <filesystem>
 #include <future>
 #include <map>
@@ -17,8 +15,10 @@
 #include <vector>
 
 #include "camera_choice.hpp"
+#include "command_line.hpp"
 #include "console.hpp"
 #include "image_file.hpp"
+#include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/renderer.hpp"
@@ -267,16 +267,24 @@ nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, cons
 
 int render(const Options& options) {
   const auto start = Clock::now();
-  rgs::remove_temporaries_on_signal();
+  tool::InputFiles inputs;
+  inputs.add_scene(options.scene);
+  inputs.add_cameras(options.cameras);
+  inputs.add_cameras(options.path);
   auto renderer = rgs::Renderer::create(options.renderer);
   if (!renderer) return tool::report("", renderer.error());
   const auto opened = Clock::now();  // to the end of the first frame: what a viewer of the scene waits for
   const auto scene = rgs::load_scene_file(options.scene, options.limits);
+  // That a file changed explains whatever was found wrong in it.
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return tool::report(options.scene, scene.error());
   const double load_seconds = seconds_since(start);
 
   std::vector<Shot> shots;
   if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;
+  std::vector<std::string> outputs;
+  for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
+  if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   const rgs::RenderOptions render_how = render_options(options);
 
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -300,36 +308,32 @@ int render(const Options& options) {
   }
   if (const int code = writing.get(); code != tool::kSuccess) return code;
   progress.finish();
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess)
+    return code;  // a scene reads on as it is drawn
 
   const double total_seconds = seconds_since(start);
   if (options.json) {
     const auto text = summary(options, *scene, *renderer, frames, load_seconds, first_frame_ms, total_seconds)
-                          .dump(2, ' ', false, nlohmann::json::error_handler_t::replace);
-    fmt::print("{}\n", text);
+                          .dump(2, ' ', true, nlohmann::json::error_handler_t::replace);
+    tool::print(text + "\n");
   } else if (!options.quiet) {
-    fmt::print("{}: {} Gaussians, SH degree {}, loaded in {}\n", options.scene, tool::format_count(scene->scene.size()),
-               scene->scene.sh_degree(), tool::format_seconds(load_seconds));
+    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, loaded in {}\n", tool::printable(options.scene),
+                            tool::format_count(scene->scene.size()), scene->scene.sh_degree(),
+                            tool::format_seconds(load_seconds)));
     for (const Frame& frame : frames)
-      fmt::print("{}  {}x{}  {}  {} visible\n", frame.shot->out, frame.shot->camera.width, frame.shot->camera.height,
-                 tool::format_seconds(frame.stats.total_ms * 1e-3), tool::format_count(frame.stats.visible));
-    fmt::print("{} {}: median {} a frame, {} in all\n", frames.size(), frames.size() == 1 ? "picture" : "pictures",
-               tool::format_seconds(median_ms(frames) * 1e-3), tool::format_seconds(total_seconds));
+      tool::print(fmt::format("{}  {}x{}  {}  {} visible\n", tool::printable(frame.shot->out), frame.shot->camera.width,
+                              frame.shot->camera.height, tool::format_seconds(frame.stats.total_ms * 1e-3),
+                              tool::format_count(frame.stats.visible)));
+    tool::print(fmt::format("{} {}: median {} a frame, {} in all\n", frames.size(),
+                            frames.size() == 1 ? "picture" : "pictures", tool::format_seconds(median_ms(frames) * 1e-3),
+                            tool::format_seconds(total_seconds)));
   }
-  if (std::fflush(stdout) != 0)
-    return tool::report("standard output", {rgs::Errc::write_failed, rgs::Error::kNone, "cannot be written",
-                                            rgs::Error::kNone, rgs::Error::kNone, errno});
   return tool::kSuccess;
-}
-
-// Names of an enumeration's values; the option's own text lists them for --help.
-template <class T>
-CLI::Validator names(std::map<std::string, T> values) {
-  return CLI::CheckedTransformer(std::move(values)).description("");
 }
 
 void add_options(CLI::App& app, Options& o) {
   using namespace rgs::math;
-  app.add_option("scene", o.scene, "scene to render, .rgs or a 3DGS .ply; its content decides")->required();
+  app.add_option("scene", o.scene, "scene to render, " RGS_SCENE_FORMATS "; its content decides")->required();
   app.add_option("--out,-o", o.out, "picture (.png .jpg .tif .exr) or folder for pictures")->required();
   app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--view", o.view, "camera by name or index in the split, or all [all for a folder, 0 for a file]");
@@ -371,20 +375,20 @@ void add_options(CLI::App& app, Options& o) {
       ->group(image);
   app.add_option("--aa,--aa-mode", o.render.anti_aliasing,
                  "anti-aliasing: classic, mip [what the file states, else classic]")
-      ->transform(names<AntiAliasing>({{"classic", AntiAliasing::classic},
-                                       {"mip", AntiAliasing::mip_splatting},
-                                       {"mip-splatting", AntiAliasing::mip_splatting}}))
+      ->transform(tool::one_of<AntiAliasing>({{"classic", AntiAliasing::classic},
+                                              {"mip", AntiAliasing::mip_splatting},
+                                              {"mip-splatting", AntiAliasing::mip_splatting}}))
       ->group(image);
 
   const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
   auto* const mode =
       app.add_option("--mode", o.render.pipeline, "all of these at once: baseline (3DGS), paper, turbo [turbo on CUDA]")
-          ->transform(names<rgs::Pipeline>({{"baseline", rgs::Pipeline::baseline},
-                                            {"paper", rgs::Pipeline::paper},
-                                            {"turbo", rgs::Pipeline::turbo}}))
+          ->transform(tool::one_of<rgs::Pipeline>({{"baseline", rgs::Pipeline::baseline},
+                                                   {"paper", rgs::Pipeline::paper},
+                                                   {"turbo", rgs::Pipeline::turbo}}))
           ->group(arithmetic);
   app.add_option("--extent", o.render.paper.extent, "tiles of a Gaussian: ellipse, square [ellipse]")
-      ->transform(names<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))
+      ->transform(tool::one_of<Extent>({{"ellipse", Extent::ellipse}, {"square", Extent::square}}))
       ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--key", o.key, "depth order: exact, or quantised: linear, log")
@@ -403,17 +407,17 @@ void add_options(CLI::App& app, Options& o) {
       ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--exponent", o.render.paper.exponent, "direct, folded [direct]")
-      ->transform(names<Exponent>({{"direct", Exponent::direct}, {"folded", Exponent::folded}}))
+      ->transform(tool::one_of<Exponent>({{"direct", Exponent::direct}, {"folded", Exponent::folded}}))
       ->excludes(mode)
       ->group(arithmetic);
   app.add_option("--exp", o.render.paper.exp, "exponential: exact, paper, zero-mean [exact]")
-      ->transform(names<Exp>({{"exact", Exp::exact}, {"paper", Exp::paper}, {"zero-mean", Exp::zero_mean}}))
+      ->transform(tool::one_of<Exp>({{"exact", Exp::exact}, {"paper", Exp::paper}, {"zero-mean", Exp::zero_mean}}))
       ->excludes(mode)
       ->group(arithmetic);
 
   const std::string machine = "Machine";
   app.add_option("--backend", o.renderer.backend, "auto, cpu, cuda [auto]")
-      ->transform(names<rgs::Backend>(
+      ->transform(tool::one_of<rgs::Backend>(
           {{"auto", rgs::Backend::automatic}, {"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
       ->group(machine);
   app.add_option("--threads", o.renderer.threads, "CPU threads, 0 for all cores")
@@ -440,7 +444,6 @@ std::string contradiction(const Options& o) {
   if (const auto depth = rgs::image_format(o.depth);
       depth && (*depth == rgs::ImageFormat::png || *depth == rgs::ImageFormat::jpeg))
     return "depth needs floating point: name the file .exr or .tif";
-  if (!o.depth.empty() && o.depth == o.out && names_picture(o.out)) return "--depth and --out are the same file";
   for (const float v : o.render.background)
     if (!std::isfinite(v)) return "--background takes three finite numbers";
   return {};
@@ -453,11 +456,7 @@ int main(int argc, char** argv) {
     Options options;
     CLI::App app{"Renders a 3D Gaussian splat scene to pictures.", "rgs-render"};
     add_options(app, options);
-    try {
-      app.parse(argc, argv);
-    } catch (const CLI::ParseError& error) {
-      return app.exit(error) == 0 ? tool::kSuccess : tool::kUsage;
-    }
+    if (const auto code = tool::parse(app, argc, argv)) return *code;
     options.renderer.simd = !options.scalar;
     for (const auto* option : app.get_option("--mode")->get_excludes()) options.has_arithmetic |= option->count() > 0;
     if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);

@@ -26,9 +26,10 @@ class MappedFile {
   ~MappedFile();
 
   std::span<const std::byte> bytes() const { return {data_, size_}; }
-  /// read_failed if the file no longer has the size that was mapped. What is cut off reads as zeros up to the end of a
-  /// page, and raises SIGBUS beyond it.
-  Status check_size() const;
+  /// read_failed if the file has another size than the one that was mapped, or has been written to since: by its times of
+  /// modification and of change, the latter unless a name was given or taken meanwhile. What is cut off reads as zeros up
+  /// to the end of a page, and raises SIGBUS beyond it.
+  Status check_unchanged() const;
   /// Tells the kernel how [offset, offset + length) will be read next; a hint, never an error.
   enum class Access { normal, sequential, random, will_need, done };
   void advise(Access access, std::uint64_t offset = 0, std::uint64_t length = ~std::uint64_t{0}) const;
@@ -37,19 +38,26 @@ class MappedFile {
   const std::byte* data_ = nullptr;
   std::size_t size_ = 0;
   int fd_ = -1;  // of its own
+  struct Stamp {
+    std::int64_t modified[2] = {}, changed[2] = {};  // seconds and nanoseconds
+    std::uint64_t n_names = 0;
+  } stamp_;
 };
 
 /// An output that appears under its name complete or not at all. Bytes go to `PATH.tmp-XXXXXX` in the same folder;
 /// commit() syncs and renames. Destruction without commit, SIGINT, SIGTERM and SIGHUP (after
-/// remove_temporaries_on_signal()) remove the temporary file. Path "-" is standard output: bytes are collected in an
-/// unlinked file in $TMPDIR (/tmp if unset) and copied out by commit(). Move-only; writes may come from several
-/// threads.
+/// remove_temporaries_on_signal()) remove the temporary file; SIGKILL and a loss of power leave it behind, for the user to
+/// delete. A symbolic link is followed: its target is what is written and replaced, with the temporary file beside it. What
+/// replaces a file takes over its permissions, and its owner and group where the process may give them; access control
+/// lists, extended attributes and further hard links stay with the old file. Path "-" is standard output: bytes are
+/// collected in an unlinked file in $TMPDIR (/tmp if unset) and copied out by commit(). No descriptor is that of a standard
+/// stream, so that messages cannot end up in a file. Move-only; writes may come from several threads.
 class AtomicFile {
  public:
   struct Options {
     bool overwrite = false;  ///< replace an existing file; otherwise commit() and create() refuse with output_exists
     bool sync = true;        ///< fsync file and folder before commit() returns
-    std::vector<const MappedFile*> inputs = {};  ///< commit() asks each of them for check_size() first
+    std::vector<const MappedFile*> inputs = {};  ///< commit() asks each of them for check_unchanged() first
   };
   /// Errors: output_exists, output_unusable (a directory), write_failed.
   static Result<AtomicFile> create(const std::string& path, const Options& options);
@@ -71,7 +79,7 @@ class AtomicFile {
   int descriptor() const { return fd_; }
 
  private:
-  static Result<AtomicFile> begin(const std::string& path, const Options& options);
+  static Result<AtomicFile> begin(const std::string& name, const Options& options);
   Result<double> finish();
   void discard();
   Status copy_to_stdout();
@@ -86,7 +94,8 @@ class AtomicFile {
 /// removed, exit code 3. SIGXFSZ is ignored, so that writes beyond a size limit are write_failed.
 void remove_temporaries_on_signal();
 
-/// True if both paths name the same existing file (device and inode).
-bool same_file(const std::string& a, const std::string& b);
+/// What `path` stands for: the target of a symbolic link, and of the links that this leads to, whether it exists or not;
+/// anything else as it is.
+std::string follow_links(const std::string& path);
 
 }  // namespace rgs

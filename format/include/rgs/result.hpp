@@ -20,10 +20,10 @@ enum class Errc : std::uint16_t {
   unavailable,         ///< the requested backend is not built or no device answers
 
   open_failed = 300,  ///< a file could not be opened
-  read_failed,        ///< reading failed, or the file changed size while being read
+  read_failed,        ///< reading failed, or the file changed while being read
   write_failed,       ///< writing, syncing or renaming failed (disk full, permissions)
   output_exists,      ///< the output is there already and overwriting was not asked for
-  output_unusable,    ///< the output is a directory, or is the input
+  output_unusable,    ///< the output is a directory, or no regular file
   device_failed,      ///< a CUDA call failed
   device_out_of_memory,
   host_out_of_memory,  ///< the process gets no more memory; what it held for the call is freed again

@@ -67,10 +67,11 @@ class SceneWriter {
 
   std::uint64_t n_batches() const;
   /// Writes a complete batch: number 0, then 1, ... Errors: Sink::write_at()'s, bad_argument (another batch
-  /// is next, or this one is not complete), host_out_of_memory. After an error the file is of no use: later calls give
+  /// is next, or this one is not complete), read_failed (a Gaussian that the scan cannot have seen: the source changed
+  /// between the passes), host_out_of_memory. After an error the file is of no use: later calls give
   /// the same one.
   Status add(const Batch& batch);
-  /// Tables, head and end of the file, once all batches are there. Errors: add()'s, bad_argument if one is missing, the
+  /// Tables, head and end of the file, once all batches are there. Errors: add()'s (read_failed too), bad_argument if one is missing, the
   /// sink's; for Profile::archive bad_value (a
   /// value too large for the steps asked for; `found` is the Gaussian's source_index) and internal (the file, decoded
   /// again, is not within the bounds that it states).

@@ -29,6 +29,7 @@ tl::unexpected<Error> system_error(Errc code, const char* what) {
 }
 
 const char* const kStdout = "-";
+constexpr int kFirstFree = STDERR_FILENO + 1;  // a standard stream may be closed; its number is no file's
 
 // Unfinished temporaries, walked by the signal handler: plain memory and lock-free flags only.
 // state: 0 free, 1 being filled, 2 live.
@@ -95,6 +96,26 @@ int create_new(std::string& name) {
   return -1;
 }
 
+// The descriptor under a number above those of the standard streams, or -1, errno, and `name` removed.
+int beyond_standard_streams(int fd, const std::string& name) {
+  if (fd < 0 || fd >= kFirstFree) return fd;
+  const int moved = ::fcntl(fd, F_DUPFD_CLOEXEC, kFirstFree);
+  const int error = errno;
+  ::close(fd);
+  if (moved < 0) ::unlink(name.c_str());
+  errno = error;
+  return moved;
+}
+
+// What replaces a file is open to the same people, from before its first byte.
+void take_over_rights(int fd, const struct stat& old) {
+  mode_t mode = old.st_mode & 0777;
+  if (::fchown(fd, old.st_uid, old.st_gid) != 0 && ::fchown(fd, static_cast<uid_t>(-1), old.st_gid) != 0) {
+    mode = (mode & 0707u) | (mode & 07u) << 3;  // another group than the old file's gets what everybody gets
+  }
+  (void)::fchmod(fd, mode);  // where a file system has no permissions, there is nothing to keep
+}
+
 // Masks the handled signals while a temporary is created, so that none dies between the file and its table entry.
 class SignalGuard {
  public:
@@ -114,6 +135,20 @@ class SignalGuard {
 
 }  // namespace
 
+std::string follow_links(const std::string& path) {
+  constexpr int kMaxLinks = 40;  // as the kernel does; what goes on longer is a loop, and fails when it is opened
+  std::string at = path;
+  std::vector<char> target(PATH_MAX);
+  for (int i = 0; i < kMaxLinks; ++i) {
+    const ssize_t length = ::readlink(at.c_str(), target.data(), target.size());
+    if (length <= 0 || static_cast<std::size_t>(length) == target.size()) return at;
+    const std::string next(target.data(), static_cast<std::size_t>(length));
+    const std::size_t slash = at.find_last_of('/');
+    at = next.front() == '/' || slash == std::string::npos ? next : at.substr(0, slash + 1) + next;
+  }
+  return path;
+}
+
 Result<MappedFile> MappedFile::open(const std::string& path) {
   // O_NONBLOCK: a FIFO is refused below instead of waiting here for a writer.
   const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
@@ -129,9 +164,11 @@ Result<MappedFile> MappedFile::map(int fd) {
   if (S_ISDIR(info.st_mode)) return make_error(Errc::open_failed, Error::kNone, "is a directory, not a file");
   if (!S_ISREG(info.st_mode)) return make_error(Errc::open_failed, Error::kNone, "is not a regular file");
   MappedFile file;
-  file.fd_ = ::fcntl(fd, F_DUPFD_CLOEXEC, 0);
+  file.fd_ = ::fcntl(fd, F_DUPFD_CLOEXEC, kFirstFree);
   if (file.fd_ < 0) return system_error(Errc::open_failed, "cannot keep the file open");
   file.size_ = static_cast<std::size_t>(info.st_size);
+  file.stamp_ = {
+      {info.st_mtim.tv_sec, info.st_mtim.tv_nsec}, {info.st_ctim.tv_sec, info.st_ctim.tv_nsec}, info.st_nlink};
   if (file.size_ == 0) return file;  // mmap refuses length 0
   void* data = ::mmap(nullptr, file.size_, PROT_READ, MAP_PRIVATE, fd, 0);
   if (data == MAP_FAILED) return system_error(Errc::read_failed, "cannot map the file");
@@ -142,12 +179,14 @@ Result<MappedFile> MappedFile::map(int fd) {
 MappedFile::MappedFile(MappedFile&& other) noexcept
     : data_(std::exchange(other.data_, nullptr)),
       size_(std::exchange(other.size_, 0)),
-      fd_(std::exchange(other.fd_, -1)) {}
+      fd_(std::exchange(other.fd_, -1)),
+      stamp_(other.stamp_) {}
 
 MappedFile& MappedFile::operator=(MappedFile&& other) noexcept {
   std::swap(data_, other.data_);
   std::swap(size_, other.size_);
   std::swap(fd_, other.fd_);
+  std::swap(stamp_, other.stamp_);
   return *this;
 }
 
@@ -156,14 +195,21 @@ MappedFile::~MappedFile() {
   if (fd_ >= 0) ::close(fd_);
 }
 
-Status MappedFile::check_size() const {
+Status MappedFile::check_unchanged() const {
   if (fd_ < 0) return {};
   struct stat info {};
   if (::fstat(fd_, &info) != 0) return system_error(Errc::read_failed, "cannot read the file's size");
   const auto now = static_cast<std::uint64_t>(info.st_size);
-  if (now == size_) return {};
-  return make_error(Errc::read_failed, std::min<std::uint64_t>(now, size_),
-                    "the file changed its size while it was read", size_, now);
+  if (now != size_) {
+    return make_error(Errc::read_failed, std::min<std::uint64_t>(now, size_),
+                      "the file changed its size while it was read", size_, now);
+  }
+  const bool modified = info.st_mtim.tv_sec != stamp_.modified[0] || info.st_mtim.tv_nsec != stamp_.modified[1];
+  // Who writes may set the time of modification back, but not that of change. Links and removal of a name count as a
+  // change too, and do no harm.
+  const bool changed = info.st_ctim.tv_sec != stamp_.changed[0] || info.st_ctim.tv_nsec != stamp_.changed[1];
+  if (!modified && (!changed || info.st_nlink != stamp_.n_names)) return {};
+  return make_error(Errc::read_failed, Error::kNone, "the file changed while it was read; run the program again");
 }
 
 void MappedFile::advise(Access access, std::uint64_t offset, std::uint64_t length) const {
@@ -186,9 +232,13 @@ Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& op
   return detail::guard_memory([&] { return begin(path, options); });
 }
 
-Result<AtomicFile> AtomicFile::begin(const std::string& path, const Options& options) {
+Result<AtomicFile> AtomicFile::begin(const std::string& name, const Options& options) {
+  const std::string path = name == kStdout ? name : follow_links(name);
   struct stat info {};
-  if (path != kStdout && ::stat(path.c_str(), &info) == 0) {
+  const bool replaces = path != kStdout && ::stat(path.c_str(), &info) == 0;
+  if (path != kStdout && !replaces && errno == ELOOP)
+    return system_error(Errc::output_unusable, "the output's name is a link that leads to itself");
+  if (replaces) {
     if (S_ISDIR(info.st_mode)) return make_error(Errc::output_unusable, Error::kNone, "the output is a directory");
     if (!S_ISREG(info.st_mode))
       return make_error(Errc::output_unusable, Error::kNone, "the output is not a regular file");
@@ -203,10 +253,10 @@ Result<AtomicFile> AtomicFile::begin(const std::string& path, const Options& opt
   if (path == kStdout) {
     const char* folder = std::getenv("TMPDIR");
     file.temporary_ = std::string(folder != nullptr && *folder != '\0' ? folder : "/tmp") + "/rgs-output-XXXXXX";
-    file.fd_ = ::mkostemp(file.temporary_.data(), O_CLOEXEC);
+    file.fd_ = beyond_standard_streams(::mkostemp(file.temporary_.data(), O_CLOEXEC), file.temporary_);
   } else {
     file.temporary_ = path + ".tmp-XXXXXX";
-    file.fd_ = create_new(file.temporary_);
+    file.fd_ = beyond_standard_streams(create_new(file.temporary_), file.temporary_);
   }
   if (file.fd_ < 0) {
     file.temporary_.clear();
@@ -221,6 +271,7 @@ Result<AtomicFile> AtomicFile::begin(const std::string& path, const Options& opt
     return file;
   }
   file.slot_ = claim_slot(file.temporary_);
+  if (replaces) take_over_rights(file.fd_, info);
   return file;
 }
 
@@ -312,7 +363,7 @@ Result<double> AtomicFile::commit() {
 
 Result<double> AtomicFile::finish() {
   for (const MappedFile* input : options_.inputs) {
-    if (const Status s = input->check_size(); !s) return tl::unexpected(s.error());
+    if (const Status s = input->check_unchanged(); !s) return tl::unexpected(s.error());
   }
   if (path_ == kStdout) {
     const Status copied = copy_to_stdout();
@@ -374,12 +425,6 @@ void remove_temporaries_on_signal() {
   action.sa_flags = 0;  // with SA_RESETHAND a second thread's SIGBUS would end the process before the first one's exit
   ::sigaction(SIGBUS, &action, nullptr);
   ::signal(SIGXFSZ, SIG_IGN);  // a write beyond the size limit (ulimit -f) then fails with EFBIG
-}
-
-bool same_file(const std::string& a, const std::string& b) {
-  struct stat x {
-  }, y{};
-  return ::stat(a.c_str(), &x) == 0 && ::stat(b.c_str(), &y) == 0 && x.st_dev == y.st_dev && x.st_ino == y.st_ino;
 }
 
 }  // namespace rgs

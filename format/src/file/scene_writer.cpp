@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <array>
 #include <cassert>
+#include <cmath>
 #include <cstring>
 #include <optional>
 #include <utility>
@@ -54,6 +55,24 @@ ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, cons
     summary.add(s.mean, row, counts);
   }
   return summary.entry(header.scale_exponent);
+}
+
+Status source_changed() {
+  return make_error(Errc::read_failed, Error::kNone,
+                    "a Gaussian is not what the first pass saw: the source changed while it was read");
+}
+
+// Whether the chunks' boxes add up to `full`.
+bool same_box(std::span<const ChunkEntry> chunks, const Box& full) {
+  if (chunks.empty()) return true;
+  Box box = chunks.front().means;
+  for (const ChunkEntry& chunk : chunks) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      box.min[k] = std::min(box.min[k], chunk.means.min[k]);
+      box.max[k] = std::max(box.max[k], chunk.means.max[k]);
+    }
+  }
+  return box.min == full.min && box.max == full.max;
 }
 
 }  // namespace
@@ -145,6 +164,8 @@ Result<WrittenScene> SceneWriter::finish() {
     if (state_->plan.options.profile == Profile::archive) {
       return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
     }
+    if (!same_box(state_->tables.chunks, state_->plan.declarations.full))
+      return tl::unexpected(source_changed().error());
     return detail::finish_file(state_->file, state_->plan, state_->tables);
   });
 }
@@ -199,8 +220,11 @@ void SceneWriter::Batch::encode_chunk() {
     const detail::EncodePlan& plan = writer_->plan;
     const int degree = plan.header.sh_degree;
     const std::span<Splat> chunk = splats();
-    if (plan.mends) {
-      for (Splat& s : chunk) repair(s, find_defects(s, degree));
+    // The scan has seen every Gaussian sound, or has mended it. One that is not by now would make a file that no reader
+    // opens, or is not even a number that can be quantised.
+    for (Splat& s : chunk) {
+      const std::uint32_t defects = find_defects(s, degree);
+      if (defects != 0 && !(plan.mends && repair(s, defects))) return source_changed();
     }
     if (plan.options.profile == Profile::archive) {
       for (Splat& s : chunk) {
@@ -218,6 +242,8 @@ void SceneWriter::Batch::encode_chunk() {
     b.chunks.push_back(encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
                                    &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)],
                                    b.counts));
+    // A scale above all that the scan has seen overflows FP16.
+    if (!std::isfinite(b.chunks.back().radius)) return source_changed();
     b.done += chunk.size();
     if (!complete() || !b.encoder) return {};
     b.frames = {b.encoder->words(b.rows[0], kMeanBytes), b.encoder->geometry(b.rows[1]),

@@ -9,7 +9,9 @@
 #include <cmath>
 #include <cstring>
 #include <glm/ext/quaternion_double.hpp>
+#include <iterator>
 #include <map>
+#include <string_view>
 #include <utility>
 
 #include "cameras/camera_records.hpp"
@@ -18,8 +20,29 @@
 namespace rgs {
 namespace {
 
-constexpr const char* kDistorted =
-    "a camera model with lens distortion; run colmap image_undistorter and use the model in its sparse folder";
+// Models in the order of their numbers in cameras.bin, and what is said of those with lens distortion.
+#define RGS_UNDISTORT(model)                                        \
+  "the camera of this index is of model " model                     \
+  "; run colmap image_undistorter and use the model in its sparse " \
+  "folder"
+struct Model {
+  std::string_view name;
+  const char* refusal;  // empty: a pinhole camera
+};
+constexpr Model kModels[] = {
+    {"SIMPLE_PINHOLE", ""},
+    {"PINHOLE", ""},
+    {"SIMPLE_RADIAL", RGS_UNDISTORT("SIMPLE_RADIAL with lens distortion k")},
+    {"RADIAL", RGS_UNDISTORT("RADIAL with lens distortion k1, k2")},
+    {"OPENCV", RGS_UNDISTORT("OPENCV with lens distortion k1, k2, p1, p2")},
+    {"OPENCV_FISHEYE", RGS_UNDISTORT("OPENCV_FISHEYE with lens distortion k1 to k4")},
+    {"FULL_OPENCV", RGS_UNDISTORT("FULL_OPENCV with lens distortion k1 to k6, p1, p2")},
+    {"FOV", RGS_UNDISTORT("FOV with lens distortion omega")},
+    {"SIMPLE_RADIAL_FISHEYE", RGS_UNDISTORT("SIMPLE_RADIAL_FISHEYE with lens distortion k")},
+    {"RADIAL_FISHEYE", RGS_UNDISTORT("RADIAL_FISHEYE with lens distortion k1, k2")},
+    {"THIN_PRISM_FISHEYE", RGS_UNDISTORT("THIN_PRISM_FISHEYE with lens distortion k1 to k4, p1, p2, sx1, sy1")}};
+constexpr const char* kUnknownModel = RGS_UNDISTORT("none that is known here");
+#undef RGS_UNDISTORT
 constexpr std::uint64_t kImageBytes = 4 + 7 * 8 + 4 + 1 + 8;  // smallest record: empty name, no points
 
 // Little-endian reader whose failure is sticky.
@@ -117,7 +140,10 @@ Result<Lenses> binary_lenses(std::span<const std::byte> bytes) {
     const std::uint64_t start = in.offset();
     const auto id = in.read<std::uint32_t>(), model = in.read<std::uint32_t>();
     const auto width = in.read<std::uint64_t>(), height = in.read<std::uint64_t>();
-    if (in.ok() && model > 1) return make_error(Errc::unsupported_feature, start, kDistorted);
+    if (in.ok() && model > 1) {
+      return make_error(Errc::unsupported_feature, start,
+                        model < std::size(kModels) ? kModels[model].refusal : kUnknownModel, Error::kNone, i);
+    }
     double parameters[4] = {};
     const std::size_t n_parameters = model == 0 ? 3 : 4;
     for (std::size_t k = 0; k < n_parameters; ++k) parameters[k] = in.read<double>();
@@ -196,9 +222,13 @@ Result<Lenses> text_lenses(std::string_view text) {
     std::uint32_t id = 0;
     if (!in.number(id)) return make_error(Errc::bad_syntax, in.word_offset(), "cameras.txt: expected a camera id");
     const std::string_view model = in.word();
-    if (model != "PINHOLE" && model != "SIMPLE_PINHOLE")
+    if (model.empty())
+      return make_error(Errc::unsupported_feature, in.line_offset(), "cameras.txt: a camera without a model");
+    if (model != "PINHOLE" && model != "SIMPLE_PINHOLE") {
+      const auto* const known = std::ranges::find(kModels, model, &Model::name);
       return make_error(Errc::unsupported_feature, in.line_offset(),
-                        model.empty() ? "cameras.txt: a camera without a model" : kDistorted);
+                        known != std::end(kModels) ? known->refusal : kUnknownModel, Error::kNone, i);
+    }
     std::uint64_t width = 0, height = 0;
     double parameters[4] = {};
     const std::size_t n_parameters = model == "SIMPLE_PINHOLE" ? 3 : 4;

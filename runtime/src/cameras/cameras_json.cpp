@@ -5,6 +5,7 @@
 #include <glm/gtc/type_ptr.hpp>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <utility>
 
 #include "cameras/camera_records.hpp"
 #include "rgs/guard_memory.hpp"
@@ -170,20 +171,27 @@ void read_training_entry(Fields& fields, Camera& camera) {
   camera.world_to_camera = detail::world_to_camera(axes, centre);
 }
 
+// Coefficients of lens distortion, and what is said of one that is not 0.
+#define RGS_DISTORTED(key)                                                                        \
+  {                                                                                               \
+    key, "the camera of this index has lens distortion (" key                                     \
+         " is not 0); undistort the photographs (colmap image_undistorter) and use their cameras" \
+  }
+constexpr std::pair<const char*, const char*> kDistortion[] = {
+    RGS_DISTORTED("k1"), RGS_DISTORTED("k2"), RGS_DISTORTED("k3"), RGS_DISTORTED("k4"),
+    RGS_DISTORTED("k5"), RGS_DISTORTED("k6"), RGS_DISTORTED("p1"), RGS_DISTORTED("p2")};
+#undef RGS_DISTORTED
+
 // A frame of transforms.json. Its camera axes are OpenGL's (x right, y up, z back), so two columns change sign.
 void read_transforms_entry(Fields& fields, Camera& camera) {
-  constexpr const char* kDistorted =
-      "the camera of this index has lens distortion; undistort the photographs (colmap image_undistorter) and use "
-      "their "
-      "cameras";
   camera.name = fields.text("file_path");
   const std::string model = fields.text("camera_model");
   if (!model.empty() && model != "PINHOLE" && model != "SIMPLE_PINHOLE" && model != "OPENCV" && model != "PERSPECTIVE")
     fields.refuse(
         Errc::unsupported_feature,
         "the camera of this index is not a pinhole camera; only PINHOLE and undistorted OPENCV can be rendered");
-  for (const char* key : {"k1", "k2", "k3", "k4", "p1", "p2"})
-    if (fields.number(key).value_or(0) != 0) fields.refuse(Errc::unsupported_feature, kDistorted);
+  for (const auto& [key, distorted] : kDistortion)
+    if (fields.number(key).value_or(0) != 0) fields.refuse(Errc::unsupported_feature, distorted);
 
   constexpr const char* kNoPixels =
       "the camera of this index has no image size; add \"w\" and \"h\" in pixels to the file";

@@ -165,6 +165,11 @@ TEST_CASE("damaged compressed PLY files are refused or read, never more") {
   };
   refused("vertex 3", "vertex 18446744073709551615", Errc::truncated);
   refused("vertex 3", "vertex 0", Errc::bad_header);
+  refused("end_header", "element more 1\nproperty int a\nend_header", Errc::truncated);
+  const auto longer = read_splats(bytes_of(text + "x"));
+  REQUIRE_FALSE(longer);
+  CHECK(longer.error().code == Errc::trailing_bytes);
+  CHECK(longer.error().offset == text.size());
   refused("chunk 1", "chunk 4611686018427387904", Errc::truncated);
   refused("chunk 1", "chunk 0", Errc::bad_header);
   refused("sh 3", "sh 2", Errc::bad_header);

@@ -321,6 +321,70 @@ TEST_CASE("lines of text may end in CR LF, be blank or lack the last line end; a
   CHECK(missing.error().found == 1);
 }
 
+TEST_CASE("what follows the vertices must be there, and nothing may follow it") {
+  // Elements behind the vertices: numbers alone, and lists.
+  struct Tail {
+    const char* header;
+    std::vector<std::string> rows;  // little-endian
+    const char* text;
+  };
+  const std::vector<Tail> tails = {
+      {"", {}, ""},
+      {"element edge 2\nproperty int a\nproperty uchar b\n", {"abcde", "fghij"}, "1 2\n3 4\n"},
+      {"element face 2\nproperty list uchar int vertex_indices\n",
+       {std::string("\x01") + "abcd", std::string("\x02") + "abcdefgh"},
+       "1 5\n2 5 6\n"},
+      {"element face 1\nproperty list uchar short i\nelement edge 1\nproperty int a\n",
+       {std::string("\x01") + "ab", "cdef"},
+       "1 5\n7\n"},
+      {"element nothing 3\n", {}, ""}};
+  const std::vector<Splat> splats = random_splats(3, 0, 1);
+  for (const Tail& tail : tails) {
+    CAPTURE(tail.header);
+    std::string file = binary_ply(splats, 0);
+    file.insert(file.find("end_header"), tail.header);
+    const std::size_t vertices_end = file.size();
+    for (const std::string& row : tail.rows) file += row;
+    const auto whole = open_text(file);
+    REQUIRE(whole);
+    CHECK(same_bits(read_all(*whole), splats));
+    for (std::size_t size = vertices_end; size < file.size(); ++size) {
+      CAPTURE(size);
+      const ExactCopy cut(std::string_view(file).substr(0, size));
+      const auto opened = PlyFile::open(cut.bytes());
+      REQUIRE_FALSE(opened);
+      CHECK(opened.error().code == Errc::truncated);
+      CHECK(opened.error().offset == size);
+    }
+    for (const std::string more : {std::string("\n"), std::string(1, '\0'), std::string(300, 'x')}) {
+      const auto opened = open_text(file + more);
+      REQUIRE_FALSE(opened);
+      CHECK(opened.error().code == Errc::trailing_bytes);
+      CHECK(opened.error().offset == file.size());
+      CHECK(opened.error().found == file.size() + more.size());
+    }
+    std::string text = header_of(splat_properties(0), "1", "ascii");
+    text.insert(text.find("end_header"), tail.header);
+    text += "1 2 3 4 5 6 7 8 9 10 11 12 13 14\n";
+    const std::size_t line_end = text.size();
+    text += tail.text;
+    CHECK(open_text(text));
+    CHECK(open_text(text + " \r\n\n"));  // blank lines are none
+    const auto trailing = open_text(text + "\n1\n");
+    REQUIRE_FALSE(trailing);
+    CHECK(trailing.error().code == Errc::trailing_bytes);
+    CHECK(trailing.error().offset == text.size() + 1);
+    if (*tail.text == '\0') continue;
+    const auto cut = open_text(text.substr(0, line_end));
+    REQUIRE_FALSE(cut);
+    CHECK(cut.error().code == Errc::truncated);
+  }
+  // A count that no file can hold is refused at once.
+  std::string huge = binary_ply(splats, 0);
+  huge.insert(huge.find("end_header"), "element face 18446744073709551615\nproperty list uchar int i\n");
+  CHECK(open_text(huge).error().code == Errc::truncated);
+}
+
 TEST_CASE("a list with a negative length is refused where it stands") {
   std::string text = header_of(splat_properties(0), "1");
   text.insert(text.find("end_header"), "property list char int tags\n");

@@ -3,6 +3,7 @@
 #include "rgs/file.hpp"
 
 #include <doctest/doctest.h>
+#include <fcntl.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
@@ -11,6 +12,7 @@
 #include <algorithm>
 #include <array>
 #include <atomic>
+#include <chrono>
 #include <csignal>
 #include <cstdlib>
 #include <cstring>
@@ -182,18 +184,19 @@ TEST_CASE("an output whose input changed its size does not appear") {
   const std::string in = folder.file("in"), out = folder.file("out");
   for (const std::uintmax_t size : {9U, 11U, 10U}) {  // less than a page is cut off: no signal, zeros
     CAPTURE(size);
+    fs::remove(in);
     std::ofstream(in) << "0123456789";
     auto opened = MappedFile::open(in);
     REQUIRE(opened);
     const MappedFile mapped = std::move(*opened);  // moves take the descriptor along
-    CHECK(opened->check_size());
+    CHECK(opened->check_unchanged());
     auto file = AtomicFile::create(out, {.overwrite = true, .sync = false, .inputs = {&mapped}});
     REQUIRE(file);
     REQUIRE(file->write_at(0, mapped.bytes()));
-    fs::resize_file(in, size);
+    if (size != 10) fs::resize_file(in, size);
     const auto committed = file->commit();
     CHECK(committed.has_value() == (size == 10));
-    CHECK(mapped.check_size().has_value() == (size == 10));
+    CHECK(mapped.check_unchanged().has_value() == (size == 10));
     if (committed) continue;
     CHECK(committed.error().code == Errc::read_failed);
     CHECK(committed.error().offset == std::min<std::uintmax_t>(size, 10));
@@ -203,6 +206,63 @@ TEST_CASE("an output whose input changed its size does not appear") {
     CHECK(entries(folder.path()) == 1);
   }
   CHECK(contents(out) == "0123456789");
+}
+
+TEST_CASE("a mapped file knows whether it was written to, and bears the loss of a name") {
+  const TemporaryFolder folder;
+  const std::string path = folder.file("in");
+  const auto changed_by = [&](const auto& change) {
+    fs::remove(path);
+    std::ofstream(path) << "0123456789";
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));  // beyond the tick of file times
+    const auto file = MappedFile::open(path);
+    REQUIRE(file);
+    CHECK(file->check_unchanged());
+    const auto time = fs::last_write_time(path);
+    change(time);
+    const auto status = file->check_unchanged();
+    if (!status) CHECK(status.error().code == Errc::read_failed);
+    return !status;
+  };
+  CHECK_FALSE(changed_by([](auto) {}));
+  CHECK_FALSE(changed_by([&](auto) { fs::remove(path); }));
+  CHECK_FALSE(changed_by([&](auto) { fs::create_hard_link(path, folder.file("other")); }));
+  CHECK_FALSE(changed_by([&](auto) { contents(path); }));
+  CHECK(changed_by([&](auto) { std::fstream(path, std::ios::in | std::ios::out) << "x"; }));
+  CHECK(changed_by([&](auto time) {
+    std::fstream(path, std::ios::in | std::ios::out) << "x";
+    fs::last_write_time(path, time);
+  }));
+}
+
+TEST_CASE("no output has the number of a standard stream") {
+  for (const std::string name : {"out", "-"}) {
+    const TemporaryFolder folder;
+    const pid_t child = ::fork();
+    REQUIRE(child >= 0);
+    if (child == 0) {
+      for (const int fd : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}) ::close(fd);
+      const auto file = AtomicFile::create(name == "-" ? name : folder.file(name), {});
+      const bool good = file && file->descriptor() > STDERR_FILENO && ::fcntl(STDERR_FILENO, F_GETFD) < 0 &&
+                        (::fcntl(file->descriptor(), F_GETFD) & FD_CLOEXEC) != 0;
+      ::_exit(good ? 0 : 1);
+    }
+    int status = 0;
+    REQUIRE(::waitpid(child, &status, 0) == child);
+    CHECK(status == 0);
+  }
+}
+
+TEST_CASE("links are followed to what they stand for") {
+  const TemporaryFolder folder;
+  const std::string target = folder.file("target"), one = folder.file("one"), two = folder.file("two");
+  fs::create_symlink("target", one);
+  fs::create_symlink(one, two);
+  CHECK(rgs::follow_links(target) == target);
+  CHECK(rgs::follow_links(one) == target);
+  CHECK(rgs::follow_links(two) == target);  // which is not there
+  fs::create_symlink("loop", folder.file("loop"));
+  CHECK(rgs::follow_links(folder.file("loop")) == folder.file("loop"));
 }
 
 TEST_CASE("an input truncated while mapped removes the output and exits with code 3, whoever reads it") {

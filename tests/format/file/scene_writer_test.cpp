@@ -9,6 +9,7 @@
 #include <cerrno>
 #include <csignal>
 #include <filesystem>
+#include <limits>
 #include <numeric>
 #include <optional>
 #include <thread>
@@ -161,6 +162,44 @@ TEST_CASE("a file on disk, one in memory and the one that encode gives have the 
     for (std::size_t i = 0; i < view->sections().size(); ++i) {
       CHECK(on_disk->sections[i].offset == view->sections()[i].offset);
       CHECK(on_disk->sections[i].xxh3 == view->sections()[i].xxh3);
+    }
+  }
+}
+
+TEST_CASE("a source that changes between the passes is a reported error, whatever the change") {
+  SplitMix random{3};
+  const SplatCloud cloud = plausible_cloud(5000, 2, random);
+  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+  const std::pair<const char*, void (*)(Splat&)> changes[] = {
+      {"a mean that is no number", [](Splat& s) { s.mean[1] = kNan; }},
+      {"a mean far away", [](Splat& s) { s.mean[0] = 1e6F; }},
+      {"a scale that is no number", [](Splat& s) { s.log_scale[2] = kNan; }},
+      {"a scale beyond any other", [](Splat& s) { s.log_scale[0] = 59.F; }},
+      {"a rotation of zero", [](Splat& s) { std::ranges::fill(s.rotation, 0.F); }},
+      {"a logit that is no number", [](Splat& s) { s.opacity_logit = kNan; }},
+      {"a coefficient that is no number", [](Splat& s) { s.sh[5] = kNan; }}};
+  for (const auto& [name, change] : changes) {
+    CAPTURE(name);
+    for (const Profile profile : {Profile::direct, Profile::packed}) {
+      EncodeOptions options;
+      options.profile = profile;
+      const Scanned scanned = scan_of(cloud, options);
+      SplatCloud changed = cloud;
+      Splat splat = cloud.view().splat(1234);
+      change(splat);
+      changed.set(1234, splat);
+      std::vector<std::byte> file;
+      auto writer = SceneWriter::create(file, scanned.scan, options, scanned.indices);
+      REQUIRE(writer);
+      SceneWriter::Batch batch(*writer);
+      Status status;
+      for (std::uint64_t i = 0; i < writer->n_batches() && status; ++i) {
+        fill(batch, i, changed);
+        status = writer->add(batch);
+      }
+      const auto written = writer->finish();
+      REQUIRE_FALSE(written);
+      CHECK(written.error().code == Errc::read_failed);
     }
   }
 }

@@ -104,6 +104,15 @@ TEST_CASE("transforms.json: field of view instead of focal lengths, values per f
   std::string distorted = transforms();
   replace(distorted, R"("k1":0)", R"("k1":0.1)");
   check_error(parse_camera_json(distorted), Errc::unsupported_feature, transforms().find(R"({"file_path":"a")") + 2);
+  for (const char* key : {"k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"}) {
+    std::string one = transforms();
+    replace(one, R"("k1":0)", "\"" + std::string(key) + "\":-1e-9");
+    const auto refused = parse_camera_json(one);
+    REQUIRE_FALSE(refused);
+    CHECK(refused.error().code == Errc::unsupported_feature);
+    CHECK(refused.error().found == 0);  // the first frame
+    CHECK(std::string(refused.error().what).find("(" + std::string(key) + " is not 0)") != std::string::npos);
+  }
   std::string fisheye = transforms();
   replace(fisheye, R"("k1":0)", R"("camera_model":"OPENCV_FISHEYE")");
   CHECK(parse_camera_json(fisheye).error().code == Errc::unsupported_feature);
@@ -222,6 +231,11 @@ TEST_CASE("COLMAP binary: counts that the file cannot hold, trailing bytes, unkn
   std::string opencv = good_cameras, twice = good_cameras, wide = good_cameras;
   opencv[12] = 4;
   check_error(parse(opencv, good_images), Errc::unsupported_feature, 8);
+  CHECK(std::string(parse(opencv, good_images).error().what).find("OPENCV with lens distortion k1") !=
+        std::string::npos);
+  CHECK(parse(opencv, good_images).error().found == 0);
+  opencv[12] = 99;
+  check_error(parse(opencv, good_images), Errc::unsupported_feature, 8);
   twice[8 + 56] = 7;
   check_error(parse(twice, good_images), Errc::bad_value, 8 + 56);
   wide[8 + 8 + 4] = 1;  // width + 2^32
@@ -241,6 +255,11 @@ TEST_CASE("COLMAP binary: counts that the file cannot hold, trailing bytes, unkn
 TEST_CASE("COLMAP text: the byte offset of what is wrong") {
   const std::string images = colmap_images_txt();
   check_error(parse_colmap_text("1 OPENCV 4 4 1 1 1 1 0 0 0 0\n", images), Errc::unsupported_feature, 0);
+  const auto radial = parse_colmap_text("1 PINHOLE 4 4 1 1 1 1\n2 RADIAL 4 4 1 1 1 0 0\n", images);
+  REQUIRE_FALSE(radial);
+  CHECK(radial.error().found == 1);
+  CHECK(std::string(radial.error().what).find("RADIAL with lens distortion k1, k2") != std::string::npos);
+  check_error(parse_colmap_text("1 MY_LENS 4 4 1 1 1 0 0\n", images), Errc::unsupported_feature, 0);
   check_error(parse_colmap_text("1 PINHOLE 4 4 1 1 1\n", images), Errc::bad_syntax, 19);
   check_error(parse_colmap_text("1 PINHOLE 4 4 1 1 1 1 1\n", images), Errc::bad_syntax, 22);
   check_error(parse_colmap_text("# x\nx PINHOLE 4 4 1 1 1 1\n", images), Errc::bad_syntax, 5);

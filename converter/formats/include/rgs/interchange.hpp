@@ -83,7 +83,7 @@ struct ReadOptions {
 
 /// Reads a whole file of any format. Memory: a constant times the size of the file (decompressed sizes are checked
 /// against it before they are allocated, see docs/INTERCHANGE.md). Values are passed on as they are stored, NaN too.
-/// Errors: those of PlyFile::open and FileView::open(); for the other formats bad_magic, unsupported_version,
+/// Errors: read_failed (also if the file is written to meanwhile); those of PlyFile::open and FileView::open(); for the other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
 /// or in meta.json).

@@ -17,18 +17,19 @@ namespace RGS_API rgs {
 
 /// A 3DGS PLY opened for random access by Gaussian; attributes are read from the mapped file when asked for.
 /// Properties are found by name (x y z, f_dc_*, f_rest_*, opacity, scale_*, rot_*), in any order and of any scalar
-/// type; other properties and elements are skipped, and what follows the vertices is not looked at. Binary (both byte
+/// type; other properties and elements are skipped, and the file must end where its header says. Binary (both byte
 /// orders) is read in place; ASCII (a line each vertex), and vertices with list properties, are converted once into
 /// rows of numbers in an unlinked temporary file in $TMPDIR. Values are passed on as they are, NaN and infinity too.
 /// Where FP32 does not hold the coordinates as they are stored (double x, y, z), means are relative to an origin in the
 /// middle of the scene: see origin().
-/// Reading is thread-safe. The file may lose its name while it is open, but must not shrink: the size is checked once,
-/// in open(), and touching a mapped page behind a new end raises SIGBUS.
+/// Reading is thread-safe. The file may lose its name while it is open, but must not change: the size is checked once, in
+/// open(), and touching a mapped page behind a new end raises SIGBUS. See check_unchanged().
 class PlyFile {
  public:
   /// Errors, header lines with their byte offset: open_failed, read_failed, write_failed (temporary file); bad_magic,
-  /// unsupported_version, bad_syntax, bad_value (a comment rgs_KEY with a value that it cannot have), limit_exceeded (header above 1 MiB); truncated (expected and found bytes; lines
-  /// in text); bad_value (negative list length); not_gaussian_splats (the missing property is named; 2DGS);
+  /// unsupported_version, bad_syntax, bad_value (a comment rgs_KEY with a value that it cannot have), limit_exceeded
+  /// (header above 1 MiB); truncated (expected and found bytes; lines in text); trailing_bytes; bad_value (negative list
+  /// length); not_gaussian_splats (the missing property is named; 2DGS);
   /// unsupported_feature (packed PLY; a number of f_rest properties that is no degree, in Error::found).
   /// Anything but a regular file is read as by open(int).
   static Result<PlyFile> open(const std::string& path);
@@ -57,6 +58,8 @@ class PlyFile {
   const Origin& origin() const;
   /// From now on means are relative to `origin`, as those of another file are; not thread-safe. |x| <= kMaxOrigin.
   void rebase(const Origin& origin);
+  /// That of MappedFile, for a file that was opened by path or descriptor.
+  Status check_unchanged() const;
 
   /// Byte at which row i starts in the source; Error::kNone if rows were converted into a temporary file.
   std::uint64_t row_offset(std::uint64_t i) const;

@@ -1,0 +1,61 @@
+// command_line.cpp - parsing of arguments, and what CLI11 lets through that no program can mean.
+// SPDX-License-Identifier: Apache-2.0
+#include "command_line.hpp"
+
+#include <cmath>
+#include <cstdlib>
+#include <string_view>
+
+#include "console.hpp"
+
+namespace rgs::tool {
+namespace {
+
+// What is wrong with an empty argument, "--option ''" or "--option="; empty if there is none.
+std::string empty_argument(int argc, const char* const* argv) {
+  for (int i = 1; i < argc; ++i) {
+    const std::string_view argument = argv[i], before = argv[i - 1];
+    const std::size_t equals = argument.find('=');
+    if (argument.starts_with("-") && equals != argument.npos && equals + 1 == argument.size())
+      return std::string(argument.substr(0, equals)) + " has an empty value";
+    if (!argument.empty()) continue;
+    return i > 1 && before.size() > 1 && before.starts_with("-") ? std::string(before) + " has an empty value"
+                                                                 : "an argument is empty";
+  }
+  return {};
+}
+
+// Ranges of CLI11 let NaN through, since it is on neither side of a limit.
+std::string number_not_finite(const CLI::App& app) {
+  for (const CLI::Option* option : app.get_options()) {
+    if (!option->get_type_name().starts_with("FLOAT")) continue;
+    for (const std::string& text : option->results()) {
+      char* end = nullptr;
+      const double value = std::strtod(text.c_str(), &end);
+      if (end != text.c_str() && !std::isfinite(value))
+        return option->get_name() + " takes a finite number, not " + text;
+    }
+  }
+  return {};
+}
+
+}  // namespace
+
+std::optional<int> parse(CLI::App& app, int argc, const char* const* argv) {
+  if (const std::string wrong = empty_argument(argc, argv); !wrong.empty()) return report_usage(wrong);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::CallForVersion& e) {
+    print(std::string(e.what()) + "\n");
+    return kSuccess;
+  } catch (const CLI::Success&) {
+    print(app.help());
+    return kSuccess;
+  } catch (const CLI::ParseError& e) {
+    return report_usage(e.what());
+  }
+  if (const std::string wrong = number_not_finite(app); !wrong.empty()) return report_usage(wrong);
+  return std::nullopt;
+}
+
+}  // namespace rgs::tool

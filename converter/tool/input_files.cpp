@@ -1,0 +1,144 @@
+// input_files.cpp - identity of files by device and inode, and their times.
+// SPDX-License-Identifier: Apache-2.0
+#include "input_files.hpp"
+
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <filesystem>
+#include <map>
+#include <string_view>
+#include <system_error>
+#include <tuple>
+
+#include "console.hpp"
+#include "rgs/file.hpp"
+
+namespace rgs::tool {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::string lower_case(std::string text) {
+  for (char& c : text) c = c >= 'A' && c <= 'Z' ? static_cast<char>(c - 'A' + 'a') : c;
+  return text;
+}
+
+// Regular files of a folder with one of these extensions, sorted.
+template <std::size_t n>
+std::vector<std::string> files_of(const fs::path& folder, const std::array<std::string_view, n>& extensions) {
+  std::vector<std::string> paths;
+  std::error_code failed;
+  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed)) {
+    std::error_code ignored;
+    if (std::ranges::find(extensions, lower_case(it->path().extension().string())) != extensions.end() &&
+        it->is_regular_file(ignored))
+      paths.push_back(it->path().string());
+  }
+  std::ranges::sort(paths);
+  return paths;
+}
+
+}  // namespace
+
+InputFiles::State InputFiles::look(const std::string& path, int standard_stream) {
+  State state;
+  struct stat info {};
+  if (path == "-") {
+    // A pipe or terminal is no file that could be written over.
+    if (::fstat(standard_stream, &info) != 0 || !S_ISREG(info.st_mode)) return state;
+  } else if (const std::string target = follow_links(path); ::stat(target.c_str(), &info) != 0) {
+    // From the innermost folder that is there: others are still to be made.
+    const fs::path place = fs::path(target).lexically_normal();
+    fs::path folder = place.parent_path();
+    while (!folder.empty() && folder != folder.root_path() && ::stat(folder.c_str(), &info) != 0)
+      folder = folder.parent_path();
+    const fs::path from = folder.empty() ? fs::path(".") : folder;
+    if (::stat(from.c_str(), &info) == 0)
+      state.identity = FileIdentity{info.st_dev, info.st_ino, place.lexically_relative(from).string()};
+    return state;
+  }
+  state.identity = FileIdentity{info.st_dev, info.st_ino, {}};
+  state.exists = true;
+  state.bytes = static_cast<std::uint64_t>(info.st_size);
+  state.modified[0] = info.st_mtim.tv_sec, state.modified[1] = info.st_mtim.tv_nsec;
+  state.status_changed[0] = info.st_ctim.tv_sec, state.status_changed[1] = info.st_ctim.tv_nsec;
+  return state;
+}
+
+void InputFiles::add(const std::string& path) {
+  if (path.empty()) return;
+  paths_.push_back(path);
+  states_.push_back(look(path, STDIN_FILENO));
+}
+
+void InputFiles::add_scene(const std::string& path) {
+  add(path);
+  const fs::path place(path);
+  if (place.filename() != "meta.json") return;
+  for (const std::string& picture :
+       files_of(place.has_parent_path() ? place.parent_path() : ".", std::array<std::string_view, 1>{".webp"}))
+    add(picture);
+}
+
+void InputFiles::add_cameras(const std::string& path) {
+  std::error_code ignored;
+  if (!fs::is_directory(path, ignored)) return add(path);
+  for (const char* inside : {"", "sparse/0", "sparse"}) {
+    for (const char* name : {"cameras.bin", "images.bin", "cameras.txt", "images.txt"}) {
+      const fs::path file = fs::path(path) / inside / name;
+      if (fs::exists(file, ignored)) add(file.string());
+    }
+  }
+}
+
+void InputFiles::add_pictures(const std::string& folder) {
+  if (folder.empty()) return;
+  constexpr std::array<std::string_view, 7> kPictures{".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".ppm"};
+  for (const std::string& picture : files_of(folder, kPictures)) add(picture);
+}
+
+std::string InputFiles::clash(std::span<const std::string> outputs) const {
+  using Key = std::tuple<std::uint64_t, std::uint64_t, std::string>;
+  std::map<Key, std::string> taken;  // what the user calls each file
+  for (std::size_t i = 0; i < paths_.size(); ++i) {
+    if (const auto& id = states_[i].identity) taken.emplace(Key(id->device, id->inode, id->name), "input " + paths_[i]);
+  }
+  bool has_stdout = false;
+  for (const std::string& output : outputs) {
+    if (output.empty()) continue;
+    if (output == "-" && std::exchange(has_stdout, true)) return "two outputs are standard output";
+    const auto id = look(output, STDOUT_FILENO).identity;
+    if (!id) continue;
+    const auto [place, is_new] = taken.emplace(Key(id->device, id->inode, id->name), "output " + output);
+    if (!is_new) return "output " + output + " is the same file as " + place->second;
+  }
+  return {};
+}
+
+int InputFiles::check_outputs(std::span<const std::string> outputs) const {
+  const std::string message = clash(outputs);
+  return message.empty() ? kSuccess : report_usage(message);
+}
+
+std::optional<std::string> InputFiles::changed() const {
+  for (std::size_t i = 0; i < paths_.size(); ++i) {
+    const State &before = states_[i], now = look(paths_[i], STDIN_FILENO);
+    if (paths_[i] == "-" || !before.exists || !now.exists) continue;
+    if (before.identity != now.identity || before.bytes != now.bytes ||
+        !std::ranges::equal(before.modified, now.modified) ||
+        !std::ranges::equal(before.status_changed, now.status_changed))
+      return paths_[i];
+  }
+  return std::nullopt;
+}
+
+int InputFiles::check_unchanged() const {
+  const auto path = changed();
+  if (!path) return kSuccess;
+  return report(*path, kFileChanged);
+}
+
+}  // namespace rgs::tool

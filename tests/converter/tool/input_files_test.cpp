@@ -1,0 +1,92 @@
+// input_files_test.cpp - which paths are one file, and which changes of a file are noticed.
+// SPDX-License-Identifier: Apache-2.0
+#include "input_files.hpp"
+
+#include <doctest/doctest.h>
+
+#include <chrono>
+#include <filesystem>
+#include <fstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "temporary_folder.hpp"
+
+using namespace rgs::tool;
+using rgs::test::TemporaryFolder;
+namespace fs = std::filesystem;
+
+namespace {
+
+void write_text(const std::string& path, const std::string& text) {
+  std::ofstream(path) << text;
+}
+
+}  // namespace
+
+TEST_CASE("names of one file clash, whether it exists or not, and others do not") {
+  const TemporaryFolder folder;
+  const std::string a = folder.file("a"), b = folder.file("b"), link = folder.file("link");
+  write_text(a, "a");
+  fs::create_symlink("b", link);  // which is still to be made
+  InputFiles inputs;
+  inputs.add(a);
+  inputs.add("");
+  const auto clash = [&](std::vector<std::string> outputs) { return inputs.clash(outputs); };
+  CHECK(clash({b, "", "", folder.file("c")}) == "");
+  CHECK(clash({folder.file("./a")}) == "output " + folder.file("./a") + " is the same file as input " + a);
+  CHECK(clash({b, link}) == "output " + link + " is the same file as output " + b);
+  CHECK(clash({b, folder.file("x/../b")}) != "");
+  CHECK(clash({folder.file("x/y/c"), folder.file("x//y/./c")}) != "");
+  CHECK(clash({folder.file("x/y/c"), folder.file("x/z/c")}) == "");
+  CHECK(clash({"-", b}) == "");
+  CHECK(clash({"-", b, "-"}) == "two outputs are standard output");
+  const fs::path before = fs::current_path();
+  fs::current_path(folder.path());
+  CHECK(clash({"a"}) != "");
+  CHECK(clash({"b", b}) != "");
+  fs::current_path(before);
+}
+
+TEST_CASE(
+    "a COLMAP model's files, a SOG's pictures and a folder's photographs are inputs; what else lies there is not") {
+  const TemporaryFolder folder;
+  for (const char* name : {"sparse/0", "photos", "sog"}) fs::create_directories(folder.path() / name);
+  for (const char* name : {"sparse/0/images.bin", "sparse/0/report.html", "photos/a.JPG", "photos/report.html",
+                           "sog/meta.json", "sog/sh0.webp", "sog/scene.ply"})
+    write_text(folder.file(name), "x");
+  InputFiles inputs;
+  inputs.add_cameras(folder.path().string());
+  inputs.add_pictures(folder.file("photos"));
+  inputs.add_scene(folder.file("sog/meta.json"));
+  CHECK(inputs.paths() == std::vector{folder.file("sparse/0/images.bin"), folder.file("photos/a.JPG"),
+                                      folder.file("sog/meta.json"), folder.file("sog/sh0.webp")});
+}
+
+TEST_CASE("a file that is rewritten, extended or replaced has changed; one that is gone has not") {
+  const TemporaryFolder folder;
+  const std::string path = folder.file("a"), other = folder.file("other");
+  const auto changed_by = [&](const auto& change) {
+    write_text(path, "0123456789");
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));  // beyond the tick of file times
+    InputFiles inputs;
+    inputs.add(path);
+    CHECK_FALSE(inputs.changed());
+    const auto time = fs::last_write_time(path);
+    change(time);
+    return inputs.changed() == path;
+  };
+  CHECK_FALSE(changed_by([](auto) {}));
+  CHECK_FALSE(changed_by([&](auto) { fs::remove(path); }));
+  CHECK(changed_by([&](auto) { write_text(path, "9876543210"); }));
+  CHECK(changed_by([&](auto) { std::ofstream(path, std::ios::app) << "more"; }));
+  CHECK(changed_by([&](auto time) {
+    write_text(path, "9876543210");
+    fs::last_write_time(path, time);
+  }));
+  CHECK(changed_by([&](auto) {
+    write_text(other, "0123456789");
+    fs::rename(other, path);
+  }));
+}

@@ -1,0 +1,547 @@
+// programs_test.cpp - what all programs have in common: standard streams that are closed or full, names that would act on
+// a terminal, values that no option can mean, outputs that are inputs, inputs that change, little memory, --help.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <iterator>
+#include <memory>
+#include <regex>
+#include <set>
+#include <string>
+#include <string_view>
+#include <thread>
+#include <vector>
+
+#include "edit_file.hpp"
+#include "golden_scenes.hpp"
+#include "info_escape.hpp"
+#include "ply_samples.hpp"
+#include "rgs/decode.hpp"
+#include "run_program.hpp"
+#include "skip.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+namespace fs = std::filesystem;
+
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+#define RGS_SANITIZED 1
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
+#define RGS_SANITIZED 1
+#endif
+#endif
+
+namespace {
+
+#ifdef RGS_SANITIZED
+constexpr bool kSanitized = true;
+#else
+constexpr bool kSanitized = false;
+#endif
+
+using Arguments = std::vector<std::string>;
+
+const Arguments kPrograms{RGS_PROGRAMS};  // paths, by CMake
+
+std::string program(const std::string& name) {
+  for (const std::string& path : kPrograms)
+    if (fs::path(path).filename() == name) return path;
+  return {};
+}
+
+void write_text(const std::string& path, std::string_view text) {
+  std::ofstream(path, std::ios::binary) << text;
+}
+
+std::string read_text(const std::string& path) {
+  std::ifstream in(path, std::ios::binary);
+  return {std::istreambuf_iterator<char>(in), {}};
+}
+
+constexpr const char* kCameras = R"([{"name":"a.jpg","split":"test","width":32,"height":24,"fx":30,"fy":30,)"
+                                 R"("world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,8],[0,0,0,1]]}])";
+
+// A folder with a scene as PLY and as .rgs, and cameras.
+struct Scene {
+  explicit Scene(std::uint64_t n = 300)
+      : ply(folder.file("scene.ply")), rgs(folder.file("scene.rgs")), cameras(folder.file("cameras.json")) {
+    std::vector<Splat> splats;
+    const SplatCloud cloud = golden_cloud(n, 1, 5);
+    for (std::uint64_t i = 0; i < n; ++i) splats.push_back(cloud.view().splat(i));
+    write_text(ply, binary_ply(splats, 1));
+    write_text(cameras, kCameras);
+    REQUIRE(run_program({program("rgs-convert"), "--quiet", "--no-sync", ply, rgs}).exit_code == 0);
+  }
+  TemporaryFolder folder;
+  std::string ply, rgs, cameras;
+
+  std::string file(const std::string& name) const { return folder.file(name); }
+  // A run of each program that succeeds and prints to both streams; the output, if there is one, is `out`.
+  std::vector<Arguments> runs(const std::string& out) const {
+    std::vector<Arguments> all{
+        {program("rgs-convert"), "--overwrite", "--no-sync", ply, out + ".rgs"},
+        {program("rgs-info"), rgs},
+        {program("rgs-audit"), ply, rgs, "--no-render", "--overwrite", "-o", out + ".html"},
+        {program("rgs-prune"), ply, out + ".ply", "-c", cameras, "--keep", "50%", "--overwrite", "--no-sync"},
+        {program("rgs-render"), rgs, "-o", out + ".png", "-c", cameras, "--overwrite", "--backend", "cpu"},
+        {program("rgs-make-scene"), out + ".ply", "--gaussians", "100", "--overwrite", "--no-sync"}};
+    std::erase_if(all, [](const Arguments& a) { return a.front().empty(); });
+    return all;
+  }
+};
+
+// What would act on a terminal, mislead its reader, or is no text.
+std::string harmful(const std::string& text) {
+  std::string lines;
+  // Line ends are ours; everything else has to be as if escaped, which doubles backslashes.
+  for (const char c : text)
+    if (c != '\n' && c != '\\') lines += c;
+  const std::string escaped = tool::escape_untrusted(lines, false, ~std::size_t{0});
+  return escaped == lines ? "" : escaped;
+}
+
+const std::string kHostile = "x\x1b]0;t\a\x1b[2J\x7f\xe2\x80\xae\xe2\x81\xa6\xe2\x80\x8f\xff\xc2\x9b y\r.ply";
+
+std::function<void()> closed(std::initializer_list<int> streams) {
+  return [streams = std::vector<int>(streams)] {
+    for (const int fd : streams) ::close(fd);
+  };
+}
+
+std::function<void()> full(int stream) {
+  return [stream] { ::dup2(::open("/dev/full", O_WRONLY), stream); };
+}
+
+// Options with values that a program's --help lists, with what stands beside them.
+struct Option {
+  std::string name, text;
+};
+std::vector<Option> options_of(const std::string& path) {
+  std::vector<Option> options;
+  std::istringstream help(run_program({path, "--help"}).out);
+  const std::regex line(R"(^\s+(?:-\w,)?(--[a-z-]+) (\S.*)$)");
+  for (std::string text; std::getline(help, text);) {
+    std::smatch found;
+    // A flag's text begins behind columns of spaces; a value's type or text right behind the name.
+    if (std::regex_match(text, found, line) && found[2].str().front() != ' ') options.push_back({found[1], found[2]});
+  }
+  return options;
+}
+
+std::set<std::string> names_in(const fs::path& folder) {
+  std::set<std::string> names;
+  for (const auto& entry : fs::directory_iterator(folder)) names.insert(entry.path().filename().string());
+  return names;
+}
+
+}  // namespace
+
+TEST_CASE("every --help lists the exit codes and what the program reads") {
+  for (const std::string& path : kPrograms) {
+    CAPTURE(path);
+    const ProgramResult help = run_program({path, "--help"});
+    CHECK(help.exit_code == 0);
+    CHECK(help.err.empty());
+    const std::string name = fs::path(path).filename().string();
+    const std::size_t codes = help.out.find("Exit codes: 0 ");
+    REQUIRE(codes != help.out.npos);
+    for (const char* code : {" 1 ", " 2 ", " 3 "}) CHECK(help.out.find(code, codes) != help.out.npos);
+    CHECK((help.out.find(" 4 ", codes) != help.out.npos) == (name != "rgs-make-scene"));
+    if (name == "rgs-convert" || name == "rgs-audit" || name == "rgs-prune" || name == "rgs-render") {
+      for (const char* format : {".rgs", " .ply", ".compressed.ply", ".spz", ".splat", ".ksplat", ".sog", ".glb"}) {
+        CAPTURE(format);
+        CHECK(help.out.find(format) != help.out.npos);
+      }
+    }
+    const ProgramResult version = run_program({path, "--version"});
+    CHECK(version.exit_code == 0);
+    CHECK(version.out.starts_with(name + " "));
+  }
+}
+
+TEST_CASE("what cannot be written to a standard stream is exit code 3") {
+  const Scene scene;
+  for (const Arguments& run : scene.runs(scene.file("out"))) {
+    CAPTURE(run.front());
+    for (const char* option : {"--help", "--version"}) {
+      CAPTURE(option);
+      CHECK(run_program({run.front(), option}, full(STDOUT_FILENO)).exit_code == 3);
+      CHECK(run_program({run.front(), option}, closed({STDOUT_FILENO})).exit_code == 3);
+    }
+    CHECK(run_program(run).exit_code == 0);
+    const ProgramResult on_full = run_program(run, full(STDOUT_FILENO));
+    CHECK(on_full.exit_code == 3);
+    CHECK(on_full.err.find("No space left on device") != std::string::npos);
+    CHECK(run_program(run, closed({STDOUT_FILENO})).exit_code == 3);
+    CHECK(run_program(run, closed({STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO})).exit_code == 3);
+    if (fs::path(run.front()).filename() != "rgs-info") {  // it prints no progress
+      CHECK(run_program(run, closed({STDERR_FILENO})).exit_code == 3);
+      CHECK(run_program(run, full(STDERR_FILENO)).exit_code == 3);
+    }
+    // Refusals keep their code when nobody can read them.
+    for (const auto& prepare : {closed({STDERR_FILENO}), closed({STDOUT_FILENO, STDERR_FILENO}), full(STDERR_FILENO)}) {
+      CHECK(run_program({run.front(), "--no-such-option"}, prepare).exit_code == 2);
+    }
+  }
+  for (const std::string& path : kPrograms) {
+    CAPTURE(path);
+    CHECK(run_program({path, "--help"}, full(STDOUT_FILENO)).exit_code == 3);
+    CHECK(run_program({path, "--help"}, closed({STDOUT_FILENO})).exit_code == 3);
+  }
+}
+
+TEST_CASE("JSON that cannot be written is exit code 3") {
+  const Scene scene;
+  for (Arguments run : scene.runs(scene.file("out"))) {
+    const std::string name = fs::path(run.front()).filename().string();
+    CAPTURE(name);
+    if (name == "rgs-make-scene") continue;
+    run.push_back("--json");
+    if (name == "rgs-audit") run.push_back("-");
+    CHECK(run_program(run).exit_code == 0);
+    CHECK(run_program(run, full(STDOUT_FILENO)).exit_code == 3);
+    CHECK(run_program(run, closed({STDOUT_FILENO})).exit_code == 3);
+  }
+}
+
+TEST_CASE("messages never get into an output") {
+  const Scene scene;
+  const std::string out = scene.file("o");
+  for (const Arguments& run : scene.runs(out)) {
+    CAPTURE(run.front());
+    const auto content = [&] {
+      std::string all;
+      for (const char* end : {".rgs", ".html", ".ply", ".png"}) all += read_text(out + end);
+      // Reports state how long it took.
+      return fs::path(run.front()).filename() == "rgs-audit" ? std::string() : all;
+    };
+    REQUIRE(run_program(run).exit_code == 0);
+    const std::string expected = content();
+    for (const auto& prepare : {closed({STDERR_FILENO}), closed({STDOUT_FILENO, STDERR_FILENO}),
+                                closed({STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO}), closed({STDIN_FILENO})}) {
+      const ProgramResult result = run_program(run, prepare);
+      CHECK(result.signal == 0);
+      CHECK((result.exit_code == 0 || result.exit_code == 3));
+      CHECK(content() == expected);
+    }
+  }
+  CHECK(std::ranges::none_of(names_in(scene.folder.path()),
+                             [](const std::string& name) { return name.find(".tmp-") != name.npos; }));
+}
+
+TEST_CASE("an output to standard output that is closed or full is exit code 3") {
+  const Scene scene;
+  const Arguments run{program("rgs-convert"), "--quiet", "--to", "rgs", scene.ply, "-"};
+  CHECK(run_program(run).exit_code == 0);
+  CHECK(run_program(run, closed({STDOUT_FILENO})).exit_code == 3);
+  CHECK(run_program(run, full(STDOUT_FILENO)).exit_code == 3);
+  CHECK(
+      run_program({program("rgs-convert"), "--quiet", "-", scene.file("out.rgs")}, closed({STDIN_FILENO})).exit_code ==
+      3);
+}
+
+TEST_CASE("names and values from outside are printed without effect on a terminal") {
+  const Scene scene;
+  const std::string hostile = scene.file(kHostile), link = scene.file("\x1b[31mrgs");
+  fs::copy_file(scene.ply, hostile);
+  for (const std::string& path : kPrograms) {
+    CAPTURE(path);
+    const auto check = [&](const Arguments& arguments, const std::string& under = {}) {
+      Arguments run{under.empty() ? path : under};
+      run.insert(run.end(), arguments.begin(), arguments.end());
+      const ProgramResult result = run_program(run);
+      CAPTURE(arguments);
+      CHECK(harmful(result.err) == "");
+      CHECK(harmful(result.out) == "");
+      return result.exit_code;
+    };
+    CHECK(check({"--" + kHostile}) == 2);
+    CHECK(check({kHostile}) != 0);
+    check({kHostile, kHostile});
+    check({kHostile + "1", kHostile + "2", kHostile + "3"});
+    const bool makes = fs::path(path).filename() == "rgs-make-scene";
+    for (const Option& option : options_of(path)) {
+      CAPTURE(option.name);
+      // With all else as it should be, so that the value is looked at.
+      Arguments run{scene.ply, scene.file("o.rgs"), option.name, kHostile};
+      if (makes) run.erase(run.begin());
+      if (option.name != "--cameras") run.insert(run.end(), {"--cameras", scene.cameras});
+      check(run);
+    }
+    fs::remove(link);
+    fs::create_symlink(path, link);  // the name under which a program is called
+    CHECK(check({"--no-such-option"}, link) == 2);
+  }
+  // With files that are there, so that summaries print them.
+  Scene other;
+  fs::rename(other.ply, other.file(kHostile));
+  other.ply = other.file(kHostile);
+  fs::rename(other.rgs, other.file(kHostile + ".rgs"));
+  other.rgs = other.file(kHostile + ".rgs");
+  for (Arguments run : other.runs(other.file("\x1b\xe2\x80\xae\xff"))) {
+    CAPTURE(run.front());
+    for (const bool json : {false, true}) {
+      if (json && fs::path(run.front()).filename() == "rgs-make-scene") continue;
+      if (json) run.push_back("--json");
+      if (json && fs::path(run.front()).filename() == "rgs-audit") run.push_back("-");
+      const ProgramResult result = run_program(run);
+      CAPTURE(result.err);
+      CHECK(result.exit_code == 0);
+      CHECK(harmful(result.err) == "");
+      CHECK(harmful(result.out) == "");
+    }
+  }
+}
+
+TEST_CASE("no option takes an empty value, and none that takes a number takes one that is not finite") {
+  const Scene scene;
+  int n_numbers = 0;
+  for (const std::string& path : kPrograms) {
+    CAPTURE(path);
+    for (const Option& option : options_of(path)) {
+      CAPTURE(option.name);
+      const bool apart = option.name.size() % 2 == 0;  // either way by turns: each run takes its time
+      Arguments run{path, scene.ply, scene.file("never.ply"), apart ? option.name : option.name + "="};
+      if (apart) run.emplace_back();
+      const ProgramResult result = run_program(run);
+      CHECK(result.exit_code == 2);
+      CHECK(result.err.find(option.name) != std::string::npos);
+      if (option.text.find("FLOAT") == std::string::npos) continue;
+      ++n_numbers;
+      for (const char* value : {"nan", "inf", "-Infinity"}) {
+        CAPTURE(value);
+        CHECK(run_program(
+                  {path, scene.ply, scene.file("never.ply"), "--cameras", scene.cameras, option.name + "=" + value})
+                  .exit_code == 2);
+      }
+    }
+    CHECK(run_program({path, ""}).exit_code == 2);
+  }
+  CHECK(n_numbers > 10);
+  CHECK_FALSE(fs::exists(scene.file("never.ply")));
+}
+
+TEST_CASE("an output that is an input or another output is refused, whatever its name") {
+  const Scene scene;
+  const std::string hard = scene.file("hard.ply"), soft = scene.file("soft.ply"), around = scene.file("f/../scene.ply"),
+                    hard_rgs = scene.file("hard.rgs"), json = scene.file("link.json"), photos = scene.file("photos"),
+                    dangling = scene.file("dangling.ply"), sog = scene.file("sog"), folder_link = scene.file("here");
+  fs::create_directory(scene.file("f"));
+  fs::create_directory(photos);
+  fs::create_directory(sog);
+  fs::create_hard_link(scene.ply, hard);
+  fs::create_hard_link(scene.rgs, hard_rgs);
+  fs::create_symlink("scene.ply", soft);
+  fs::create_symlink("new.ply", dangling);
+  fs::create_symlink(scene.folder.path(), folder_link);
+  fs::create_hard_link(scene.cameras, json);
+  write_text(photos + "/a.png", "a photograph");
+  write_text(sog + "/meta.json", "{}");
+  write_text(sog + "/means_l.webp", "a picture");
+  const std::string convert = program("rgs-convert"), audit = program("rgs-audit"), prune = program("rgs-prune"),
+                    render = program("rgs-render"), make = program("rgs-make-scene"), bench = program("rgs-bench");
+  std::vector<Arguments> runs{
+      {convert, scene.ply, scene.ply, "--to", "rgs"},
+      {convert, scene.ply, hard, "--to", "rgs"},
+      {convert, scene.ply, soft, "--to", "rgs"},
+      {convert, scene.ply, around, "--to", "rgs"},
+      {convert, scene.ply, folder_link + "/scene.ply", "--to", "rgs"},
+      {convert, scene.ply, scene.cameras, "--to", "rgs", "--cameras", scene.cameras},
+      {convert, scene.ply, json, "--to", "rgs", "--cameras", scene.cameras},
+      {convert, "--merge", scene.rgs, scene.ply, hard, "--to", "rgs"},
+      {convert, sog + "/meta.json", sog + "/means_l.webp", "--to", "ply"},
+      {audit, scene.ply, scene.rgs, "--report", scene.ply},
+      {audit, scene.ply, scene.rgs, "--report", hard},
+      {audit, scene.ply, scene.rgs, "--json", hard_rgs},
+      {audit, scene.ply, scene.rgs, "--report", scene.file("x"), "--json", scene.file("x")},
+      {audit, scene.ply, scene.rgs, "--report", scene.file("x"), "--json", scene.file("f/../x")},
+      {audit, scene.ply, scene.rgs, "--report", scene.file("x"), "--json", folder_link + "/x"},
+      {audit, scene.ply, scene.rgs, "--report", json, "--cameras", scene.cameras},
+      {audit, scene.ply, scene.rgs, "--report", photos + "/a.png", "--cameras", scene.cameras, "--photos", photos},
+      {audit, scene.ply, scene.rgs, "--report", soft, "--also", scene.ply},
+      {prune, scene.ply, hard, "--cameras", scene.cameras, "--keep", "50%"},
+      {prune, scene.ply, scene.file("p.ply"), "--cameras", scene.cameras, "--keep", "50%", "--scores", hard},
+      {prune, scene.ply, scene.file("p.ply"), "--cameras", scene.cameras, "--keep", "50%", "--scores", json},
+      {prune, scene.ply, scene.file("p.ply"), "--cameras", scene.cameras, "--keep", "50%", "--scores",
+       scene.file("f/../p.ply")},
+      {prune, scene.ply, scene.file("new.ply"), "--cameras", scene.cameras, "--keep", "50%", "--scores", dangling},
+      {render, scene.rgs, "--out", scene.file("x.exr"), "--depth", scene.file("f/../x.exr"), "--backend", "cpu"},
+      {make, scene.file("m.ply"), "--gaussians", "10", "--cameras", scene.file("f/../m.ply")},
+      {bench, scene.rgs, "--cameras", scene.cameras, "--json", json},
+      {bench, scene.rgs, "--cameras", scene.cameras, "--csv", scene.rgs},
+      {bench, scene.rgs, "--cameras", scene.cameras, "--csv", scene.file("x"), "--svg", folder_link + "/x"},
+      {bench, scene.rgs, "--cameras", scene.cameras, "--csv", "-", "--json", "-"},
+  };
+  // A picture in place of the scene: its content decides what a scene is.
+  const std::string picture = scene.file("scene.png");
+  fs::create_hard_link(scene.rgs, picture);
+  runs.push_back({render, scene.rgs, "--out", picture, "--backend", "cpu"});
+  runs.push_back({render, scene.rgs, "--out", scene.file("y.png"), "--depth", scene.file("y.exr"), "--cameras",
+                  scene.cameras, "--backend", "cpu"});  // the only one that is right
+  const std::string ply = read_text(scene.ply), rgs = read_text(scene.rgs);
+  for (std::size_t i = 0; i < runs.size(); ++i) {
+    Arguments run = runs[i];
+    if (run.front().empty()) continue;
+    run.push_back("--overwrite");
+    CAPTURE(run);
+    const std::set<std::string> before = names_in(scene.folder.path());
+    const ProgramResult result = run_program(run);
+    CAPTURE(result.err);
+    if (i + 1 == runs.size()) {
+      CHECK(result.exit_code == 0);
+      continue;
+    }
+    CHECK(result.exit_code == 2);
+    CHECK((result.err.find("is the same file as") != std::string::npos ||
+           result.err.find("both need standard output") != std::string::npos ||
+           result.err.find("two outputs are standard output") != std::string::npos));
+    CHECK(names_in(scene.folder.path()) == before);
+    CHECK(read_text(scene.ply) == ply);
+    CHECK(read_text(scene.rgs) == rgs);
+    CHECK(read_text(scene.cameras) == kCameras);
+    CHECK(read_text(photos + "/a.png") == "a photograph");
+  }
+}
+
+TEST_CASE("a file behind a standard stream is an input or output like any other") {
+  const Scene scene;
+  const std::string quoted = "'" + program("rgs-convert") + "' --quiet --no-sync --overwrite ";
+  const std::string before = read_text(scene.ply);
+  CHECK(run_shell(quoted + "--to rgs - '" + scene.ply + "' <'" + scene.ply + "'").exit_code == 2);
+  CHECK(run_shell(quoted + "--to rgs '" + scene.ply + "' - >>'" + scene.ply + "'").exit_code == 2);
+  CHECK(read_text(scene.ply) == before);
+}
+
+TEST_CASE("reports of folders write over none of their inputs") {
+  const Scene scene;
+  const std::string sources = scene.file("ply"), assets = scene.file("rgs"), cameras = scene.file("views");
+  for (const std::string& folder : {sources, assets, cameras}) fs::create_directory(folder);
+  fs::copy_file(scene.ply, sources + "/garden.ply");
+  fs::copy_file(scene.rgs, assets + "/garden.rgs");
+  fs::copy_file(scene.cameras, cameras + "/garden.json");
+  const auto audit = [&](const std::string& report) {
+    return run_program({program("rgs-audit"), sources, assets, "--cameras", cameras, "--report", report, "--overwrite",
+                        "--quiet", "--backend", "cpu"});
+  };
+  const ProgramResult refused = audit(cameras);
+  CHECK(refused.exit_code == 2);
+  CHECK(refused.err.find("garden.json") != std::string::npos);
+  CHECK(read_text(cameras + "/garden.json") == kCameras);
+  fs::copy_file(scene.ply, sources + "/index.ply");
+  fs::copy_file(scene.rgs, assets + "/index.rgs");
+  CHECK(audit(scene.file("out")).exit_code == 2);  // the pair's page would be the table's
+}
+
+TEST_CASE("an input that changes or shrinks while it is read is exit code 3") {
+  const Scene scene(kSanitized ? 20'000 : 200'000);
+  const std::string out = scene.file("out"), ply = read_text(scene.ply), rgs = read_text(scene.rgs);
+  for (const bool shrink : {false, true}) {
+    for (const Arguments& run : scene.runs(out)) {
+      const std::string name = fs::path(run.front()).filename().string();
+      if (name == "rgs-make-scene") continue;  // it reads nothing
+      CAPTURE(name);
+      CAPTURE(shrink);
+      Arguments command = run;
+      if (name == "rgs-info") command.insert(command.end(), {"--verify", "--stats"});
+      const std::string& input = run[1] == "--overwrite" ? scene.ply : run[1];
+      const std::string content = input == scene.ply ? ply : rgs;
+      bool caught = false;
+      for (int attempt = 0; attempt < 20 && !caught; ++attempt) {
+        write_text(input, content);
+        Program child(command);
+        const std::string maps = "/proc/" + std::to_string(child.id()) + "/maps";
+        while (child.running() && read_text(maps).find(input) == std::string::npos) {
+        }
+        child.send(SIGSTOP);
+        siginfo_t info{};
+        ::waitid(P_PID, static_cast<id_t>(child.id()), &info, WEXITED | WSTOPPED | WNOWAIT);
+        caught = info.si_code == CLD_STOPPED;
+        if (!caught) continue;
+        if (shrink) {
+          fs::resize_file(input, content.size() / 8);
+        } else {
+          std::fstream file(input, std::ios::binary | std::ios::in | std::ios::out);
+          file.seekp(static_cast<std::streamoff>(content.size() / 2));
+          file << std::string(content.size() / 4, '\x40');
+        }
+        child.send(SIGCONT);
+        const ProgramResult result = child.wait();
+        CAPTURE(result.err);
+        CHECK(result.signal == 0);
+        CHECK(result.exit_code == 3);
+      }
+      CHECK(caught);
+      write_text(input, content);
+    }
+  }
+  CHECK(std::ranges::none_of(names_in(scene.folder.path()),
+                             [](const std::string& name) { return name.find(".tmp-") != name.npos; }));
+}
+
+TEST_CASE("a program that gets no more memory says so with exit code 3") {
+  if (kSanitized) return skip("sanitizers take memory of their own");
+  const Scene scene(200'000);
+  for (const Arguments& run : scene.runs(scene.file("out"))) {
+    const std::string name = fs::path(run.front()).filename().string();
+    if (name == "rgs-info" || name == "rgs-make-scene") continue;  // little memory is enough for any size
+    CAPTURE(name);
+    const auto within = [](rlim_t megabytes) {
+      return [megabytes] {
+        const rlimit limit{megabytes << 20, megabytes << 20};
+        ::setrlimit(RLIMIT_DATA, &limit);
+      };
+    };
+    // What the libraries need before main() is not ours to report.
+    rlim_t least = 8;
+    while (run_program({run.front(), "--help"}, within(least)).exit_code != 0) REQUIRE((least += 8) < 512);
+    bool told = false;
+    for (const rlim_t more : {0U, 4U, 8U, 12U, 16U, 24U, 32U}) {
+      CAPTURE(more);
+      const ProgramResult result = run_program(run, within(least + more));
+      CAPTURE(result.err);
+      CHECK(result.signal == 0);
+      CHECK((result.exit_code == 0 || result.exit_code == 3));
+      if (result.exit_code == 3) CHECK(result.err.find("[host_out_of_memory]") != std::string::npos);
+      told = told || result.exit_code == 3;
+    }
+    CHECK(told);
+  }
+}
+
+TEST_CASE("a refused value is answered with those that are right") {
+  const Scene scene;
+  const auto refused = [&](const Arguments& arguments, const char* choice) {
+    const ProgramResult result = run_program(arguments);
+    CAPTURE(result.err);
+    CHECK(result.exit_code == 2);
+    CHECK(result.err.find(choice) != std::string::npos);
+    CHECK(result.err.find("Could not convert") == std::string::npos);
+  };
+  const Arguments convert{program("rgs-convert"), scene.ply, scene.file("out.rgs")};
+  const auto with = [](Arguments run, const char* option, const char* value) {
+    run.insert(run.end(), {option, value});
+    return run;
+  };
+  refused(with(convert, "--to", "html"), "compressed.ply");
+  refused(with(convert, "--to", "1"), "compressed.ply");
+  refused(with(convert, "--from", "obj"), "ksplat");
+  refused(with(convert, "--on-bad", "ignore"), "repair");
+  refused(with(convert, "--depth-map", "cubic"), "linear");
+  refused(with(convert, "--colour-space", "aces"), "srgb");
+  const Arguments prune{program("rgs-prune"), scene.ply, scene.file("out.rgs"), "--cameras", scene.cameras};
+  refused(with(prune, "--score", "mean"), "max");
+  refused({program("rgs-audit"), scene.ply, scene.rgs, "--backend", "metal"}, "cuda");
+  if (!program("rgs-render").empty())
+    refused({program("rgs-render"), scene.rgs, "-o", scene.file("o.png"), "--mode", "fast"}, "turbo");
+}
