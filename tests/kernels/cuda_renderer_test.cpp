@@ -714,6 +714,42 @@ TEST_CASE("more pairs than the workspace holds: the frame is the one of a worksp
   }
 }
 
+TEST_CASE("cells of many Gaussians are blended in segments: the picture is the CPU's, the same on every run") {
+  if (!device_answers()) return;
+  // Far less than a pixel wide, so that a pixel is met by one in a hundred of its cell's; transmittance then lasts for some
+  // of the segments, for all, or for none after the first.
+  const int n = small_sizes() ? 12000 : 200000;
+  const Camera camera = front_camera(90, 50);
+  for (const double opacity : {0.5, 0.02, 0.0045}) {
+    CAPTURE(opacity);
+    Random random(41);
+    std::vector<Splat> splats;
+    for (int i = 0; i < n; ++i) {
+      const double z = random.uniform(40, 60);
+      splats.push_back(splat_at(random.uniform(-0.15, 0.15) * z, random.uniform(-0.1, 0.1) * z, z, 1e-3, opacity,
+                                static_cast<float>(random.uniform(0, 1))));
+    }
+    const Scene scene = scene_of(cloud_of(splats));
+    const DeviceScene uploaded = upload(scene);
+    Device device(camera);
+    for (const std::size_t m : {kTurbo, kTurboFp32}) {
+      CAPTURE(kModes[m]);
+      require_ok(device.render(uploaded, modes()[m]));
+      const auto rgb = device.rgb(), alpha = device.alpha();
+      const Frame host = cpu_frame(scene, camera, modes()[m]);
+      const double quality = psnr(rgb, host.rgb), error = largest_difference(rgb, host.rgb);
+      MESSAGE(kModes[m], ", opacity ", opacity, ": ", quality, " dB, at most ", 255 * error, "/255 off the CPU");
+      CHECK(quality >= lowest_psnr(modes()[m]));
+      CHECK(error <= largest_error(modes()[m]));
+      for (int run = 0; run < 10; ++run) {
+        require_ok(device.render(uploaded, modes()[m]));
+        check_same(device.rgb(), rgb);
+        check_same(device.alpha(), alpha);
+      }
+    }
+  }
+}
+
 TEST_CASE("above 2^31 pairs: limit_exceeded, and the renderer goes on") {
   if (!device_answers()) return;
   if (small_sizes()) return skip("RGS_TEST_SMALL is set");

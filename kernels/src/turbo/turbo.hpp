@@ -11,6 +11,13 @@
 #include "sorted/front_end.hpp"
 #include "turbo/turbo_geometry.hpp"
 
+#ifndef RGS_TURBO_FRONT_SHARE
+#define RGS_TURBO_FRONT_SHARE 512
+#endif
+#ifndef RGS_TURBO_SEGMENT
+#define RGS_TURBO_SEGMENT 1024
+#endif
+
 namespace rgs::cuda {
 
 /// Entries begin .. begin + n - 1 of one tile, written by one block.
@@ -85,6 +92,41 @@ RGS_HD constexpr std::uint32_t turbo_shares(std::uint32_t n) {
   return shares < kTurboRound / 2 ? shares : kTurboRound / 2;
 }
 
+/// A cell of more Gaussians than a block blends: what is left after the front, if any transmittance is, is blended in
+/// segments side by side, each as if nothing lay before it. Transmittance is associative: two segments become one, and that
+/// goes behind what lies before it once this is there. Segments come in waves of 1, 2, 4, ...: when one is begun, it is mostly
+/// known whether those before have left any transmittance.
+struct alignas(16) TurboLongCell {
+  std::uint32_t cell;           ///< of TurboArrays::cells
+  std::uint32_t front;          ///< Gaussians before the first segment
+  std::uint32_t n_segments;     ///< 1 or more
+  std::uint32_t segment_n;      ///< Gaussians of a segment, fewer in the last
+  std::uint32_t first_segment;  ///< of TurboArrays::segment_pixels and segment_done
+  std::uint32_t waves_done;     ///< a bit each
+  std::uint32_t lock;           ///< 1 while a block puts waves behind each other
+  std::uint32_t n_joined;       ///< waves that are, in turn
+  std::uint32_t is_opaque;      ///< nothing that comes after them shows; 1 also once all are joined
+  std::uint32_t unused[3];
+};
+inline constexpr std::uint32_t kTurboSegment =
+    RGS_TURBO_SEGMENT;  ///< Gaussians of a segment, or more where there are many
+inline constexpr std::uint32_t kTurboWaves = 10;
+inline constexpr std::uint32_t kTurboMaxSegments = (1u << kTurboWaves) - 1;  ///< of a cell
+/// Gaussians of a cell that its own block blends, of a frame with so many in all cells: as many as keep all blocks of a large
+/// device busy, for segments cost more.
+RGS_HD constexpr std::uint32_t turbo_front(std::uint64_t in_cells) {
+  const std::uint64_t share = in_cells / RGS_TURBO_FRONT_SHARE / kTurboSegment * kTurboSegment;
+  return share > kTurboSegment ? static_cast<std::uint32_t>(share) : kTurboSegment;
+}
+struct TurboSegment {
+  std::uint32_t long_cell, in_cell;
+};
+/// What a segment adds to a pixel, and what it lets through.
+struct alignas(16) TurboPixel {
+  float r, g, b, transmittance;
+};
+static_assert(kTurboSegment % 128 == 0);
+
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
 inline constexpr int kTurboClasses = 32;
 /// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
@@ -108,6 +150,10 @@ struct TurboState {
   std::uint32_t n_long_lists, n_slices, n_units;
   std::uint32_t n_taken;   ///< units that a block has begun
   std::uint64_t in_cells;  ///< Gaussians of all cells, written or not
+  std::uint32_t n_long_cells, n_segments;
+  std::uint32_t n_segments_taken;  ///< that a block has begun
+  std::uint32_t unused[3];
+  std::uint32_t wave_size[kTurboWaves];
   std::uint32_t class_size[kTurboClasses];
 
   /// With a TurboCount of each tile.
@@ -136,7 +182,35 @@ struct TurboArrays {
   std::uint32_t* classes;         ///< [kTurboClasses, n_tiles] tiles of each class
   TurboCell* cells;               ///< [n_tiles, kTurboCells] tiles in the order of their classes
   std::uint32_t* cell_gaussians;  ///< [cell_capacity]
+  TurboLongCell* long_cells;      ///< [TurboLongCellSizes::cells]
+  TurboPixel* long_cell_pixels;   ///< [cells, pixels of a cell] colour and transmittance of what is joined
+  TurboPixel* segment_pixels;     ///< [segments, pixels of a cell] of a segment alone
+  std::uint32_t* segment_done;    ///< [segments]
+  TurboSegment* waves;            ///< [kTurboWaves, segments]
   std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
+};
+
+/// How many long cells and segments there can be at most among so many Gaussians of cells.
+struct TurboLongCellSizes {
+  std::uint64_t cells, segments;
+  static constexpr std::uint64_t kPixels = kTurboCellWidth * kTurboCellHeight;
+
+  static constexpr TurboLongCellSizes of(std::uint64_t in_cells) {
+    return {in_cells / kTurboSegment, in_cells / kTurboSegment};
+  }
+  constexpr std::uint64_t bytes() const {
+    return cells * (sizeof(TurboLongCell) + 16 * kPixels) +
+           segments * (16 * kPixels + 4 + kTurboWaves * sizeof(TurboSegment));
+  }
+  /// One after the other in `memory`, of so many bytes.
+  void lay_out(void* memory, TurboArrays& to) const {
+    if (memory == nullptr) return;
+    to.long_cells = static_cast<TurboLongCell*>(memory);
+    to.long_cell_pixels = reinterpret_cast<TurboPixel*>(to.long_cells + cells);
+    to.segment_pixels = to.long_cell_pixels + cells * kPixels;
+    to.waves = reinterpret_cast<TurboSegment*>(to.segment_pixels + segments * kPixels);
+    to.segment_done = reinterpret_cast<std::uint32_t*>(to.waves + kTurboWaves * segments);
+  }
 };
 
 /// How many long lists, and parts of them, there can be at most among so many entries and runs.

@@ -142,10 +142,10 @@ struct DepthRange {
   }
 };
 
-// Orders keys of the s.n entries, bits from `from` on above and position below: kKeys a lane by warps, then merged. Where
-// they are then.
+// Orders keys of the s.n entries, depth and index without their last `shift` bits above and position below: kKeys a lane by
+// warps, then merged. Where they are then.
 template <std::uint32_t kKeys>
-__device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t low, int shift, int position_bits) {
+__device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shift, int position_bits) {
   constexpr std::uint32_t kWarpKeys = 32 * kKeys;
   const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
   const std::uint32_t total =
@@ -155,8 +155,8 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t lo
 #pragma unroll
     for (std::uint32_t k = 0; k < kKeys; ++k) {
       const std::uint32_t position = kWarpKeys * warp + 32 * k + lane;
-      const auto value = static_cast<std::uint32_t>(s.entries[position] >> from);
-      key[k] = position < s.n ? (value - low) >> shift << position_bits | position : ~0u;
+      const auto value = static_cast<std::uint32_t>(((s.entries[position] >> kTurboCellBits) - low) >> shift);
+      key[k] = position < s.n ? value << position_bits | position : ~0u;
     }
     if (kWarpKeys * warp < s.n) sort_warp(key);
     store_keys(key, s.exchange[0] + kWarpKeys * warp + kKeys * lane);
@@ -171,24 +171,21 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, int from, std::uint32_t lo
 }
 
 // Position of each of the s.n entries in the order of the entries, into s.order. Keys of 32 bits are ordered first. Their
-// depth is relative to the list's own range and may have lost its last bits: neighbours of equal depth are then put right
-// by looking at the entries themselves. `range` is that of the depths that the thread has seen.
+// depth is relative to the list's own range; what it leaves of the key tells equal depths apart by the first bits of the
+// index, since far away many depths are equal. Neighbours of equal keys are then put right by looking at the entries
+// themselves. `range` is that of the depths that the thread has seen.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
   range.combine(s);
-  int from = kTurboIndexBits + kTurboCellBits;
-  if (range.low == range.high) {  // one depth: by index
-    from = kTurboCellBits;
-    range.low = static_cast<std::uint32_t>(s.entries[0] >> from) & ~static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
-    range.high = range.low + static_cast<std::uint32_t>(kMaxTurboGaussians - 1);
-  }
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
   s.positions = positions;  // the same from all threads
-  const int shift = math::max(0, 32 - __clz(static_cast<int>(range.high - range.low + 1)) - (32 - position_bits));
+  const std::uint64_t low = std::uint64_t{range.low} << kTurboIndexBits;
+  const int bits = 32 - __clz(static_cast<int>(range.high - range.low + 1)) + kTurboIndexBits;
+  const int shift = math::max(0, bits - (32 - position_bits));
   // Short lists are spread over more warps: all wait for the last.
-  std::uint32_t* const order = s.n <= 4 * kThreads ? sort_keys<4>(s, from, range.low, shift, position_bits)
-                                                   : sort_keys<8>(s, from, range.low, shift, position_bits);
+  std::uint32_t* const order =
+      s.n <= 4 * kThreads ? sort_keys<4>(s, low, shift, position_bits) : sort_keys<8>(s, low, shift, position_bits);
   s.order = order;
   const auto is_inverted = [&](std::uint32_t k) {
     const std::uint32_t a = order[k], b = order[k + 1];

@@ -1,11 +1,12 @@
-// turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell.
+// turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell, or several.
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/blend.hpp: fold(); docs/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
 //         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each
-// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell
+// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell. Then, for what
+//         long cells have left, as many blocks as the device holds at a time, which take segments in turn
 // Shared  Staging: 128 Gaussians; 5 KiB (numbers for cells 8 high)
 // Order   that of the cells' lists: deterministic
 //
@@ -219,32 +220,37 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   }
 }
 
-__global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kThreads))
-    turbo_tensor_kernel(TurboBlendArguments a) {
-  __shared__ Staging staged[kWarps];
+// A warp's rows of a cell whose first pixel is (x, y).
+struct Rows {
+  Row rows[kRows];
+
+  __device__ Rows(int x, int y, int width, int height)
+      : rows{Row(x, y + first(), first(), width, height), Row(x, y + first() + 1, first() + 1, width, height)} {}
+  __device__ static int first() { return kRows * static_cast<int>(threadIdx.x / 32); }
+  // Blends gaussians[0 .. n - 1] of a cell whose first pixel is (x, y). True if no warp's pixels let anything through.
+  __device__ bool blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x, float y,
+                        Staging (&staged)[kWarps]);
+  // Calls f(pixel, x, y) for each pixel that the thread holds, (x, y) in the cell.
+  template <class F>
+  __device__ void for_each(const F& f) const;
+};
+
+__device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x,
+                                   float y, Staging (&staged)[kWarps]) {
   const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
-  const TurboCell cell = a.arrays.cells[blockIdx.x];
-  const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
-  if (x >= a.width || y >= a.height) return;
-  Row rows[kRows] = {Row(x, y + kRows * warp, kRows * warp, a.width, a.height),
-                     Row(x, y + kRows * warp + 1, kRows * warp + 1, a.width, a.height)};
-  const std::uint32_t* const gaussians = a.arrays.cell_gaussians + cell.begin;
   bool opaque = false;
-  for (std::uint32_t begin = 0; begin < cell.n; begin += kThreads) {
+  for (std::uint32_t begin = 0; begin < n; begin += kThreads) {
     const std::uint32_t own = begin + 32 * static_cast<std::uint32_t>(warp);
-    if (own < cell.n) {
-      stage(a.splats, gaussians + own, math::min(cell.n - own, 32u), static_cast<float>(x), static_cast<float>(y),
-            staged[warp]);
-    }
+    if (own < n) stage(splats, gaussians + own, math::min(n - own, 32u), x, y, staged[warp]);
     __syncthreads();
-    for (int k = 0; k < kWarps && begin + 32 * static_cast<std::uint32_t>(k) < cell.n && !opaque; ++k) {
+    for (int k = 0; k < kWarps && begin + 32 * static_cast<std::uint32_t>(k) < n && !opaque; ++k) {
       const Staging& from = staged[k];
       uint2 coefficients[4];
 #pragma unroll
       for (int j = 0; j < 4; ++j) coefficients[j] = from.coefficients[8 * j + lane / 4][lane % 4];
       uint4 colors{0, 0, 0, 0};
       if (lane / 4 < 3) colors = *reinterpret_cast<const uint4*>(from.color[lane / 4] + 8 * (lane % 4));
-      if (cell.n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
+      if (n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
 #pragma unroll
         for (Row& row : rows) row.blend<4>(coefficients, colors);
       } else {
@@ -256,17 +262,218 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kTh
       for (const Row& row : rows) largest = __hmax2(largest, row.t);
       opaque = __all_sync(kFullWarp, __hblt2(largest, __float2half2_rn(kOpaque))) != 0;
     }
-    if (__syncthreads_and(opaque)) break;
+    if (__syncthreads_and(opaque)) return true;
   }
-  const int q = lane % 4;
+  return false;
+}
+
+template <class F>
+__device__ inline void Rows::for_each(const F& f) const {
+  const int lane = static_cast<int>(threadIdx.x % 32), q = lane % 4;
   math::Pixel<float> pixels[kRows];
 #pragma unroll
   for (int k = 0; k < kRows; ++k) pixels[k] = rows[k].pixel(q % 2 != 0);
-  const int own_x = x + lane / 4 + 8 * q, own_y = y + kRows * warp;
-  if (q > 1 || own_x >= a.width) return;
+  if (q > 1) return;
 #pragma unroll 1  // the code of two stores at once would take more registers than the loops above have
-  for (int k = 0; k < kRows && own_y + k < a.height; ++k) {
-    store_pixel<false>(a.target, a.background, PitchedPixel{own_x, own_y + k}, k == 0 ? pixels[0] : pixels[1], 0, 0);
+  for (int k = 0; k < kRows; ++k) {
+    // Number by number: a choice between two pixels would be one of addresses.
+    const auto own = [&](float math::Pixel<float>::*number) { return k == 0 ? pixels[0].*number : pixels[1].*number; };
+    using P = math::Pixel<float>;
+    f(P{own(&P::r), own(&P::g), own(&P::b), 0, own(&P::transmittance)}, lane / 4 + 8 * q, first() + k);
+  }
+}
+
+// ---- long cells
+
+constexpr std::uint32_t kPixels = TurboLongCellSizes::kPixels;
+static_assert(kPixels == kThreads, "a thread a pixel when segments are joined");
+
+__device__ inline TurboPixel turbo_pixel(const math::Pixel<float>& p) {
+  return {p.r, p.g, p.b, p.transmittance};
+}
+__device__ inline std::uint32_t pixel_index(int x, int y) {
+  return static_cast<std::uint32_t>(kTurboCellWidth * y + x);
+}
+
+// Leaves what comes after a cell's front to turbo_segment_kernel.
+__device__ inline void leave(const TurboBlendArguments& a, const Rows& rows, std::uint32_t cell, std::uint32_t n,
+                             std::uint32_t front) {
+  __shared__ std::uint32_t own, first, places[kTurboWaves];
+  const TurboArrays& arrays = a.arrays;
+  const std::uint32_t left = n - front;
+  const std::uint32_t wanted = (left + kTurboMaxSegments - 1) / kTurboMaxSegments;
+  const std::uint32_t segment_n = math::max(kTurboSegment, (wanted + 31) / 32 * 32);
+  const std::uint32_t n_segments = (left + segment_n - 1) / segment_n;
+  if (threadIdx.x == 0) {
+    own = atomicAdd(&arrays.state->n_long_cells, 1u);
+    first = atomicAdd(&arrays.state->n_segments, n_segments);
+    arrays.long_cells[own] = {cell, front, n_segments, segment_n, first, 0, 0, 0, 0, {}};
+  }
+  if (threadIdx.x < kTurboWaves && n_segments >= 1u << threadIdx.x) {
+    const std::uint32_t wave = 1u << threadIdx.x;
+    places[threadIdx.x] = atomicAdd(arrays.state->wave_size + threadIdx.x, math::min(wave, n_segments - wave + 1));
+  }
+  __syncthreads();
+  const std::uint64_t capacity = TurboLongCellSizes::of(arrays.cell_capacity).segments;
+  for (std::uint32_t k = threadIdx.x; k < n_segments; k += kThreads) {
+    const int wave = 31 - __clz(static_cast<int>(k + 1));
+    arrays.waves[static_cast<std::uint64_t>(wave) * capacity + places[wave] + k + 1 - (1u << wave)] = {own, k};
+    arrays.segment_done[first + k] = 0;
+  }
+  TurboPixel* const to = arrays.long_cell_pixels + std::uint64_t{kPixels} * own;
+  rows.for_each([&](const math::Pixel<float>& p, int x, int y) { to[pixel_index(x, y)] = turbo_pixel(p); });
+}
+
+__global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kThreads))
+    turbo_tensor_kernel(TurboBlendArguments a) {
+  __shared__ Staging staged[kWarps];
+  const TurboCell cell = a.arrays.cells[blockIdx.x];
+  const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
+  if (x >= a.width || y >= a.height) return;
+  Rows rows(x, y, a.width, a.height);
+  const std::uint32_t front = turbo_front(a.arrays.state->in_cells);
+  const bool opaque = rows.blend(a.splats, a.arrays.cell_gaussians + cell.begin, math::min(cell.n, front),
+                                 static_cast<float>(x), static_cast<float>(y), staged);
+  if (cell.n > front && !opaque) {
+    leave(a, rows, blockIdx.x, cell.n, front);
+    return;
+  }
+  rows.for_each([&](const math::Pixel<float>& p, int in_x, int in_y) {
+    if (x + in_x >= a.width || y + in_y >= a.height) return;
+    store_pixel<false>(a.target, a.background, PitchedPixel{x + in_x, y + in_y}, p, 0, 0);
+  });
+}
+
+__device__ inline std::uint32_t read(const std::uint32_t& word) {
+  return *static_cast<const volatile std::uint32_t*>(&word);
+}
+__device__ inline float4* pixels_of(TurboPixel* pixels, std::uint64_t place) {
+  return reinterpret_cast<float4*>(pixels + kPixels * place) + threadIdx.x;
+}
+// What `behind` shows through `front`, and `front`.
+__device__ inline float4 over(const float4& front, const float4& behind) {
+  return {fmaf(front.w, behind.x, front.x), fmaf(front.w, behind.y, front.y), fmaf(front.w, behind.z, front.z),
+          front.w * behind.w};
+}
+// What all threads have written is seen by others before what thread 0 then writes.
+__device__ inline void publish() {
+  __threadfence();
+  __syncthreads();
+}
+
+// Puts segment k of a wave of n, whose first is `first`, together with its neighbours: of two, then of four, ... whoever is
+// done last does it for both. True once it is the whole wave, which then lies at `first`.
+__device__ inline bool join_wave(const TurboArrays& a, std::uint32_t first, std::uint32_t k, std::uint32_t n) {
+  __shared__ bool is_second;
+  for (std::uint32_t width = 1; width < n; width *= 2) {
+    const std::uint32_t left = k & ~(2 * width - 1), right = left + width;
+    if (right >= n) continue;
+    if (threadIdx.x == 0) is_second = atomicAdd(a.segment_done + first + right, 1u) != 0;
+    __syncthreads();
+    if (!is_second) return false;
+    __threadfence();
+    float4* const to = pixels_of(a.segment_pixels, first + left);
+    __stcg(to, over(__ldcg(to), __ldcg(pixels_of(a.segment_pixels, first + right))));
+    publish();
+  }
+  return true;
+}
+
+// Puts the waves that are done behind those before them, as far as there is none missing; the last, or the first behind
+// which nothing shows, ends the cell. One block at a time does it for a cell: which, does not change what comes out.
+__device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& cell, std::uint32_t wave) {
+  __shared__ bool is_mine;
+  __shared__ std::uint32_t done;  // one word for all threads: it may change between their looks
+  const TurboArrays& arrays = a.arrays;
+  const TurboCell at = arrays.cells[cell.cell];
+  const int x = static_cast<int>(at.x) + static_cast<int>(threadIdx.x) % kTurboCellWidth;
+  const int y = static_cast<int>(at.y) + static_cast<int>(threadIdx.x) / kTurboCellWidth;
+  const bool is_inside = x < a.width && y < a.height;
+  float4* const held = pixels_of(arrays.long_cell_pixels, static_cast<std::uint64_t>(&cell - arrays.long_cells));
+  if (threadIdx.x == 0) {
+    atomicOr(&cell.waves_done, 1u << wave);
+    __threadfence();
+  }
+  for (bool again = true; again;) {
+    if (threadIdx.x == 0) {
+      is_mine = atomicCAS(&cell.lock, 0u, 1u) == 0;
+      __threadfence();
+      done = read(cell.waves_done);
+      __threadfence();
+    }
+    __syncthreads();
+    if (!is_mine) return;  // who has it will look again
+    std::uint32_t joined = read(cell.n_joined);
+    bool is_over = read(cell.is_opaque) != 0;
+    if (!is_over) {
+      float4 sum = __ldcg(held);
+      for (; (done >> joined & 1) != 0 && !is_over; ++joined) {
+        const std::uint32_t first = (1u << joined) - 1;
+        sum = over(sum, __ldcg(pixels_of(arrays.segment_pixels, cell.first_segment + first)));
+        is_over = __syncthreads_and(sum.w < kOpaque || !is_inside) != 0 || 2 * first + 1 >= cell.n_segments;
+      }
+      if (is_over && is_inside) {
+        store_pixel<false>(a.target, a.background, PitchedPixel{x, y},
+                           math::Pixel<float>{sum.x, sum.y, sum.z, 0, sum.w}, 0, 0);
+      }
+      __stcg(held, sum);
+    }
+    publish();
+    if (threadIdx.x == 0) {
+      cell.n_joined = joined;
+      cell.is_opaque = is_over ? 1 : 0;
+      __threadfence();
+      atomicExch(&cell.lock, 0u);
+      __threadfence();
+      is_mine = !is_over && (read(cell.waves_done) >> joined & 1) != 0;
+    }
+    __syncthreads();
+    again = is_mine;
+    __syncthreads();
+  }
+}
+
+__global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kThreads))
+    turbo_segment_kernel(TurboBlendArguments a) {
+  __shared__ Staging staged[kWarps];
+  __shared__ TurboSegment segment;
+  __shared__ bool is_any, is_wanted;
+  const TurboArrays& arrays = a.arrays;
+  const std::uint32_t n = arrays.state->n_segments;
+  if (n == 0) return;
+  const std::uint64_t capacity = TurboLongCellSizes::of(arrays.cell_capacity).segments;
+  for (;;) {
+    __syncthreads();
+    if (threadIdx.x == 0) {
+      std::uint32_t place = atomicAdd(&arrays.state->n_segments_taken, 1u), wave = 0;
+      is_any = place < n;
+      if (is_any) {
+        for (; place >= arrays.state->wave_size[wave]; ++wave) place -= arrays.state->wave_size[wave];
+        segment = arrays.waves[wave * capacity + place];
+        is_wanted = read(arrays.long_cells[segment.long_cell].is_opaque) == 0;
+      }
+    }
+    __syncthreads();
+    if (!is_any) return;
+    if (!is_wanted) continue;
+    TurboLongCell& long_cell = arrays.long_cells[segment.long_cell];
+    const std::uint32_t in_cell = segment.in_cell;
+    const TurboCell cell = arrays.cells[long_cell.cell];
+    const std::uint32_t begin = long_cell.front + in_cell * long_cell.segment_n;
+    const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
+    Rows rows(x, y, a.width, a.height);
+    rows.blend(a.splats, arrays.cell_gaussians + cell.begin + begin, math::min(cell.n - begin, long_cell.segment_n),
+               static_cast<float>(x), static_cast<float>(y), staged);
+    TurboPixel* const to = arrays.segment_pixels + std::uint64_t{kPixels} * (long_cell.first_segment + in_cell);
+    rows.for_each(
+        [&](const math::Pixel<float>& p, int in_x, int in_y) { to[pixel_index(in_x, in_y)] = turbo_pixel(p); });
+    publish();
+    const std::uint32_t wave = 31 - static_cast<std::uint32_t>(__clz(static_cast<int>(in_cell + 1)));
+    const std::uint32_t first = (1u << wave) - 1;
+    if (join_wave(arrays, long_cell.first_segment + first, in_cell - first,
+                  math::min(1u << wave, long_cell.n_segments - first))) {
+      join_waves(a, long_cell, wave);
+    }
   }
 }
 
@@ -274,7 +481,11 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kTh
 
 Status launch_turbo_tensor(const TurboBlendArguments& a, Stream stream) {
   turbo_tensor_kernel<<<a.arrays.n_tiles * kTurboCells, kThreads, 0, stream>>>(a);
-  return launched("the kernel of matrix products could not be launched");
+  if (const auto ok = launched("the kernel of matrix products could not be launched"); !ok) return ok;
+  const auto blocks = resident_grid<turbo_segment_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_segment_kernel<<<*blocks, kThreads, 0, stream>>>(a);
+  return launched("the kernel of segments could not be launched");
 }
 
 }  // namespace rgs::cuda

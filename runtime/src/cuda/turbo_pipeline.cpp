@@ -34,7 +34,7 @@ Status TurboPipeline::create() {
 std::uint64_t TurboPipeline::bytes() const {
   std::uint64_t sum = 0;
   for (const DeviceBuffer* b : {&turbo_state_, &entries_, &scratch_, &runs_, &tile_runs_, &large_, &lists_, &classes_,
-                                &long_lists_, &cells_, &cell_gaussians_}) {
+                                &long_lists_, &cells_, &cell_gaussians_, &long_cells_}) {
     sum += b->bytes();
   }
   return sum;
@@ -62,6 +62,7 @@ Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_run
       if (ok) ok = state_.reserve(need.buffer, n * need.size, stream);
     }
     if (ok) ok = state_.reserve(long_lists_, long_sizes().bytes(), stream);
+    if (ok) ok = state_.reserve(long_cells_, cuda::TurboLongCellSizes::of(cell_capacity()).bytes(), stream);
     for (const Need& need : needs) {
       if (!ok) need.buffer = {};  // what has grown would keep the memory that the others need
     }
@@ -91,6 +92,9 @@ std::uint64_t TurboPipeline::entry_capacity() const {
 std::uint64_t TurboPipeline::run_capacity() const {
   return std::min(runs_.bytes() / sizeof(cuda::TurboTileRun), tile_runs_.bytes() / sizeof(cuda::TurboRun));
 }
+std::uint64_t TurboPipeline::cell_capacity() const {
+  return cell_gaussians_.bytes() / sizeof(std::uint32_t);
+}
 
 cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   cuda::TurboArrays a{};
@@ -110,7 +114,8 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   long_sizes().lay_out(long_lists_.as<void>(), a);
   a.cells = cells_.as<cuda::TurboCell>();
   a.cell_gaussians = cell_gaussians_.as<std::uint32_t>();
-  a.cell_capacity = cell_gaussians_.bytes() / sizeof(std::uint32_t);
+  a.cell_capacity = cell_capacity();
+  cuda::TurboLongCellSizes::of(cell_capacity()).lay_out(long_cells_.as<void>(), a);
   return a;
 }
 

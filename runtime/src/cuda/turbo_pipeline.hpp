@@ -36,6 +36,7 @@ class TurboPipeline {
                        CudaStream stream);
   std::uint64_t entry_capacity() const;
   std::uint64_t run_capacity() const;
+  std::uint64_t cell_capacity() const;
   cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays arrays_for(const Frame& frame) const;
   Status order(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
@@ -49,7 +50,7 @@ class TurboPipeline {
   PageLocked<cuda::TurboState> seen_;
   FrameGraph graph_;
   DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, classes_;
-  DeviceBuffer long_lists_, cells_, cell_gaussians_;
+  DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;
 };
 
 }  // namespace rgs::detail
