@@ -169,7 +169,7 @@ class RgsMutator {
 
   void resize(Bytes& content) {
     std::vector<std::uint8_t> bytes(content.size() + 256);
-    std::memcpy(bytes.data(), content.data(), content.size());
+    std::ranges::transform(content, bytes.begin(), [](std::byte b) { return std::to_integer<std::uint8_t>(b); });
     bytes.resize(LLVMFuzzerMutate(bytes.data(), content.size(), bytes.size()));
     const auto changed = std::as_bytes(std::span(bytes));
     content.assign(changed.begin(), changed.end());
