@@ -122,11 +122,11 @@ Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown
   const std::span<const std::byte> block = content.extensions;
   Extensions out;
   for (std::uint64_t at = 0; at < block.size();) {
-    const std::uint64_t offset = content.extensions_at + at, left = block.size() - at;
-    if (left < 8) return make_error(Errc::truncated, offset, "the extensions end inside a record", 8, left);
+    const std::uint64_t offset = content.extensions_at + at, rest = block.size() - at;
+    if (rest < 8) return make_error(Errc::truncated, offset, "the extensions end inside a record", 8, rest);
     const auto type = load<std::uint32_t>(block, at);
     // The reference library's first builds wrote this record without its length.
-    if (type == kSafeOrbitCamera && left == 4 + kSafeOrbitBytes) {
+    if (type == kSafeOrbitCamera && rest == 4 + kSafeOrbitBytes) {
       out.unused.push_back(unused_text("safe orbit camera", type, kSafeOrbitBytes));
       break;
     }
@@ -138,9 +138,9 @@ Result<Extensions> parse_extensions(const SpzContent& content, bool skip_unknown
                         "--skip-unknown-extensions reads past it",
                         Error::kNone, type);
     }
-    if (bytes > left - 8) {
+    if (bytes > rest - 8) {
       return make_error(Errc::truncated, offset + 4, "an extension is longer than what is left for extensions",
-                        left - 8, bytes);
+                        rest - 8, bytes);
     }
     if (type == kCoordinateSystem) {
       if (bytes != 4) {
