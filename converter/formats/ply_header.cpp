@@ -193,7 +193,7 @@ Result<SplatProperties> find_splat_properties(const PlyHeader& header) {
   if (const auto packed = index.find("packed_position"); packed != index.end()) {
     return make_error(
         Errc::unsupported_feature, vertex->properties[packed->second].line,
-        "a compressed PLY with packed_position (PlayCanvas, SuperSplat), not a 3DGS PLY: rgs-convert makes one of it");
+        "a .compressed.ply with packed_position (PlayCanvas, SuperSplat), not a 3DGS PLY: rgs-convert makes one of it");
   }
 
   for (std::size_t i = 0; i < kRequired.size(); ++i) {
