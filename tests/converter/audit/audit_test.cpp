@@ -18,6 +18,7 @@
 #include "audit_page.hpp"
 #include "audit_pairing.hpp"
 #include "audit_picture.hpp"
+#include "audit_scenes.hpp"
 #include "audit_scenes_fixture.hpp"
 #include "image_file.hpp"
 #include "rgs/quantize.hpp"
