@@ -310,9 +310,13 @@ class PictureAudit {
     constexpr std::uint64_t kBlock = 4096;
     tbb::parallel_for(std::uint64_t{0}, (source->n + kBlock - 1) / kBlock, [&](std::uint64_t block) {
       for (std::uint64_t g = block * kBlock; g < std::min(source->n, (block + 1) * kBlock); ++g) {
-        const float* mean = &source->mean[3 * g];
+        glm::dvec3 mean_world;
+        for (int k = 0; k < 3; ++k) {
+          const auto axis = static_cast<std::size_t>(k);
+          mean_world[k] = source->origin[axis] + static_cast<double>(source->mean[3 * g + axis]);
+        }
         for (std::size_t i = first; i < end && seen_[g] == 0; ++i)
-          seen_[g] = in_view(views_[i].camera, {mean[0], mean[1], mean[2]}) ? 1 : 0;
+          seen_[g] = in_view(views_[i].camera, mean_world) ? 1 : 0;
       }
     });
     return {};

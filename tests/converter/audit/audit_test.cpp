@@ -19,6 +19,7 @@
 #include "audit_pairing.hpp"
 #include "audit_picture.hpp"
 #include "audit_report.hpp"
+#include "audit_scenes.hpp"
 #include "audit_scenes_fixture.hpp"
 #include "audit_text.hpp"
 #include "image_file.hpp"
