@@ -213,6 +213,8 @@ struct Report {
   std::string fingerprint;               ///< of tool, options and inputs: equal fingerprints give equal results
   std::optional<bool> made_from_source;  ///< whether the asset's provenance names this very source; absent: it has none
   std::optional<Declarations> declarations;  ///< the asset's, of whatever format
+  /// The source's, if it states another anti-aliasing or low-pass than the usual: it is drawn so.
+  std::optional<Declarations> source_stated;
   SizeReport size;
   std::optional<AttributeReport> attributes;
   std::optional<RenderReport> render;

@@ -83,6 +83,13 @@ const AttributionRow* misfit_key(const Report& report) {
   return nullptr;
 }
 
+std::string anti_aliasing_text(const Declarations& d) {
+  const char* mode = d.aa_mode == AaMode::mip_splatting ? "mip-splatting"
+                     : d.aa_mode == AaMode::classic     ? "classic anti-aliasing"
+                                                        : "no anti-aliasing";
+  return fmt::format("{} with a low-pass of {} px^2", mode, d.low_pass_px2);
+}
+
 const char* words(Verdict::Grade grade) {
   switch (grade) {
     case Verdict::Grade::identical: return "identical to the original";
@@ -199,6 +206,11 @@ Verdict verdict(const Report& report) {
         "--cameras, or with --near and --far.",
         report.declarations->z_near, report.declarations->z_far, key->worst));
   }
+  if (report.source_stated && report.declarations &&
+      (report.source_stated->aa_mode != report.declarations->aa_mode ||
+       report.source_stated->low_pass_px2 != report.declarations->low_pass_px2))
+    add(fmt::format("The source states {}, the asset {}: each is drawn as it states.",
+                    anti_aliasing_text(*report.source_stated), anti_aliasing_text(*report.declarations)));
   if (report.made_from_source == false) add("The asset states that it was made from another file than this source.");
   if (!report.gate_holds()) {
     std::string failed;

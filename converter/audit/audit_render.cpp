@@ -182,10 +182,11 @@ class PictureAudit {
     if (scene_.size() == 0 && first > 0)
       if (auto ok = load_source(); !ok) return ok;
     if (auto ok = look_for_gaussians(first, end); !ok) return ok;
+    const RenderOptions as_source = inputs_.source_stated ? reference_arithmetic(inputs_.source_stated) : exact;
     references_.clear();
     reference_drawn_.clear();
     for (std::size_t i = first; i < end; ++i) {
-      auto image = render(i, exact, &reference_drawn_.emplace_back());
+      auto image = render(i, as_source, &reference_drawn_.emplace_back());
       if (!image) return tl::unexpected(image.error());
       references_.push_back(std::move(*image));
     }

@@ -13,12 +13,13 @@
 namespace rgs::audit {
 
 /// What is rendered against what. `rgs` and `pairing` are absent for assets of other formats, which then have no
-/// attribution. All is drawn as the asset declares.
+/// attribution. All is drawn as the asset declares, but the source's own pictures as the source states, if it states
+/// anything: an anti-aliasing that got lost shows.
 struct RenderInputs {
   const PlyFile* source = nullptr;
   const FileView* rgs = nullptr;
   const Pairing* pairing = nullptr;
-  std::optional<Declarations> declared = {};
+  std::optional<Declarations> declared = {}, source_stated = {};
 };
 
 /// Renders every view of source and asset in the reference definition (FP32, square extent, exact order and

@@ -154,6 +154,9 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   size.asset_bytes = file->bytes().size();
   size.n_source = source->size();
   size.source_sh_degree = source->sh_degree();
+  const Declarations& stated = source->declarations();
+  const Declarations usual;
+  if (stated.aa_mode != usual.aa_mode || stated.low_pass_px2 != usual.low_pass_px2) report.source_stated = stated;
   size.gpu_bytes_fp32 = size.n_source * fp32_bytes(size.source_sh_degree);
   Pairing pairing;
   if (rgs_asset) {
@@ -187,7 +190,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   }
   if (options.render) {
     const RenderInputs inputs{&*source, rgs_asset ? &*view : nullptr, rgs_asset ? &pairing : nullptr,
-                              report.declarations};
+                              report.declarations, report.source_stated};
     auto rendered = compare_pictures(inputs, options, *also, progress);
     if (!rendered) return tl::unexpected(rendered.error());
     report.render = std::move(*rendered);

@@ -357,6 +357,27 @@ TEST_CASE("an asset of another format is drawn as it declares, and the source wi
   CHECK(difference(render(as_declared, 9), render(classic, 9))->psnr < 40);  // it matters
 }
 
+TEST_CASE("an anti-aliasing that the source states and the asset has lost is seen, and said") {
+  const SceneFolder scene;
+  const auto bytes = encode_splats(scene.cloud.view(), SplatFormat::ply, {.aa_mode = AaMode::mip_splatting});
+  REQUIRE(bytes);
+  const std::string source = write_bytes(scene.file("mip.ply"), *bytes);
+  const std::string cameras = write_cameras(scene.file("far.json"), std::array{9.0});
+  const std::string lost = write_rgs(scene.file("lost.rgs"), scene.cloud),
+                    kept = write_rgs(scene.file("kept.rgs"), scene.cloud, {.aa_mode = AaMode::mip_splatting});
+  const auto audit = [&](const std::string& asset) {
+    const ProgramResult run = run_audit({source, asset, "--cameras", cameras, "--json", "-", "--quiet"});
+    REQUIRE(run.exit_code == 0);
+    return json::parse(run.out);
+  };
+  const json a = audit(lost), b = audit(kept);
+  CHECK(a["rendered"]["psnr"].get<double>() < 40);
+  CHECK(b["rendered"]["psnr"].get<double>() > 50);
+  constexpr const char* kSaid = "The source states mip-splatting with a low-pass of 0.1 px^2, the asset classic";
+  CHECK(a["verdict"]["detail"].get<std::string>().find(kSaid) != std::string::npos);
+  CHECK(b["verdict"]["detail"].get<std::string>().find("states mip") == std::string::npos);
+}
+
 TEST_CASE("a packed asset has the direct one's errors and pictures, in fewer bytes") {
   const SceneFolder scene;
   EncodeOptions options;
