@@ -57,6 +57,7 @@ struct Summary {
   std::string format;
   std::uint64_t source_bytes = 0, n_source = 0, output_bytes = 0, pixels = 0;
   std::size_t n_cameras = 0;
+  std::uint64_t n_scale_subnormal = 0, n_scale_zero = 0;  // of an .rgs: below FP16's normal range, flushed to 0
   rgs::prune::Outcome outcome;
   double read_seconds = 0, render_seconds = 0, write_seconds = 0;
 };
@@ -130,8 +131,8 @@ Step<void> write_scores(const Options& o, const std::vector<Contribution>& contr
   return {};
 }
 
-Step<std::uint64_t> write_scene(const Options& o, SplatFormat to, rgs::SplatFile&& file, std::uint64_t n_source,
-                                std::uint64_t hash, std::vector<rgs::Camera> cameras) {
+Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::SplatFile&& file, std::uint64_t n_source,
+                                      std::uint64_t hash, std::vector<rgs::Camera> cameras) {
   // PLY has the axes of 3DGS by habit; an .rgs declares those it came in.
   if (to == SplatFormat::ply) rgs::convert_axes(file.cloud, file.axes, rgs::kAxes3dgs);
   rgs::ConvertOptions options;
@@ -149,7 +150,7 @@ Step<std::uint64_t> write_scene(const Options& o, SplatFormat to, rgs::SplatFile
       rgs::convert_scene({std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree}, to,
                          o.output, options);
   if (!written) return failed(o.output, written.error());
-  return written->output_bytes;
+  return *written;
 }
 
 const char* score_name(rgs::prune::Score score) {
@@ -168,19 +169,26 @@ std::string summary_json(const Options& o, const Summary& s) {
       {"unseen", s.outcome.n_unseen},
       {"weight_share", s.outcome.weight_share},
       {"lowest_score", s.outcome.lowest_score},
+      {"scale", {{"subnormal", s.n_scale_subnormal}, {"zero", s.n_scale_zero}}},
       {"seconds", {{"read", s.read_seconds}, {"render", s.render_seconds}, {"write", s.write_seconds}}}};
   return json.dump(2, ' ', false, nlohmann::json::error_handler_t::replace) + "\n";
 }
 
 std::string summary_text(const Options& o, const Summary& s) {
   const double share = s.n_source > 0 ? static_cast<double>(s.outcome.n_kept) / static_cast<double>(s.n_source) : 1;
+  const std::string limits =
+      s.n_scale_subnormal + s.n_scale_zero == 0
+          ? ""
+          : fmt::format("  limits    scales below FP16's normal range {}, flushed to 0 {}\n",
+                        tool::format_count(s.n_scale_subnormal), tool::format_count(s.n_scale_zero));
   return fmt::format(
       "{} -> {}: {} of {} Gaussians ({:.1f} %), {:.3f} % of the weight blended into {} pictures of {} pixels\n"
       "  not seen  {} Gaussians; lowest {} kept {:.4g}\n"
+      "{}"
       "  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
       o.input, o.output, tool::format_count(s.outcome.n_kept), tool::format_count(s.n_source), 100 * share,
       100 * s.outcome.weight_share, s.n_cameras, tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen),
-      score_name(o.score), s.outcome.lowest_score, s.read_seconds, s.render_seconds, s.write_seconds);
+      score_name(o.score), s.outcome.lowest_score, limits, s.read_seconds, s.render_seconds, s.write_seconds);
 }
 
 int prune(const Options& o) {
@@ -226,9 +234,11 @@ int prune(const Options& o) {
   if (!o.scores.empty()) {
     if (const auto written = write_scores(o, *contributions); !written) return written.error();
   }
-  const auto bytes = write_scene(o, to, *std::move(file), summary.n_source, hash, set->cameras);
-  if (!bytes) return bytes.error();
-  summary.output_bytes = *bytes;
+  const auto written = write_scene(o, to, *std::move(file), summary.n_source, hash, set->cameras);
+  if (!written) return written.error();
+  summary.output_bytes = written->output_bytes;
+  summary.n_scale_subnormal = written->declarations.n_scale_subnormal;
+  summary.n_scale_zero = written->declarations.n_scale_zero;
   summary.write_seconds = lap(time);
 
   if (o.json) {

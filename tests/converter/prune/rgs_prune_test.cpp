@@ -201,3 +201,21 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input; outputs that exist a
   CHECK(nan.exit_code == 4);
   CHECK(nan.err.find("(found 7)") != std::string::npos);
 }
+
+TEST_CASE("scales that FP16 flushes are counted in text and JSON") {
+  Stage stage;
+  const auto run = [&](const char* name, std::vector<std::string> more) {
+    more.insert(more.end(), {"--keep", "100%", "--overwrite"});
+    const ProgramResult result = stage.run(stage.ply, stage.file(name), more);
+    REQUIRE_MESSAGE(result.exit_code == 0, result.err);
+    return result.out;
+  };
+  CHECK(nlohmann::json::parse(run("out.rgs", {"--json"}))["scale"]["zero"] == 0);
+  CHECK(run("out.rgs", {}).find("flushed to 0") == std::string::npos);
+  stage.cloud.log_scale[3 * 72] = 10;
+  stage.cloud.log_scale[3 * 72 + 1] = -25;
+  write_bytes(stage.ply, encode_splats(stage.cloud.view(), SplatFormat::ply).value());
+  CHECK(nlohmann::json::parse(run("out.rgs", {"--json"}))["scale"]["zero"] == 1);
+  CHECK(run("out.rgs", {}).find("flushed to 0 1") != std::string::npos);
+  CHECK(nlohmann::json::parse(run("out.ply", {"--json"}))["scale"]["zero"] == 0);  // PLY holds them
+}
