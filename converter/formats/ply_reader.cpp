@@ -685,7 +685,7 @@ Result<SplatCloud> read_cloud(const PlyFile& ply) {
       ply.read(first, part);
       for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
     }
-    if (const Status s = ply->check_unchanged(); !s) return tl::unexpected(s.error());
+    if (const Status s = ply.check_unchanged(); !s) return tl::unexpected(s.error());
     return cloud;
   });
 }

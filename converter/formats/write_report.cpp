@@ -26,6 +26,7 @@ struct Range {
 
   bool is_open() const { return low == -kInfinity && high == kInfinity; }
   double excess(double value) const { return std::max(low - value, value - high); }
+  bool operator==(const Range&) const = default;
 };
 
 struct Ranges {
@@ -75,9 +76,14 @@ Clamped count_beyond(std::span<const float> values, std::uint64_t each, std::spa
       for (const float value : part) largest = std::max(largest, magnitude_bits(value));
       if (largest <= within[s]) continue;
       const Range& range = segments[s].range;
+      const auto note = [&](double beyond) { excess = beyond > range.rounding ? std::max(excess, beyond) : excess; };
+      const float magnitude = float_of(static_cast<std::uint32_t>(largest));
+      if (range.low == -range.high && std::isfinite(magnitude)) {
+        note(static_cast<double>(magnitude) - range.high);
+        continue;
+      }
       for (const float value : part) {
-        const double finite = std::isinf(value) ? std::copysign(range.infinite, value) : static_cast<double>(value);
-        if (const double beyond = range.excess(finite); beyond > range.rounding) excess = std::max(excess, beyond);
+        note(range.excess(std::isinf(value) ? std::copysign(range.infinite, value) : static_cast<double>(value)));
       }
     }
     if (excess <= 0) continue;
@@ -96,13 +102,18 @@ Clamped count_beyond(std::span<const float> values, std::uint64_t each, std::uin
 Clamped count_beyond_sh(const SplatView& splats, const Ranges& ranges) {
   if (splats.sh_degree == 0 || ranges.sh[0].is_open()) return {};
   std::array<Segment, kMaxShDegree> segments;
+  std::size_t n = 0;
   for (int degree = 1; degree <= splats.sh_degree; ++degree) {
     const auto first = static_cast<std::uint64_t>(3 * sh_coefficients(degree - 1));
     const auto end = static_cast<std::uint64_t>(3 * sh_coefficients(degree));
-    segments[static_cast<std::size_t>(degree - 1)] = {first, end - first, ranges.sh[degree - 1]};
+    if (n > 0 && segments[n - 1].range == ranges.sh[degree - 1]) {
+      segments[n - 1].count += end - first;
+    } else {
+      segments[n++] = {first, end - first, ranges.sh[degree - 1]};
+    }
   }
   return count_beyond(splats.sh, static_cast<std::uint64_t>(3 * sh_coefficients(splats.sh_degree)),
-                      std::span(segments).first(static_cast<std::size_t>(splats.sh_degree)));
+                      std::span(segments).first(n));
 }
 
 // SPZ's fixed point has as many fractional bits as the farthest mean leaves. Fewer than usual move means by more than usual.

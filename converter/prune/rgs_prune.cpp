@@ -61,6 +61,7 @@ struct Summary {
   std::uint64_t source_bytes = 0, n_source = 0, output_bytes = 0, pixels = 0;
   std::size_t n_cameras = 0;
   std::vector<std::string> lost;  ///< of what the source declares
+  std::uint64_t n_scale_subnormal = 0, n_scale_zero = 0;  // of an .rgs: below FP16's normal range, flushed to 0
   rgs::prune::Outcome outcome;
   double read_seconds = 0, render_seconds = 0, write_seconds = 0;
 };
@@ -179,6 +180,7 @@ std::string summary_json(const Options& o, const Summary& s) {
       {"weight_share", s.outcome.weight_share},
       {"lowest_score", s.outcome.lowest_score},
       {"lost", s.lost},
+      {"scale", {{"subnormal", s.n_scale_subnormal}, {"zero", s.n_scale_zero}}},
       {"seconds", {{"read", s.read_seconds}, {"render", s.render_seconds}, {"write", s.write_seconds}}}};
   return json.dump(2, ' ', true, nlohmann::json::error_handler_t::replace) + "\n";
 }
@@ -187,14 +189,19 @@ std::string summary_text(const Options& o, const Summary& s) {
   const double share = s.n_source > 0 ? static_cast<double>(s.outcome.n_kept) / static_cast<double>(s.n_source) : 1;
   const std::string lost =
       s.lost.empty() ? "" : fmt::format("  lost      not in the ply file: {}\n", fmt::join(s.lost, ", "));
+  const std::string limits =
+      s.n_scale_subnormal + s.n_scale_zero == 0
+          ? ""
+          : fmt::format("  limits    scales below FP16's normal range {}, flushed to 0 {}\n",
+                        tool::format_count(s.n_scale_subnormal), tool::format_count(s.n_scale_zero));
   return fmt::format(
       "{} -> {}: {} of {} Gaussians ({:.1f} %), {:.3f} % of the weight blended into {} pictures of {} pixels\n"
       "  not seen  {} Gaussians; lowest {} kept {:.4g}\n"
-      "{}  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
+      "{}{}  seconds   read {:.2f}, render {:.2f}, write {:.2f}\n",
       tool::printable(o.input), tool::printable(o.output), tool::format_count(s.outcome.n_kept),
       tool::format_count(s.n_source), 100 * share, 100 * s.outcome.weight_share, s.n_cameras,
       tool::format_count(s.pixels), tool::format_count(s.outcome.n_unseen), score_name(o.score), s.outcome.lowest_score,
-      lost, s.read_seconds, s.render_seconds, s.write_seconds);
+      lost, limits, s.read_seconds, s.render_seconds, s.write_seconds);
 }
 
 int prune(const Options& o) {
@@ -248,6 +255,8 @@ int prune(const Options& o) {
   if (!written) return written.error();
   summary.output_bytes = written->output_bytes;
   summary.lost = written->lost;
+  summary.n_scale_subnormal = written->declarations.n_scale_subnormal;
+  summary.n_scale_zero = written->declarations.n_scale_zero;
   summary.write_seconds = lap(time);
 
   if (o.json) {

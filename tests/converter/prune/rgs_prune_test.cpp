@@ -268,3 +268,21 @@ TEST_CASE("infinite logits are opacities of 1 and 0: the one is kept and hides, 
   REQUIRE(kept);
   CHECK(std::ranges::count(kept->opacity_logit, std::numeric_limits<float>::infinity()) == 36);
 }
+
+TEST_CASE("scales that FP16 flushes are counted in text and JSON") {
+  Stage stage;
+  const auto run = [&](const char* name, std::vector<std::string> more) {
+    more.insert(more.end(), {"--keep", "100%", "--overwrite"});
+    const ProgramResult result = stage.run(stage.ply, stage.file(name), more);
+    REQUIRE_MESSAGE(result.exit_code == 0, result.err);
+    return result.out;
+  };
+  CHECK(nlohmann::json::parse(run("out.rgs", {"--json"}))["scale"]["zero"] == 0);
+  CHECK(run("out.rgs", {}).find("flushed to 0") == std::string::npos);
+  stage.cloud.log_scale[3 * 72] = 10;
+  stage.cloud.log_scale[3 * 72 + 1] = -25;
+  write_bytes(stage.ply, encode_splats(stage.cloud.view(), SplatFormat::ply).value());
+  CHECK(nlohmann::json::parse(run("out.rgs", {"--json"}))["scale"]["zero"] == 1);
+  CHECK(run("out.rgs", {}).find("flushed to 0 1") != std::string::npos);
+  CHECK(nlohmann::json::parse(run("out.ply", {"--json"}))["scale"]["zero"] == 0);  // PLY holds them
+}
