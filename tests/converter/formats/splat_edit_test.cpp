@@ -234,7 +234,9 @@ TEST_CASE("infinite logits and scales of 0 are filtered as what they are") {
   SplatCloud moved = cloud;
   transform_splats(moved, {.rotation = rotation_from_euler({10, 20, 30}), .scale = 2, .translation = {1, 2, 3}});
   append_splats(moved, cloud);
-  CHECK(clean_splats(moved, {.on_bad = BadPolicy::refuse}));
+  EncodeOptions strict;
+  strict.on_bad = BadPolicy::refuse;
+  CHECK(clean_splats(moved, strict));
   CHECK(moved.size() == 200);
   CHECK(std::ranges::count(moved.opacity_logit, kInfinity) == 2);
 }
