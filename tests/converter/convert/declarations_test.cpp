@@ -1,7 +1,6 @@
 // declarations_test.cpp - what files declare of their scene, on its way through rgs-convert.
 // SPDX-License-Identifier: Apache-2.0
 #include <array>
-#include <cstdlib>
 #include <nlohmann/json.hpp>
 
 #include "convert_scenes.hpp"
@@ -17,8 +16,7 @@ using namespace rgs::test;
 namespace {
 
 ProgramResult rgs_convert(std::vector<std::string> arguments) {
-  const char* other = std::getenv("RGS_TEST_CONVERT");  // an older build, to see what it got wrong
-  arguments.insert(arguments.begin(), {other != nullptr ? other : RGS_CONVERT, "--no-sync", "--overwrite"});
+  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite"});
   return run_program(arguments);
 }
 
