@@ -229,7 +229,7 @@ TEST_CASE("pipes, wrong names and damage in other formats") {
   CHECK(holds(refused.err, "scene.glb: byte "));
   CHECK(holds(refused.err, "[truncated]"));
   CHECK(rgs_convert({"--merge", ply, folder.file("none.spz"), folder.file("no.rgs")}).exit_code == 3);
-  CHECK(rgs_convert({ply, ply}).exit_code == 3);
+  CHECK(rgs_convert({ply, ply}).exit_code == 2);
   CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
   CHECK_FALSE(std::filesystem::exists(folder.file("no.spz")));
 }

@@ -239,7 +239,7 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input; outputs that exist a
   CHECK_FALSE(fs::exists(out));
   CHECK(test::run_program({RGS_PRUNE, "--help"}).exit_code == 0);
   CHECK(stage.run(stage.file("missing.ply"), out, {"--keep", "1"}).exit_code == 3);
-  CHECK(stage.run(stage.ply, stage.ply, {"--keep", "1", "--overwrite"}).exit_code == 3);
+  CHECK(stage.run(stage.ply, stage.ply, {"--keep", "1", "--overwrite"}).exit_code == 2);
   std::ofstream(out) << "mine";
   const ProgramResult kept = stage.run(stage.ply, out, {"--keep", "1"});
   CHECK(kept.exit_code == 3);
