@@ -196,9 +196,8 @@ class Folder {
   void print(const FolderRow& row, std::size_t n) const {
     if (options_.quiet) return;
     const std::string& text = row.error.empty() ? row.headline : row.error;
-    fmt::print("[{}/{}] {}: {}{}\n", rows_.size(), n, tool::escape_untrusted(row.stem, false),
-               tool::escape_untrusted(text, false, 4096), row.reused ? " (as before)" : "");
-    std::fflush(stdout);
+    tool::print(fmt::format("[{}/{}] {}: {}{}\n", rows_.size(), n, tool::printable(row.stem), tool::printable(text),
+                            row.reused ? " (as before)" : ""));
   }
 
   fs::path table(const char* extension) const { return out_ / (std::string(kTableStem) + "." + extension); }

@@ -60,7 +60,7 @@ struct Summary {
   std::string format;
   std::uint64_t source_bytes = 0, n_source = 0, output_bytes = 0, pixels = 0;
   std::size_t n_cameras = 0;
-  std::vector<std::string> lost;  ///< of what the source declares
+  std::vector<std::string> lost;                          ///< of what the source declares
   std::uint64_t n_scale_subnormal = 0, n_scale_zero = 0;  // of an .rgs: below FP16's normal range, flushed to 0
   rgs::prune::Outcome outcome;
   double read_seconds = 0, render_seconds = 0, write_seconds = 0;
@@ -154,8 +154,14 @@ Step<rgs::ConvertSummary> write_scene(const Options& o, SplatFormat to, rgs::Spl
   if (!options.encode.depth) options.cameras = std::move(cameras);  // else the range that the .rgs declares
   options.output = o.file();
   const int degree = file.cloud.sh_degree;
-  rgs::LoadedScene scene{
-      std::move(file.cloud), rgs::format_name(file.format), file.bytes, hash, n_source, degree, file.origin};
+  rgs::LoadedScene scene;
+  scene.cloud = std::move(file.cloud);
+  scene.format = rgs::format_name(file.format);
+  scene.bytes = file.bytes;
+  scene.xxh3 = hash;
+  scene.n_source = n_source;
+  scene.source_sh_degree = degree;
+  scene.origin = file.origin;
   scene.unused = std::move(file.unused);
   rgs::keep_source(options.encode, scene, file, kept);
   auto written = rgs::convert_scene(std::move(scene), to, o.output, options);

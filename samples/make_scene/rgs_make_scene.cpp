@@ -74,8 +74,9 @@ int make_scene(const Options& options, std::uint64_t n) {
   const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
-  rgs::Result<rgs::PlyWriter> writer =
-      rgs::PlyWriter::create(options.output, n, options.degree, file_options, {.origin = options.origin});
+  rgs::Declarations stated;
+  stated.origin = options.origin;
+  rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options, stated);
   if (!writer) return tool::report(options.output, writer.error());
   const rgs::SceneGenerator scene(options.seed, n, options.degree);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -93,8 +94,8 @@ int make_scene(const Options& options, std::uint64_t n) {
   progress.finish();
 
   if (!options.quiet) {
-    const std::uint64_t bytes = rgs::ply_header(n, options.degree, {.origin = options.origin}).size() +
-                                n * rgs::ply_row_bytes(options.degree, options.origin);
+    const std::uint64_t bytes =
+        rgs::ply_header(n, options.degree, stated).size() + n * rgs::ply_row_bytes(options.degree, options.origin);
     tool::print(fmt::format("{}: {} Gaussians, SH degree {}, seed {}, {}\n", tool::printable(options.output),
                             tool::format_count(n), options.degree, options.seed, tool::format_bytes(bytes)));
   }

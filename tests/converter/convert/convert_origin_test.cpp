@@ -38,7 +38,9 @@ std::vector<Position> write_far_scene(const std::string& path, SplatCloud cloud,
   std::mt19937_64 random(3);
   std::uniform_real_distribution<double> below_fp32(-1e-3, 1e-3);
   std::vector<Position> positions(cloud.size());
-  std::string text = ply_header(cloud.size(), cloud.sh_degree, {.origin = {1, 0, 0}});
+  Declarations stated;
+  stated.origin = {1, 0, 0};
+  std::string text = ply_header(cloud.size(), cloud.sh_degree, stated);
   for (std::size_t i = 0; i < cloud.size(); ++i) {
     std::vector<std::byte> row(ply_row_bytes(cloud.sh_degree, {1, 0, 0}));
     const Splat s = cloud.view().splat(i);

@@ -54,8 +54,9 @@ rgs::SplatCloud ball() {
 }
 
 void write_ply(const std::string& path, const rgs::SplatCloud& cloud, const rgs::Origin& origin = rgs::kNoOrigin) {
-  auto writer = rgs::PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false},
-                                       {.origin = origin});
+  rgs::Declarations stated;
+  stated.origin = origin;
+  auto writer = rgs::PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false}, stated);
   REQUIRE(writer);
   std::vector<rgs::Splat> splats;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
@@ -420,7 +421,8 @@ TEST_CASE("--max-expansion says what a compressed scene may decode to") {
     REQUIRE(bytes);
     std::ofstream(folder.file("scene"), std::ios::binary)
         .write(reinterpret_cast<const char*>(bytes->data()), static_cast<std::streamsize>(bytes->size()));
-    const std::string rest = " --size 16x12 --overwrite '" + folder.file("scene") + "' -o '" + folder.file("a.png") + "'";
+    const std::string rest =
+        " --size 16x12 --overwrite '" + folder.file("scene") + "' -o '" + folder.file("a.png") + "'";
     CHECK(render("--max-expansion 500kB" + rest).code == 4);
     CHECK(render("--max-expansion 1GB" + rest).code == 0);
     CHECK(render(rest).code == 0);
