@@ -363,8 +363,10 @@ TEST_CASE("an anti-aliasing that the source states and the asset has lost is see
   REQUIRE(bytes);
   const std::string source = write_bytes(scene.file("mip.ply"), *bytes);
   const std::string cameras = write_cameras(scene.file("far.json"), std::array{9.0});
+  EncodeOptions as_stated;
+  as_stated.aa_mode = AaMode::mip_splatting;
   const std::string lost = write_rgs(scene.file("lost.rgs"), scene.cloud),
-                    kept = write_rgs(scene.file("kept.rgs"), scene.cloud, {.aa_mode = AaMode::mip_splatting});
+                    kept = write_rgs(scene.file("kept.rgs"), scene.cloud, as_stated);
   const auto audit = [&](const std::string& asset) {
     const ProgramResult run = run_audit({source, asset, "--cameras", cameras, "--json", "-", "--quiet"});
     REQUIRE(run.exit_code == 0);

@@ -36,7 +36,9 @@ inline SplatCloud audit_cloud(std::uint64_t n = 700, int sh_degree = 3, std::uin
 }
 
 inline std::string write_ply(const std::string& path, const SplatCloud& cloud, const Origin& origin = kNoOrigin) {
-  auto writer = PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false}, origin);
+  Declarations stated;
+  stated.origin = origin;
+  auto writer = PlyWriter::create(path, cloud.size(), cloud.sh_degree, {.overwrite = true, .sync = false}, stated);
   REQUIRE(writer);
   std::vector<Splat> splats;
   for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
