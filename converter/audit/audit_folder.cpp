@@ -223,9 +223,8 @@ class Folder {
 
   std::string csv() const {
     std::string text =
-        "name,status,grade,source_bytes,asset_bytes,gaussians,ratio,bytes_per_gaussian,views,rated,psnr,worst_psnr,"
-        "ssim,"
-        "loss,error\n";
+        "name,status,grade,source_bytes,asset_bytes,gaussians,ratio,bytes_per_gaussian,n_views,n_rated,psnr,"
+        "worst_psnr,ssim,loss,error\n";
     const auto cell = [](const std::optional<double>& v) { return v ? fmt::format("{}", *v) : std::string(); };
     for (const FolderRow& r : rows_)
       fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n", quoted(r.stem),

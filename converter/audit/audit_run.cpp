@@ -180,7 +180,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     report.attributes = compare_attributes(*source, *view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {
-    const auto scene = load_scene_file(options.asset, options.limits);
+    const auto scene = load_scene_file(options.asset, options.limits, source->declarations().axes);
     if (!scene) return make_error(options.asset, scene.error());
     report.asset_format = format_name(scene->format);
     report.declarations = scene->scene.declarations();

@@ -591,7 +591,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));
   app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
-  app.add_flag("--quiet", a.quiet, "No progress, no summary");
+  app.add_flag("--quiet,-q", a.quiet, "No progress, no summary");
   app.footer(
       "Written are .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
       "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input; with --audit also those of "

@@ -94,7 +94,7 @@ Result<SplatFile> finish(Result<SplatFile> file, SplatFormat format, std::uint64
     convert_axes(file->cloud, file->axes, kAxes3dgs);
     convert_axes(file->origin, file->axes, kAxes3dgs);
     file->axes = kAxes3dgs;
-    if (file->declarations) file->declarations->axes = kAxes3dgs;
+    if (file->declarations) file->declarations->axes = kAxes3dgs, file->declarations->origin = file->origin;
   }
   return file;
 }

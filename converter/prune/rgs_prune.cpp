@@ -249,6 +249,9 @@ int prune(const Options& o) {
   const auto contributions = contributions_of(o, *file, *cameras, progress);
   if (!contributions) return contributions.error();
   summary.render_seconds = lap(time);
+  if (!contributions->empty() && rgs::prune::outcome(*contributions, o.score, {}).n_unseen == contributions->size())
+    return tool::report(o.cameras, {rgs::Errc::bad_argument, rgs::Error::kNone,
+                                    "no camera sees any Gaussian: do the cameras belong to this scene?"});
 
   const auto kept = o.min_contribution ? rgs::prune::at_least(*contributions, o.score, *o.min_contribution)
                                        : rgs::prune::highest(*contributions, o.score, o.keep.of(summary.n_source));

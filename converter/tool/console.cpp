@@ -97,11 +97,14 @@ std::string describe(const Error& error) {
   std::string text;
   if (error.offset != Error::kNone) text += fmt::format("byte {}: ", error.offset);
   text += error.what;
-  // A record of a file is named by its number.
+  // A record of a file is named by its number, which is not what was found in it.
   constexpr std::string_view kRecord = "this index";
-  if (const std::size_t at = text.find(kRecord); at != text.npos && error.found != Error::kNone)
+  bool found = error.found != Error::kNone;
+  if (const std::size_t at = text.find(kRecord); at != text.npos && found) {
     text.replace(at, kRecord.size(), "index " + number(error, error.found));
-  const bool expected = error.expected != Error::kNone, found = error.found != Error::kNone;
+    found = false;
+  }
+  const bool expected = error.expected != Error::kNone;
   if (expected && found) {
     text += fmt::format(" (expected {}, found {})", number(error, error.expected), number(error, error.found));
   } else if (expected) {

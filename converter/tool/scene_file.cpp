@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "rgs/file.hpp"
+#include "rgs/splat_edit.hpp"
 
 namespace rgs {
 namespace {
@@ -22,9 +23,14 @@ Result<SceneFile> load_rgs(MappedFile file, const DecodeLimits& limits) {
   return out;
 }
 
-Result<SceneFile> load_other(const std::string& path, const DecodeLimits& limits) {
-  auto file = read_splats(path, {.limits = limits});
+Result<SceneFile> load_other(const std::string& path, const DecodeLimits& limits, const Axes& axes) {
+  auto file = read_splats(path, {.limits = limits});  // in the axes of 3DGS, or undeclared ones
   if (!file) return tl::unexpected(file.error());
+  if (axes[0] != Axis::undeclared && file->axes[0] != Axis::undeclared) {
+    convert_axes(file->cloud, file->axes, axes);
+    convert_axes(file->origin, file->axes, axes);
+    file->axes = axes;
+  }
   SceneFile out;
   out.format = file->format;
   out.file_bytes = file->bytes;
@@ -52,10 +58,10 @@ Declarations declarations_of(const SplatFile& file) {
   return d;
 }
 
-Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits) {
+Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits, const Axes& axes) {
   auto file = MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path, limits);
+  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path, limits, axes);
   return load_rgs(*std::move(file), limits);
 }
 

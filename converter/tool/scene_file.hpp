@@ -23,9 +23,10 @@ struct SceneFile {
 /// What a file of any format says of itself, for Scene::load(); all else as in the original 3DGS code.
 Declarations declarations_of(const SplatFile& file);
 
-/// Reads `path`; its first bytes decide what it is. Scenes of other formats than .rgs are in the axes of
-/// 3DGS. Errors: those of read_splats() and of Scene::load(); for a bad_value of the latter, Error::found is the index
+/// Reads `path`; its first bytes decide what it is. Scenes of other formats than .rgs are turned into `axes`, those of
+/// 3DGS if these are undeclared. Errors: those of read_splats() and of Scene::load(); for a bad_value of the latter, Error::found is the index
 /// of the Gaussian.
-Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits = {});
+Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits = {},
+                                  const Axes& axes = kAxes3dgs);
 
 }  // namespace rgs

@@ -69,9 +69,7 @@ Result<rgs::Scene> load_source(const std::string& path, const rgs::DecodeLimits&
   if (!ply) return tl::unexpected(ply.error());
   auto cloud = rgs::read_cloud(*ply);
   if (!cloud) return tl::unexpected(cloud.error());
-  rgs::Declarations declared;
-  declared.origin = ply->origin();
-  scene = rgs::Scene::load(*std::move(cloud), declared);
+  scene = rgs::Scene::load(*std::move(cloud), ply->declarations());
   if (!scene && scene.error().code == rgs::Errc::bad_value) {
     rgs::Error error = scene.error();
     std::swap(error.found, error.offset);  // an index, not a byte of the file

@@ -31,7 +31,7 @@ struct Options {
   std::uint64_t seed = 1;
   int degree = 3;
   unsigned threads = 0;
-  bool overwrite = false, quiet = false, sync = true;
+  bool overwrite = false, quiet = false, no_sync = false;
 };
 
 rgs::Status write_text(const std::string& path, const std::string& text, const rgs::AtomicFile::Options& options) {
@@ -68,7 +68,7 @@ rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer
 }
 
 int make_scene(const Options& options, std::uint64_t n) {
-  const rgs::AtomicFile::Options file_options{options.overwrite, options.sync};
+  const rgs::AtomicFile::Options file_options{options.overwrite, !options.no_sync};
   const std::array outputs{options.output, options.cameras};
   if (const int code = tool::InputFiles().check_outputs(outputs); code != tool::kSuccess) return code;
   const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
@@ -124,8 +124,8 @@ int parse_and_make_scene(int argc, char** argv) {
       ->check(CLI::Range(0U, 1024U))
       ->capture_default_str();
   app.add_flag("--overwrite", options.overwrite, "replace existing outputs");
-  app.add_flag("!--no-sync", options.sync, "do not wait until the files are on the disk");
-  app.add_flag("--quiet", options.quiet, "print errors only");
+  app.add_flag("--no-sync", options.no_sync, "do not wait until the files are on the disk");
+  app.add_flag("--quiet,-q", options.quiet, "print errors only");
   app.set_version_flag("--version", "rgs-make-scene " RGS_VERSION);
   app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output.");
   if (const auto code = tool::parse(app, argc, argv)) return *code;

@@ -42,7 +42,8 @@ Status check_options(const EncodeOptions& o) {
       return bad("the depth range must be 0 < near < far");
     }
   }
-  if (!(o.metres_per_unit >= 0 && std::isfinite(o.metres_per_unit))) return bad("metres per unit must not be negative");
+  if (!(o.metres_per_unit >= 0 && std::isfinite(o.metres_per_unit)))
+    return bad("metres per unit are negative or not finite");
   if (o.provenance &&
       (o.provenance->source_name.size() > kMaxProvenanceText || o.provenance->tool.size() > kMaxProvenanceText)) {
     return bad("provenance texts are limited to 4096 bytes");

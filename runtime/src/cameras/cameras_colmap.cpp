@@ -22,7 +22,7 @@ namespace {
 
 // Models in the order of their numbers in cameras.bin, and what is said of those with lens distortion.
 #define RGS_UNDISTORT(model)                                        \
-  "the camera of this index is of model " model                     \
+  "the camera of this index is of " model                           \
   "; run colmap image_undistorter and use the model in its sparse " \
   "folder"
 struct Model {
@@ -32,16 +32,17 @@ struct Model {
 constexpr Model kModels[] = {
     {"SIMPLE_PINHOLE", ""},
     {"PINHOLE", ""},
-    {"SIMPLE_RADIAL", RGS_UNDISTORT("SIMPLE_RADIAL with lens distortion k")},
-    {"RADIAL", RGS_UNDISTORT("RADIAL with lens distortion k1, k2")},
-    {"OPENCV", RGS_UNDISTORT("OPENCV with lens distortion k1, k2, p1, p2")},
-    {"OPENCV_FISHEYE", RGS_UNDISTORT("OPENCV_FISHEYE with lens distortion k1 to k4")},
-    {"FULL_OPENCV", RGS_UNDISTORT("FULL_OPENCV with lens distortion k1 to k6, p1, p2")},
-    {"FOV", RGS_UNDISTORT("FOV with lens distortion omega")},
-    {"SIMPLE_RADIAL_FISHEYE", RGS_UNDISTORT("SIMPLE_RADIAL_FISHEYE with lens distortion k")},
-    {"RADIAL_FISHEYE", RGS_UNDISTORT("RADIAL_FISHEYE with lens distortion k1, k2")},
-    {"THIN_PRISM_FISHEYE", RGS_UNDISTORT("THIN_PRISM_FISHEYE with lens distortion k1 to k4, p1, p2, sx1, sy1")}};
-constexpr const char* kUnknownModel = RGS_UNDISTORT("none that is known here");
+    {"SIMPLE_RADIAL", RGS_UNDISTORT("model SIMPLE_RADIAL, which has lens distortion k")},
+    {"RADIAL", RGS_UNDISTORT("model RADIAL, which has lens distortion k1, k2")},
+    {"OPENCV", RGS_UNDISTORT("model OPENCV, which has lens distortion k1, k2, p1, p2")},
+    {"OPENCV_FISHEYE", RGS_UNDISTORT("model OPENCV_FISHEYE, which has lens distortion k1 to k4")},
+    {"FULL_OPENCV", RGS_UNDISTORT("model FULL_OPENCV, which has lens distortion k1 to k6, p1, p2")},
+    {"FOV", RGS_UNDISTORT("model FOV, which has lens distortion omega")},
+    {"SIMPLE_RADIAL_FISHEYE", RGS_UNDISTORT("model SIMPLE_RADIAL_FISHEYE, which has lens distortion k")},
+    {"RADIAL_FISHEYE", RGS_UNDISTORT("model RADIAL_FISHEYE, which has lens distortion k1, k2")},
+    {"THIN_PRISM_FISHEYE",
+     RGS_UNDISTORT("model THIN_PRISM_FISHEYE, which has lens distortion k1 to k4, p1, p2, sx1, sy1")}};
+constexpr const char* kUnknownModel = RGS_UNDISTORT("a model that is not known here");
 #undef RGS_UNDISTORT
 constexpr std::uint64_t kImageBytes = 4 + 7 * 8 + 4 + 1 + 8;  // smallest record: empty name, no points
 

@@ -357,6 +357,28 @@ TEST_CASE("an asset of another format is drawn as it declares, and the source wi
   CHECK(difference(render(as_declared, 9), render(classic, 9))->psnr < 40);  // it matters
 }
 
+TEST_CASE("a source in other axes than those of 3DGS is compared with assets that are turned into them") {
+  const SceneFolder scene;
+  SplatCloud turned = scene.cloud;
+  convert_axes(turned, kAxes3dgs, format_axes(SplatFormat::spz));
+  const Axes opengl = format_axes(SplatFormat::spz);
+  const std::string source =
+      write_bytes(scene.file("gl.ply"), encode_splats(turned.view(), SplatFormat::ply, {.axes = opengl}).value());
+  const std::string spz = write_bytes(scene.file("gl.spz"), encode_splats(turned.view(), SplatFormat::spz).value());
+  EncodeOptions declared;
+  declared.axes = opengl;
+  const std::string rgs = write_rgs(scene.file("gl.rgs"), turned, declared);
+  for (const auto& [asset, also] : {std::pair(spz, scene.ply), {scene.ply, spz}, {rgs, scene.ply}}) {
+    const ProgramResult run =
+        run_audit({source, asset, "--also", also, "--cameras", scene.cameras, "--json", "-", "--quiet"});
+    REQUIRE_MESSAGE(run.exit_code == 0, run.err);
+    const json result = json::parse(run.out);
+    const json &psnr = result["rendered"]["psnr"], &of_also = result["also"][0]["psnr"];
+    CHECK((psnr.is_null() || psnr.get<double>() > 30));
+    CHECK((of_also.is_null() || of_also.get<double>() > 30));
+  }
+}
+
 TEST_CASE("an anti-aliasing that the source states and the asset has lost is seen, and said") {
   const SceneFolder scene;
   const auto bytes = encode_splats(scene.cloud.view(), SplatFormat::ply, {.aa_mode = AaMode::mip_splatting});

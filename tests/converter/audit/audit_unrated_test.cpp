@@ -237,6 +237,8 @@ TEST_CASE("two folders: unrated pairs are no pairs of infinite PSNR") {
   CHECK(fine["grade"] == "no_visible_loss");
   CHECK(fine["psnr"].get<double>() > 40);
   const std::string csv = read_text(out + "/index.csv");
+  CHECK(csv.starts_with(
+      "name,status,grade,source_bytes,asset_bytes,gaussians,ratio,bytes_per_gaussian,n_views,n_rated,"));
   CHECK(csv.find("inf") == std::string::npos);
   CHECK(csv.find("nan") == std::string::npos);
   const std::string table = read_text(out + "/index.html");

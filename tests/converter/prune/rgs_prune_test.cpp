@@ -217,6 +217,18 @@ TEST_CASE("scenes of other formats in, .rgs out with what its source declared") 
   for (std::size_t i = 0; i < turned->size(); ++i) CHECK(turned->mean[3 * i + 2] == -4);
 }
 
+TEST_CASE("cameras that see no Gaussian rank none: nothing is written") {
+  const Stage stage;
+  std::ofstream(stage.cameras) << R"([{"name":"a","width":64,"height":48,"fx":50,"fy":50,)"
+                                  R"("world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,-100],[0,0,0,1]]}])";
+  for (const char* how : {"--keep", "--min-contribution"}) {
+    const ProgramResult blind = stage.run(stage.ply, stage.file("blind.ply"), {how, "1"});
+    CHECK(blind.exit_code == 2);
+    CHECK(blind.err.find("cameras.json: no camera sees any Gaussian") != std::string::npos);
+    CHECK_FALSE(fs::exists(stage.file("blind.ply")));
+  }
+}
+
 TEST_CASE("an empty scene stays empty") {
   const Stage stage;
   write_bytes(stage.file("empty.ply"), encode_splats(SplatCloud().view(), SplatFormat::ply).value());

@@ -254,6 +254,7 @@ TEST_CASE("an output to standard output that is closed or full is exit code 3") 
 TEST_CASE("names and values from outside are printed without effect on a terminal") {
   const Scene scene;
   const std::string hostile = scene.file(kHostile), link = scene.file("\x1b[31mrgs");
+  const std::string absent = scene.file("no folder/" + kHostile);  // where nothing can be written either
   fs::copy_file(scene.ply, hostile);
   for (const std::string& path : kPrograms) {
     CAPTURE(path);
@@ -267,15 +268,14 @@ TEST_CASE("names and values from outside are printed without effect on a termina
       return result.exit_code;
     };
     CHECK(check({"--" + kHostile}) == 2);
-    const std::string missing = scene.file("missing/") + kHostile;  // where nothing can be written either
-    CHECK(check({missing}) != 0);
-    check({missing, missing});
-    check({missing + "1", missing + "2", missing + "3"});
+    CHECK(check({absent}) != 0);
+    check({absent, absent});
+    check({absent + "1", absent + "2", absent + "3"});
     const bool makes = fs::path(path).filename() == "rgs-make-scene";
     for (const Option& option : options_of(path)) {
       CAPTURE(option.name);
       // With all else as it should be, so that the value is looked at.
-      Arguments run{scene.ply, scene.file("o.rgs"), option.name, kHostile};
+      Arguments run{scene.ply, scene.file("o.rgs"), option.name, absent};
       if (makes) run.erase(run.begin());
       if (option.name != "--cameras") run.insert(run.end(), {"--cameras", scene.cameras});
       check(run);

@@ -231,7 +231,7 @@ TEST_CASE("COLMAP binary: counts that the file cannot hold, trailing bytes, unkn
   std::string opencv = good_cameras, twice = good_cameras, wide = good_cameras;
   opencv[12] = 4;
   check_error(parse(opencv, good_images), Errc::unsupported_feature, 8);
-  CHECK(std::string(parse(opencv, good_images).error().what).find("OPENCV with lens distortion k1") !=
+  CHECK(std::string(parse(opencv, good_images).error().what).find("OPENCV, which has lens distortion k1") !=
         std::string::npos);
   CHECK(parse(opencv, good_images).error().found == 0);
   opencv[12] = 99;
@@ -258,7 +258,7 @@ TEST_CASE("COLMAP text: the byte offset of what is wrong") {
   const auto radial = parse_colmap_text("1 PINHOLE 4 4 1 1 1 1\n2 RADIAL 4 4 1 1 1 0 0\n", images);
   REQUIRE_FALSE(radial);
   CHECK(radial.error().found == 1);
-  CHECK(std::string(radial.error().what).find("RADIAL with lens distortion k1, k2") != std::string::npos);
+  CHECK(std::string(radial.error().what).find("RADIAL, which has lens distortion k1, k2") != std::string::npos);
   check_error(parse_colmap_text("1 MY_LENS 4 4 1 1 1 0 0\n", images), Errc::unsupported_feature, 0);
   check_error(parse_colmap_text("1 PINHOLE 4 4 1 1 1\n", images), Errc::bad_syntax, 19);
   check_error(parse_colmap_text("1 PINHOLE 4 4 1 1 1 1 1\n", images), Errc::bad_syntax, 22);
