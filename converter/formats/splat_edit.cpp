@@ -110,7 +110,8 @@ bool is_far(const glm::dvec3& translation, const SplatCloud& cloud, double scale
 double weight(const SplatCloud& cloud, std::uint64_t i) {
   const float* s = &cloud.log_scale[3 * i];
   const float largest = std::max({s[0], s[1], s[2]});
-  const float second = std::max(std::min(s[0], s[1]), std::min(std::max(s[0], s[1]), s[2]));  // the smallest may be -inf
+  const float second =
+      std::max(std::min(s[0], s[1]), std::min(std::max(s[0], s[1]), s[2]));  // the smallest may be -inf
   const double value = static_cast<double>(largest) + static_cast<double>(second) +
                        std::log(static_cast<double>(opacity_from_logit(cloud.opacity_logit[i])));
   return std::isnan(value) ? -HUGE_VAL : value;
@@ -308,7 +309,7 @@ Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) 
       const std::uint64_t sound = scan.n_kept() - scan.n_repaired();
       const bool keeps = scan.add(s);
       if (options.on_bad == BadPolicy::refuse && !keeps)
-        return make_error(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
+        return make_error(Errc::bad_value, i, "the Gaussian of this index is damaged");
       if (!keeps) continue;
       if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
       kept.push_back(i);
