@@ -148,6 +148,8 @@ Similarity compose(const Similarity& outer, const Similarity& inner) {
 
 void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
   const bool turns = similarity.rotation != glm::dmat3(1.0);
+  // Bits stay what they are: sums would lose the sign of -0, and the sound coordinates of a mean that is damaged in one.
+  if (!turns && similarity.scale == 1 && similarity.translation == glm::dvec3(0)) return;
   const glm::dquat turn = quaternion_of(similarity.rotation);
   const auto log_factor = static_cast<float>(std::log(similarity.scale));
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
