@@ -112,7 +112,8 @@ std::vector<float> positions_of(const SplatView& splats, const Origin& origin) {
 Status check_sound(const SplatView& splats) {
   for (std::uint64_t i = 0; i < splats.n; ++i) {
     if (find_defects(splats.splat(i), splats.sh_degree) != 0) {
-      return make_error(Errc::bad_value, i, "a damaged Gaussian; drop or repair such before writing this format");
+      return make_error(Errc::bad_value, i,
+                        "the Gaussian of this index is damaged; drop or repair such before writing this format");
     }
   }
   return {};

@@ -148,6 +148,8 @@ Similarity compose(const Similarity& outer, const Similarity& inner) {
 
 void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
   const bool turns = similarity.rotation != glm::dmat3(1.0);
+  // Bits stay what they are: sums would lose the sign of -0, and the sound coordinates of a mean that is damaged in one.
+  if (!turns && similarity.scale == 1 && similarity.translation == glm::dvec3(0)) return;
   const glm::dquat turn = quaternion_of(similarity.rotation);
   const auto log_factor = static_cast<float>(std::log(similarity.scale));
   for (std::uint64_t i = 0; i < cloud.size(); ++i) {
@@ -309,7 +311,7 @@ Result<SceneScan> clean_splats(SplatCloud& cloud, const EncodeOptions& options) 
       const std::uint64_t sound = scan.n_kept() - scan.n_repaired();
       const bool keeps = scan.add(s);
       if (options.on_bad == BadPolicy::refuse && !keeps)
-        return make_error(Errc::bad_value, i, "a damaged Gaussian", 0, 1);
+        return make_error(Errc::bad_value, i, "the Gaussian of this index is damaged");
       if (!keeps) continue;
       if (scan.n_kept() - scan.n_repaired() == sound) cloud.set(i, s);  // mended
       kept.push_back(i);

@@ -657,7 +657,9 @@ Result<int> choose_fractional_bits(const SplatView& splats) {
   for (std::uint64_t i = 0; i < splats.mean.size(); ++i) {
     const double magnitude = std::abs(static_cast<double>(splats.mean[i]));
     while (bits >= 0 && std::floor(std::ldexp(magnitude, bits) + 0.5) > 8388607) --bits;
-    if (bits < 0) return make_error(Errc::bad_value, i / 3, "a mean is beyond SPZ's range of 2^23 units");
+    if (bits < 0)
+      return make_error(Errc::bad_value, i / 3,
+                        "the mean of the Gaussian of this index is beyond SPZ's range of 2^23 units");
   }
   return bits;
 }

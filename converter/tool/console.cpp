@@ -94,17 +94,16 @@ int finish(int code) {
 }  // namespace
 
 std::string describe(const Error& error) {
-  std::string text;
-  if (error.offset != Error::kNone) text += fmt::format("byte {}: ", error.offset);
-  text += error.what;
-  // A record of a file is named by its number, which is not what was found in it.
+  std::string text = error.what;
+  // A record of a file is named by its number, which is not what was found in it; one of an array, which has no bytes, by
+  // its offset.
   constexpr std::string_view kRecord = "this index";
-  bool found = error.found != Error::kNone;
-  if (const std::size_t at = text.find(kRecord); at != text.npos && found) {
-    text.replace(at, kRecord.size(), "index " + number(error, error.found));
-    found = false;
-  }
-  const bool expected = error.expected != Error::kNone;
+  const std::size_t at = text.find(kRecord);
+  const bool is_record = at != text.npos, in_array = is_record && error.found == Error::kNone;
+  const std::uint64_t index = in_array ? error.offset : error.found;
+  if (is_record && index != Error::kNone) text.replace(at, kRecord.size(), "index " + number(error, index));
+  if (!in_array && error.offset != Error::kNone) text = fmt::format("byte {}: ", error.offset) + text;
+  const bool expected = error.expected != Error::kNone, found = !is_record && error.found != Error::kNone;
   if (expected && found) {
     text += fmt::format(" (expected {}, found {})", number(error, error.expected), number(error, error.found));
   } else if (expected) {
@@ -132,7 +131,7 @@ const char* hint(const Error& error) {
     case Errc::size_mismatch: return "the file is incomplete; copy or convert it again";
     case Errc::checksum_mismatch: return "the file is damaged; copy or convert it again";
     case Errc::limit_exceeded:
-      if (std::string_view(error.what).find("decode") == std::string_view::npos) return "";
+      if (std::string_view(error.what).find("max_expansion") == std::string_view::npos) return "";
       return "if you trust the file, allow more: --max-expansion RATIO or a size such as 8GB";
     case Errc::bad_magic: return "the file is of another format; its name does not decide what it is";
     case Errc::host_out_of_memory: return "raise the limit of memory (ulimit -v), or use a machine with more";

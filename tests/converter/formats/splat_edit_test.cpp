@@ -1,6 +1,7 @@
 // splat_edit_test.cpp - moving, turning, mirroring, merging, filtering and stripping: judged by the colours, shapes and
 // places that come out.
 // SPDX-License-Identifier: Apache-2.0
+#include <cmath>
 #include <glm/geometric.hpp>
 #include <glm/matrix.hpp>
 #include <limits>
@@ -55,6 +56,16 @@ void check_moved(const SplatCloud& before, const SplatCloud& after, const glm::d
 }
 
 }  // namespace
+
+TEST_CASE("a scene that is not moved keeps its bits, those of damaged Gaussians too") {
+  SplatCloud cloud;
+  cloud.resize(1, 0);
+  cloud.mean = {std::numeric_limits<float>::quiet_NaN(), 2.5F, -0.0F};
+  transform_splats(cloud, Similarity());
+  CHECK(std::isnan(cloud.mean[0]));
+  CHECK(cloud.mean[1] == 2.5F);
+  CHECK(std::signbit(cloud.mean[2]));
+}
 
 TEST_CASE("a similarity moves places, shapes and view-dependent colours together") {
   SplitMix random(3);

@@ -32,6 +32,7 @@ TEST_CASE("an error is described with its place, both numbers and the system's r
   CHECK(describe({Errc::bad_value, 0, "bad", Error::kNone, 7}) == "byte 0: bad (found 7)");
   CHECK(describe({Errc::bad_value, 9, "the camera of this index is bad", Error::kNone, 7}) ==
         "byte 9: the camera of index 7 is bad");
+  CHECK(describe({Errc::bad_value, 1500, "the Gaussian of this index is bad"}) == "the Gaussian of index 1,500 is bad");
   CHECK(describe({Errc::checksum_mismatch, 64, "checksum", 0xab, 0xcd}) ==
         "byte 64: checksum (expected 00000000000000ab, found 00000000000000cd)");
   CHECK(describe({Errc::open_failed, Error::kNone, "cannot open", Error::kNone, Error::kNone, ENOENT}) ==
@@ -39,6 +40,10 @@ TEST_CASE("an error is described with its place, both numbers and the system's r
   CHECK(std::string(hint({Errc::write_failed, Error::kNone, "", Error::kNone, Error::kNone, ENOSPC})) ==
         "free some space or write to another disk");
   CHECK(std::string(hint({Errc::bad_argument})) == "");
+  CHECK(std::string(hint({Errc::limit_exceeded, 8, "decodes to too much (max_expansion)"})).find("--max-expansion") !=
+        std::string::npos);
+  CHECK(std::string(hint({Errc::limit_exceeded, Error::kNone, "a writer refuses what readers would not decode"})) ==
+        "");
 }
 
 TEST_CASE("the exit code is the class of the error, and exceptions that nobody expects are internal errors") {
