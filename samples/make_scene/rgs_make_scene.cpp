@@ -69,7 +69,8 @@ rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer
 
 int make_scene(const Options& options, std::uint64_t n) {
   const rgs::AtomicFile::Options file_options{options.overwrite, options.sync};
-  const std::array outputs{options.output, options.cameras};
+  const bool piped = options.output == "-" || options.cameras == "-";  // then text goes elsewhere
+  const std::array<std::string, 3> outputs{options.output, options.cameras, piped || options.quiet ? "" : "-"};
   if (const int code = tool::InputFiles().check_outputs(outputs); code != tool::kSuccess) return code;
   const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
@@ -96,8 +97,9 @@ int make_scene(const Options& options, std::uint64_t n) {
   if (!options.quiet) {
     const std::uint64_t bytes =
         rgs::ply_header(n, options.degree, stated).size() + n * rgs::ply_row_bytes(options.degree, options.origin);
-    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, seed {}, {}\n", tool::printable(options.output),
-                            tool::format_count(n), options.degree, options.seed, tool::format_bytes(bytes)));
+    (piped ? tool::print_error
+           : tool::print)(fmt::format("{}: {} Gaussians, SH degree {}, seed {}, {}\n", tool::printable(options.output),
+                                      tool::format_count(n), options.degree, options.seed, tool::format_bytes(bytes)));
   }
   return tool::kSuccess;
 }
@@ -124,7 +126,8 @@ int parse_and_make_scene(int argc, char** argv) {
       ->check(CLI::Range(0U, 1024U))
       ->capture_default_str();
   app.add_flag("--overwrite", options.overwrite, "replace existing outputs");
-  app.add_flag("!--no-sync", options.sync, "do not wait until the files are on the disk");
+  app.add_flag_callback(
+      "--no-sync", [&options] { options.sync = false; }, "do not wait until the files are on the disk");
   app.add_flag("--quiet", options.quiet, "print errors only");
   app.set_version_flag("--version", "rgs-make-scene " RGS_VERSION);
   app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output.");
