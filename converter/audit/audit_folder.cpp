@@ -20,6 +20,7 @@
 #include "audit_report.hpp"
 #include "audit_text.hpp"
 #include "info_escape.hpp"
+#include "input_files.hpp"
 #include "rgs/file.hpp"
 
 namespace rgs::audit {
@@ -161,6 +162,11 @@ class Folder {
     options.asset = pair.asset;
     options.cameras = own_or_common(options.cameras, stem + ".json");
     options.photos = own_or_common(options.photos, stem);
+    tool::InputFiles inputs;
+    inputs.add(options.source);
+    inputs.add(options.asset);
+    inputs.add_cameras(options.cameras);
+    inputs.add_pictures(options.photos);
     const auto fingerprint = audit::fingerprint(options);
     if (!fingerprint) return failed_row(stem, fingerprint.error());
     const fs::path json = out_ / (stem + ".json"), page = out_ / (stem + ".html");
@@ -174,6 +180,8 @@ class Folder {
                                   "a result of other inputs or options; pass --overwrite to replace it"}});
     tool::Progress progress(options_.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
     auto report = audit::run(options, progress);
+    // That a file changed explains whatever was found wrong in it.
+    if (const auto changed = inputs.changed()) return failed_row(stem, {*changed, tool::kFileChanged});
     if (!report) return failed_row(stem, report.error());
     report->fingerprint = *fingerprint;
     evaluate(options_.conditions, *report);

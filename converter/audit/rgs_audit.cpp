@@ -49,6 +49,10 @@ rgs::Status write_text(const std::string& path, const std::string& text, bool ov
   return file->commit().map([](double) {});
 }
 
+bool prints_text(const Arguments& a) {
+  return !a.quiet && a.json != "-" && a.report != "-";
+}
+
 int write_outputs(const audit::Report& report, const Arguments& a) {
   if (!a.report.empty())
     if (const auto ok = write_text(a.report, audit::audit_html(report), a.overwrite); !ok)
@@ -56,7 +60,7 @@ int write_outputs(const audit::Report& report, const Arguments& a) {
   if (!a.json.empty())
     if (const auto ok = write_text(a.json, audit::audit_json(report), a.overwrite); !ok)
       return tool::report(a.json, ok.error());
-  if (!a.quiet && a.json != "-" && a.report != "-") tool::print(audit::audit_text(report, a.report));
+  if (prints_text(a)) tool::print(audit::audit_text(report, a.report));
   return tool::kSuccess;
 }
 
@@ -79,7 +83,7 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   tool::InputFiles inputs = common_inputs(a);
   inputs.add(a.audit.source);
   inputs.add_scene(a.audit.asset);
-  const std::array outputs{a.report, a.json};
+  const std::array<std::string, 3> outputs{a.report, a.json, prints_text(a) ? "-" : ""};
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   // Found before the work, not after it.
   for (const std::string& out : {a.report, a.json}) {

@@ -387,7 +387,8 @@ int check_files(Arguments& a, std::deque<rgs::MappedFile>& beside) {
   tool::InputFiles scenes, all;
   for (std::size_t i = 0; i < a.n_inputs(); ++i) scenes.add_scene(a.files[i]), all.add_scene(a.files[i]);
   all.add_cameras(a.cameras);
-  const std::array outputs{a.output(), a.audit ? report_path(a.output()) : std::string()};
+  const bool prints = a.output() != "-" && (a.json || !a.quiet);
+  const std::array<std::string, 3> outputs{a.output(), a.audit ? report_path(a.output()) : "", prints ? "-" : ""};
   if (const int code = all.check_outputs(outputs); code != tool::kSuccess) return code;
   for (const std::string& path : scenes.paths()) {
     if (std::find(a.files.begin(), a.files.end() - 1, path) != a.files.end() - 1) continue;

@@ -1,6 +1,8 @@
 // rgs_info.cpp - prints and checks .rgs files.
 // SPDX-License-Identifier: Apache-2.0
+#include <array>
 #include <csignal>
+#include <string>
 
 #include "command_line.hpp"
 #include "console.hpp"
@@ -27,6 +29,7 @@ int info(const Arguments& arguments) {
   InfoReport report;
   InputFiles inputs;
   inputs.add(arguments.path);
+  if (const int code = inputs.check_outputs(std::array<std::string, 1>{"-"}); code != kSuccess) return code;
   const auto file = MappedFile::open(arguments.path);
   if (file) {
     report = inspect(arguments.path, file->bytes(), arguments.options);

@@ -75,9 +75,9 @@ double lap(Clock::time_point& start) {
 int check_outputs(const Options& o, const tool::InputFiles& inputs, SplatFormat to) {
   if (to != SplatFormat::ply && to != SplatFormat::rgs)
     return tool::report_usage("the output is a .ply or an .rgs file; rgs-convert makes other formats of it");
-  const std::array outputs{o.output, o.scores};
+  const std::array<std::string, 3> outputs{o.output, o.scores, o.json || !o.quiet ? "-" : ""};
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
-  for (const std::string& output : outputs) {
+  for (const std::string& output : {o.output, o.scores}) {
     std::error_code ignored;
     if (!output.empty() && !o.overwrite && fs::exists(output, ignored))
       return tool::report(output, {rgs::Errc::output_exists, rgs::Error::kNone,

@@ -28,7 +28,7 @@ std::string empty_argument(int argc, const char* const* argv) {
 // Ranges of CLI11 let NaN through, since it is on neither side of a limit.
 std::string number_not_finite(const CLI::App& app) {
   for (const CLI::Option* option : app.get_options()) {
-    if (!option->get_type_name().starts_with("FLOAT")) continue;
+    if (option->get_type_name().find("FLOAT") == std::string::npos) continue;  // "[FLOAT,FLOAT,FLOAT]" too
     for (const std::string& text : option->results()) {
       char* end = nullptr;
       const double value = std::strtod(text.c_str(), &end);

@@ -69,7 +69,8 @@ rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer
 
 int make_scene(const Options& options, std::uint64_t n) {
   const rgs::AtomicFile::Options file_options{options.overwrite, !options.no_sync};
-  const std::array outputs{options.output, options.cameras};
+  const bool piped = options.output == "-" || options.cameras == "-";  // then text goes elsewhere
+  const std::array<std::string, 3> outputs{options.output, options.cameras, piped || options.quiet ? "" : "-"};
   if (const int code = tool::InputFiles().check_outputs(outputs); code != tool::kSuccess) return code;
   const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
@@ -96,8 +97,9 @@ int make_scene(const Options& options, std::uint64_t n) {
   if (!options.quiet) {
     const std::uint64_t bytes =
         rgs::ply_header(n, options.degree, stated).size() + n * rgs::ply_row_bytes(options.degree, options.origin);
-    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, seed {}, {}\n", tool::printable(options.output),
-                            tool::format_count(n), options.degree, options.seed, tool::format_bytes(bytes)));
+    (piped ? tool::print_error
+           : tool::print)(fmt::format("{}: {} Gaussians, SH degree {}, seed {}, {}\n", tool::printable(options.output),
+                                      tool::format_count(n), options.degree, options.seed, tool::format_bytes(bytes)));
   }
   return tool::kSuccess;
 }

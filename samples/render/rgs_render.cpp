@@ -282,7 +282,7 @@ int render(const Options& options) {
 
   std::vector<Shot> shots;
   if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;
-  std::vector<std::string> outputs;
+  std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   const rgs::RenderOptions render_how = render_options(options);

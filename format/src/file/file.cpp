@@ -235,7 +235,8 @@ Result<AtomicFile> AtomicFile::create(const std::string& path, const Options& op
 Result<AtomicFile> AtomicFile::begin(const std::string& name, const Options& options) {
   const std::string path = name == kStdout ? name : follow_links(name);
   struct stat info {};
-  const bool replaces = path != kStdout && ::stat(path.c_str(), &info) == 0;
+  // By the name itself: links below /proc lead to pipes as well, which have no other.
+  const bool replaces = path != kStdout && ::stat(name.c_str(), &info) == 0;
   if (path != kStdout && !replaces && errno == ELOOP)
     return system_error(Errc::output_unusable, "the output's name is a link that leads to itself");
   if (replaces) {

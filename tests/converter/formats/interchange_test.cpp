@@ -185,9 +185,9 @@ TEST_CASE("all formats are read and written in linear time, coincident Gaussians
       REQUIRE(bytes);
       return *bytes;
     };
-    CHECK(growth(2000, prepare, write) < kLinearGrowth);
+    CHECK(growth(1000, prepare, write) < kLinearGrowth);
     const auto file = [&](std::uint64_t count) { return write(prepare(count)); };
-    CHECK(growth(2000, file, [](const Bytes& bytes) { CHECK(read_splats(bytes)); }) < kLinearGrowth);
+    CHECK(growth(1000, file, [](const Bytes& bytes) { CHECK(read_splats(bytes)); }) < kLinearGrowth);
   };
   std::vector<SplatFormat> formats(std::begin(kWritable), std::end(kWritable));
   formats.push_back(SplatFormat::rgs);

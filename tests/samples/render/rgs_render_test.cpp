@@ -282,9 +282,10 @@ TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, 
     REQUIRE(outcome.code == 0);
     return stage.picture("o.exr");
   };
+  // All formats in the default mode, all modes with one format: each picture is a process.
   for (const std::string format : {".rgs", ".spz", ".ply", ".glb"}) {
     for (const std::string mode : {"", " --mode baseline", " --mode paper", " --mode turbo", " --exp paper"}) {
-      if (format != ".rgs" && !mode.empty()) continue;  // all formats come to the same rule
+      if (format != ".rgs" && !mode.empty()) continue;
       CAPTURE(format);
       CAPTURE(mode);
       const rgs::Image classic = picture("@classic" + format + mode), mip = picture("@mip" + format + mode);
