@@ -153,6 +153,10 @@ TEST_CASE("formats without a place for an origin: the rounding is in the summary
     REQUIRE(text.exit_code == 0);
     CHECK(text.out.find("positions  rounded by up to 0.") != std::string::npos);
     CHECK(text.out.find("origin") == std::string::npos);
+    const ProgramResult strict =
+        run_program({RGS_CONVERT, "--no-sync", "--overwrite", "--strict", ply, folder.file("far." + format)});
+    CHECK(strict.exit_code == 4);
+    CHECK(strict.err.find("no place for the scene's origin") != std::string::npos);
   }
   const ProgramResult kept = run_program({RGS_CONVERT, "--no-sync", "--overwrite", ply, rgs});
   CHECK(kept.out.find("origin     4200000, 170000, 4800000") != std::string::npos);
