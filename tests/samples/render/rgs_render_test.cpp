@@ -345,7 +345,7 @@ TEST_CASE("exit codes: 2 usage, 3 files, 4 malformed input") {
   const Outcome bad_camera = stage.run("@scene.ply -c @bad.json --out @a.png");
   CHECK(bad_camera.code == 4);
   CHECK(bad_camera.out.find("byte 1: ") != std::string::npos);
-  CHECK(bad_camera.out.find("(found 0)") != std::string::npos);
+  CHECK(bad_camera.out.find("the camera of index 0 ") != std::string::npos);
   rgs::SplatCloud damaged = ball();
   damaged.mean[3 * 7] = std::numeric_limits<float>::quiet_NaN();
   write_ply(stage.file("nan.ply"), damaged);
