@@ -599,10 +599,10 @@ TEST_CASE("infinite logits and scales of 0 have finite errors, and nothing is le
     CHECK(run.out.find("nan") == std::string::npos);
     const json j = json::parse(run.out);
     CHECK(j["attributes"]["n_paired"] == 700);
-    for (const auto& [name, error] : j["attributes"]["errors"].items()) {
-      CAPTURE(name);
-      CAPTURE(error.dump());
-      CHECK(error.dump().find("null") == std::string::npos);
+    for (const auto& error : j["attributes"]["errors"].items()) {
+      CAPTURE(error.key());
+      CAPTURE(error.value().dump());
+      CHECK(error.value().dump().find("null") == std::string::npos);
     }
     CHECK(j["rendered"]["psnr"] > (profile == Profile::direct ? 50 : 30));
     REQUIRE(j["rendered"]["attribution"].size() > 1);

@@ -252,8 +252,9 @@ TEST_CASE("what a format clamps is counted in text and JSON, and --strict writes
                                                             {"compressed.ply", {0, 1, 0, 0, 1}},
                                                             {"glb", {0, 0, 1, 0, 0}},
                                                             {"ply", {0, 0, 0, 0, 0}}};
-  for (const auto& [format, counts] : formats) {
-    CAPTURE(format);
+  for (const auto& entry : formats) {
+    CAPTURE(entry.first);
+    const auto& [format, counts] = entry;
     const std::string out = folder.file("out." + format);
     const ProgramResult text = rgs_convert({ply, out}), run = rgs_convert({"--json", ply, out});
     REQUIRE(run.exit_code == 0);

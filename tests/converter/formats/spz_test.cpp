@@ -262,8 +262,9 @@ TEST_CASE("SPZ extensions: axes are honoured, what leaves the Gaussians alone is
                                             {9, {Axis::left, Axis::forward, Axis::down}},
                                             {12, {Axis::right, Axis::forward, Axis::up}},
                                             {16, {Axis::right, Axis::backward, Axis::up}}};
-    for (const auto& [value, axes] : systems) {
-      CAPTURE(value);
+    for (const auto& system : systems) {
+      CAPTURE(system.first);
+      const auto& [value, axes] = system;
       const Bytes file = with_extensions(plain, extension(kAxesType, list_of({value, 0, 0, 0})));
       const auto kept = read_splats(file, kKeepAxes);
       same_codes(kept);

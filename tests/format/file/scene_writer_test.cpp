@@ -178,15 +178,15 @@ TEST_CASE("a source that changes between the passes is a reported error, whateve
       {"a rotation of zero", [](Splat& s) { std::ranges::fill(s.rotation, 0.F); }},
       {"a logit that is no number", [](Splat& s) { s.opacity_logit = kNan; }},
       {"a coefficient that is no number", [](Splat& s) { s.sh[5] = kNan; }}};
-  for (const auto& [name, change] : changes) {
-    CAPTURE(name);
+  for (const auto& entry : changes) {
+    CAPTURE(entry.first);
     for (const Profile profile : {Profile::direct, Profile::packed}) {
       EncodeOptions options;
       options.profile = profile;
       const Scanned scanned = scan_of(cloud, options);
       SplatCloud changed = cloud;
       Splat splat = cloud.view().splat(1234);
-      change(splat);
+      entry.second(splat);
       changed.set(1234, splat);
       std::vector<std::byte> file;
       auto writer = SceneWriter::create(file, scanned.scan, options, scanned.indices);
