@@ -142,9 +142,10 @@ std::string follow_links(const std::string& path) {
   for (int i = 0; i < kMaxLinks; ++i) {
     const ssize_t length = ::readlink(at.c_str(), target.data(), target.size());
     if (length <= 0 || static_cast<std::size_t>(length) == target.size()) return at;
-    const std::string next(target.data(), static_cast<std::size_t>(length));
+    std::string next(target.data(), static_cast<std::size_t>(length));
     const std::size_t slash = at.find_last_of('/');
-    at = next.front() == '/' || slash == std::string::npos ? next : at.substr(0, slash + 1) + next;
+    if (next.front() != '/' && slash != std::string::npos) next.insert(0, at, 0, slash + 1);
+    at = std::move(next);
   }
   return path;
 }
