@@ -568,8 +568,8 @@ std::vector<std::byte> compress_deflate(const std::vector<std::byte>& stream, st
     throw std::bad_alloc();
   const std::unique_ptr<z_stream, decltype(&deflateEnd)> guard(&z, deflateEnd);
   if (index == kShStream) deflateTune(&z, 16, 64, 258, 1024);
-  std::vector<std::byte> stored;
   constexpr std::size_t kPiece = std::size_t{1} << 20;
+  std::vector<std::byte> stored, out(kPiece);
   std::size_t done = 0;
   do {  // zlib counts in 32 bits
     const std::size_t piece = std::min(kPiece, stream.size() - done);
@@ -577,12 +577,10 @@ std::vector<std::byte> compress_deflate(const std::vector<std::byte>& stream, st
     z.avail_in = static_cast<uInt>(piece);
     done += piece;
     do {
-      const std::size_t had = stored.size();
-      stored.resize(had + kPiece);
-      z.next_out = reinterpret_cast<Bytef*>(stored.data() + had);
+      z.next_out = reinterpret_cast<Bytef*>(out.data());
       z.avail_out = static_cast<uInt>(kPiece);
       deflate(&z, done == stream.size() ? Z_SYNC_FLUSH : Z_NO_FLUSH);
-      stored.resize(stored.size() - z.avail_out);
+      stored.insert(stored.end(), out.begin(), out.begin() + static_cast<std::ptrdiff_t>(kPiece - z.avail_out));
     } while (z.avail_out == 0);
   } while (done < stream.size());
   return stored;
