@@ -17,7 +17,7 @@ if(RGS_SANITIZE)
   # The checks' extra branches mislead gcc's flow analysis into warnings that the plain builds do not have.
   target_compile_options(rgs_compile_options INTERFACE
     $<$<COMPILE_LANGUAGE:CXX>:-fsanitize=${RGS_SANITIZE} -fno-sanitize-recover=all -fno-omit-frame-pointer>
-    $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-maybe-uninitialized>
+    $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-maybe-uninitialized -Wno-stringop-overflow>
     # libFuzzer's coverage counters; its main() is linked to the fuzz targets alone.
     $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<BOOL:${RGS_BUILD_FUZZERS}>>:-fsanitize=fuzzer-no-link>)
   target_link_options(rgs_compile_options INTERFACE -fsanitize=${RGS_SANITIZE})
