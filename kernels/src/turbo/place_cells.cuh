@@ -10,25 +10,23 @@
 
 namespace rgs::cuda {
 
-/// Ranks begin <= rank < end of the tiles of class threadIdx.x % 32: those of longer lists come before them. All lanes of a
-/// warp call it, here and below.
-struct ClassRanks {
-  std::uint32_t begin, end;
-};
-__device__ inline ClassRanks class_ranks(const TurboArrays& a) {
+/// First rank of the tiles of class threadIdx.x % 32: those of longer lists come before them. All lanes of a warp call it, here
+/// and below.
+__device__ inline std::uint32_t own_class_begin(const TurboArrays& a) {
   static_assert(kTurboClasses == 32, "a lane a class");
-  const std::uint32_t size = a.state->class_size[threadIdx.x % 32], end = inclusive_warp_sum(size);
-  return {end - size, end};
+  const std::uint32_t size = a.state->class_size[threadIdx.x % 32];
+  return inclusive_warp_sum(size) - size;
 }
-/// The tile of a rank; and the rank of a tile, whose list has n_entries, from its place in its class.
-__device__ inline std::uint32_t tile_of(const TurboArrays& a, std::uint32_t rank) {
-  const ClassRanks own = class_ranks(a);
-  const int list_class = __ffs(static_cast<int>(__ballot_sync(kFullWarp, own.end > rank))) - 1;
-  const std::uint32_t begin = __shfl_sync(kFullWarp, own.begin, list_class);
-  return a.classes[static_cast<std::uint32_t>(list_class) * a.n_tiles + rank - begin];
+/// The rank of a tile, whose list has n_entries, from its place in its class.
+__device__ inline std::uint32_t rank_of(std::uint32_t own_class_begin, std::uint32_t n_entries,
+                                        std::uint32_t in_class) {
+  return __shfl_sync(kFullWarp, own_class_begin, turbo_class(n_entries)) + in_class;
 }
-__device__ inline std::uint32_t rank_of(const TurboArrays& a, std::uint32_t n_entries, std::uint32_t in_class) {
-  return __shfl_sync(kFullWarp, class_ranks(a).begin, turbo_class(n_entries)) + in_class;
+
+__device__ inline void write_cell(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank, std::uint32_t tile,
+                                  std::uint32_t cell, std::uint32_t begin, std::uint32_t n) {
+  const TurboCorner corner = cell_corner(grid, tile, cell);
+  a.cells[kTurboCells * rank + cell] = {begin, n, corner.x, corner.y};
 }
 
 /// Where the Gaussians of a thread's cell begin in TurboArrays::cell_gaussians, and whether there is room for the tile's.
@@ -50,8 +48,7 @@ __device__ inline CellPlace place_cells(const TurboArrays& a, math::TileGrid gri
   if (own == 0 && total > 0) base = atomic_add(a.state->in_cells, total);
   base = __shfl_sync((1u << kTurboCells) - 1, base, 0);
   const CellPlace place{static_cast<std::uint32_t>(base) + before, base + total <= a.cell_capacity};
-  const TurboCorner corner = cell_corner(grid, tile, own);
-  a.cells[kTurboCells * rank + own] = {place.begin, place.fits ? cell_n[own] : 0, corner.x, corner.y};
+  write_cell(a, grid, rank, tile, own, place.begin, place.fits ? cell_n[own] : 0);
   return place;
 }
 

@@ -32,12 +32,16 @@ struct alignas(16) TurboTileRun {
 };
 static_assert(sizeof(TurboTileRun) == 16);
 
-/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all; `long_list` is its place among the long
-/// lists, if it is one: if it has kTurboRound or more.
+/// A tile's list: runs begin .. begin + n_runs - 1, with n_entries in all. `number` is its place among the long lists, if it
+/// is one: if it has kTurboRound or more; among those of its class otherwise.
 struct TurboList {
-  std::uint32_t begin, n_runs, n_entries, long_list;
+  std::uint32_t begin, n_runs, n_entries, number;
 };
 inline constexpr std::uint32_t kTurboRound = 2048;  ///< that a block orders at a time; a power of two
+/// The same of a rank.
+struct alignas(16) TurboRankedList {
+  std::uint32_t begin, n_runs, n_entries, tile;
+};
 
 /// What a cell shows: Gaussians begin .. begin + n - 1 of TurboArrays::cell_gaussians, in order.
 struct alignas(16) TurboCell {
@@ -74,7 +78,13 @@ struct alignas(16) TurboLongList {
   std::uint32_t cell_begin[kTurboCells];  ///< and where they begin in TurboArrays::cell_gaussians
 };
 inline constexpr std::uint32_t kTurboBins = 1024;
-inline constexpr std::uint32_t kTurboSlice = 4096;     ///< entries of a list's slices on average, or fewer
+inline constexpr std::uint32_t kTurboSlice = 1024;  ///< entries of a list's slices on average, or more
+/// The same of a list of n in a frame of so many entries: short slices where they are few, for all blocks shall have some;
+/// longer ones of a long list, for they add to the same bins.
+RGS_HD constexpr std::uint32_t turbo_slice(std::uint64_t entries, std::uint32_t n) {
+  return static_cast<std::uint32_t>(math::clamp(math::max(entries / 2048, std::uint64_t{n / 16}),
+                                                std::uint64_t{kTurboSlice}, std::uint64_t{4 * kTurboSlice}));
+}
 inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, or fewer
 inline constexpr std::uint32_t kTurboPart = 1024;      ///< entries of a part, but for the length of a bin
 inline constexpr std::uint32_t kTurboShare = 1024;     ///< entries of a share, but for what a sample misses
@@ -112,10 +122,10 @@ inline constexpr std::uint32_t kTurboSegment =
     RGS_TURBO_SEGMENT;  ///< Gaussians of a segment, or more where there are many
 inline constexpr std::uint32_t kTurboWaves = 10;
 inline constexpr std::uint32_t kTurboMaxSegments = (1u << kTurboWaves) - 1;  ///< of a cell
-/// Gaussians of a cell that its own block blends, of a frame with so many in all cells: as many as keep all blocks of a large
-/// device busy, for segments cost more.
-RGS_HD constexpr std::uint32_t turbo_front(std::uint64_t in_cells) {
-  const std::uint64_t share = in_cells / RGS_TURBO_FRONT_SHARE / kTurboSegment * kTurboSegment;
+/// Gaussians of a cell that its own block blends, of a frame with so many entries: as many as keep all blocks of a large device
+/// busy, for segments cost more.
+RGS_HD constexpr std::uint32_t turbo_front(std::uint64_t entries) {
+  const std::uint64_t share = entries / RGS_TURBO_FRONT_SHARE / kTurboSegment * kTurboSegment;
   return share > kTurboSegment ? static_cast<std::uint32_t>(share) : kTurboSegment;
 }
 struct TurboSegment {
@@ -129,15 +139,16 @@ static_assert(kTurboSegment % 128 == 0);
 
 /// Tiles by classes of list length, the longest first: they start first, so that none is left running alone at the end.
 inline constexpr int kTurboClasses = 32;
-/// Two classes for each power of two from 2^5; 0 is the longest, the last holds the short and the empty.
+/// Two classes for each power of two from 2^5; 0 is the longest, the last but one the shortest, the last holds the empty.
 RGS_HD constexpr int turbo_class(std::uint32_t length) {
-  if (length < 32) return kTurboClasses - 1;
+  if (length < 32) return length == 0 ? kTurboClasses - 1 : kTurboClasses - 2;
   int log2 = 5;
   while (length >> (log2 + 1) != 0) ++log2;
   const int half = static_cast<int>(length >> (log2 - 1)) & 1;
   const int longer = 2 * (log2 - 5) + half;
-  return longer < kTurboClasses - 2 ? kTurboClasses - 2 - longer : 0;
+  return longer < kTurboClasses - 3 ? kTurboClasses - 3 - longer : 0;
 }
+static_assert(turbo_class(kTurboRound) < turbo_class(kTurboRound - 1), "long lists have the first ranks");
 
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
@@ -151,8 +162,9 @@ struct TurboState {
   std::uint32_t n_taken;   ///< units that a block has begun
   std::uint64_t in_cells;  ///< Gaussians of all cells, written or not
   std::uint32_t n_long_cells, n_segments;
-  std::uint32_t n_segments_taken;  ///< that a block has begun
-  std::uint32_t unused[3];
+  std::uint32_t n_segments_taken;    ///< that a block has begun
+  std::uint32_t n_long_cells_taken;  ///< of the long lists' cells, the same
+  std::uint32_t unused[2];
   std::uint32_t wave_size[kTurboWaves];
   std::uint32_t class_size[kTurboClasses];
 
@@ -179,8 +191,8 @@ struct TurboArrays {
   std::uint32_t* bins;            ///< [lists, kTurboBins] entries of each bin; then the place of its next one
   std::uint32_t* slices;          ///< lists of the slices
   TurboList* lists;               ///< [n_tiles]
-  std::uint32_t* classes;         ///< [kTurboClasses, n_tiles] tiles of each class
-  TurboCell* cells;               ///< [n_tiles, kTurboCells] tiles in the order of their classes
+  TurboRankedList* ranked;        ///< [n_tiles] in the order of their classes
+  TurboCell* cells;               ///< [n_tiles, kTurboCells] the same
   std::uint32_t* cell_gaussians;  ///< [cell_capacity]
   TurboLongCell* long_cells;      ///< [TurboLongCellSizes::cells]
   TurboPixel* long_cell_pixels;   ///< [cells, pixels of a cell] colour and transmittance of what is joined
@@ -254,9 +266,9 @@ Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 /// Errors: device_failed.
 Status launch_turbo_large_gaussians(const TurboArrays& arrays, math::TileGrid grid, Stream stream);
 
-/// Gives every tile its runs and its class. If a capacity was exceeded, all lists are empty. `seen` gets a copy of the
-/// state for the host to read: page-locked memory that the device reaches. Errors: device_failed.
-Status launch_turbo_lists(const TurboArrays& arrays, TurboState* seen, Stream stream);
+/// Gives every tile its runs and its rank; the cells of empty ones. If a capacity was exceeded, all lists are empty. `seen`
+/// gets a copy of the state for the host to read: page-locked memory that the device reaches. Errors: device_failed.
+Status launch_turbo_lists(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
 
 /// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of tiles
 /// that do not fit are empty. `seen`, see above, gets the Gaussians of all cells once both this and
@@ -269,8 +281,6 @@ Status launch_turbo_long_lists(const TurboArrays& arrays, math::TileGrid grid, T
 /// Then this orders the units. Errors: device_failed.
 Status launch_turbo_units(const TurboArrays& arrays, Stream stream);
 
-/// Blends each cell; launch_turbo_blend() in FP32, or by launch_turbo_tensor() where `is_tensor` says so. Errors:
-/// device_failed.
 struct TurboBlendArguments {
   TurboArrays arrays;
   const ScreenSplat* splats;
@@ -279,9 +289,19 @@ struct TurboBlendArguments {
   math::Vec3<float> background;
   PixelArrays target;
   bool count_pairs;  ///< into the state's counters.evaluated and .blended
-  bool is_tensor;    ///< FP16 matrix products, where neither depth nor counts are wanted
+
+  bool has_details() const {
+    return target.depth != nullptr || target.evaluated != nullptr || target.blended != nullptr || count_pairs;
+  }
 };
-Status launch_turbo_tensor(const TurboBlendArguments& arguments, Stream stream);
+/// Blends each cell in FP32. Errors: device_failed.
 Status launch_turbo_blend(const TurboBlendArguments& arguments, Stream stream);
+
+/// The same by FP16 matrix products, without details. The cells of the lists that are not long, once they are ordered; those of
+/// the long lists, once their units are: the two may run side by side. Errors: device_failed.
+Status launch_turbo_tensor(const TurboBlendArguments& arguments, Stream stream);
+Status launch_turbo_tensor_long(const TurboBlendArguments& arguments, Stream stream);
+/// Then what both have left of long cells. Errors: device_failed.
+Status launch_turbo_segments(const TurboBlendArguments& arguments, Stream stream);
 
 }  // namespace rgs::cuda

@@ -206,10 +206,7 @@ __global__ void __launch_bounds__(kThreads, 4) turbo_blend_kernel(TurboBlendArgu
 }  // namespace
 
 Status launch_turbo_blend(const TurboBlendArguments& a, Stream stream) {
-  const PixelArrays& t = a.target;
-  const bool details = t.depth != nullptr || t.evaluated != nullptr || t.blended != nullptr || a.count_pairs;
-  if (a.is_tensor && !details) return launch_turbo_tensor(a, stream);
-  const auto kernel = details ? turbo_blend_kernel<true> : turbo_blend_kernel<false>;
+  const auto kernel = a.has_details() ? turbo_blend_kernel<true> : turbo_blend_kernel<false>;
   kernel<<<a.arrays.n_tiles, kThreads, 0, stream>>>(a);
   return launched("the turbo blending kernel could not be launched");
 }

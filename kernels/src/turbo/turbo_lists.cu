@@ -1,7 +1,8 @@
 // turbo_lists.cu - runs of entries to the tiles that they belong to: a thread a tile, then a thread a run.
 // SPDX-License-Identifier: Apache-2.0
 //
-// In/Out  counts [tiles], runs -> lists [tiles], tile_runs, classes; long_lists and their slices, bins set to 0
+// In/Out  counts [tiles], runs -> lists [tiles], ranked, tile_runs; long_lists and their slices, bins set to 0; cells of
+//         empty tiles
 // Cost    16 B read, 16 B gathered and 8 B written anywhere a run; of a long list, 8 B read of the first and every 64th
 //         entry of each run
 // Launch  plan: 256 threads, ceil(tiles / 256) blocks and one more; place: as many blocks of 256 as the device holds at a
@@ -11,6 +12,7 @@
 
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
+#include "turbo/place_cells.cuh"
 #include "turbo/read_list.cuh"
 #include "turbo/turbo.hpp"
 
@@ -34,7 +36,8 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
   list.tile = tile;
   list.in_class = in_class;
   list.scratch = atomicAdd(&a.state->n_scratch, n);
-  list.n_slices = math::max((n + kTurboSlice - 1) / kTurboSlice, (n_runs + kTurboSliceRuns - 1) / kTurboSliceRuns);
+  const std::uint32_t slice = turbo_slice(a.state->counters.instances, n);
+  list.n_slices = math::max((n + slice - 1) / slice, (n_runs + kTurboSliceRuns - 1) / kTurboSliceRuns);
   list.first_slice = atomicAdd(&a.state->n_slices, list.n_slices);
   list.nearest = ~0u;
   a.long_lists[own] = list;
@@ -79,22 +82,34 @@ __global__ void __launch_bounds__(kThreads) plan_kernel(TurboArrays a, TurboStat
   if (threadIdx.x < kTurboClasses) {
     class_base[threadIdx.x] = atomicAdd(state.class_size + threadIdx.x, class_size[threadIdx.x]);
   }
+  if (threadIdx.x == 0) atomicAdd(&state.n_ordered, class_size[kTurboClasses - 1]);
   __syncthreads();
   if (tile >= a.n_tiles) return;
   const std::uint32_t in_class = class_base[own_class] + in_block;
-  a.classes[static_cast<std::uint32_t>(own_class) * a.n_tiles + in_class] = tile;
-  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboRound ? add_long(a, tile, in_class, n, runs) : 0};
+  a.lists[tile] = {base + end - runs, runs, n, n >= kTurboRound ? add_long(a, tile, in_class, n, runs) : in_class};
 }
 
-__global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
+__global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a, math::TileGrid grid) {
   const TurboState& state = *a.state;
+  const std::uint32_t first = blockIdx.x * kThreads + threadIdx.x, step = gridDim.x * kThreads;
+  const std::uint32_t class_begin = own_class_begin(a);
+  for (std::uint32_t tile = first; tile - threadIdx.x % 32 < a.n_tiles; tile += step) {
+    const TurboList list = tile < a.n_tiles ? a.lists[tile] : TurboList{};
+    const bool is_long = list.n_entries >= kTurboRound;
+    const std::uint32_t rank =
+        rank_of(class_begin, list.n_entries, is_long ? a.long_lists[list.number].in_class : list.number);
+    if (tile >= a.n_tiles) break;
+    a.ranked[rank] = {list.begin, list.n_runs, list.n_entries, tile};
+    if (list.n_entries > 0) continue;
+    for (std::uint32_t c = 0; c < kTurboCells; ++c) write_cell(a, grid, rank, tile, c, 0, 0);
+  }
   if (!turbo_fits(a)) return;
-  const std::uint64_t n = state.runs, first = blockIdx.x * kThreads + threadIdx.x, step = gridDim.x * kThreads;
+  const std::uint64_t n = state.runs;
   for (std::uint64_t k = first; k < n; k += step) {
     const TurboTileRun run = a.runs[k];
     const TurboList list = a.lists[run.tile];
     a.tile_runs[list.begin + run.in_tile] = run.run;
-    if (list.n_entries >= kTurboRound) add_sample(a.entries, run.run, a.long_lists[list.long_list]);
+    if (list.n_entries >= kTurboRound) add_sample(a.entries, run.run, a.long_lists[list.number]);
   }
   auto* const bins = reinterpret_cast<uint4*>(a.bins);
   for (std::uint64_t k = first; k < state.n_long_lists * std::uint64_t{kTurboBins / 4}; k += step)
@@ -103,12 +118,12 @@ __global__ void __launch_bounds__(kThreads) place_kernel(TurboArrays a) {
 
 }  // namespace
 
-Status launch_turbo_lists(const TurboArrays& a, TurboState* seen, Stream stream) {
+Status launch_turbo_lists(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
   plan_kernel<<<blocks_for(a.n_tiles, kThreads) + 1, kThreads, 0, stream>>>(a, seen);
   if (const auto ok = launched("the kernel that plans the lists could not be launched"); !ok) return ok;
   const auto blocks = resident_grid<place_kernel>(kThreads);
   if (!blocks) return tl::unexpected(blocks.error());
-  place_kernel<<<*blocks, kThreads, 0, stream>>>(a);
+  place_kernel<<<*blocks, kThreads, 0, stream>>>(a, grid);
   return launched("the kernel that fills the lists could not be launched");
 }
 

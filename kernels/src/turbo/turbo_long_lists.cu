@@ -3,7 +3,7 @@
 //
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
 // Cost    an entry: 8 B read three times, 8 B written anywhere; an atomic addition a slice and bin, twice
-// Launch  256 threads a slice of about 4,096 entries; as many blocks as the device holds at a time take slices in turn
+// Launch  256 threads a slice of 1,024 to 4,096 entries; as many blocks as the device holds at a time take slices in turn
 // Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
 // Order   of entries in a bin, of lists' units and cells in memory: any
 //
@@ -152,7 +152,7 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = __ldcg(list.cell_n + threadIdx.x);  // with other blocks' sums
   place_bins(s, list.scratch, sums);
   const std::uint32_t n_entries = a.lists[list.tile].n_entries;
-  const std::uint32_t rank = threadIdx.x < 32 ? rank_of(a, n_entries, list.in_class) : 0;
+  const std::uint32_t rank = threadIdx.x < 32 ? rank_of(own_class_begin(a), n_entries, list.in_class) : 0;
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
     list.cell_begin[threadIdx.x] = place.begin;

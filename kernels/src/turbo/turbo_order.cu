@@ -40,8 +40,7 @@ struct Shared {
   std::uint32_t cell_begin[kTurboCells];  // in cell_gaussians
   // Of each group of 32 entries in order, how many touch a cell; then the sums of those before.
   std::uint32_t groups[kTurboCells][kTurboRound / 32];
-  TurboList list;
-  std::uint32_t tile, unit;
+  std::uint32_t unit;
   bool fits;
 };
 
@@ -259,32 +258,20 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   }
 }
 
-// All threads call it.
-__device__ inline void begin_tile(Shared& s, const TurboArrays& a, std::uint32_t rank) {
-  if (threadIdx.x < 32) {
-    const std::uint32_t tile = tile_of(a, rank);
-    if (threadIdx.x == 0) {
-      s.tile = tile;
-      s.list = a.lists[tile];
-      s.n = s.list.n_entries;
-    }
-  }
-  if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
-  __syncthreads();
-}
-
-// A list that fits shared memory.
-__device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank) {
-  const TurboRuns runs{a.tile_runs + s.list.begin, a.entries, s.list.n_runs};
+// A list that fits shared memory, and is not empty.
+__device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
+                                      const TurboRankedList& list) {
+  if (threadIdx.x == 0) s.n = list.n_entries;
+  const TurboRuns runs{a.tile_runs + list.begin, a.entries, list.n_runs};
   DepthRange range;
   runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
-  if (s.n > 0) sort_entries(s, range);
+  sort_entries(s, range);
   count_groups(s);
   if (threadIdx.x < kTurboCells) {
-    const CellPlace place = place_cells(a, grid, rank, s.tile, s.cell_n);
+    const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
     s.cell_begin[threadIdx.x] = place.begin;
     if (threadIdx.x == 0) s.fits = place.fits;
   }
@@ -433,9 +420,9 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
     turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
   const std::uint32_t rank = blockIdx.x;
-  begin_tile(s, a, rank);
-  if (s.list.n_entries >= kTurboRound) return;  // a long list
-  deal_out_short(s, a, grid, rank);
+  const TurboRankedList list = a.ranked[rank];
+  if (list.n_entries == 0 || list.n_entries >= kTurboRound) return;  // empty, or a long list
+  deal_out_short(s, a, grid, rank, list);
   if (threadIdx.x == 0) end_tile(a, seen);
 }
 

@@ -5,8 +5,9 @@
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
 //         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each
-// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell. Then, for what
-//         long cells have left, as many blocks as the device holds at a time, which take segments in turn
+// Launch  128 threads, a block a cell, tiles with the longest lists first; a warp has two rows of the cell. For the cells of
+//         long lists, and then for what long cells have left, as many blocks as the device holds at a time, which take cells
+//         and segments in turn
 // Shared  Staging: 128 Gaussians; 5 KiB (numbers for cells 8 high)
 // Order   that of the cells' lists: deterministic
 //
@@ -17,8 +18,8 @@
 //   weights   [16 px, 32]  =  alpha T, T the product of 1 - alpha over the Gaussians before
 //   colours   [16 px, 3]  +=  weights  x  colours [32, 3]
 //
-// The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, which take the 16
-// columns of a product together: 22 bits. Exponents, opacities and weights are FP16, colours gather in FP32.
+// The basis about the cell's centre is exact in FP16; each coefficient is the sum of two FP16 numbers, 22 bits, in two products of
+// depth 8. Exponents, opacities and weights are FP16, colours gather in FP32.
 //
 // mma leaves two columns of 8 and two rows to a lane: pixels g and g + 8, g = lane / 4, Gaussians in the columns 2q and
 // 2q + 1, q = lane % 4, of four products. Column c of product j is Gaussian 4 c + j: so each half of a lane's registers
@@ -27,6 +28,7 @@
 // with colours as it is.
 #include <cuda_fp16.h>
 
+#include <bit>
 #include <cstdint>
 
 #include "common/block_scan.cuh"
@@ -41,6 +43,7 @@ namespace {
 constexpr int kRows = 2;  // of a warp
 constexpr int kWarps = kTurboCellHeight / kRows;
 constexpr int kThreads = 32 * kWarps;
+constexpr int kResident = resident_blocks(1280 / kThreads, kThreads);
 static_assert(kTurboCellWidth == 16, "a row of a cell's pixels is the 16 rows of a product's left operand");
 static_assert(kTurboCellHeight % kRows == 0, "a warp has whole rows");
 // Transmittance below which a warp's pixels are finished: what comes after adds less to one than half of what FP16 tells
@@ -50,21 +53,16 @@ constexpr float kCenterX = 0.5F * (kTurboCellWidth - 1), kCenterY = 0.5F * (kTur
 // Squares and products are odd numbers over 4.
 static_assert((kTurboCellHeight - 1) * (kTurboCellHeight - 1) < 1 << 11, "the basis is exact in FP16's 11 bits");
 
-// D = A B, FP16, [16, 16] x [16, 8]; the rows of A repeat in k: columns 8 .. 15 are columns 0 .. 7.
-__device__ inline void multiply_repeated(__half2 (&d)[2], const uint4& a, uint2 b) {
+// D = A B, FP16, [16, 8] x [8, 8], where B is the sum of b.x and b.y, the smaller. In two products of depth 8: one of depth 16
+// would take each register of A twice, in four in a row.
+__device__ inline void multiply(__half2 (&d)[2], uint2 a, uint2 b) {
   std::uint32_t low, high;
-#if __CUDA_ARCH__ >= 800
-  asm("mma.sync.aligned.m16n8k16.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3, %4, %5}, {%6, %7}, {%8, %8};"
-      : "=r"(low), "=r"(high)
-      : "r"(a.x), "r"(a.y), "r"(a.z), "r"(a.w), "r"(b.x), "r"(b.y), "r"(0u));
-#else  // sm_75 has products of half that depth
   asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%5, %5};"
       : "=r"(low), "=r"(high)
-      : "r"(a.x), "r"(a.y), "r"(b.x), "r"(0u));
+      : "r"(a.x), "r"(a.y), "r"(b.y), "r"(0u));
   asm("mma.sync.aligned.m16n8k8.row.col.f16.f16.f16.f16 {%0, %1}, {%2, %3}, {%4}, {%0, %1};"
       : "+r"(low), "+r"(high)
-      : "r"(a.z), "r"(a.w), "r"(b.y));
-#endif
+      : "r"(a.x), "r"(a.y), "r"(b.x));
   d[0] = reinterpret_cast<const __half2&>(low), d[1] = reinterpret_cast<const __half2&>(high);
 }
 
@@ -148,39 +146,50 @@ __device__ inline void stage(const ScreenSplat* splats, const std::uint32_t* gau
   staging.color[2][place] = __float2half_rn(color.z);
 }
 
+// What a lane has of the left operands of its warp's rows, in FP16: of each row the pixels g and g + 8, and of each pixel (1, X),
+// (Y, X^2), (XY, Y^2) or zeros, by q. A table, because it depends on the thread alone.
+struct Bases {
+  std::uint32_t pixel[kThreads][kRows][2];
+};
+// n / 4 as bits of FP16, |n| < 2^11.
+constexpr std::uint32_t half_of_quarters(int n) {
+  if (n == 0) return 0;
+  const unsigned magnitude = static_cast<unsigned>(n < 0 ? -n : n);
+  const int log2 = std::bit_width(magnitude) - 1;
+  return (n < 0 ? 0x8000u : 0u) | static_cast<unsigned>(log2 - 2 + 15) << 10 | (magnitude << (10 - log2) & 0x3FFu);
+}
+constexpr Bases bases() {
+  Bases all{};
+  for (int thread = 0; thread < kThreads; ++thread) {
+    const int g = thread % 32 / 4, q = thread % 4;
+    for (int k = 0; k < 2 * kRows; ++k) {
+      const int x = 2 * (g + k % 2 * 8) - (kTurboCellWidth - 1);  // twice the distance from the cell's centre
+      const int y = 2 * (kRows * (thread / 32) + k / 2) - (kTurboCellHeight - 1);
+      const int low = q == 0 ? 4 : q == 1 ? 2 * y : q == 2 ? x * y : 0;
+      const int high = q == 0 ? 2 * x : q == 1 ? x * x : q == 2 ? y * y : 0;
+      all.pixel[thread][k / 2][k % 2] = half_of_quarters(low) | half_of_quarters(high) << 16;
+    }
+  }
+  return all;
+}
+__device__ constexpr Bases kBases = bases();
+
 // 16 pixels of a row, as lane (g, q) has them.
 struct Row {
-  uint4 basis;     // left operand of the first product: two registers, repeated
+  uint2 basis;     // left operand of the first product
   __half2 t;       // transmittance of the pixels g and g + 8
-  float color[4];  // channels 2q and 2q + 1 of the pixels g and g + 8
+  float color[4];  // channels 2q and 2q + 1 of the pixels g and g + 8; what comes after the third means nothing
 
   __device__ Row(int x, int y, int row, int width, int height) {
-    const int g = static_cast<int>(threadIdx.x % 32 / 4), q = static_cast<int>(threadIdx.x % 4);
-    // (1, X), (Y, X^2) or (XY, Y^2), each its own lanes', without a branch.
-    const float center_y = static_cast<float>(row) - kCenterY;
-    const float first = q == 0 ? 1 : 0, second = q == 1 ? 1 : 0, third = q == 2 ? 1 : 0;
-    const auto values = [&](float center_x) {
-      const __half2 pair =
-          __floats2half2_rn(fmaf(center_y, fmaf(third, center_x, second), first),
-                            fmaf(center_x, fmaf(second, center_x, first), third * center_y * center_y));
-      return reinterpret_cast<const std::uint32_t&>(pair);
-    };
-    basis.x = basis.z = values(static_cast<float>(g) - kCenterX);
-    basis.y = basis.w = values(static_cast<float>(g + 8) - kCenterX);
+    const int g = static_cast<int>(threadIdx.x % 32 / 4);
+    const auto& own = kBases.pixel[threadIdx.x][row];
+    basis = {own[0], own[1]};
     // A pixel outside the image keeps nobody waiting.
     t = __floats2half2_rn(y < height && x + g < width ? 1.0F : 0.0F, y < height && x + g + 8 < width ? 1.0F : 0.0F);
     for (float& sum : color) sum = 0;
   }
   template <int Products>
   __device__ void blend(const uint2 (&coefficients)[4], const uint4& colors);
-  // The pixel that the lane stores: lanes q = 0 hold red and green, lanes q = 1 blue; the former get the pixels g, the
-  // latter the pixels g + 8.
-  __device__ math::Pixel<float> pixel(bool is_odd) const {
-    const float other = __shfl_xor_sync(kFullWarp, is_odd ? color[0] : color[2], 1);
-    const float green = __shfl_xor_sync(kFullWarp, color[3], 1);
-    return {is_odd ? other : color[0], is_odd ? green : color[1], is_odd ? color[2] : other, 0,
-            is_odd ? __high2float(t) : __low2float(t)};
-  }
 };
 
 // Blends the Gaussians of the first Products products, 2 or 4.
@@ -191,7 +200,7 @@ __device__ inline void Row::blend(const uint2 (&coefficients)[4], const uint4& c
   __half2 chain[2] = {one, one};  // what each chain lets through
 #pragma unroll
   for (int j = 0; j < Products; ++j) {
-    multiply_repeated(weight[j], basis, coefficients[j]);
+    multiply(weight[j], basis, coefficients[j]);
 #pragma unroll
     for (int p = 0; p < 2; ++p) {
       const __half2 opacity = __hmul2_sat(exp2_approximate(weight[j][p]), counts(weight[j][p]));
@@ -225,32 +234,35 @@ struct Rows {
   Row rows[kRows];
 
   __device__ Rows(int x, int y, int width, int height)
-      : rows{Row(x, y + first(), first(), width, height), Row(x, y + first() + 1, first() + 1, width, height)} {}
+      : rows{Row(x, y + first(), 0, width, height), Row(x, y + first() + 1, 1, width, height)} {}
   __device__ static int first() { return kRows * static_cast<int>(threadIdx.x / 32); }
   // Blends gaussians[0 .. n - 1] of a cell whose first pixel is (x, y). True if no warp's pixels let anything through.
   __device__ bool blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x, float y,
                         Staging (&staged)[kWarps]);
-  // Calls f(pixel, x, y) for each pixel that the thread holds, (x, y) in the cell.
-  template <class F>
-  __device__ void for_each(const F& f) const;
+  // The thread's own pixel, number threadIdx.x of the cell row by row. blend() comes before it.
+  __device__ TurboPixel own_pixel(Staging (&staged)[kWarps]) const;
 };
 
 __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_t* gaussians, std::uint32_t n, float x,
                                    float y, Staging (&staged)[kWarps]) {
-  const int warp = static_cast<int>(threadIdx.x / 32), lane = static_cast<int>(threadIdx.x % 32);
+  const std::uint32_t warp = threadIdx.x / 32, lane = threadIdx.x % 32;
+  const auto* const own_coefficients = &staged[0].coefficients[lane / 4][lane % 4];
+  // Where there is no channel, the product's columns are never read.
+  const auto* const own_colors =
+      reinterpret_cast<const uint4*>(staged[0].color[math::min(lane / 4, 2u)] + 8 * (lane % 4));
   bool opaque = false;
   for (std::uint32_t begin = 0; begin < n; begin += kThreads) {
-    const std::uint32_t own = begin + 32 * static_cast<std::uint32_t>(warp);
+    const std::uint32_t own = begin + 32 * warp;
     if (own < n) stage(splats, gaussians + own, math::min(n - own, 32u), x, y, staged[warp]);
     __syncthreads();
-    for (int k = 0; k < kWarps && begin + 32 * static_cast<std::uint32_t>(k) < n && !opaque; ++k) {
-      const Staging& from = staged[k];
+    const int left = static_cast<int>(math::min(n - begin, static_cast<std::uint32_t>(kThreads)));
+    for (int k = 0; 32 * k < left && !opaque; ++k) {
+      constexpr int kStep = sizeof(Staging) / sizeof(uint2);
       uint2 coefficients[4];
 #pragma unroll
-      for (int j = 0; j < 4; ++j) coefficients[j] = from.coefficients[8 * j + lane / 4][lane % 4];
-      uint4 colors{0, 0, 0, 0};
-      if (lane / 4 < 3) colors = *reinterpret_cast<const uint4*>(from.color[lane / 4] + 8 * (lane % 4));
-      if (n - begin - 32 * static_cast<std::uint32_t>(k) > 16) {
+      for (int j = 0; j < 4; ++j) coefficients[j] = own_coefficients[kStep * k + 8 * 4 * j];
+      const uint4 colors = own_colors[kStep / 2 * k];
+      if (left - 32 * k > 16) {
 #pragma unroll
         for (Row& row : rows) row.blend<4>(coefficients, colors);
       } else {
@@ -267,36 +279,40 @@ __device__ inline bool Rows::blend(const ScreenSplat* splats, const std::uint32_
   return false;
 }
 
-template <class F>
-__device__ inline void Rows::for_each(const F& f) const {
-  const int lane = static_cast<int>(threadIdx.x % 32), q = lane % 4;
-  math::Pixel<float> pixels[kRows];
+__device__ inline TurboPixel Rows::own_pixel(Staging (&staged)[kWarps]) const {
+  // Through the warp's part of shared memory, which no warp reads any more: lanes q = 0 hold red and green, lanes q = 1 blue.
+  static_assert(sizeof(Staging) >= 32 * sizeof(TurboPixel) && kRows * kTurboCellWidth == 32, "a lane a pixel");
+  const std::uint32_t lane = threadIdx.x % 32, q = lane % 4;
+  auto* const pixels = reinterpret_cast<float2*>(&staged[threadIdx.x / 32]);
+  if (q < 2) {
 #pragma unroll
-  for (int k = 0; k < kRows; ++k) pixels[k] = rows[k].pixel(q % 2 != 0);
-  if (q > 1) return;
-#pragma unroll 1  // the code of two stores at once would take more registers than the loops above have
-  for (int k = 0; k < kRows; ++k) {
-    // Number by number: a choice between two pixels would be one of addresses.
-    const auto own = [&](float math::Pixel<float>::*number) { return k == 0 ? pixels[0].*number : pixels[1].*number; };
-    using P = math::Pixel<float>;
-    f(P{own(&P::r), own(&P::g), own(&P::b), 0, own(&P::transmittance)}, lane / 4 + 8 * q, first() + k);
+    for (std::uint32_t k = 0; k < kRows; ++k) {
+      const Row& row = rows[k];
+      float2* const to = pixels + 2 * (kTurboCellWidth * k + lane / 4) + q;
+      to[0] = {row.color[0], q == 0 ? row.color[1] : __low2float(row.t)};
+      to[16] = {row.color[2], q == 0 ? row.color[3] : __high2float(row.t)};
+    }
+  }
+  __syncwarp();
+  return reinterpret_cast<const TurboPixel*>(pixels)[lane];
+}
+
+__device__ inline void store(const TurboBlendArguments& a, int x, int y, const TurboPixel& p) {
+  if (x < a.width && y < a.height) {
+    store_pixel<false>(a.target, a.background, PitchedPixel{x, y},
+                       math::Pixel<float>{p.r, p.g, p.b, 0, p.transmittance}, 0, 0);
   }
 }
+
+constexpr const char* kNotLaunched = "a kernel of matrix products could not be launched";
 
 // ---- long cells
 
 constexpr std::uint32_t kPixels = TurboLongCellSizes::kPixels;
 static_assert(kPixels == kThreads, "a thread a pixel when segments are joined");
 
-__device__ inline TurboPixel turbo_pixel(const math::Pixel<float>& p) {
-  return {p.r, p.g, p.b, p.transmittance};
-}
-__device__ inline std::uint32_t pixel_index(int x, int y) {
-  return static_cast<std::uint32_t>(kTurboCellWidth * y + x);
-}
-
 // Leaves what comes after a cell's front to turbo_segment_kernel.
-__device__ inline void leave(const TurboBlendArguments& a, const Rows& rows, std::uint32_t cell, std::uint32_t n,
+__device__ inline void leave(const TurboBlendArguments& a, const TurboPixel& pixel, std::uint32_t cell, std::uint32_t n,
                              std::uint32_t front) {
   __shared__ std::uint32_t own, first, places[kTurboWaves];
   const TurboArrays& arrays = a.arrays;
@@ -320,28 +336,47 @@ __device__ inline void leave(const TurboBlendArguments& a, const Rows& rows, std
     arrays.waves[static_cast<std::uint64_t>(wave) * capacity + places[wave] + k + 1 - (1u << wave)] = {own, k};
     arrays.segment_done[first + k] = 0;
   }
-  TurboPixel* const to = arrays.long_cell_pixels + std::uint64_t{kPixels} * own;
-  rows.for_each([&](const math::Pixel<float>& p, int x, int y) { to[pixel_index(x, y)] = turbo_pixel(p); });
+  arrays.long_cell_pixels[std::uint64_t{kPixels} * own + threadIdx.x] = pixel;
 }
 
-__global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kThreads))
-    turbo_tensor_kernel(TurboBlendArguments a) {
-  __shared__ Staging staged[kWarps];
-  const TurboCell cell = a.arrays.cells[blockIdx.x];
+__device__ inline void blend_cell(const TurboBlendArguments& a, std::uint32_t number, Staging (&staged)[kWarps]) {
+  const TurboCell cell = a.arrays.cells[number];
   const int x = static_cast<int>(cell.x), y = static_cast<int>(cell.y);
   if (x >= a.width || y >= a.height) return;
-  Rows rows(x, y, a.width, a.height);
-  const std::uint32_t front = turbo_front(a.arrays.state->in_cells);
-  const bool opaque = rows.blend(a.splats, a.arrays.cell_gaussians + cell.begin, math::min(cell.n, front),
-                                 static_cast<float>(x), static_cast<float>(y), staged);
-  if (cell.n > front && !opaque) {
-    leave(a, rows, blockIdx.x, cell.n, front);
-    return;
+  TurboPixel pixel{0, 0, 0, 1};
+  if (cell.n > 0) {
+    const std::uint32_t front = turbo_front(a.arrays.state->counters.instances);
+    Rows rows(x, y, a.width, a.height);
+    const bool opaque = rows.blend(a.splats, a.arrays.cell_gaussians + cell.begin, math::min(cell.n, front),
+                                   static_cast<float>(x), static_cast<float>(y), staged);
+    pixel = rows.own_pixel(staged);
+    if (cell.n > front && !opaque) {
+      leave(a, pixel, number, cell.n, front);
+      return;
+    }
   }
-  rows.for_each([&](const math::Pixel<float>& p, int in_x, int in_y) {
-    if (x + in_x >= a.width || y + in_y >= a.height) return;
-    store_pixel<false>(a.target, a.background, PitchedPixel{x + in_x, y + in_y}, p, 0, 0);
-  });
+  store(a, x + static_cast<int>(threadIdx.x) % kTurboCellWidth, y + static_cast<int>(threadIdx.x) / kTurboCellWidth,
+        pixel);
+}
+
+__global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_kernel(TurboBlendArguments a) {
+  __shared__ Staging staged[kWarps];
+  if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell(a, blockIdx.x, staged);
+}
+__global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_long_kernel(TurboBlendArguments a) {
+  __shared__ Staging staged[kWarps];
+  __shared__ std::uint32_t next;
+  const std::uint32_t n = kTurboCells * a.arrays.state->n_long_lists;
+  for (std::uint32_t number = blockIdx.x; number < n;) {
+    // Asked for before it is needed: the first cells are the blocks' own, and the others are taken in turn.
+    std::uint32_t taken = 0;
+    if (threadIdx.x == 0) taken = atomicAdd(&a.arrays.state->n_long_cells_taken, 1u);
+    blend_cell(a, number, staged);
+    if (threadIdx.x == 0) next = gridDim.x + taken;
+    __syncthreads();
+    number = next;
+    __syncthreads();
+  }
 }
 
 __device__ inline std::uint32_t read(const std::uint32_t& word) {
@@ -412,10 +447,7 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
         sum = over(sum, __ldcg(pixels_of(arrays.segment_pixels, cell.first_segment + first)));
         is_over = __syncthreads_and(sum.w < kOpaque || !is_inside) != 0 || 2 * first + 1 >= cell.n_segments;
       }
-      if (is_over && is_inside) {
-        store_pixel<false>(a.target, a.background, PitchedPixel{x, y},
-                           math::Pixel<float>{sum.x, sum.y, sum.z, 0, sum.w}, 0, 0);
-      }
+      if (is_over) store(a, x, y, {sum.x, sum.y, sum.z, sum.w});
       __stcg(held, sum);
     }
     publish();
@@ -433,8 +465,7 @@ __device__ inline void join_waves(const TurboBlendArguments& a, TurboLongCell& c
   }
 }
 
-__global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kThreads))
-    turbo_segment_kernel(TurboBlendArguments a) {
+__global__ void __launch_bounds__(kThreads, kResident) turbo_segment_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   __shared__ TurboSegment segment;
   __shared__ bool is_any, is_wanted;
@@ -465,8 +496,7 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kTh
     rows.blend(a.splats, arrays.cell_gaussians + cell.begin + begin, math::min(cell.n - begin, long_cell.segment_n),
                static_cast<float>(x), static_cast<float>(y), staged);
     TurboPixel* const to = arrays.segment_pixels + std::uint64_t{kPixels} * (long_cell.first_segment + in_cell);
-    rows.for_each(
-        [&](const math::Pixel<float>& p, int in_x, int in_y) { to[pixel_index(in_x, in_y)] = turbo_pixel(p); });
+    to[threadIdx.x] = rows.own_pixel(staged);
     publish();
     const std::uint32_t wave = 31 - static_cast<std::uint32_t>(__clz(static_cast<int>(in_cell + 1)));
     const std::uint32_t first = (1u << wave) - 1;
@@ -481,11 +511,21 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(1280 / kThreads, kTh
 
 Status launch_turbo_tensor(const TurboBlendArguments& a, Stream stream) {
   turbo_tensor_kernel<<<a.arrays.n_tiles * kTurboCells, kThreads, 0, stream>>>(a);
-  if (const auto ok = launched("the kernel of matrix products could not be launched"); !ok) return ok;
+  return launched(kNotLaunched);
+}
+
+Status launch_turbo_tensor_long(const TurboBlendArguments& a, Stream stream) {
+  const auto blocks = resident_grid<turbo_tensor_long_kernel>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_tensor_long_kernel<<<*blocks, kThreads, 0, stream>>>(a);
+  return launched(kNotLaunched);
+}
+
+Status launch_turbo_segments(const TurboBlendArguments& a, Stream stream) {
   const auto blocks = resident_grid<turbo_segment_kernel>(kThreads);
   if (!blocks) return tl::unexpected(blocks.error());
   turbo_segment_kernel<<<*blocks, kThreads, 0, stream>>>(a);
-  return launched("the kernel of segments could not be launched");
+  return launched(kNotLaunched);
 }
 
 }  // namespace rgs::cuda

@@ -19,7 +19,7 @@ constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLargeGaussian) + sizeof(
 
 Status TurboPipeline::create() {
   Status ok = seen_.create();
-  for (Event* event : {&counted_, &listed_, &ordered_long_}) {
+  for (Event* event : {&counted_, &counted_long_, &listed_, &done_long_}) {
     if (ok) ok = event->create();
   }
   int least = 0, greatest = 0;
@@ -33,7 +33,7 @@ Status TurboPipeline::create() {
 
 std::uint64_t TurboPipeline::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&turbo_state_, &entries_, &scratch_, &runs_, &tile_runs_, &large_, &lists_, &classes_,
+  for (const DeviceBuffer* b : {&turbo_state_, &entries_, &scratch_, &runs_, &tile_runs_, &large_, &lists_, &ranked_,
                                 &long_lists_, &cells_, &cell_gaussians_, &long_cells_}) {
     sum += b->bytes();
   }
@@ -77,7 +77,7 @@ Status TurboPipeline::reserve_tiles(const Frame& f) {
   Status ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
   if (ok) ok = reserve(turbo_state_, cuda::TurboState::bytes(f.n_tiles()));
   if (ok) ok = reserve(lists_, n_tiles * sizeof(cuda::TurboList));
-  if (ok) ok = reserve(classes_, n_tiles * cuda::kTurboClasses * sizeof(std::uint32_t));
+  if (ok) ok = reserve(ranked_, n_tiles * sizeof(cuda::TurboRankedList));
   if (ok) ok = reserve(cells_, n_tiles * cuda::kTurboCells * sizeof(cuda::TurboCell));
   if (!ok || entries_.bytes() > 0) return ok;
   return reserve_growing([&](bool is_generous) {
@@ -104,7 +104,7 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   a.runs = runs_.as<cuda::TurboTileRun>();
   a.tile_runs = tile_runs_.as<cuda::TurboRun>();
   a.lists = lists_.as<cuda::TurboList>();
-  a.classes = classes_.as<std::uint32_t>();
+  a.ranked = ranked_.as<cuda::TurboRankedList>();
   a.scratch = scratch_.as<cuda::TurboEntry>();
   a.large_gaussians = large_.as<cuda::TurboLargeGaussian>();
   a.entry_capacity = entry_capacity();
@@ -119,45 +119,53 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   return a;
 }
 
-// Long lists are few and take several steps: beside the order of the others, which would have to wait for them.
-Status TurboPipeline::order(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on) {
+// The end of a stage; none within a graph.
+Status TurboPipeline::mark(Mark mark, const Frame& f, CudaStream on) {
+  return f.settings.cuda.graph ? Status() : state_.mark(mark, f, on);
+}
+
+// Long lists are few and take several steps: beside the others, which would have to wait for them.
+Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArguments& a, CudaStream on) {
+  const bool is_tensor = f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass && !a.has_details();
   Status ok = listed_.record(on);
   if (ok) ok = listed_.hold(beside_.get());
   if (!ok) return ok;
-  ok = cuda::launch_turbo_long_lists(arrays, grid, seen_.get(), beside_.get());
-  if (ok) ok = cuda::launch_turbo_units(arrays, beside_.get());
+  ok = cuda::launch_turbo_long_lists(a.arrays, a.grid, seen_.get(), beside_.get());
+  if (ok) ok = counted_long_.record(beside_.get());
+  if (ok) ok = cuda::launch_turbo_units(a.arrays, beside_.get());
+  if (ok && is_tensor) ok = cuda::launch_turbo_tensor_long(a, beside_.get());
   // Joined after an error, too: the next frame waits for `on` alone.
-  Status joined = ordered_long_.record(beside_.get());
-  if (ok) ok = cuda::launch_turbo_order(arrays, grid, seen_.get(), on);
-  if (joined) joined = ordered_long_.hold(on);
+  Status joined = done_long_.record(beside_.get());
+  if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, seen_.get(), on);
+  if (ok) ok = counted_.record(on);
+  for (const Mark m : {kSorted, kRanged}) {
+    if (ok) ok = mark(m, f, on);
+  }
+  if (ok && is_tensor) ok = cuda::launch_turbo_tensor(a, on);
+  if (joined) joined = done_long_.hold(on);
   if (ok) ok = joined;
-  return ok ? counted_.record(on) : ok;
+  if (!ok) return ok;
+  return is_tensor ? cuda::launch_turbo_segments(a, on) : cuda::launch_turbo_blend(a, on);
 }
 
 // The frame's kernels, on its stream or on one that captures them. Nothing is waited for.
 Status TurboPipeline::launch(const Frame& f, CudaStream on) {
   const cuda::TurboArrays arrays = arrays_for(f);
-  const auto mark_stage = [&](Mark m) { return f.settings.cuda.graph ? Status() : state_.mark(m, f, on); };
   Status ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
                             "the frame's state could not be cleared");
   if (ok) {
     ok = cuda::launch_turbo_emit(
         {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
   }
-  if (ok) ok = mark_stage(kProjected);
-  if (ok) ok = cuda::launch_turbo_lists(arrays, seen_.get(), on);
-  if (ok) ok = mark_stage(kDuplicated);
-  if (ok) ok = order(arrays, f.view.grid, on);
-  for (const Mark m : {kSorted, kRanged}) {
-    if (ok) ok = mark_stage(m);
-  }
-  if (ok) {
-    ok = cuda::launch_turbo_blend(
-        {arrays, state_.splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height, f.background(), f.target,
-         f.settings.cuda.count_pairs, f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass},
-        on);
-  }
-  return ok;
+  if (ok) ok = mark(kProjected, f, on);
+  if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);
+  if (ok) ok = mark(kDuplicated, f, on);
+  if (!ok) return ok;
+  const cuda::TurboBlendArguments blend{arrays,      state_.splats.as<cuda::ScreenSplat>(),
+                                        f.view.grid, f.width,
+                                        f.height,    f.background(),
+                                        f.target,    f.settings.cuda.count_pairs};
+  return order_and_blend(f, blend, on);
 }
 
 Status TurboPipeline::enqueue(const Frame& f) {
@@ -182,6 +190,7 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
   for (;;) {
     // Events within a graph cannot be waited for.
     Status ok = (f.settings.cuda.graph ? state_.finished : counted_).wait();
+    if (ok && !f.settings.cuda.graph) ok = counted_long_.wait();
     if (!ok) return tl::unexpected(ok.error());
     const cuda::TurboState& seen = *seen_.get();
     const cuda::TurboArrays arrays = arrays_for(f);

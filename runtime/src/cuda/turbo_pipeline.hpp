@@ -39,17 +39,18 @@ class TurboPipeline {
   std::uint64_t cell_capacity() const;
   cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays arrays_for(const Frame& frame) const;
-  Status order(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
+  Status mark(Mark mark, const Frame& frame, CudaStream on);
+  Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments, CudaStream on);
   Status launch(const Frame& frame, CudaStream on);
   Status enqueue(const Frame& frame);
 
   FrameState& state_;
-  Event counted_;       // the frame has counted its pairs
-  OwnedStream beside_;  // for long lists; `listed_` begins what is queued there, `ordered_long_` ends it
-  Event listed_, ordered_long_;
+  Event counted_, counted_long_;  // the frame has counted its pairs: both
+  OwnedStream beside_;            // for long lists; `listed_` begins what is queued there, `done_long_` ends it
+  Event listed_, done_long_;
   PageLocked<cuda::TurboState> seen_;
   FrameGraph graph_;
-  DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, classes_;
+  DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, ranked_;
   DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;
 };
 

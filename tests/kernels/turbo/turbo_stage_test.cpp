@@ -137,7 +137,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const DeviceArray<cuda::TurboLargeGaussian> large(room.large);
   const DeviceArray<cuda::TurboBox> boxes(room.large);
   const DeviceArray<cuda::TurboList> tile_lists(n_tiles);
-  const DeviceArray<std::uint32_t> classes(std::size_t{n_tiles} * cuda::kTurboClasses);
+  const DeviceArray<cuda::TurboRankedList> ranked(n_tiles);
   const DeviceArray<ScreenSplat> splats(n);
   cuda::TurboArrays arrays{};
   arrays.state = reinterpret_cast<TurboState*>(state.data());
@@ -145,7 +145,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   arrays.entries = entries.data(), arrays.scratch = scratch.data();
   arrays.runs = runs.data(), arrays.tile_runs = tile_runs.data();
   arrays.large_gaussians = large.data(), arrays.large_boxes = boxes.data();
-  arrays.lists = tile_lists.data(), arrays.classes = classes.data();
+  arrays.lists = tile_lists.data(), arrays.ranked = ranked.data();
   arrays.entry_capacity = room.entries, arrays.run_capacity = room.runs, arrays.large_capacity = room.large;
   arrays.cell_capacity = room.in_cells > 0 ? room.in_cells : cuda::kTurboCells * room.entries;
   const DeviceArray<std::uint32_t> cell_gaussians(arrays.cell_capacity);
@@ -157,7 +157,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   arrays.cells = cells.data();
   Seen seen;
   require_ok(cuda::launch_turbo_emit({attributes, n, v, splats.data(), arrays}, nullptr));
-  require_ok(cuda::launch_turbo_lists(arrays, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_long_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_units(arrays, nullptr));
   require_ok(cuda::launch_turbo_order(arrays, v.grid, seen.state(), nullptr));
@@ -169,7 +169,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   const auto host_entries = entries.download();
   const auto host_runs = tile_runs.download();
   const auto host_lists = tile_lists.download();
-  const auto host_classes = classes.download();
+  const auto host_ranked = ranked.download();
   const auto host_state = state.download();
   runs.check_guards();
   large.check_guards();
@@ -207,12 +207,12 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   REQUIRE(final_state.n_units <= sizes.units);
   CHECK(final_state.n_slices <= sizes.slices);
   std::vector<std::size_t> rank_of(n_tiles);
-  std::size_t n_ranked = 0;
-  for (std::size_t c = 0; c < cuda::kTurboClasses; ++c) {
-    for (std::size_t k = 0; k < std::min(final_state.class_size[c], n_tiles); ++k) {
-      REQUIRE(host_classes[c * n_tiles + k] < n_tiles);
-      rank_of[host_classes[c * n_tiles + k]] = n_ranked++;
-    }
+  for (std::uint32_t r = 0; r < n_tiles; ++r) {
+    const cuda::TurboRankedList& list = host_ranked[r];
+    REQUIRE(list.tile < n_tiles);
+    rank_of[list.tile] = r;
+    const cuda::TurboList& own = host_lists[list.tile];
+    CHECK((list.begin == own.begin && list.n_runs == own.n_runs && list.n_entries == own.n_entries));
   }
   const CellCount in_cells = check_cells(cells.download(), cell_gaussians.download(), out.tiles, rank_of, v.grid);
   CHECK(out.state.in_cells == in_cells.total);
@@ -220,32 +220,25 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   if (in_cells.refused > 0) return out;  // lists that do not fit have no units
   for (std::uint32_t t = 0; t < n_tiles && fits; ++t) {
     if (out.tiles[t].size() < cuda::kTurboRound) continue;
-    REQUIRE(host_lists[t].long_list < final_state.n_long_lists);
-    const cuda::TurboLongList& list = host_longs[host_lists[t].long_list];
+    REQUIRE(host_lists[t].number < final_state.n_long_lists);
+    REQUIRE(rank_of[t] < final_state.n_long_lists);
+    const cuda::TurboLongList& list = host_longs[host_lists[t].number];
     CHECK(list.tile == t);
-    out.n_units += check_units(list, host_lists[t].long_list, host_units, host_scratch, out.tiles[t]);
+    out.n_units += check_units(list, host_lists[t].number, host_units, host_scratch, out.tiles[t]);
   }
   CHECK(out.n_units == final_state.n_units);
   out.n_shares = static_cast<std::uint32_t>(
       std::count_if(host_units.begin(), host_units.end(), [](const auto& unit) { return unit.share > 0; }));
 
-  // Every tile is in one class, the longest lists first.
+  // Every tile has one rank, and those of longer lists come first, class by class.
   std::vector<int> seen_tiles(n_tiles, 0);
-  std::uint32_t shortest = ~0u, rising = 0;
-  for (std::uint32_t c = 0; c < static_cast<std::uint32_t>(cuda::kTurboClasses); ++c) {
-    std::uint32_t longest_here = 0, shortest_here = ~0u;
-    for (std::uint32_t k = 0; k < std::min(final_state.class_size[c], n_tiles); ++k) {
-      const std::uint32_t tile = host_classes[std::size_t{c} * n_tiles + k];
-      REQUIRE(tile < n_tiles);
-      ++seen_tiles[tile];
-      longest_here = std::max(longest_here, host_lists[tile].n_entries);
-      shortest_here = std::min(shortest_here, host_lists[tile].n_entries);
-    }
-    rising += longest_here > shortest;
-    shortest = std::min(shortest, shortest_here);
+  std::uint32_t falling = 0;
+  for (std::uint32_t r = 0; r < n_tiles; ++r) {
+    ++seen_tiles[host_ranked[r].tile];
+    falling += r > 0 && cuda::turbo_class(host_ranked[r].n_entries) < cuda::turbo_class(host_ranked[r - 1].n_entries);
   }
   CHECK(std::all_of(seen_tiles.begin(), seen_tiles.end(), [](int count) { return count == 1; }));
-  CHECK_MESSAGE(rising == 0, rising, " classes hold longer lists than one before");
+  CHECK_MESSAGE(falling == 0, falling, " ranks have a longer list than the one before");
   return out;
 }
 
@@ -591,7 +584,7 @@ TEST_CASE("kernels that learn on the device how much there is to do have as many
   cuda::TurboArrays arrays{};
   arrays.n_tiles = 1;
   for (int turn = 0; turn < 2; ++turn) {  // asked, then kept
-    const unsigned runs = largest_grid([&](auto on) { return cuda::launch_turbo_lists(arrays, nullptr, on); });
+    const unsigned runs = largest_grid([&](auto on) { return cuda::launch_turbo_lists(arrays, {1, 1}, nullptr, on); });
     const unsigned slices = largest_grid([&](auto on) {
       return cuda::launch_turbo_long_lists(arrays, {1, 1}, nullptr, on);
     });
