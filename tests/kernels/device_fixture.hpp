@@ -40,8 +40,10 @@ enum class TestSize { full, small, race };
 inline TestSize test_size() {
   const char* const value = std::getenv("RGS_TEST_SIZE");
   const std::string size = value == nullptr ? "" : value;
-  REQUIRE_MESSAGE((size.empty() || size == "small" || size == "race"), "RGS_TEST_SIZE is small, race or not set");
-  return size == "race" ? TestSize::race : size == "small" ? TestSize::small : TestSize::full;
+  if (size == "race") return TestSize::race;
+  if (size == "small") return TestSize::small;
+  if (!size.empty()) FAIL("RGS_TEST_SIZE is small, race or not set, and not " << size);
+  return TestSize::full;
 }
 inline bool small_sizes() {
   return test_size() != TestSize::full;
