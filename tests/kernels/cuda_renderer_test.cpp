@@ -244,6 +244,7 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
 
 TEST_CASE("a scene far from the world's origin gives the frame that it gives at home, FP32 and compact") {
   if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const int n = small_sizes() ? 400 : 40000;
   const auto [width, height] = small_sizes() ? std::pair(90, 50) : std::pair(1280, 720);
   const glm::dvec3 place(4.2e6 + 0.3, 1.7e5, 4.8e6);
@@ -294,16 +295,15 @@ TEST_CASE("a scene far from the world's origin gives the frame that it gives at 
 
 TEST_CASE("a scene with the statistics of trained ones follows the CPU renderer") {
   if (!device_answers()) return;
-  const std::uint64_t n = small_sizes() ? 2000 : 300000;
+  const auto n = sized<std::uint64_t>(300000, 2000, 1000);
   std::vector<Splat> splats(n);
   SceneGenerator(3, n, 3).generate(0, splats);
-  const auto cameras =
-      small_sizes() ? parse_camera_json(scene_cameras_json(96, 54)) : parse_camera_json(scene_cameras_json(1920, 1080));
+  const auto cameras = parse_camera_json(scene_cameras_json(sized(1920, 96, 64), sized(1080, 54, 36)));
   require_ok(cameras);
   const auto compact = CompactScene::of(cloud_of(splats, 3));
   const DeviceScene uploaded = upload(compact.file);
   Device device(cameras->cameras[0]);
-  for (std::size_t view = 0; view < 8; view += 3) {
+  for (std::size_t view = 0; view < sized<std::size_t>(8, 8, 1); view += 3) {
     const Camera& camera = cameras->cameras[view];
     device.resize(camera);
     for (const std::size_t m : {std::size_t{0}, std::size_t{1}, kTurbo}) {
@@ -323,6 +323,7 @@ TEST_CASE("a scene with the statistics of trained ones follows the CPU renderer"
 
 TEST_CASE("deterministic mode gives the same bytes on every run, whatever came before") {
   if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const auto [width, height] = small_sizes() ? std::pair(64, 48) : std::pair(1280, 720);
   const auto compact = CompactScene::of(cloud_of(random_splats(603, small_sizes() ? 500 : 50000), 2));
   const DeviceScene scene = upload(compact.file);
@@ -354,7 +355,7 @@ TEST_CASE("the order of blocks changes nothing but Gaussians of one depth") {
     splats[i * 7919 % splats.size()].mean[2] = 0.3F + 0.0004F * static_cast<float>(i);  // no two alike
   }
   const DeviceScene uploaded = upload(scene_of(cloud_of(splats, 1)));
-  Device device(front_camera(320, 200));
+  Device device(race_sizes() ? front_camera(64, 40) : front_camera(320, 200));
   RenderOptions options = Arithmetic();
   require_ok(device.render(uploaded, deterministic(options)));
   const auto fused = device.rgb();
@@ -367,6 +368,7 @@ TEST_CASE("the order of blocks changes nothing but Gaussians of one depth") {
 
 TEST_CASE("renderers on streams of their own at once give the bytes of each alone") {
   if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   constexpr std::size_t kAtOnce = 3, kModeOf[kAtOnce] = {0, 1, kTurbo};
   const Camera camera = small_sizes() ? front_camera(64, 48) : front_camera(960, 540);
   const auto compact = CompactScene::of(cloud_of(random_splats(605, small_sizes() ? 300 : 40000), 3));
@@ -414,7 +416,7 @@ TEST_CASE("renderers on streams of their own at once give the bytes of each alon
 
 TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after the other") {
   if (!device_answers()) return;
-  const Scene scenes[] = {scene_of(cloud_of(random_splats(606, 2000), 1)), Scene(),
+  const Scene scenes[] = {scene_of(cloud_of(random_splats(606, sized(2000, 2000, 300)), 1)), Scene(),
                           scene_of(cloud_of(random_splats(607, 300), 3))};
   auto renderer = Renderer::create({.backend = Backend::cuda});
   require_ok(renderer);
@@ -441,7 +443,7 @@ TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after
 TEST_CASE("packed targets hold what the float targets hold, converted; misaligned ones are refused") {
   if (!device_answers()) return;
   const Camera camera = front_camera(75, 33);
-  const DeviceScene scene = upload(scene_of(cloud_of(random_splats(611, 2000), 2)));
+  const DeviceScene scene = upload(scene_of(cloud_of(random_splats(611, sized(2000, 2000, 300)), 2)));
   Device device(camera);
   for (std::size_t m = 0; m < kModeCount; ++m) {
     CAPTURE(kModes[m]);
@@ -518,6 +520,7 @@ TEST_CASE("turbo as a graph gives turbo's bytes: other cameras, sizes, scenes, o
 
 TEST_CASE("an asynchronous frame is the frame once it is finished, also one that has outgrown the workspace") {
   if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const Camera camera = small_sizes() ? front_camera(64, 64) : front_camera(640, 360);
   const DeviceScene small = upload(scene_of(cloud_of(random_splats(615, 3000), 2)));
   const DeviceScene large = upload(walls(small_sizes() ? 300 : 6000));  // 1.4 million entries, of which 2^20 fit
@@ -579,6 +582,7 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
 
 TEST_CASE("stage times on request: the frame's own time does without them") {
   if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const Camera camera = front_camera(160, 90);
   const DeviceScene scene = upload(scene_of(cloud_of(random_splats(616, 3000), 1)));
   Device device(camera);
@@ -639,6 +643,7 @@ TEST_CASE("nothing to see: no Gaussians, all behind the camera, all beside it") 
   for (RenderOptions options : modes()) {
     options.background = {0.1F, 0.2F, 0.3F};
     for (const double z : {0.0, -5.0, 0.2, 5.0}) {
+      if (race_sizes() && z != 5.0) continue;
       const Scene scene =
           z == 0 ? Scene() : scene_of(cloud_of(std::vector(300, splat_at(z > 1 ? 1000 : 0, 0, z, 0.1, 0.9))));
       const auto stats = device.render(z == 0 ? DeviceScene() : upload(scene), options);
@@ -661,6 +666,7 @@ TEST_CASE("one Gaussian over all tiles, from one pixel to 8K") {
   const DeviceScene uploaded = upload(scene);
   std::vector<std::pair<int, int>> sizes{{1, 1}, {16, 16}, {17, 1}, {1, 40}, {640, 360}, {7680, 4320}};
   if (small_sizes()) sizes.pop_back();
+  if (race_sizes()) sizes = {{17, 1}, {320, 320}};  // 100 of turbo's tiles: a large Gaussian
   for (const auto& size : sizes) {
     const int width = size.first, height = size.second;
     Camera camera = front_camera(width, height);
@@ -680,6 +686,7 @@ TEST_CASE("one Gaussian over all tiles, from one pixel to 8K") {
 
 TEST_CASE("more pairs than the workspace holds: the frame is the one of a workspace that holds them") {
   if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   const int n = small_sizes() ? 1200 : 6000;  // a first workspace has room for 2^20 pairs
   const Scene scene = walls(n), tiny = walls(3);
   const Camera camera = front_camera(640, 360);
@@ -717,17 +724,19 @@ TEST_CASE("more pairs than the workspace holds: the frame is the one of a worksp
 TEST_CASE("cells of many Gaussians are blended in segments: the picture is the CPU's, the same on every run") {
   if (!device_answers()) return;
   // Far less than a pixel wide, so that a pixel is met by one in a hundred of its cell's; transmittance then lasts for some
-  // of the segments, for all, or for none after the first.
-  const int n = small_sizes() ? 12000 : 200000;
-  const Camera camera = front_camera(90, 50);
+  // of the segments, for all, or for none after the first. With the fewest, a single cell has five segments: waves of one
+  // and two, and two of a wave of four.
+  const int n = sized(200000, 12000, 6000);
+  const Camera camera = race_sizes() ? front_camera(16, 8) : front_camera(90, 50);
+  const double reach_x = sized(10.8, 10.8, 8.0), reach_y = sized(7.2, 7.2, 4.0);  // px
   for (const double opacity : {0.5, 0.02, 0.0045}) {
     CAPTURE(opacity);
     Random random(41);
     std::vector<Splat> splats;
     for (int i = 0; i < n; ++i) {
-      const double z = random.uniform(40, 60);
-      splats.push_back(splat_at(random.uniform(-0.15, 0.15) * z, random.uniform(-0.1, 0.1) * z, z, 1e-3, opacity,
-                                static_cast<float>(random.uniform(0, 1))));
+      const double z = random.uniform(40, 60), unit = z / camera.fx;
+      const double x = random.uniform(-reach_x, reach_x) * unit, y = random.uniform(-reach_y, reach_y) * unit;
+      splats.push_back(splat_at(x, y, z, 1e-3, opacity, static_cast<float>(random.uniform(0, 1))));
     }
     const Scene scene = scene_of(cloud_of(splats));
     const DeviceScene uploaded = upload(scene);
@@ -741,7 +750,7 @@ TEST_CASE("cells of many Gaussians are blended in segments: the picture is the C
       MESSAGE(kModes[m], ", opacity ", opacity, ": ", quality, " dB, at most ", 255 * error, "/255 off the CPU");
       CHECK(quality >= lowest_psnr(modes()[m]));
       CHECK(error <= largest_error(modes()[m]));
-      for (int run = 0; run < 10; ++run) {
+      for (int run = 0; run < sized(10, 10, 1); ++run) {
         require_ok(device.render(uploaded, modes()[m]));
         check_same(device.rgb(), rgb);
         check_same(device.alpha(), alpha);
@@ -752,7 +761,7 @@ TEST_CASE("cells of many Gaussians are blended in segments: the picture is the C
 
 TEST_CASE("above 2^31 pairs: limit_exceeded, and the renderer goes on") {
   if (!device_answers()) return;
-  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Scene many = walls(70000), few = walls(5);
   const DeviceScene uploaded = upload(many), small = upload(few);
   const Camera camera = front_camera(7680, 4320);
@@ -819,7 +828,7 @@ class Hog {
 
 TEST_CASE("device out of memory: an error, never a wrong picture, and a working renderer afterwards") {
   if (!device_answers()) return;
-  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Camera camera = front_camera(640, 360);
   const Scene scene = walls(30000), tiny = walls(3);  // 7 million pairs and more: at least 150 MB
   const DeviceScene large = upload(scene), small = upload(tiny);
@@ -883,7 +892,7 @@ TEST_CASE("device out of memory: an error, never a wrong picture, and a working 
 
 TEST_CASE("where memory is short, the workspace grows by what the frame needs and not by half") {
   if (!device_answers()) return;
-  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Camera camera = front_camera(640, 360);
   for (const std::size_t m : {std::size_t{0}, std::size_t{1}, kTurbo}) {
     CAPTURE(kModes[m]);
@@ -910,7 +919,7 @@ TEST_CASE("where memory is short, the workspace grows by what the frame needs an
 
 TEST_CASE("where the first guess at a workspace does not fit, it begins with a small one") {
   if (!device_answers()) return;
-  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const Camera camera = front_camera(640, 360);
   std::vector<Splat> splats(1200000, splat_at(0, 0, -5, 0.01, 0.5));  // behind the camera
   for (std::size_t i = 0; i < 100; ++i)
@@ -929,7 +938,7 @@ TEST_CASE("where the first guess at a workspace does not fit, it begins with a s
 TEST_CASE("device memory is back at its start once everything is destroyed") {
   if (!device_answers()) return;
   // compute-sanitizer's own memory comes and goes; its leak check takes over.
-  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const auto use_everything = [] {
     const auto compact = CompactScene::of(cloud_of(random_splats(609, 3000), 3));
     const DeviceScene scenes[] = {upload(compact.file), upload(compact.scene), DeviceScene()};

@@ -33,10 +33,27 @@ inline bool device_answers() {
   return false;
 }
 
-/// RGS_TEST_SMALL=1 keeps sizes small and leaves out what fails on purpose, for compute-sanitizer.
+/// How large scenes and frames are, by RGS_TEST_SIZE: full where it is not set. `small` is for compute-sanitizer, and leaves
+/// out what fails on purpose. `race` is for its racecheck, to which each launch costs tens of milliseconds and each access
+/// to shared memory a thousandfold: every path of the kernels once, in as few launches and threads as it takes.
+enum class TestSize { full, small, race };
+inline TestSize test_size() {
+  const char* const value = std::getenv("RGS_TEST_SIZE");
+  const std::string size = value == nullptr ? "" : value;
+  if (size == "race") return TestSize::race;
+  if (size == "small") return TestSize::small;
+  if (!size.empty()) FAIL("RGS_TEST_SIZE is small, race or not set, and not " << size);
+  return TestSize::full;
+}
 inline bool small_sizes() {
-  const char* value = std::getenv("RGS_TEST_SMALL");
-  return value != nullptr && *value != '\0' && *value != '0';
+  return test_size() != TestSize::full;
+}
+inline bool race_sizes() {
+  return test_size() == TestSize::race;
+}
+template <class T>
+T sized(T full, T small, T race) {
+  return race_sizes() ? race : small_sizes() ? small : full;
 }
 
 inline void require_cuda(cudaError_t error) {

@@ -28,7 +28,7 @@ CudaRenderer renderer() {
   return *std::move(made);
 }
 DeviceScene scene_for_targets() {
-  auto scene = DeviceScene::upload(scene_of(cloud_of(random_splats(701, 2000), 2)).view().value());
+  auto scene = DeviceScene::upload(scene_of(cloud_of(random_splats(701, sized(2000, 2000, 300)), 2)).view().value());
   require_ok(scene);
   return *std::move(scene);
 }
@@ -107,6 +107,7 @@ TEST_CASE("targets: rows with room between them hold the bytes of rows that foll
   for (const RenderOptions& options : pipelines()) {
     for (const bool details : {false, true}) {  // kernels of their own
       for (const auto format : {PixelFormat::rgba8, PixelFormat::rgba16f}) {
+        if (race_sizes() && (details || format != PixelFormat::rgba8)) continue;  // kernels that other cases have
         const RowPitches pitch{.rgb = kWidth * 12 + 4,
                                .alpha = kWidth * 4 + 20,
                                .depth = kWidth * 4 + 4,
@@ -157,6 +158,7 @@ TEST_CASE("targets: a surface gets what packed memory gets; one that is too smal
   const DeviceScene scene = scene_for_targets();
   CudaRenderer device = renderer();
   for (const auto format : {PixelFormat::rgba8, PixelFormat::rgba16f}) {
+    if (race_sizes() && format != PixelFormat::rgba8) continue;  // the same kernels
     const bool is_bytes = format == PixelFormat::rgba8;
     const auto channels = is_bytes ? cudaCreateChannelDesc(8, 8, 8, 8, cudaChannelFormatKindUnsigned)
                                    : cudaCreateChannelDesc(16, 16, 16, 16, cudaChannelFormatKindFloat);

@@ -219,7 +219,7 @@ TEST_CASE("trap 5: exponents rounded above 0 give 0.99 at most, and opaque Gauss
     CAPTURE(v.name());
     // At the mean the exponent is log2(1) give or take a rounding; needles make the rounding large.
     for (const double minor : {0.5, 0.01, 0.001}) {
-      for (int k = 0; k < 8; ++k) {
+      for (int k = 0; k < sized(8, 8, 1); ++k) {
         const float off = 0.0003F * static_cast<float>(k);
         const ScreenSplat s = screen_splat({7 + off, 9 - off}, conic_of(200, minor, 0.3 + 0.2 * k), 1);
         const DeviceFrame f = blend(HandMade(std::span(&s, 1), 16, 16), v);
@@ -231,6 +231,7 @@ TEST_CASE("trap 5: exponents rounded above 0 give 0.99 at most, and opaque Gauss
     }
     // An exponent above 0 is an opaque pixel, neither a hole nor one that is finished before anything was blended.
     for (const float above : {1e-6F, 0.03F, 0.5F, 4.0F}) {
+      if (race_sizes() && above != 0.5F) continue;
       if (v.exponent == Exponent::direct) break;  // there it is the Gaussian alone that is above 1, and is skipped
       ScreenSplat s = screen_splat({8, 8}, conic_of(1000, 1000, 0), 1);
       s.log2_opacity = above;
@@ -289,7 +290,7 @@ TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel be
   }
 }
 
-TEST_CASE("trap 6: 32 bits are sorted, no constant ones; too few of depth give the exact order, and it is said") {
+TEST_CASE("trap 6: 32 bits are sorted, no constant ones") {
   if (!device_answers()) return;
   const DeviceScene scene = upload(scene_of(cloud_of(random_splats(703, 3000), 1)).view().value());
   struct Case {
@@ -303,7 +304,12 @@ TEST_CASE("trap 6: 32 bits are sorted, no constant ones; too few of depth give t
     CHECK(f.stats.depth_bits == 32 - c.tile_bits);
     CHECK(draw(scene, front_camera(c.width, c.height), baseline_options()).stats.key_bits == 32 + c.tile_bits);
   }
-  if (small_sizes()) return;
+}
+
+TEST_CASE("trap 6: at 8K too few bits of depth give the exact order, and it is said") {
+  if (!device_answers()) return;
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
+  const DeviceScene scene = upload(scene_of(cloud_of(random_splats(703, 3000), 1)).view().value());
   const Camera eight_k = front_camera(7680, 4320);  // 129,600 tiles: 17 bits, which leave 15
   RenderOptions options = paper_deterministic();
   const auto fallen_back = draw(scene, eight_k, options);
@@ -326,7 +332,7 @@ TEST_CASE("trap 7: Gaussians of one depth keep the order of the scene in determi
     s.mean[2] = 3;
   }
   const Scene scene = scene_of(cloud_of(splats, 1));
-  const Camera camera = front_camera(320, 200);
+  const Camera camera = race_sizes() ? front_camera(64, 40) : front_camera(320, 200);
   const DeviceScene uploaded = upload(scene.view().value());
   for (const auto order : {DepthOrder::exact, DepthOrder::quantized}) {
     RenderOptions options = Arithmetic{.depth_order = order, .deterministic = true};
@@ -334,7 +340,7 @@ TEST_CASE("trap 7: Gaussians of one depth keep the order of the scene in determi
     const auto first = draw(uploaded, camera, options);
     CHECK(psnr(first.rgb, host.rgb) >= 70);
     CHECK(largest_difference(first.rgb, host.rgb) <= 2.0 / 255);
-    for (int run = 0; run < 4; ++run) CHECK(draw(uploaded, camera, options).rgb == first.rgb);
+    for (int run = 0; run < sized(4, 4, 1); ++run) CHECK(draw(uploaded, camera, options).rgb == first.rgb);
     options.paper.front_end = PaperSteps::FrontEnd::separate;
     CHECK(draw(uploaded, camera, options).rgb == first.rgb);
     const auto turbo = draw(uploaded, camera, turbo_options());
@@ -352,7 +358,7 @@ TEST_CASE("trap 8: with steps per chunk an outlier's SH does not coarsen the res
   auto splats = random_splats(705, 4000);
   splats[17].sh[0] = 60, splats[17].mean[2] = 30, splats[17].mean[0] = 500;  // bright and far aside
   const auto cloud = cloud_of(splats, 3);
-  const Camera camera = front_camera(320, 200);
+  const Camera camera = race_sizes() ? front_camera(80, 50) : front_camera(320, 200);
   const auto exact = draw(upload(scene_of(cloud).view().value()), camera, Arithmetic());
   double quality[2];
   for (const bool per_chunk : {false, true}) {

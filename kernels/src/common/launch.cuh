@@ -20,13 +20,21 @@ inline Status checked(cudaError_t error, const char* what) {
 inline Status launched(const char* what) {
   return checked(cudaGetLastError(), what);
 }
-/// Blocks that are to share a multiprocessor, for __launch_bounds__: fewer where it has room for 1,024 threads, on sm_75.
-constexpr int resident_blocks(int wanted, int threads) {
-#if defined(__CUDA_ARCH__) && __CUDA_ARCH__ < 800
-  return wanted * threads <= 1024 ? wanted : 1024 / threads;
+/// Threads that a multiprocessor has room for (CUDA C++ Programming Guide, "Technical Specifications per Compute Capability").
+/// PTX carries the number of its own architecture; where a device has less room, the driver passes over it.
+constexpr int multiprocessor_threads() {
+#if !defined(__CUDA_ARCH__) || __CUDA_ARCH__ == 800 || __CUDA_ARCH__ == 900 || \
+    (__CUDA_ARCH__ >= 1000 && __CUDA_ARCH__ < 1100)
+  return 2048;
+#elif __CUDA_ARCH__ >= 800
+  return 1536;  // 8.6, 8.7, 8.9, 11.x, 12.x, and what is not known yet
 #else
-  return static_cast<void>(threads), wanted;
+  return 1024;  // 7.5
 #endif
+}
+/// Blocks that are to share a multiprocessor, for __launch_bounds__: fewer where it has less room.
+constexpr int resident_blocks(int wanted, int threads) {
+  return wanted * threads <= multiprocessor_threads() ? wanted : multiprocessor_threads() / threads;
 }
 constexpr std::uint32_t blocks_for(std::uint64_t n, std::uint32_t threads) {
   return static_cast<std::uint32_t>((n + threads - 1) / threads);

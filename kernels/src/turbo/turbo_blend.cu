@@ -175,7 +175,7 @@ class Cell {
  private:
   template <bool Clamp>
   __device__ void blend_staged(const Staged* staged, int n, float z) {
-#pragma unroll 2
+#pragma unroll(Details ? 1 : 2)  // with depth and counts two at a time would take more than 64 registers
     for (int j = 0; j < n; ++j) {
       blend_column<Details>(pixel_, column_of<Clamp>(staged[j], x_, y_), Details ? __shfl_sync(kFullWarp, z, j) : 0.0F);
     }

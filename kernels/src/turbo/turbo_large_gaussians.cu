@@ -153,14 +153,16 @@ __global__ void __launch_bounds__(kThreads) turbo_large_gaussians_kernel(TurboAr
     find(s, a, region, first + threadIdx.x, n);
     __syncthreads();
     const bool last = first + kStep >= n;
-    std::uint32_t n_found = s.n_found;
+    const std::uint32_t n_before = s.n_found;
+    std::uint32_t n_found = n_before;
     while (n_found >= R::kBatch || (last && n_found > 0)) {
       const std::uint32_t batch = math::min(n_found, R::kBatch);
       n_found -= batch;
       visible += place(s, a, region, grid, n_found, batch);
       __syncthreads();
     }
-    if (threadIdx.x == 0) s.n_found = n_found;
+    // Only after place(), whose barriers come after everybody has read it.
+    if (threadIdx.x == 0 && n_found != n_before) s.n_found = n_found;
     __syncthreads();
   }
   visible = warp_sum(visible);

@@ -110,8 +110,8 @@ struct CudaRendererOptions {
 /// assigned to.
 class CudaRenderer {
  public:
-  /// On the current device. Errors: unavailable (no device or driver answers), bad_argument (half an allocator),
-  /// device_failed.
+  /// On the current device. Errors: unavailable (no device or driver answers, or this build has no code for the device),
+  /// bad_argument (half an allocator), device_failed.
   static Result<CudaRenderer> create(const CudaRendererOptions& options = {});
 
   CudaRenderer(CudaRenderer&&) noexcept;

@@ -71,10 +71,18 @@ class PageLocked {
   PageLocked(const PageLocked&) = delete;
   PageLocked& operator=(const PageLocked&) = delete;
   ~PageLocked() { cudaFreeHost(value_); }
+  /// Errors: device_failed; unavailable (the device has another address for it, as without unified addressing).
   Status create() {
-    return device_status(cudaMallocHost(reinterpret_cast<void**>(&value_), sizeof(T)),
-                         "page-locked host memory could not be allocated");
+    void* on_device = nullptr;
+    Status ok = device_status(cudaHostAlloc(reinterpret_cast<void**>(&value_), sizeof(T), cudaHostAllocMapped),
+                              "page-locked host memory could not be allocated");
+    if (ok)
+      ok = device_status(cudaHostGetDevicePointer(&on_device, value_, 0), "the device does not reach host memory");
+    if (!ok || on_device == value_) return ok;
+    return make_error(Errc::unavailable, Error::kNone,
+                      "the CUDA device has no unified addressing; use the CPU backend");
   }
+  /// For the host and, in kernels, for the device.
   T* get() const { return value_; }
   T* operator->() const { return value_; }
 

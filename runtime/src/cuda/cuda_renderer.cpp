@@ -7,6 +7,7 @@
 #include <string>
 #include <utility>
 
+#include "common/device_code.hpp"
 #include "cuda/device_target.hpp"
 #include "cuda/frame_state.hpp"
 #include "cuda/sorted_pipeline.hpp"
@@ -20,6 +21,12 @@ namespace {
 using detail::device_status;
 using detail::Frame;
 using detail::FrameSettings;
+
+// What a valid camera's image can ask of a launch, on every device: a grid of 65,535 blocks in y and z and of 2^31 - 1 in x;
+// and of the words that hold tiles (TurboBox 16 bits, turbo_emit.cu 15).
+constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRows = kMaxImageSide / cuda::kTurboTile;
+static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
+static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
 
 bool draws_turbo(const FrameSettings& settings, std::uint64_t n_gaussians) {
   return settings.cuda.turbo && detail::TurboPipeline::takes(n_gaussians);
@@ -94,6 +101,7 @@ Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
         !ok) {
       return tl::unexpected(ok.error());
     }
+    if (const auto ok = cuda::check_device_code(); !ok) return tl::unexpected(ok.error());
     auto impl = std::make_unique<Impl>();
     impl->name = std::string("cuda ") + properties.name;
     auto memory = detail::DeviceMemory::create(options.allocator);

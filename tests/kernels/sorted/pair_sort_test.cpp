@@ -96,15 +96,18 @@ TEST_CASE("sorting is stable and looks at the lowest bits alone") {
   if (!device_answers()) return;
   std::vector<std::uint64_t> sizes{0, 1, 2, 255, 256, 257, 5000, 300001, 2000003};
   if (small_sizes()) sizes.resize(7);
+  if (race_sizes()) sizes = {1, 257, 5000};
   for (const std::uint64_t n : sizes) {
     const bool large = n > 300001;
     for (const int bits : {0, 1, 7, 8, 13, 19, 31, 32}) {
       if (large && bits != 32) continue;
+      if (race_sizes() && bits != 8 && bits != 32) continue;
       check_sort<std::uint32_t>(n, bits, 1000);
       check_sort<std::uint32_t>(n, bits, std::uint64_t{1} << 40);
     }
     for (const int bits : {0, 1, 32, 33, 40, 45, 49, 56, 63, 64}) {
       if (large && bits != 45) continue;
+      if (race_sizes() && bits != 45 && bits != 64) continue;
       check_sort<std::uint64_t>(n, bits, 1000);
       check_sort<std::uint64_t>(n, bits, std::uint64_t{1} << 40);
     }
@@ -115,6 +118,7 @@ TEST_CASE("ranges cover each tile's pairs, empty tiles and a single tile with 32
   if (!device_answers()) return;
   for (const std::uint64_t n : {0u, 1u, 2u, 255u, 256u, 257u, 4097u, 300000u}) {
     if (small_sizes() && n > 4097) continue;
+    if (race_sizes() && n != 257) continue;
     check_ranges<std::uint32_t>(n, 1, 32);
     check_ranges<std::uint64_t>(n, 1, 32);
     for (const std::uint32_t n_tiles : {2u, 3u, 920u, 8160u}) {

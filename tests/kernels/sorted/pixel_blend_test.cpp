@@ -200,7 +200,7 @@ TEST_CASE("packed pixels are the float ones, converted as on the host, beside th
   const auto n = static_cast<std::size_t>(width * height);
   Random random(403);
   std::vector<cuda::ScreenSplat> splats;
-  for (int i = 0; i < 300; ++i) {  // colours from 0 to beyond what FP16 holds
+  for (int i = 0; i < sized(300, 300, 40); ++i) {  // colours from 0 to beyond what FP16 holds
     const auto conic = conic_of(random.log_uniform(0.7, 40), random.log_uniform(0.7, 40), random.uniform(0, 3));
     splats.push_back(
         screen_splat({static_cast<float>(random.uniform(0, width)), static_cast<float>(random.uniform(0, height))},

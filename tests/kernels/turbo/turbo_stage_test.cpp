@@ -4,6 +4,8 @@
 
 #include <algorithm>
 #include <array>
+#include <bit>
+#include <cmath>
 #include <cstring>
 
 #include "device_fixture.hpp"
@@ -343,6 +345,68 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
   return lists;
 }
 
+/// The front end's entries alone, by tile, against the host's: nothing is ordered, so that images of many tiles cost little.
+void check_emitted(const Scene& scene, const Camera& camera) {
+  const SceneView view = scene.view().value();
+  auto v = view_parameters(camera, {}, view.sh_degree);
+  v.grid = math::tile_grid<cuda::kTurboTile>(camera.width, camera.height);
+  const auto n = static_cast<std::uint32_t>(view.n);
+  const auto n_tiles = static_cast<std::uint32_t>(v.grid.columns * v.grid.rows);
+  CAPTURE(n_tiles);
+  constexpr std::size_t kRoom = 1 << 19;
+  const DeviceAttributes attributes(view);
+  DeviceArray<std::byte> state(TurboState::bytes(n_tiles));
+  state.fill(0);
+  const DeviceArray<TurboEntry> entries(kRoom);
+  const DeviceArray<cuda::TurboTileRun> runs(kRoom);
+  const DeviceArray<cuda::TurboLargeGaussian> large(n);
+  const DeviceArray<cuda::TurboBox> boxes(n);
+  const DeviceArray<ScreenSplat> splats(n);
+  cuda::TurboArrays arrays{};
+  arrays.state = reinterpret_cast<TurboState*>(state.data());
+  arrays.n_tiles = n_tiles;
+  arrays.entries = entries.data(), arrays.runs = runs.data();
+  arrays.large_gaussians = large.data(), arrays.large_boxes = boxes.data();
+  arrays.entry_capacity = arrays.run_capacity = kRoom, arrays.large_capacity = n;
+  require_ok(cuda::launch_turbo_emit({attributes.get(), n, v, splats.data(), arrays}, nullptr));
+
+  TurboState counted;
+  std::memcpy(&counted, state.download().data(), sizeof counted);
+  REQUIRE(counted.counters.instances <= kRoom);
+  REQUIRE(counted.runs <= kRoom);
+  CHECK(counted.n_large_gaussians > 0);
+  const auto host_entries = entries.download();
+  const auto host_runs = runs.download();
+  const auto host_splats = splats.download();
+  std::vector<std::vector<TurboEntry>> found(n_tiles), expected(n_tiles);
+  for (std::uint64_t r = 0; r < counted.runs; ++r) {
+    const cuda::TurboTileRun& run = host_runs[r];
+    REQUIRE(run.tile < n_tiles);
+    REQUIRE(std::uint64_t{run.run.begin} + run.run.n <= counted.counters.instances);
+    const auto begin = host_entries.begin() + run.run.begin;
+    found[run.tile].insert(found[run.tile].end(), begin, begin + run.run.n);
+  }
+  std::uint64_t n_expected = 0;
+  for (std::uint64_t i = 0; i < view.n; ++i) {
+    if (untouched(host_splats[i])) continue;
+    const auto p = project(view, i, v);
+    for_each_entry(p, math::ellipse(p.mean, p.footprint, host_splats[i].cutoff), i, v.grid,
+                   [&](std::size_t tile, TurboEntry entry) {
+                     expected[tile].push_back(entry);
+                     ++n_expected;
+                   });
+  }
+  CHECK(n_expected > 0);
+  CHECK(counted.counters.instances == n_expected);
+  std::uint64_t n_wrong = 0;
+  for (std::uint32_t t = 0; t < n_tiles; ++t) {
+    std::sort(found[t].begin(), found[t].end());
+    std::sort(expected[t].begin(), expected[t].end());
+    n_wrong += found[t] != expected[t];
+  }
+  CHECK_MESSAGE(n_wrong == 0, n_wrong, " of ", n_tiles, " tiles have other entries than on the host");
+}
+
 }  // namespace
 
 TEST_CASE("turbo lists hold what the host lists, FP32 and compact, whatever the room") {
@@ -350,12 +414,13 @@ TEST_CASE("turbo lists hold what the host lists, FP32 and compact, whatever the 
   Random random(801);
   for (const int n : {0, 1, 255, 256, 257, 3000, 30000}) {
     if (small_sizes() && n > 300) continue;
+    if (race_sizes() && n != 257) continue;
     const auto cloud = cloud_of(random_splats(static_cast<unsigned>(800 + n), n), 2);
     const Scene scene = scene_of(cloud);
     EncodeOptions options;
     options.chunk_size = n % 2 == 0 ? 32 : 256;
     const auto compact = CompactScene::of(cloud, options);
-    for (const int width : {33, 700}) {
+    for (const int width : {33, sized(700, 700, 200)}) {
       const Camera camera = random_camera(random, width, 200);
       check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), camera);
       check(DeviceAttributes(compact.file).get(), compact.scene.view().value(), camera);
@@ -372,7 +437,7 @@ TEST_CASE("chunks that are passed over hold nothing that the host lists") {
     options.chunk_size = chunk_size;
     const auto compact = CompactScene::of(cloud, options);
     const DeviceAttributes attributes(compact.file);
-    for (int turn = 0; turn < (small_sizes() ? 3 : 16); ++turn) {
+    for (int turn = 0; turn < sized(16, 3, 1); ++turn) {
       // From within, in every direction and with narrow views, so that chunks lie across each edge of the image.
       Camera camera = front_camera(160, 130);
       camera.fx = camera.fy = random.log_uniform(60, 800);
@@ -381,7 +446,7 @@ TEST_CASE("chunks that are passed over hold nothing that the host lists") {
     }
   }
   SplitMix wild(804);
-  for (int round = 0; round < (small_sizes() ? 2 : 12); ++round) {
+  for (int round = 0; round < sized(12, 2, 1); ++round) {
     const auto extreme = CompactScene::of(random_cloud(700, round % 4, wild));
     check(DeviceAttributes(extreme.file).get(), extreme.scene.view().value(), random_camera(random, 130, 70));
   }
@@ -408,8 +473,10 @@ std::vector<Splat> large_splats(int n, Random& random) {
 TEST_CASE("Gaussians of many tiles are listed part by part, up to all tiles at 4K") {
   if (!device_answers()) return;
   Random random(806);
-  for (const auto& [n, width, height] : {std::array{40, 3840, 2160}, std::array{600, 1920, 1080}}) {
-    if (small_sizes() && width > 2000) continue;
+  std::vector<std::array<int, 3>> sizes{{40, 3840, 2160}, {600, 1920, 1080}};
+  if (small_sizes()) sizes = {{600, 1920, 1080}};
+  if (race_sizes()) sizes = {{60, 640, 640}};
+  for (const auto& [n, width, height] : sizes) {
     const auto cloud = cloud_of(large_splats(n, random));
     const Scene scene = scene_of(cloud);
     const auto compact = CompactScene::of(cloud);
@@ -423,22 +490,55 @@ TEST_CASE("blocks leave to the tiles what they have no room for, or what lies to
   if (!device_answers()) return;
   Random random(808);
   std::vector<Splat> splats;
-  for (int i = 0; i < 700; ++i) {  // about 30 tiles each at 1080p, for which a block has no room
+  for (int i = 0; i < sized(700, 700, 260); ++i) {  // about 30 tiles each at 1080p, for which a block has no room
     const double z = random.uniform(2, 9);
     splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 0.04 * z, 0.02));
   }
   const Scene wide = scene_of(cloud_of(splats));
   check(DeviceAttributes(wide.view().value()).get(), wide.view().value(), front_camera_of_tiles(1920, 1080));
-  if (small_sizes()) return;
-  for (Splat& s : splats) {
-    for (float& log_scale : s.log_scale) log_scale -= 5;
+}
+
+TEST_CASE("blocks leave to the tiles what lies too far apart") {
+  if (!device_answers()) return;
+  Random random(813);
+  std::vector<Splat> splats;
+  for (int i = 0; i < sized(700, 700, 260); ++i) {
+    const double z = random.uniform(2, 9);
+    splats.push_back(splat_at(random.uniform(-0.6, 0.6) * z, random.uniform(-0.6, 0.6) * z, z, 3e-4 * z, 0.02));
   }
   const Scene sparse = scene_of(cloud_of(splats));  // 79,524 tiles: more than a block's candidates tell apart
-  check(DeviceAttributes(sparse.view().value()).get(), sparse.view().value(), front_camera_of_tiles(9000, 9000));
+  const Camera camera = front_camera_of_tiles(9000, 9000);
+  check_emitted(sparse, camera);
+  if (!small_sizes()) check(DeviceAttributes(sparse.view().value()).get(), sparse.view().value(), camera);
+}
+
+TEST_CASE("large Gaussians are listed by regions of every size") {
+  if (!device_answers()) return;
+  // launch_turbo_large_gaussians() has larger regions where an image has more tiles than this, and than four times as many.
+  int device = 0, n_multiprocessors = 0;
+  require_cuda(cudaGetDevice(&device));
+  require_cuda(cudaDeviceGetAttribute(&n_multiprocessors, cudaDevAttrMultiProcessorCount, device));
+  constexpr std::uint32_t kRegionTiles = 2 * cuda::kTurboStripTiles;
+  const std::uint32_t most_tiles = std::bit_floor(4 * static_cast<std::uint32_t>(n_multiprocessors)) * kRegionTiles;
+  const int side = static_cast<int>(std::sqrt(most_tiles));
+  for (const int tiles : {side, 2 * side, 2 * side + 2}) {
+    const int pixels = tiles * cuda::kTurboTile;
+    const Camera camera = front_camera(pixels, pixels);
+    Random random(814);
+    std::vector<Splat> splats;
+    const double z = 4, pixel = z / camera.fx;
+    for (int i = 0; i < 160; ++i) {  // ten tiles wide, in one region or at its edges: more than one batch of a region
+      const double scale = 1.5 * cuda::kTurboTile * pixel;
+      splats.push_back(splat_at(random.uniform(-60, 60) * pixel, random.uniform(-60, 60) * pixel, z, scale, 0.5));
+    }
+    for (int i = 0; i < 4; ++i) splats.push_back(splat_at(random.uniform(-1, 1), 0, z, 3, 0.5));  // all tiles
+    check_emitted(scene_of(cloud_of(splats)), camera);
+  }
 }
 
 TEST_CASE("a frame of more entries than there is room for is made again, with room for large Gaussians' entries") {
   if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
   Random random(807);
   auto splats = large_splats(2000, random);
   for (Splat& s : splats) s.log_scale[0] += 3, s.log_scale[1] += 3, s.log_scale[2] += 3;
@@ -475,7 +575,9 @@ std::vector<Splat> crowd(int n, bool far) {
 
 TEST_CASE("long lists are moved to scratch memory and ordered in units that follow each other in depth") {
   if (!device_answers()) return;
-  for (const int n : {2047, 2048, 2049, 5000, small_sizes() ? 12000 : 200000}) {
+  std::vector<int> sizes{2047, 2048, 2049, 5000, small_sizes() ? 12000 : 200000};
+  if (race_sizes()) sizes = {2048, 5000};
+  for (const int n : sizes) {
     for (const bool far : {false, true}) {
       CAPTURE(n);
       CAPTURE(far);
@@ -491,7 +593,7 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
 
 TEST_CASE("a list of more entries of one depth than a sample can tell apart is ordered in rounds") {
   if (!device_answers()) return;
-  if (small_sizes()) return skip("RGS_TEST_SMALL is set");
+  if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   Random random(811);
   std::vector<Splat> splats;
   for (int i = 0; i < 1200000; ++i) {  // 1,024 shares of two samples each
@@ -499,6 +601,54 @@ TEST_CASE("a list of more entries of one depth than a sample can tell apart is o
   }
   const Scene scene = scene_of(cloud_of(splats));
   CHECK(check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile()).n_units > 1000);
+}
+
+TEST_CASE("a share that the sample has made too large is ordered in rounds") {
+  if (!device_answers()) return;
+  // Of this part the sample is every second entry. These are its first half in order, so that the last of four shares has
+  // all of the second half, too.
+  constexpr std::uint32_t kRound = cuda::kTurboRound, kEntries = 2 * kRound, kUnits = 4;
+  static_assert(cuda::turbo_shares(kEntries) == kUnits);
+  for (const bool one_depth : {true, false}) {
+    CAPTURE(one_depth);
+    SplitMix random(812);
+    std::vector<TurboEntry> part;
+    for (std::uint32_t k = 0; k < kEntries; ++k) {
+      const std::uint32_t index = k / 2 * 7919 % kRound + (k % 2 == 0 ? 0 : kRound);
+      const auto cells = static_cast<std::uint32_t>(random.below(1u << cuda::kTurboCells));
+      part.push_back(cuda::make_entry(math::depth_bits(4.0F) + (one_depth ? 0 : index), index, cells));
+    }
+    std::vector<TurboEntry> in_order = part;
+    std::sort(in_order.begin(), in_order.end());
+    std::vector<std::uint32_t> expected;
+    cuda::TurboLongList list{};
+    for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
+      list.cell_begin[c] = static_cast<std::uint32_t>(expected.size());
+      for (const TurboEntry entry : in_order) {
+        if (cuda::touches(entry, c)) expected.push_back(cuda::index_of(entry));
+      }
+    }
+    std::vector<cuda::TurboUnit> units;
+    for (std::uint32_t share = 0; share < kUnits; ++share) units.push_back({0, kEntries, 0, share});
+    TurboState begun{};
+    begun.n_units = kUnits;
+
+    const DeviceArray<TurboState> state{std::span<const TurboState>(&begun, 1)};
+    const DeviceArray<TurboEntry> scratch{std::span<const TurboEntry>(part)};
+    const DeviceArray<cuda::TurboLongList> lists{std::span<const cuda::TurboLongList>(&list, 1)};
+    const DeviceArray<cuda::TurboUnit> device_units{std::span<const cuda::TurboUnit>(units)};
+    DeviceArray<std::uint32_t> unit_cells(std::size_t{kUnits} * cuda::kTurboCells);
+    unit_cells.fill(0);
+    const DeviceArray<std::uint32_t> gaussians(expected.size());
+    cuda::TurboArrays arrays{};
+    arrays.n_tiles = 1;
+    arrays.state = state.data(), arrays.scratch = scratch.data(), arrays.long_lists = lists.data();
+    arrays.units = device_units.data(), arrays.unit_cells = unit_cells.data();
+    arrays.cell_gaussians = gaussians.data(), arrays.cell_capacity = expected.size();
+    require_ok(cuda::launch_turbo_units(arrays, nullptr));
+    CHECK(gaussians.download() == expected);
+    unit_cells.check_guards();
+  }
 }
 
 TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {

@@ -1,0 +1,72 @@
+#!/usr/bin/python3
+# kernel_resources_test.py - the script that reports kernels' resources, with a compiler that says what the test wants.
+# SPDX-License-Identifier: Apache-2.0
+"""kernel_resources_test.py PROJECT_SOURCE_DIR"""
+import json
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+SOURCE = Path(sys.argv[1])
+SCRIPT = SOURCE / "scripts/kernel_resources.py"
+# An anonymous namespace, whose name differs between compilations.
+SPACE = "_GLOBAL__N__0c1f5d{a}_11_turbo_a_cu_9a1b2c3d"
+KERNEL = f"_ZN3rgs4cuda{len(SPACE) - 1}{SPACE}11some_kernelILi2EEEvi"  # {a} is two digits
+REPORT = f"""ptxas info    : 0 bytes gmem
+ptxas info    : Compiling entry function '{KERNEL}' for 'sm_{{a}}'
+ptxas info    : Function properties for {KERNEL}
+    {{spilled}} bytes stack frame, {{spilled}} bytes spill stores, {{spilled}} bytes spill loads
+ptxas info    : Used 48 registers, used 1 barriers, {{shared}} bytes smem, 400 bytes cmem[0]
+"""
+# A compiler that wants one architecture, and neither an object nor what makes one.
+COMPILER = """#!/bin/sh
+for a; do case $a in -c|--generate-code*|-gencode*|-MF) echo "unexpected $a"; exit 9;; -arch=sm_*) arch=${a#-arch=sm_};; esac; done
+[ "$(cat %s/status)" = 0 ] || { echo broken; exit 1; }
+sed "s/{a}/$arch/g" %s/report
+"""
+
+
+def run(folder, source, spilled=0, shared=5120, status=0):
+    file = folder / "kernels/src/turbo/turbo_a.cu"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(source)
+    (folder / "report").write_text(REPORT.replace("{spilled}", str(spilled)).replace("{shared}", str(shared)))
+    (folder / "status").write_text(str(status))
+    nvcc = folder / "nvcc"
+    nvcc.write_text(COMPILER % (folder, folder))
+    nvcc.chmod(0o755)
+    command = f"{nvcc} -I. --generate-code=arch=compute_90,code=[sm_90] -O3 -MD -MT a.o -MF a.d -x cu -c {file} -o a.o"
+    (folder / "compile_commands.json").write_text(
+        json.dumps([{"directory": str(folder), "command": command, "file": str(file)}]))
+    done = subprocess.run([sys.executable, str(SCRIPT), "--build", str(folder), "--architectures", "75,90"],
+                          capture_output=True, text=True)
+    return done.returncode, done.stdout, done.stderr
+
+
+def main():
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        plain = "__global__ void f();"
+        code, out, said = run(folder, plain, spilled=32, shared=49152)
+        assert code == 0, said
+        assert "| turbo_a.cu | `some_kernel<2>` | 48, 49152 + 32 | 48, 49152 + 32 |" in out, out
+        code, _, said = run(folder, plain, spilled=36)
+        assert code == 1 and "some_kernel<2> spills 36 bytes on sm_75" in said, said
+        code, _, said = run(folder, plain, shared=49156)
+        assert code == 1 and "some_kernel<2> has 49156 bytes of shared memory on sm_90" in said, said
+        code, _, said = run(folder, "extern __shared__ float values[];")
+        assert code == 1 and "turbo_a.cu has shared memory of a size that only its launch knows" in said, said
+        code, _, said = run(folder, plain, status=1)
+        assert code == 2 and "broken" in said, said
+        (folder / "compile_commands.json").unlink()
+    # Ours: nvcc refuses more than 48 KiB that it knows of, and this is the other way to have more.
+    sys.path.insert(0, str(SCRIPT.parent))
+    import kernel_resources
+    ours = [str(file) for file in (SOURCE / "kernels/src").rglob("*.cu")]
+    assert len(ours) > 10, ours
+    assert not kernel_resources.dynamic_shared(ours), "see docs/KERNELS.md, Limits"
+
+
+if __name__ == "__main__":
+    main()
