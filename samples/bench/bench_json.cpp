@@ -57,7 +57,6 @@ ordered_json options_json(const Configuration& c) {
   json["exp"] = name_of(o.exp);
   json["pixels_per_thread"] = o.pixels_per_thread;
   json["pixel_format"] = pixel_format_name(c.packed);
-  json["graph"] = is_turbo && c.options.turbo.graph;
   return json;
 }
 
@@ -138,7 +137,7 @@ ordered_json orbit_json(const OrbitReport& o) {
 
 std::string report_json(const Report& report) {
   ordered_json json;
-  json["schema"] = "rgs-bench/1";
+  json["schema"] = "rgs-bench/2";
   json["version"] = report.version;
   json["date"] = report.date;
   json["device"] = device_json(report.device);

@@ -75,7 +75,7 @@ struct Report {
 
 double speedup(const SizeReport& size, std::size_t row);  ///< over the baseline; 0 where nothing was timed
 
-/// Schema "rgs-bench/1": docs/BENCH_JSON.md.
+/// Schema "rgs-bench/2": docs/BENCH_JSON.md.
 std::string report_json(const Report& report);
 /// A line for each size and mode under a line of names; fields that were not measured are empty. docs/BENCH_JSON.md.
 std::string report_csv(const Report& report);

@@ -108,10 +108,8 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
   for (const Camera& camera : cameras) {
     RenderOptions options = c.options;
     options.measure.timings = true;
-    options.turbo.graph = false;  // whose stages are not to be told apart
     auto stats = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
     if (!stats) return tl::unexpected(stats.error());
-    options.turbo.graph = c.options.turbo.graph;
     options.measure.stage_timings = false;  // frames of their own for the total: events between the stages take time
     const auto whole = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
     if (!whole) return tl::unexpected(whole.error());

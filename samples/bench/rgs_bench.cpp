@@ -38,7 +38,6 @@ using Print = void(std::string_view);
 
 struct Options {
   std::string scene, source, cameras, quality_cameras, photos, pixel_format = "rgb32f";
-  bool graph = false;
   std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper", "turbo"};
   std::string exp, key;
   std::string json, csv, svg;
@@ -153,7 +152,6 @@ std::vector<Configuration> configurations(const Options& o, const std::optional<
     if (o.pixel_format != "rgb32f") {
       row.packed = o.pixel_format == "rgba8" ? rgs::math::PixelFormat::rgba8 : rgs::math::PixelFormat::rgba16f;
     }
-    row.options.turbo.graph = o.graph;
   }
   return rows;
 }
@@ -319,7 +317,6 @@ int main(int argc, char** argv) {
     app.add_option("--pixel-format", o.pixel_format, "of the frames that are timed: FP32 RGB or packed RGBA")
         ->check(CLI::IsMember({"rgb32f", "rgba16f", "rgba8"}))
         ->capture_default_str();
-    app.add_flag("--graph", o.graph, "launch turbo's frames as CUDA graphs");
     app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
     app.add_option("--frames", o.frames, "measured per camera")->check(CLI::Range(1, 100000))->capture_default_str();
     app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));

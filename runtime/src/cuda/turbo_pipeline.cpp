@@ -134,22 +134,25 @@ Status TurboPipeline::order(const cuda::TurboArrays& arrays, math::TileGrid grid
   return ok ? counted_.record(on) : ok;
 }
 
-// The frame's kernels, on its stream or on one that captures them. Nothing is waited for.
-Status TurboPipeline::launch(const Frame& f, CudaStream on) {
+// The frame's kernels. Nothing is waited for.
+Status TurboPipeline::launch(const Frame& f) {
   const cuda::TurboArrays arrays = arrays_for(f);
-  const auto mark_stage = [&](Mark m) { return f.settings.cuda.graph ? Status() : state_.mark(m, f, on); };
-  Status ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
-                            "the frame's state could not be cleared");
+  const CudaStream on = f.stream;
+  Status ok = state_.mark(kStart, f, on);
+  if (ok) {
+    ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
+                       "the frame's state could not be cleared");
+  }
   if (ok) {
     ok = cuda::launch_turbo_emit(
         {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
   }
-  if (ok) ok = mark_stage(kProjected);
+  if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, seen_.get(), on);
-  if (ok) ok = mark_stage(kDuplicated);
+  if (ok) ok = state_.mark(kDuplicated, f, on);
   if (ok) ok = order(arrays, f.view.grid, on);
   for (const Mark m : {kSorted, kRanged}) {
-    if (ok) ok = mark_stage(m);
+    if (ok) ok = state_.mark(m, f, on);
   }
   if (ok) {
     ok = cuda::launch_turbo_blend(
@@ -157,31 +160,21 @@ Status TurboPipeline::launch(const Frame& f, CudaStream on) {
          f.settings.cuda.count_pairs, f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass},
         on);
   }
-  return ok;
-}
-
-Status TurboPipeline::enqueue(const Frame& f) {
-  const bool is_graph = f.settings.cuda.graph;
-  Status ok;
-  if (is_graph) ok = graph_.capture([&](CudaStream on) { return launch(f, on); });
-  if (ok) ok = state_.mark(kStart, f, f.stream);
-  if (ok) ok = is_graph ? graph_.launch(f.stream) : launch(f, f.stream);
-  return ok ? state_.mark(kBlended, f, f.stream) : ok;
+  return ok ? state_.mark(kBlended, f, on) : ok;
 }
 
 Status TurboPipeline::queue(const Frame& f) {
   Status ok = state_.begin(f);
   if (!ok) return ok;
   ok = reserve_tiles(f);
-  if (ok) ok = enqueue(f);
+  if (ok) ok = launch(f);
   const Status ended = state_.end(f);
   return ok ? ended : ok;
 }
 
 Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
   for (;;) {
-    // Events within a graph cannot be waited for.
-    Status ok = (f.settings.cuda.graph ? state_.finished : counted_).wait();
+    Status ok = counted_.wait();
     if (!ok) return tl::unexpected(ok.error());
     const cuda::TurboState& seen = *seen_.get();
     const cuda::TurboArrays arrays = arrays_for(f);

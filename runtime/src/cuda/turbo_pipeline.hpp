@@ -4,7 +4,6 @@
 
 #include <cstdint>
 
-#include "cuda/frame_graph.hpp"
 #include "cuda/frame_state.hpp"
 #include "turbo/turbo.hpp"
 
@@ -40,15 +39,13 @@ class TurboPipeline {
   cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays arrays_for(const Frame& frame) const;
   Status order(const cuda::TurboArrays& arrays, math::TileGrid grid, CudaStream on);
-  Status launch(const Frame& frame, CudaStream on);
-  Status enqueue(const Frame& frame);
+  Status launch(const Frame& frame);
 
   FrameState& state_;
   Event counted_;       // the frame has counted its pairs
   OwnedStream beside_;  // for long lists; `listed_` begins what is queued there, `ordered_long_` ends it
   Event listed_, ordered_long_;
   PageLocked<cuda::TurboState> seen_;
-  FrameGraph graph_;
   DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, classes_;
   DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;
 };
