@@ -154,6 +154,10 @@ TEST_CASE("each stress view stands where its name says") {
     CHECK(glm::distance(seen(at("before the densest part"), scene.dense), glm::dvec3(0, 0, 0.4)) < 1e-6);
   }
   const auto large = stress_views(cameras, scene_of(100));
+  for (const Camera& empty : find(large, "empty", 1920, 1080).cameras) {
+    CHECK(seen(empty, {-40000, 200, 9000}).z <= -1200 * (1 - 1e-9));
+    CHECK(seen(empty, {400, -200, -400}).z <= -1200 * (1 - 1e-9));
+  }
   CHECK(glm::distance(seen(find(large, "before the densest part", 1920, 1080).cameras[0], 100.0 * scene.dense),
                       glm::dvec3(0, 0, 24)) < 1e-9);
 }
