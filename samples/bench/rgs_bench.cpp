@@ -414,7 +414,8 @@ int main(int argc, char** argv) {
         "paper in a stress view.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;
     const bool is_stress = o.is_stress();
-    if (!is_stress && o.cameras.empty()) return tool::report_usage("--cameras is missing: only --views stress does without");
+    if (!is_stress && o.cameras.empty())
+      return tool::report_usage("--cameras is missing: only --views stress does without");
     for (const char* option :
          {"--size", "--ablate", "--orbit", "--quality-cameras", "--photos", "--roofline", "--svg"}) {
       if (is_stress && app.get_option(option)->count() > 0)
