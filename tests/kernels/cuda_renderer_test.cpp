@@ -234,6 +234,7 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
       CHECK_MESSAGE(close(stats->instances, host.stats.instances, 1e-4), stats->instances, " and ",
                     host.stats.instances);
       CHECK(stats->depth_bits == host.stats.depth_bits);
+      if (!is_compact) CHECK(stats->depth_resolution == host.stats.depth_resolution);  // a file declares its box, too
       if (!is_compact) continue;
       CHECK_MESSAGE(close(stats->evaluated, host.stats.evaluated, 1e-3), stats->evaluated, " and ",
                     host.stats.evaluated);

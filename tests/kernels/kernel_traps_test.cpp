@@ -309,6 +309,7 @@ TEST_CASE("trap 6: 32 bits are sorted, no constant ones; too few of depth give t
   const auto fallen_back = draw(scene, eight_k, options);
   CHECK(fallen_back.stats.depth_bits == 0);
   CHECK(fallen_back.stats.key_bits == 17 + 32);
+  CHECK(fallen_back.stats.depth_resolution == 0);
   options.paper.depth_order = DepthOrder::exact;
   CHECK(draw(scene, eight_k, options).rgb == fallen_back.rgb);
   options.paper.depth_order = DepthOrder::quantized;
