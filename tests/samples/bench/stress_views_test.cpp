@@ -123,12 +123,13 @@ TEST_CASE("each stress view stands where its name says") {
       CHECK(c.cy == 0.5 * height);
     }
     // Straight back: what was in the middle of the image still is.
-    for (const auto& [name, by] : {std::pair("back 30 units", 30.0),
-                                   {"back 300 units", 300.0},
-                                   {"back 3000 units", 3000.0},
-                                   {"back 1x its size", 12.0},
-                                   {"back 10x its size", 120.0},
-                                   {"back 100x its size", 1200.0}}) {
+    for (const auto& [label, by] : {std::pair("back 30 units", 30.0),
+                                    {"back 300 units", 300.0},
+                                    {"back 3000 units", 3000.0},
+                                    {"back 1x its size", 12.0},
+                                    {"back 10x its size", 120.0},
+                                    {"back 100x its size", 1200.0}}) {
+      const std::string name = label;
       CAPTURE(name);
       const glm::dvec3 moved = camera_centre(at(name)) - camera_centre(from);
       CHECK(glm::distance(moved, -by * camera_axis(from, 2)) < 1e-9 * by);
