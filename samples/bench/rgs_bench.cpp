@@ -202,9 +202,9 @@ Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::C
   rgs::bench::SizeReport& rows = report.sizes.back();
   print(rgs::bench::size_text(rows, report));
   for (std::size_t row = 0; row < report.modes.size(); ++row) {
-    auto measured = measure_mode(report.modes[row].configuration, scenes, sized, {.frames = report.frames});
+    const auto measured = measure_mode(report.modes[row].configuration, scenes, sized, {.frames = report.frames});
     if (!measured) return failed("", measured.error());
-    rows.rows.push_back(*std::move(measured));
+    rows.rows.push_back(*measured);
     print(rgs::bench::row_text(rows, row, report));
     tool::flush();
   }
@@ -221,14 +221,14 @@ Step measure_stress(const LoadedScenes& scenes, std::span<const rgs::Camera> cam
   for (const rgs::bench::StressView& view : views) {
     rgs::bench::SizeReport rows{view.width, view.height, view.name, {}};
     for (const rgs::bench::ModeReport& mode : report.modes) {
-      auto measured = measure_mode(mode.configuration, scenes.device, view.cameras,
-                                   {.frames = report.frames, .seconds = kSecondsPerMode});
+      const auto measured = measure_mode(mode.configuration, scenes.device, view.cameras,
+                                         {.frames = report.frames, .seconds = kSecondsPerMode});
       if (!measured) {
         const std::string where =
             fmt::format("{} at {}x{}, {}", view.name, view.width, view.height, mode.configuration.name);
         return failed(where, measured.error());
       }
-      rows.rows.push_back(*std::move(measured));
+      rows.rows.push_back(*measured);
     }
     print(rgs::bench::stress_row_text(rows, report));
     tool::flush();

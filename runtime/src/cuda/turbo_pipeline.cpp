@@ -137,7 +137,7 @@ Status TurboPipeline::order(const cuda::TurboArrays& arrays, math::TileGrid grid
 // The frame's kernels. Nothing is waited for.
 Status TurboPipeline::launch(const Frame& f) {
   const cuda::TurboArrays arrays = arrays_for(f);
-  const CudaStream on = f.stream;
+  auto* const on = f.stream;
   Status ok = state_.mark(kStart, f, on);
   if (ok) {
     ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
