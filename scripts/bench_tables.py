@@ -38,7 +38,8 @@ def quality_of(bench, mode):
 
 def times(bench, size):
     stages = ["project", "bin", "sort", "blend"]
-    head = [f"{size['width']}x{size['height']}, ms", *stages, "total", "speed-up", "pairs", "evaluated", "moved",
+    view = f"{size['view']}, " if "view" in size else ""
+    head = [f"{view}{size['width']}x{size['height']}, ms", *stages, "total", "speed-up", "pairs", "evaluated", "moved",
             "peak memory"]
     rows = []
     for r in size["results"]:

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace rgs {
 
@@ -105,11 +106,34 @@ Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<
                .timings = o.measure.timings,
                .stage_timings = o.measure.stage_timings,
                .count_pairs = o.measure.count_pairs,
-               .graph = is_turbo && o.turbo.graph,
                .asynchronous = is_turbo && o.turbo.asynchronous},
   };
   if (const auto ok = validate(settings); !ok) return tl::unexpected(ok.error());
   return settings;
+}
+
+double depth_resolution(const FrameSettings& settings, int depth_bits, const Camera& camera,
+                        const std::optional<Declarations>& declared) {
+  if (depth_bits == 0) return 0;
+  const double near = static_cast<double>(settings.depth_range[0]), far = static_cast<double>(settings.depth_range[1]);
+  const double bins = std::exp2(depth_bits) - 1;  // as make_depth_quantizer() divides the range
+  // Bins of equal depth are coarsest, relative to it, where they begin.
+  const double step = settings.depth_mapping == DepthMapping::logarithmic ? std::expm1(std::log(far / near) / bins)
+                                                                          : (far - near) / bins / near;
+  if (!declared) return step;
+  const SceneBounds box = declared_bounds(*declared);
+  if (box.low == box.high) return step;  // declarations that are not a file's have none
+  double low = std::numeric_limits<double>::infinity(), high = -low, middle = 0;
+  for (int corner = 0; corner < 8; ++corner) {
+    const glm::dvec4 at(corner & 1 ? box.high.x : box.low.x, corner & 2 ? box.high.y : box.low.y,
+                        corner & 4 ? box.high.z : box.low.z, 1);
+    const double z = (camera.world_to_camera * at).z;
+    low = std::min(low, z), high = std::max(high, z), middle += z / 8;
+  }
+  const double drawn = static_cast<double>(settings.near_plane);
+  if (middle > far) return std::max(step, high / far - 1);
+  if (middle > drawn && middle < near) return std::max(step, near / std::max(low, drawn) - 1);
+  return step;
 }
 
 Status validate(const RenderTarget& t, const Camera& camera) {

@@ -36,7 +36,6 @@ struct FrameSettings {
     bool timings;
     bool stage_timings;
     bool count_pairs;
-    bool graph;
     bool asynchronous;
   } cuda;
 };
@@ -45,6 +44,10 @@ struct FrameSettings {
 /// naming the option that has no such value.
 Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<Declarations>& declared,
                               Backend backend);
+/// FrameStats::depth_resolution of a frame whose key has `depth_bits`; 0 if that is 0. `declared`: of the scene.
+double depth_resolution(const FrameSettings& settings, int depth_bits, const Camera& camera,
+                        const std::optional<Declarations>& declared);
+
 /// bad_argument unless every span is empty or has the camera's pixels.
 Status validate(const RenderTarget& target, const Camera& camera);
 

@@ -56,10 +56,16 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
       return make_error(Errc::bad_argument, Error::kNone, "the contributions' size is not that of the scene",
                         scene.size(), target.contributions.size());
   }
-  if (impl_->cuda) return impl_->cuda->render(scene, camera, target, with_declarations(options, scene.declarations()));
-  const auto view = scene.view();
-  if (!view) return tl::unexpected(view.error());
-  return impl_->reference->render(*view, camera, target, *settings);
+  auto stats = impl_->cuda
+                   ? impl_->cuda->render(scene, camera, target, with_declarations(options, scene.declarations()))
+                   : scene.view().and_then([&](const SceneView& view) {
+                       return impl_->reference->render(view, camera, target, *settings);
+                     });
+  // Here also for CUDA, where a scene of FP32 arrays no longer knows what it declares.
+  if (stats) {
+    stats->depth_resolution = detail::depth_resolution(*settings, stats->depth_bits, camera, scene.declarations());
+  }
+  return stats;
 }
 
 Backend Renderer::backend() const {

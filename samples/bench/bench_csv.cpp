@@ -73,10 +73,14 @@ Line row_line(const Report& report, const SizeReport& size, std::size_t row) {
   line.text("device", report.device.name);
   line.text("date", report.date);
   line.text("scene", report.scene);
+  line.text("view", size.view);
   line.number("width", size.width);
   line.number("height", size.height);
   line.text("mode", report.modes[row].configuration.name);
   line.number("total_ms", s.total_ms);
+  line.number("eager_clock_ms", m.timing.outside.eager_clock_ms);
+  line.number("eager_events_ms", m.timing.outside.eager_events_ms);
+  line.number("queued_ms", m.timing.outside.queued_ms);
   line.number("fastest_camera_ms", m.timing.fastest_ms);
   line.number("slowest_camera_ms", m.timing.slowest_ms);
   line.number("speedup", speedup(size, row));
@@ -86,6 +90,7 @@ Line row_line(const Report& report, const SizeReport& size, std::size_t row) {
   line.number("evaluated", s.evaluated);
   line.number("blended", s.blended);
   line.number("key_bits", s.key_bits);
+  line.number("depth_resolution", s.depth_resolution);
   line.number("bytes", sum(m.costs).bytes);
   line.number("peak_bytes", m.timing.peak_bytes);
   for (std::size_t k = 0; k < kStages.size(); ++k) {

@@ -57,7 +57,6 @@ ordered_json options_json(const Configuration& c) {
   json["exp"] = name_of(o.exp);
   json["pixels_per_thread"] = o.pixels_per_thread;
   json["pixel_format"] = pixel_format_name(c.packed);
-  json["graph"] = is_turbo && c.options.turbo.graph;
   return json;
 }
 
@@ -96,6 +95,10 @@ ordered_json row_json(const Report& report, const SizeReport& size, std::size_t 
   const FrameStats& s = m.timing.mean;
   ordered_json json = {{"mode", report.modes[row].configuration.name},
                        {"total_ms", s.total_ms},
+                       {"eager_clock_ms", m.timing.outside.eager_clock_ms},
+                       {"eager_events_ms", m.timing.outside.eager_events_ms},
+                       {"queued_ms", m.timing.outside.queued_ms},
+                       {"frames", m.timing.frames},
                        {"fastest_camera_ms", m.timing.fastest_ms},
                        {"slowest_camera_ms", m.timing.slowest_ms},
                        {"speedup", speedup(size, row)},
@@ -105,6 +108,7 @@ ordered_json row_json(const Report& report, const SizeReport& size, std::size_t 
                        {"blended", s.blended},
                        {"key_bits", s.key_bits},
                        {"depth_bits", s.depth_bits},
+                       {"depth_resolution", s.depth_resolution},
                        {"bytes", sum(m.costs).bytes},
                        {"peak_bytes", m.timing.peak_bytes}};
   ordered_json stages = ordered_json::object();
@@ -134,11 +138,31 @@ ordered_json orbit_json(const OrbitReport& o) {
           {"degrees", o.degrees}, {"distance", o.distance}, {"results", std::move(rows)}};
 }
 
+ordered_json stress_json(const Report& report) {
+  ordered_json rows = ordered_json::array();
+  bool passed = true;
+  for (const SizeReport& size : report.sizes) {
+    const StressRow row = stress_row(size, report);
+    rows.push_back({{"view", size.view},
+                    {"width", size.width},
+                    {"height", size.height},
+                    {"paper_ms", row.paper_ms},
+                    {"turbo_ms", row.turbo_ms},
+                    {"ratio", row.ratio()},
+                    {"passed", row.passes()}});
+    passed = passed && row.passes();
+  }
+  return {{"scene_size", report.stress->scene_size},
+          {"densest", report.stress->dense},
+          {"passed", passed},
+          {"views", std::move(rows)}};
+}
+
 }  // namespace
 
 std::string report_json(const Report& report) {
   ordered_json json;
-  json["schema"] = "rgs-bench/1";
+  json["schema"] = "rgs-bench/2";
   json["version"] = report.version;
   json["date"] = report.date;
   json["device"] = device_json(report.device);
@@ -162,8 +186,14 @@ std::string report_json(const Report& report) {
   for (const SizeReport& size : report.sizes) {
     ordered_json rows = ordered_json::array();
     for (std::size_t row = 0; row < size.rows.size(); ++row) rows.push_back(row_json(report, size, row));
-    json["sizes"].push_back({{"width", size.width}, {"height", size.height}, {"results", std::move(rows)}});
+    ordered_json entry;
+    if (!size.view.empty()) entry["view"] = size.view;
+    entry["width"] = size.width;
+    entry["height"] = size.height;
+    entry["results"] = std::move(rows);
+    json["sizes"].push_back(std::move(entry));
   }
+  if (report.stress) json["stress"] = stress_json(report);
   if (report.orbit) json["orbit"] = orbit_json(*report.orbit);
   // File names need not be UTF-8; JSON must be.
   return json.dump(2, ' ', true, ordered_json::error_handler_t::replace) + "\n";

@@ -32,6 +32,17 @@ std::vector<std::string> mode_names() {
   return names;
 }
 
+std::vector<std::string> compared_modes(std::span<const std::string> asked, bool is_stress) {
+  const bool with_baseline = !is_stress || std::ranges::find(asked, "baseline") != asked.end();
+  std::vector<std::string> modes;
+  if (with_baseline) modes.emplace_back("baseline");
+  if (is_stress) modes.insert(modes.end(), {"paper", "turbo"});
+  for (const std::string& mode : asked) {
+    if (std::ranges::find(modes, mode) == modes.end()) modes.push_back(mode);
+  }
+  return modes;
+}
+
 Configuration make_mode(std::string_view name, const ModeInput& input) {
   const auto* mode = std::find_if(std::begin(kModes), std::end(kModes), [&](const Mode& m) { return name == m.name; });
   assert(mode != std::end(kModes));

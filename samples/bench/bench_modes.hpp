@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -36,6 +37,9 @@ struct ModeInput {
 
 /// Names for --mode, the baseline first.
 std::vector<std::string> mode_names();
+/// Modes that are compared when `asked` are asked for: the baseline first, whether asked for or not; for stress views paper
+/// and turbo, whether asked for or not, after the baseline if that is asked for, and then the others.
+std::vector<std::string> compared_modes(std::span<const std::string> asked, bool is_stress);
 /// `name` is one of mode_names().
 Configuration make_mode(std::string_view name, const ModeInput& input);
 /// The paper's steps, one after the other: from baseline, the first, to paper, the last.

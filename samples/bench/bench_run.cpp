@@ -5,8 +5,13 @@
 #include <cuda_runtime_api.h>
 
 #include <algorithm>
+#include <chrono>
+#include <iterator>
+#include <limits>
 #include <memory>
 #include <optional>
+
+#include "stress_views.hpp"
 
 namespace rgs::bench {
 namespace {
@@ -59,22 +64,122 @@ std::size_t floats_a_pixel(const std::optional<math::PixelFormat>& packed) {
   return pixel_bytes(packed) / sizeof(float);
 }
 
-// Medians of the times of frames of one camera; their counts are all the same.
-Result<FrameStats> measure_camera(CudaRenderer& renderer, const DeviceScene& scene, const Camera& camera,
-                                  const DeviceTarget& target, const RenderOptions& options, int frames) {
+struct FreeStream {
+  void operator()(CudaStream stream) const { cudaStreamDestroy(stream); }
+};
+using OwnedStream = std::unique_ptr<CUstream_st, FreeStream>;
+
+struct FreeEvent {
+  void operator()(cudaEvent_t event) const { cudaEventDestroy(event); }
+};
+using OwnedEvent = std::unique_ptr<CUevent_st, FreeEvent>;
+
+Status check(cudaError_t error) {
+  if (error == cudaSuccess) return {};
+  cudaGetLastError();
+  return make_error(Errc::device_failed, Error::kNone, "a frame could not be timed", Error::kNone,
+                    static_cast<std::uint64_t>(error));
+}
+
+// A caller's stream, and events around what it queues there.
+class Stopwatch {
+ public:
+  Status create() {
+    CudaStream stream = nullptr;
+    Status ok = check(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+    stream_.reset(stream);
+    for (OwnedEvent* event : {&start_, &end_}) {
+      cudaEvent_t made = nullptr;
+      if (ok) ok = check(cudaEventCreate(&made));
+      event->reset(made);
+    }
+    return ok;
+  }
+  CudaStream stream() const { return stream_.get(); }
+  Status start() const { return check(cudaEventRecord(start_.get(), stream_.get())); }
+  /// Waits. Milliseconds since start().
+  Result<double> stop() const {
+    float ms = 0;
+    Status ok = check(cudaEventRecord(end_.get(), stream_.get()));
+    if (ok) ok = check(cudaEventSynchronize(end_.get()));
+    if (ok) ok = check(cudaEventElapsedTime(&ms, start_.get(), end_.get()));
+    if (!ok) return tl::unexpected(ok.error());
+    return static_cast<double>(ms);
+  }
+
+ private:
+  OwnedStream stream_;
+  OwnedEvent start_, end_;
+};
+
+using Clock = std::chrono::steady_clock;
+double ms_since(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
+
+// Frames of one mode, scene, camera and target.
+struct Shot {
+  CudaRenderer& renderer;
+  const DeviceScene& scene;
+  const Camera& camera;
+  const DeviceTarget& target;
+
+  Result<FrameStats> render(const RenderOptions& options, CudaStream stream = nullptr) const {
+    return renderer.render(scene, camera, target, options, stream);
+  }
+};
+
+// Frames before those that count: memory has grown, clocks are up. How many of them fit into the time for one loop.
+Result<int> warm_up(const Shot& shot, const RenderOptions& options, const Effort& loop) {
   constexpr int kUnmeasured = 10;
+  const auto start = Clock::now();
+  double fastest = std::numeric_limits<double>::infinity();
+  for (int f = 0; f < kUnmeasured && (f == 0 || ms_since(start) < 1e3 * loop.seconds); ++f) {
+    const auto frame = Clock::now();
+    const auto stats = shot.render(options);
+    if (!stats) return tl::unexpected(stats.error());
+    fastest = std::min(fastest, ms_since(frame));
+  }
+  return frames_within(loop.seconds, fastest, loop.frames);
+}
+
+// Medians of the times that the library takes; counts are all the same.
+Result<FrameStats> measure_inside(const Shot& shot, const RenderOptions& options, int frames) {
   constexpr double FrameStats::*kTimes[] = {&FrameStats::project_ms, &FrameStats::sort_ms, &FrameStats::bin_ms,
                                             &FrameStats::blend_ms, &FrameStats::total_ms};
   std::vector<double> times[std::size(kTimes)];
   FrameStats last;
-  for (int f = 0; f < kUnmeasured + frames; ++f) {
-    const auto stats = renderer.render(scene, camera, target, options);
+  for (int f = 0; f < frames; ++f) {
+    const auto stats = shot.render(options);
     if (!stats) return stats;
     last = *stats;
-    for (std::size_t k = 0; f >= kUnmeasured && k < std::size(kTimes); ++k) times[k].push_back(last.*kTimes[k]);
+    for (std::size_t k = 0; k < std::size(kTimes); ++k) times[k].push_back(last.*kTimes[k]);
   }
   for (std::size_t k = 0; k < std::size(kTimes); ++k) last.*kTimes[k] = median(times[k]);
   return last;
+}
+
+// The times that a caller takes; nothing in the options asks the library for any.
+Result<OutsideTimes> measure_outside(const Shot& shot, RenderOptions options, int frames, const Stopwatch& watch) {
+  std::vector<double> clocks, events;
+  for (int f = 0; f < frames; ++f) {
+    const auto start = Clock::now();
+    if (const auto ok = watch.start(); !ok) return tl::unexpected(ok.error());
+    if (const auto stats = shot.render(options, watch.stream()); !stats) return tl::unexpected(stats.error());
+    const auto ms = watch.stop();
+    if (!ms) return tl::unexpected(ms.error());
+    clocks.push_back(ms_since(start));
+    events.push_back(*ms);
+  }
+  options.turbo.asynchronous = true;
+  if (const auto ok = watch.start(); !ok) return tl::unexpected(ok.error());
+  for (int f = 0; f < frames; ++f) {
+    if (const auto stats = shot.render(options, watch.stream()); !stats) return tl::unexpected(stats.error());
+  }
+  const auto all = watch.stop();
+  if (!all) return tl::unexpected(all.error());
+  if (const auto last = shot.renderer.finish(); !last) return tl::unexpected(last.error());
+  return OutsideTimes{median(clocks), median(events), *all / frames};
 }
 
 void add(FrameStats& sum, const FrameStats& s) {
@@ -82,6 +187,7 @@ void add(FrameStats& sum, const FrameStats& s) {
   sum.blend_ms += s.blend_ms, sum.total_ms += s.total_ms;
   sum.visible += s.visible, sum.instances += s.instances;
   sum.evaluated += s.evaluated, sum.blended += s.blended;
+  sum.depth_resolution = std::max(sum.depth_resolution, s.depth_resolution);
   sum.gaussians = s.gaussians, sum.depth_bits = s.depth_bits, sum.key_bits = s.key_bits;
   sum.bytes = std::max(sum.bytes, s.bytes);
 }
@@ -95,32 +201,46 @@ void divide(FrameStats& sum, std::size_t n) {
 }  // namespace
 
 Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::span<const Camera> cameras,
-                       int frames) {
+                       const Effort& effort) {
   auto renderer = CudaRenderer::create();
   if (!renderer) return tl::unexpected(renderer.error());
+  Stopwatch watch;
+  if (const auto ok = watch.create(); !ok) return tl::unexpected(ok.error());
   std::size_t floats = 0;
   for (const Camera& camera : cameras) floats = std::max(floats, floats_of(camera) / 3 * floats_a_pixel(c.packed));
   const auto memory = device_floats(floats);
   if (!memory) return tl::unexpected(memory.error());
   const DeviceTarget target = target_of(*memory, c.packed);
 
+  // Warm-up, stages, total, one at a time, back to back.
+  constexpr double kLoops = 5;
+  const auto n = static_cast<double>(cameras.size());
+  const Effort loop{effort.frames, effort.seconds / n / kLoops};
   Timing timing;
+  timing.frames = effort.frames;
   for (const Camera& camera : cameras) {
+    const Shot shot{*renderer, scenes.of(c), camera, target};
     RenderOptions options = c.options;
     options.measure.timings = true;
-    options.turbo.graph = false;  // whose stages are not to be told apart
-    auto stats = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
+    const auto frames = warm_up(shot, options, loop);
+    if (!frames) return tl::unexpected(frames.error());
+    auto stats = measure_inside(shot, options, *frames);
     if (!stats) return tl::unexpected(stats.error());
-    options.turbo.graph = c.options.turbo.graph;
     options.measure.stage_timings = false;  // frames of their own for the total: events between the stages take time
-    const auto whole = measure_camera(*renderer, scenes.of(c), camera, target, options, frames);
+    const auto whole = measure_inside(shot, options, *frames);
     if (!whole) return tl::unexpected(whole.error());
     stats->total_ms = whole->total_ms;
+    const auto outside = measure_outside(shot, c.options, *frames, watch);
+    if (!outside) return tl::unexpected(outside.error());
     options.measure.count_pairs = true;  // in a frame of its own: counting takes time
-    const auto counted = renderer->render(scenes.of(c), camera, target, options);
+    const auto counted = shot.render(options);
     if (!counted) return tl::unexpected(counted.error());
     stats->evaluated = counted->evaluated, stats->blended = counted->blended;
     add(timing.mean, *stats);
+    timing.outside.eager_clock_ms += outside->eager_clock_ms / n;
+    timing.outside.eager_events_ms += outside->eager_events_ms / n;
+    timing.outside.queued_ms += outside->queued_ms / n;
+    timing.frames = std::min(timing.frames, *frames);
     timing.fastest_ms = timing.fastest_ms == 0 ? stats->total_ms : std::min(timing.fastest_ms, stats->total_ms);
     timing.slowest_ms = std::max(timing.slowest_ms, stats->total_ms);
   }

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <limits>
 #include <span>
 #include <vector>
 
@@ -18,10 +19,18 @@ struct DeviceScenes {
   const DeviceScene& of(const Configuration& c) const { return c.compact ? compact : fp32; }
 };
 
-/// Renders `frames` frames per camera after ten unmeasured ones for the times of the stages, and as many for the total.
+/// How long a measurement may go on.
+struct Effort {
+  int frames = 100;  ///< for each time of each camera, at most
+  /// For all of a row, about: a frame that takes longer is still measured once for each time.
+  double seconds = std::numeric_limits<double>::infinity();
+};
+
+/// Renders frames of each camera after ten unmeasured ones, or fewer if `effort` has no time for more: some for the times
+/// of the stages, as many for the total, as many one at a time and as many back to back for the times from outside.
 /// Errors: those of CudaRenderer::render().
 Result<Timing> measure(const Configuration& configuration, const DeviceScenes& scenes, std::span<const Camera> cameras,
-                       int frames);
+                       const Effort& effort);
 
 /// Pictures of a configuration, FP32 [height, width, 3].
 Result<std::vector<Image>> pictures(const Configuration& configuration, const DeviceScenes& scenes,

@@ -78,6 +78,71 @@ std::string row_text(const SizeReport& size, std::size_t row, const Report& repo
   return text + "\n";
 }
 
+std::string outside_text(const SizeReport& size, const Report& report) {
+  std::string text = fmt::format("\n{}x{}  as a caller's clock and events see it; ms\n", size.width, size.height);
+  text += fmt::format("{:<22}{:>10}{:>14}{:>15}{:>10}\n", "", "total", "eager, clock", "eager, events", "queued");
+  for (std::size_t row = 0; row < size.rows.size(); ++row) {
+    const Timing& t = size.rows[row].timing;
+    text += fmt::format("{:<22}{:10.4f}{:14.4f}{:15.4f}{:10.4f}\n", report.modes[row].configuration.name,
+                        t.mean.total_ms, t.outside.eager_clock_ms, t.outside.eager_events_ms, t.outside.queued_ms);
+  }
+  return text;
+}
+
+StressRow stress_row(const SizeReport& size, const Report& report) {
+  StressRow found;
+  for (std::size_t row = 0; row < size.rows.size(); ++row) {
+    const std::string& mode = report.modes[row].configuration.name;
+    if (mode == "paper") found.paper_ms = size.rows[row].timing.mean.total_ms;
+    if (mode == "turbo") found.turbo_ms = size.rows[row].timing.mean.total_ms;
+  }
+  return found;
+}
+
+std::vector<std::string> failed_views(const Report& report) {
+  std::vector<std::string> failed;
+  for (const SizeReport& size : report.sizes) {
+    if (size.view.empty()) continue;
+    const StressRow row = stress_row(size, report);
+    if (row.passes()) continue;
+    failed.push_back(fmt::format("{} at {}x{} ({:.4f} ms, paper {:.4f} ms)", size.view, size.width, size.height,
+                                 row.turbo_ms, row.paper_ms));
+  }
+  return failed;
+}
+
+std::string stress_head_text(const Report& report) {
+  std::string text = fmt::format(
+      "\nstress views, {} cameras, up to {} frames each; the scene's size is {:.4g} units; ms, queued: a caller's "
+      "events\n",
+      report.n_cameras, report.frames, report.stress->scene_size);
+  text += fmt::format("{:<26}{:>12}", "view", "size");
+  for (const ModeReport& mode : report.modes) text += fmt::format("{:>12}", mode.configuration.name);
+  text += fmt::format("{:>9}", "ratio");
+  for (const ModeReport& mode : report.modes) text += fmt::format("{:>19}", mode.configuration.name + " queued");
+  return text + "\n";
+}
+
+std::string stress_row_text(const SizeReport& size, const Report& report) {
+  const StressRow row = stress_row(size, report);
+  std::string text = fmt::format("{:<26}{:>12}", size.view, fmt::format("{}x{}", size.width, size.height));
+  for (const Measurement& m : size.rows) text += fmt::format("{:12.4f}", m.timing.mean.total_ms);
+  text += fmt::format("{:8.2f}x", row.ratio());
+  for (const Measurement& m : size.rows) text += fmt::format("{:19.4f}", m.timing.outside.queued_ms);
+  return text + (row.passes() ? "\n" : "  slower\n");
+}
+
+std::string coarse_depth_text(const SizeReport& size, std::size_t row, const Report& report) {
+  const FrameStats& s = size.rows[row].timing.mean;
+  if (s.depth_resolution < kCoarseDepthResolution) return {};
+  return fmt::format(
+      "rgs-bench: {}{}{}x{}, {}: the key of {} bits tells depths apart that differ by {:.2g} of the depth, coarser "
+      "than "
+      "{:g}: Gaussians may change places (docs/RENDERING.md, \"Depth resolution\")\n",
+      size.view, size.view.empty() ? "" : " at ", size.width, size.height, report.modes[row].configuration.name,
+      s.depth_bits, s.depth_resolution, kCoarseDepthResolution);
+}
+
 std::string roofline_text(const SizeReport& size, const Report& report) {
   std::string text = fmt::format("\n{}x{}  stages against their floors\n", size.width, size.height);
   text += fmt::format("{:<22}{:<8}{:>9}{:>9}{:>9}{:>9}{:>8}{:>9}  {:<8}{:>7}\n", "", "", "ms", "moved", "GB/s",

@@ -27,6 +27,7 @@
 #include "rgs/file.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/version.hpp"
+#include "stress_views.hpp"
 
 namespace {
 
@@ -37,8 +38,7 @@ using rgs::bench::Report;
 using Print = void(std::string_view);
 
 struct Options {
-  std::string scene, source, cameras, quality_cameras, photos, pixel_format = "rgb32f";
-  bool graph = false;
+  std::string scene, source, cameras, quality_cameras, photos, pixel_format = "rgb32f", views = "cameras";
   std::vector<std::string> sizes{"1920x1080", "3840x2160"}, modes{"baseline", "paper", "turbo"};
   std::string exp, key;
   std::string json, csv, svg;
@@ -46,6 +46,8 @@ struct Options {
   double orbit_step = 0.25;
   bool ablate = false, roofline = false, overwrite = false;
   rgs::DecodeLimits limits;
+
+  bool is_stress() const { return views == "stress"; }
 };
 
 // An output is opened before anything is measured, so that a name that cannot be written costs no minutes.
@@ -78,9 +80,16 @@ Result<rgs::Scene> load_source(const std::string& path, const rgs::DecodeLimits&
   return scene;
 }
 
-// Both forms of the scene on the device, and what the report says about them.
-tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report& report) {
-  rgs::bench::DeviceScenes scenes;
+// Both forms of the scene on the device, and what stress views are made from.
+struct LoadedScenes {
+  rgs::bench::DeviceScenes device;
+  rgs::bench::StressScene stress;
+};
+
+// With what the report says about them.
+tl::expected<LoadedScenes, int> load_scenes(const Options& o, Report& report) {
+  LoadedScenes result;
+  rgs::bench::DeviceScenes& scenes = result.device;
   const auto file = rgs::MappedFile::open(o.scene);
   if (!file) return failed(o.scene, file.error());
   const auto view = rgs::FileView::open(file->bytes(), o.limits);
@@ -100,7 +109,12 @@ tl::expected<rgs::bench::DeviceScenes, int> load_scenes(const Options& o, Report
   report.source = std::filesystem::path(source).filename().string();
   report.gaussians = scenes.compact.size();
   report.sh_degree = scenes.compact.sh_degree();
-  return scenes;
+  if (o.is_stress()) {
+    result.stress = rgs::bench::stress_scene(view->declarations(), arrays->mean, arrays->origin);
+    const glm::dvec3& dense = result.stress.dense;
+    report.stress = {result.stress.size(), {dense.x, dense.y, dense.z}};
+  }
+  return result;
 }
 
 // Quality cameras and, if asked for, their photographs.
@@ -140,20 +154,15 @@ std::vector<Configuration> configurations(const Options& o, const std::optional<
   }
   if (!o.key.empty()) input.depth_mapping = o.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
   std::vector<Configuration> rows;
-  if (o.ablate) {
-    rows = rgs::bench::ablation(input);
-  } else {
-    rows.push_back(rgs::bench::make_mode("baseline", input));
-  }
-  for (const std::string& mode : o.modes) {
-    // The ablation ends with the paper's mode, under a name of its own.
-    if (mode != "baseline" && !(o.ablate && mode == "paper")) rows.push_back(rgs::bench::make_mode(mode, input));
+  if (o.ablate) rows = rgs::bench::ablation(input);
+  for (const std::string& mode : rgs::bench::compared_modes(o.modes, o.is_stress())) {
+    // The ablation begins with the baseline and ends with the paper's mode, under a name of its own.
+    if (!(o.ablate && (mode == "baseline" || mode == "paper"))) rows.push_back(rgs::bench::make_mode(mode, input));
   }
   for (Configuration& row : rows) {
     if (o.pixel_format != "rgb32f") {
       row.packed = o.pixel_format == "rgba8" ? rgs::math::PixelFormat::rgba8 : rgs::math::PixelFormat::rgba16f;
     }
-    row.options.turbo.graph = o.graph;
   }
   return rows;
 }
@@ -172,25 +181,76 @@ Step measure_quality(const rgs::bench::DeviceScenes& scenes, const Views& views,
   return {};
 }
 
+// One mode at a size.
+rgs::Result<rgs::bench::Measurement> measure_mode(const Configuration& c, const rgs::bench::DeviceScenes& scenes,
+                                                  std::span<const rgs::Camera> cameras,
+                                                  const rgs::bench::Effort& effort) {
+  const auto timing = rgs::bench::measure(c, scenes, cameras, effort);
+  if (!timing) return tl::unexpected(timing.error());
+  const rgs::Camera& camera = cameras.front();
+  return rgs::bench::Measurement{
+      *timing, rgs::bench::stage_costs({timing->mean, c.options, camera.width, camera.height, c.compact,
+                                        scenes.of(c).sh_degree(), rgs::bench::pixel_bytes(c.packed)})};
+}
+
 // One size of all modes; rows are printed as they come.
 Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::Camera> cameras, tool::ImageSize size,
                   Print* print, Report& report) {
   std::vector<rgs::Camera> sized;
   for (const rgs::Camera& c : cameras) sized.push_back(rgs::resized(c, size.width, size.height));
-  report.sizes.push_back({size.width, size.height, {}});
+  report.sizes.push_back({size.width, size.height, {}, {}});
   rgs::bench::SizeReport& rows = report.sizes.back();
   print(rgs::bench::size_text(rows, report));
   for (std::size_t row = 0; row < report.modes.size(); ++row) {
-    const Configuration& c = report.modes[row].configuration;
-    const auto timing = rgs::bench::measure(c, scenes, sized, report.frames);
-    if (!timing) return failed("", timing.error());
-    rows.rows.push_back(
-        {*timing, rgs::bench::stage_costs({timing->mean, c.options, size.width, size.height, c.compact,
-                                           scenes.of(c).sh_degree(), rgs::bench::pixel_bytes(c.packed)})});
+    const auto measured = measure_mode(report.modes[row].configuration, scenes, sized, {.frames = report.frames});
+    if (!measured) return failed("", measured.error());
+    rows.rows.push_back(*measured);
     print(rgs::bench::row_text(rows, row, report));
     tool::flush();
   }
+  print(rgs::bench::outside_text(rows, report));
   return {};
+}
+
+// The fixed list, a line a view.
+Step measure_stress(const LoadedScenes& scenes, std::span<const rgs::Camera> cameras, Print* print, Report& report) {
+  constexpr double kSecondsPerMode = 2;
+  const auto views = rgs::bench::stress_views(cameras, scenes.stress);
+  report.n_cameras = views.front().cameras.size();
+  print(rgs::bench::stress_head_text(report));
+  for (const rgs::bench::StressView& view : views) {
+    rgs::bench::SizeReport rows{view.width, view.height, view.name, {}};
+    for (const rgs::bench::ModeReport& mode : report.modes) {
+      const auto measured = measure_mode(mode.configuration, scenes.device, view.cameras,
+                                         {.frames = report.frames, .seconds = kSecondsPerMode});
+      if (!measured) {
+        const std::string where =
+            fmt::format("{} at {}x{}, {}", view.name, view.width, view.height, mode.configuration.name);
+        return failed(where, measured.error());
+      }
+      rows.rows.push_back(*measured);
+    }
+    print(rgs::bench::stress_row_text(rows, report));
+    tool::flush();
+    report.sizes.push_back(std::move(rows));
+  }
+  return {};
+}
+
+void warn_of_coarse_depths(const Report& report) {
+  for (const rgs::bench::SizeReport& size : report.sizes) {
+    for (std::size_t row = 0; row < size.rows.size(); ++row) {
+      tool::print_error(rgs::bench::coarse_depth_text(size, row, report));
+    }
+  }
+}
+
+// The gate of the stress views.
+int judge(const Report& report) {
+  if (!report.stress) return tool::kSuccess;
+  const auto slower = rgs::bench::failed_views(report);
+  for (const std::string& view : slower) tool::print_error("rgs-bench: turbo is slower than paper: " + view + "\n");
+  return slower.empty() ? tool::kSuccess : tool::kGate;
 }
 
 // The first camera at the first size.
@@ -260,7 +320,8 @@ int bench(const Options& o) {
   const auto device = rgs::bench::device_info();
   if (!device) return tool::report("", device.error());
   report.device = *device;
-  const auto cameras = rgs::read_cameras(o.cameras);
+  rgs::Result<std::vector<rgs::Camera>> cameras;  // none for stress views that are framed by the scene's box
+  if (!o.cameras.empty()) cameras = rgs::read_cameras(o.cameras);
   if (!cameras) return tool::report(o.cameras, cameras.error());
   report.n_cameras = cameras->size();
   const auto views = load_views(o);
@@ -270,7 +331,8 @@ int bench(const Options& o) {
   // All is on the device now. That a file changed explains whatever was found wrong in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scenes) return scenes.error();
-  for (Configuration& c : configurations(o, scenes->compact.declarations())) report.modes.push_back({std::move(c), {}});
+  for (Configuration& c : configurations(o, scenes->device.compact.declarations()))
+    report.modes.push_back({std::move(c), {}});
   const bool floors = o.roofline || !o.svg.empty();
   if (floors) {
     const auto rates = rgs::cuda::measure_rates();
@@ -282,19 +344,24 @@ int bench(const Options& o) {
   const bool piped = std::any_of(outputs->begin(), outputs->end(), [](const Output& out) { return out.path == "-"; });
   Print* const print = piped ? tool::print_error : tool::print;
   print(rgs::bench::header_text(report));
-  if (const auto ok = measure_quality(*scenes, *views, report); !ok) return ok.error();
-  for (const tool::ImageSize& size : *sizes) {
-    if (const auto ok = measure_size(*scenes, *cameras, size, print, report); !ok) return ok.error();
+  if (const auto ok = measure_quality(scenes->device, *views, report); !ok) return ok.error();
+  if (o.is_stress()) {
+    if (const auto ok = measure_stress(*scenes, *cameras, print, report); !ok) return ok.error();
+  } else {
+    for (const tool::ImageSize& size : *sizes) {
+      if (const auto ok = measure_size(scenes->device, *cameras, size, print, report); !ok) return ok.error();
+    }
   }
   for (const rgs::bench::SizeReport& size : report.sizes) {
     if (floors) print(rgs::bench::roofline_text(size, report));
   }
   if (o.orbit > 0) {
-    if (const auto ok = measure_orbit(o, *scenes, cameras->front(), sizes->front(), print, report); !ok)
+    if (const auto ok = measure_orbit(o, scenes->device, cameras->front(), sizes->front(), print, report); !ok)
       return ok.error();
   }
+  warn_of_coarse_depths(report);
   if (const auto ok = write(*outputs, report); !ok) return ok.error();
-  return tool::kSuccess;
+  return judge(report);
 }
 
 }  // namespace
@@ -308,20 +375,28 @@ int main(int argc, char** argv) {
     tool::add_max_expansion(app, o.limits);
     app.add_option("--source", o.source,
                    "3DGS .ply (or .rgs) that the file was made of, for the baseline [the file itself]");
-    app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md)")->required();
+    app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md); --views stress does without");
+    app.add_option(
+           "--views", o.views,
+           "cameras: as they are; stress: a fixed list made of them, from afar, of odd shapes and more, in which "
+           "turbo must not be slower than paper (docs/BENCH_JSON.md)")
+        ->check(CLI::IsMember({"cameras", "stress"}))
+        ->capture_default_str();
     app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");
     app.add_option("--photos", o.photos, "folder of photographs NAME.ppm of these cameras, binary PPM of their size");
     app.add_option("--size", o.sizes, "WxH,...")->delimiter(',')->capture_default_str();
-    app.add_option("--mode", o.modes, "compared with the baseline, which is always measured")
+    app.add_option("--mode", o.modes,
+                   "compared with the baseline, which is always measured; with --views stress beside paper and turbo")
         ->delimiter(',')
         ->check(CLI::IsMember(rgs::bench::mode_names()))
         ->capture_default_str();
     app.add_option("--pixel-format", o.pixel_format, "of the frames that are timed: FP32 RGB or packed RGBA")
         ->check(CLI::IsMember({"rgb32f", "rgba16f", "rgba8"}))
         ->capture_default_str();
-    app.add_flag("--graph", o.graph, "launch turbo's frames as CUDA graphs");
     app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
-    app.add_option("--frames", o.frames, "measured per camera")->check(CLI::Range(1, 100000))->capture_default_str();
+    app.add_option("--frames", o.frames, "measured per camera; with --views stress at most, and 2 s a view and mode")
+        ->check(CLI::Range(1, 100000))
+        ->capture_default_str();
     app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
     app.add_option("--key", o.key, "depth mapping of paper mode [the file's]")->check(CLI::IsMember({"linear", "log"}));
     app.add_option("--orbit", o.orbit, "also that many frames around what the first camera sees: is any mode popping?")
@@ -334,8 +409,19 @@ int main(int argc, char** argv) {
     app.add_option("--csv", o.csv, "write a line for each size and mode");
     app.add_option("--svg", o.svg, "write the roofline as a picture; implies --roofline");
     app.add_flag("--overwrite", o.overwrite, "replace outputs that exist");
-    app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
+    app.footer(
+        "Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input, 5 turbo is slower than "
+        "paper in a stress view.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;
+    const bool is_stress = o.is_stress();
+    if (!is_stress && o.cameras.empty())
+      return tool::report_usage("--cameras is missing: only --views stress does without");
+    for (const char* option :
+         {"--size", "--ablate", "--orbit", "--quality-cameras", "--photos", "--roofline", "--svg"}) {
+      if (is_stress && app.get_option(option)->count() > 0)
+        return tool::report_usage(fmt::format("--views stress has no {}: its list is fixed", option));
+    }
+    if (is_stress && app.get_option("--mode")->count() == 0) o.modes.clear();
     if (!o.photos.empty() && o.quality_cameras.empty()) return tool::report_usage("--photos needs --quality-cameras");
     return bench(o);
   });

@@ -244,7 +244,8 @@ nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, cons
                            {"evaluated", s.evaluated},
                            {"blended", s.blended},
                            {"workspace_bytes", s.bytes},
-                           {"depth_bits", s.depth_bits}};
+                           {"depth_bits", s.depth_bits},
+                           {"depth_resolution", s.depth_resolution}};
     if (!frame.shot->out.empty()) picture["file"] = frame.shot->out;
     if (!frame.shot->depth.empty()) picture["depth_file"] = frame.shot->depth;
     pictures.push_back(std::move(picture));
@@ -263,6 +264,18 @@ nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, cons
           {"total_seconds", total_seconds},
           {"median_ms", median_ms(frames)},
           {"frames", std::move(pictures)}};
+}
+
+// Of the frame whose depth key is coarsest.
+void warn_of_coarse_depths(const std::vector<Frame>& frames) {
+  const auto coarsest =
+      std::ranges::max_element(frames, {}, [](const Frame& frame) { return frame.stats.depth_resolution; });
+  const rgs::FrameStats& s = coarsest->stats;
+  if (s.depth_resolution < rgs::kCoarseDepthResolution) return;
+  tool::print_error(fmt::format(
+      "rgs-render: {}: the key of {} bits tells depths apart that differ by {:.2g} of the depth, coarser than {:g}: "
+      "Gaussians may change places (docs/RENDERING.md, \"Depth resolution\")\n",
+      tool::printable(coarsest->shot->camera.name), s.depth_bits, s.depth_resolution, rgs::kCoarseDepthResolution));
 }
 
 int render(const Options& options) {
@@ -311,6 +324,7 @@ int render(const Options& options) {
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess)
     return code;  // a scene reads on as it is drawn
 
+  if (!options.quiet) warn_of_coarse_depths(frames);
   const double total_seconds = seconds_since(start);
   if (options.json) {
     const auto text = summary(options, *scene, *renderer, frames, load_seconds, first_frame_ms, total_seconds)
@@ -428,7 +442,7 @@ void add_options(CLI::App& app, Options& o) {
       ->group(machine);
   tool::add_max_expansion(app, o.limits)->group(machine);
   app.add_flag("--json", o.json, "summary as JSON on standard output")->group(machine);
-  app.add_flag("--quiet,-q", o.quiet, "no progress and no summary")->group(machine);
+  app.add_flag("--quiet,-q", o.quiet, "no progress, no summary and no warnings")->group(machine);
   app.set_version_flag("--version", "rgs-render " RGS_VERSION);
   app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input.");
 }

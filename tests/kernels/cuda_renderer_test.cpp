@@ -234,6 +234,7 @@ TEST_CASE("frames follow the CPU renderer in every mode, FP32 and compact") {
       CHECK_MESSAGE(close(stats->instances, host.stats.instances, 1e-4), stats->instances, " and ",
                     host.stats.instances);
       CHECK(stats->depth_bits == host.stats.depth_bits);
+      if (!is_compact) CHECK(stats->depth_resolution == host.stats.depth_resolution);  // a file declares its box, too
       if (!is_compact) continue;
       CHECK_MESSAGE(close(stats->evaluated, host.stats.evaluated, 1e-3), stats->evaluated, " and ",
                     host.stats.evaluated);
@@ -468,12 +469,6 @@ TEST_CASE("packed targets hold what the float targets hold, converted; misaligne
 
 namespace {
 
-RenderOptions turbo_graph() {
-  RenderOptions options = turbo_options();
-  options.turbo.graph = true;
-  return options;
-}
-
 void check_same_counts(const FrameStats& a, const FrameStats& b) {
   CHECK(a.gaussians == b.gaussians);
   CHECK(a.visible == b.visible);
@@ -484,7 +479,7 @@ void check_same_counts(const FrameStats& a, const FrameStats& b) {
 
 }  // namespace
 
-TEST_CASE("turbo as a graph gives turbo's bytes: other cameras, sizes, scenes, outputs, options and streams") {
+TEST_CASE("a turbo frame does not depend on the frames before: other cameras, sizes, scenes, outputs and streams") {
   if (!device_answers()) return;
   const auto compact = CompactScene::of(cloud_of(random_splats(612, small_sizes() ? 400 : 30000), 3));
   const DeviceScene scenes[] = {upload(compact.file), upload(scene_of(cloud_of(random_splats(613, 300), 1))),
@@ -492,7 +487,7 @@ TEST_CASE("turbo as a graph gives turbo's bytes: other cameras, sizes, scenes, o
   cudaStream_t stream = nullptr;
   require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
   Random random(614);
-  Device plain(front_camera(8, 8)), graph(front_camera(8, 8));
+  Device used(front_camera(8, 8));
   const std::pair<int, int> sizes[] = {{640, 360}, {33, 70}, {1920, 1080}, {640, 360}, {1, 1}};
   for (int turn = 0; turn < 40; ++turn) {
     CAPTURE(turn);
@@ -500,18 +495,18 @@ TEST_CASE("turbo as a graph gives turbo's bytes: other cameras, sizes, scenes, o
     if (small_sizes()) width = std::min(width, 70), height = std::min(height, 70);
     const Camera camera = random_camera(random, width, height);
     const DeviceScene& scene = scenes[turn % 7 == 6 ? 3 : turn / 2 % 3];
-    RenderOptions options = turn % 8 == 7 ? turbo_options() : turbo_graph();  // from one to the other and back
+    RenderOptions options = turbo_options();
     options.background = {0.3F, 0.2F, 0.1F};
     options.measure.count_pairs = turn % 5 == 4;  // kernels of another kind
     options.measure.timings = turn % 4 == 3;
-    plain.resize(camera), graph.resize(camera);
-    const auto b = graph.render(scene, options, turn % 2 == 0 ? stream : nullptr);
+    used.resize(camera);
+    Device fresh(camera);
+    const auto b = used.render(scene, options, turn % 2 == 0 ? stream : nullptr);
     require_ok(b);
-    options.turbo.graph = false;
-    const auto a = plain.render(scene, options);
+    const auto a = fresh.render(scene, options);
     require_ok(a);
-    check_same(graph.rgb(), plain.rgb());
-    check_same(graph.alpha(), plain.alpha());
+    check_same(used.rgb(), fresh.rgb());
+    check_same(used.alpha(), fresh.alpha());
     check_same_counts(*b, *a);
     CHECK((b->total_ms > 0) == options.measure.timings);
   }
@@ -530,54 +525,51 @@ TEST_CASE("an asynchronous frame is the frame once it is finished, also one that
   const auto large_stats = reference.render(large, turbo_options());
   require_ok(large_stats);
   const auto large_rgb = reference.rgb();
-  for (const bool graph : {false, true}) {
-    CAPTURE(graph);
-    RenderOptions options = graph ? turbo_graph() : turbo_options();
-    options.turbo.asynchronous = true;
-    options.measure.timings = true;
+  RenderOptions options = turbo_options();
+  options.turbo.asynchronous = true;
+  options.measure.timings = true;
 
-    Device device(camera);
-    const auto nothing = device.renderer().finish();
-    require_ok(nothing);
-    CHECK(nothing->gaussians == 0);
-    const auto queued = device.render(large, options);
-    require_ok(queued);
-    CHECK(queued->gaussians == large.size());
-    CHECK(queued->instances == 0);  // nobody has looked
-    const auto finished = device.renderer().finish();
-    require_ok(finished);
-    check_same_counts(*finished, *large_stats);
-    CHECK(finished->total_ms > 0);
-    check_same(device.rgb(), large_rgb);
-    const auto again = device.renderer().finish();
-    require_ok(again);
-    CHECK(again->instances == finished->instances);
+  Device device(camera);
+  const auto nothing = device.renderer().finish();
+  require_ok(nothing);
+  CHECK(nothing->gaussians == 0);
+  const auto queued = device.render(large, options);
+  require_ok(queued);
+  CHECK(queued->gaussians == large.size());
+  CHECK(queued->instances == 0);  // nobody has looked
+  const auto finished = device.renderer().finish();
+  require_ok(finished);
+  check_same_counts(*finished, *large_stats);
+  CHECK(finished->total_ms > 0);
+  check_same(device.rgb(), large_rgb);
+  const auto again = device.renderer().finish();
+  require_ok(again);
+  CHECK(again->instances == finished->instances);
 
-    // Not finished, but followed: by a frame into another target, on another stream.
-    Device other(camera);
-    cudaStream_t stream = nullptr;
-    require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
-    const DeviceArray<float> first(large_rgb.size()), second(small_rgb.size());
-    require_ok(other.renderer().render(large, camera, {.rgb = first.data()}, options, stream));
-    require_ok(other.renderer().render(small, camera, {.rgb = second.data()}, options));
-    require_ok(other.renderer().finish());
-    check_same(first.download(), large_rgb);
-    check_same(second.download(), small_rgb);
-    // And frame after frame, the target of each its own.
-    std::vector<DeviceArray<float>> targets;
-    for (int k = 0; k < 20; ++k) {
-      targets.emplace_back(small_rgb.size());
-      require_ok(other.renderer().render(k % 2 == 0 ? small : large, camera, {.rgb = targets.back().data()}, options,
-                                         k % 3 == 0 ? stream : nullptr));
-    }
-    require_ok(other.renderer().finish());
-    for (std::size_t k = 0; k < targets.size(); ++k)
-      check_same(targets[k].download(), k % 2 == 0 ? small_rgb : large_rgb);
-    require_cuda(cudaStreamDestroy(stream));
-
-    Device abandoned(camera);  // destroyed while its frame is made
-    require_ok(abandoned.render(large, options));
+  // Not finished, but followed: by a frame into another target, on another stream.
+  Device other(camera);
+  cudaStream_t stream = nullptr;
+  require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+  const DeviceArray<float> first(large_rgb.size()), second(small_rgb.size());
+  require_ok(other.renderer().render(large, camera, {.rgb = first.data()}, options, stream));
+  require_ok(other.renderer().render(small, camera, {.rgb = second.data()}, options));
+  require_ok(other.renderer().finish());
+  check_same(first.download(), large_rgb);
+  check_same(second.download(), small_rgb);
+  // And frame after frame, the target of each its own.
+  std::vector<DeviceArray<float>> targets;
+  for (int k = 0; k < 20; ++k) {
+    targets.emplace_back(small_rgb.size());
+    require_ok(other.renderer().render(k % 2 == 0 ? small : large, camera, {.rgb = targets.back().data()}, options,
+                                       k % 3 == 0 ? stream : nullptr));
   }
+  require_ok(other.renderer().finish());
+  for (std::size_t k = 0; k < targets.size(); ++k)
+    check_same(targets[k].download(), k % 2 == 0 ? small_rgb : large_rgb);
+  require_cuda(cudaStreamDestroy(stream));
+
+  Device abandoned(camera);  // destroyed while its frame is made
+  require_ok(abandoned.render(large, options));
 }
 
 TEST_CASE("stage times on request: the frame's own time does without them") {

@@ -315,6 +315,7 @@ TEST_CASE("trap 6: at 8K too few bits of depth give the exact order, and it is s
   const auto fallen_back = draw(scene, eight_k, options);
   CHECK(fallen_back.stats.depth_bits == 0);
   CHECK(fallen_back.stats.key_bits == 17 + 32);
+  CHECK(fallen_back.stats.depth_resolution == 0);
   options.paper.depth_order = DepthOrder::exact;
   CHECK(draw(scene, eight_k, options).rgb == fallen_back.rgb);
   options.paper.depth_order = DepthOrder::quantized;

@@ -4,12 +4,18 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
 #include <fstream>
 #include <limits>
 #include <string>
 
 #include "renderer_fixture.hpp"
 #include "rgs/encode.hpp"
+#include "rgs/math/blend.hpp"
+#include "rgs/math/coverage.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
@@ -148,6 +154,108 @@ TEST_CASE("the paper's key has the range and mapping that is asked for, else the
   CHECK(s.depth_bits == 12);
 }
 
+namespace {
+
+// Relative width of the bin of `z`, found in the key itself: FP32 depths of one key are consecutive.
+double width_of_bin(const math::DepthQuantizer& q, float z) {
+  const std::uint32_t key = math::quantize_depth(q, z);
+  const auto end = [&](float from, float step) {
+    float low = from;
+    while (math::quantize_depth(q, low * step) == key) low *= step;
+    float high = low * step;
+    for (int k = 0; k < 60; ++k) {
+      const float middle = 0.5F * (low + high);
+      (math::quantize_depth(q, middle) == key ? low : high) = middle;
+    }
+    return static_cast<double>(low);
+  };
+  const double first = end(z, 1 - 1e-6F);
+  return (end(z, 1 + 1e-6F) - first) / first;
+}
+
+}  // namespace
+
+TEST_CASE("the depth resolution is the width of the widest bin that the key has") {
+  struct Row {
+    int width, height, bits;  // 0: asked for none
+    DepthMapping mapping;
+    std::array<float, 2> range;
+    int expected_bits;
+    double expected;
+  };
+  const auto linear = DepthMapping::linear, log = DepthMapping::logarithmic;
+  const Row rows[] = {
+      // (far - near) / (2^bits - 1) / near, and (far / near)^(1 / (2^bits - 1)) - 1.
+      {1920, 1080, 0, linear, {0.2F, 100}, 19, 9.518e-4},  {1920, 1080, 0, log, {0.2F, 100}, 19, 1.1853e-5},
+      {3840, 2160, 0, linear, {0.2F, 100}, 17, 3.8071e-3}, {3840, 2160, 0, log, {0.2F, 100}, 17, 4.7414e-5},
+      {1920, 1080, 15, log, {0.2F, 100}, 15, 1.8968e-4},   {1920, 1080, 12, linear, {2, 3}, 12, 1.2210e-4},
+      {1920, 1080, 0, log, {0.2F, 193}, 19, 1.3108e-5},    {7680, 4320, 0, log, {0.2F, 100}, 0, 0},
+  };
+  for (const Row& row : rows) {
+    CAPTURE(&row - rows);
+    const FrameSettings s =
+        settings_of({.pipeline = Pipeline::paper,
+                     .paper = {.depth_mapping = row.mapping, .depth_bits = row.bits, .depth_range = row.range}});
+    const Camera camera = front_camera(row.width, row.height);
+    const auto grid = math::tile_grid(row.width, row.height);
+    const auto key =
+        math::key_layout(s.depth_order, s.depth_bits, static_cast<std::uint32_t>(grid.columns * grid.rows));
+    const int bits = key.quantized ? key.depth_bits : 0;
+    CHECK(bits == row.expected_bits);
+    const double resolution = detail::depth_resolution(s, bits, camera, std::nullopt);
+    CHECK(resolution == doctest::Approx(row.expected).epsilon(1e-4));
+    if (bits == 0) continue;
+    const auto q = math::make_depth_quantizer(row.mapping, bits, row.range[0], row.range[1]);
+    double widest = 0;
+    // From the second bin on: all depths in front of the range share the first.
+    for (auto z = static_cast<float>(row.range[0] * (1 + 1.5 * resolution)); z < row.range[1] * 0.99F; z *= 1.05F) {
+      widest = std::max(widest, width_of_bin(q, z));
+    }
+    CHECK(widest == doctest::Approx(resolution).epsilon(0.05));  // FP32 logarithms round the ends of narrow bins
+  }
+}
+
+TEST_CASE("a scene outside the depth range has the resolution of the end bin that it shares") {
+  const FrameSettings s = settings_of({.pipeline = Pipeline::paper, .paper = {.depth_range = {{0.5F, 20}}}});
+  const double within = detail::depth_resolution(s, 19, front_camera(64, 48), std::nullopt);
+  Declarations d;
+  Camera camera = front_camera(64, 48);
+  camera.world_to_camera = glm::dmat4(1.);
+  const auto at = [&](double ahead) {
+    camera.world_to_camera[3] = {0, 0, ahead, 1};
+    return detail::depth_resolution(s, 19, camera, d);
+  };
+  CHECK(at(300) == within);  // no box is declared
+  d.robust = {{-1, -1, -3}, {1, 1, 5}};
+  CHECK(at(10) == within);
+  CHECK(at(18) == within);  // its middle at 19
+  CHECK(at(20) == doctest::Approx(25.0 / 20 - 1));
+  CHECK(at(300) == doctest::Approx(305.0 / 20 - 1));
+  CHECK(at(-0.7) == doctest::Approx(0.5 / 0.2 - 1));  // its middle at 0.3, its front behind the near plane
+  CHECK(at(-2) == within);                            // mostly behind the camera
+  // The world's origin belongs to the box.
+  d.origin = {0, 0, 1000};
+  CHECK(at(-990) == within);
+  CHECK(at(0) == doctest::Approx(1005.0 / 20 - 1));
+}
+
+TEST_CASE("frames tell their depth resolution, and those of exact order none") {
+  const SplatCloud cloud = cloud_of(random_splats(73, 300), 1);
+  const Camera camera = front_camera(192, 128);  // 96 tiles: 25 bits
+  const RendererOptions cpu{.backend = Backend::cpu};
+  const Scene scene = scene_of(cloud);
+  CHECK(render(scene, camera, {.pipeline = Pipeline::paper}, cpu).stats.depth_resolution ==
+        doctest::Approx(99.8 / (std::exp2(25) - 1) / 0.2));
+  CHECK(render(scene, camera, {.pipeline = Pipeline::baseline}, cpu).stats.depth_resolution == 0);
+  CHECK(render(scene, camera, {}, cpu).stats.depth_resolution == 0);
+  Declarations d;
+  d.robust = {{-1, -1, 7}, {1, 1, 9}};
+  d.z_far = 1;
+  const auto far = Scene::load(cloud, d);
+  REQUIRE(far);
+  CHECK(render(*far, camera, {.pipeline = Pipeline::paper}, cpu).stats.depth_resolution > 1);
+}
+
 TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other pipeline reads them") {
   const PaperSteps steps{.extent = Extent::square,
                          .depth_bits = 99,
@@ -157,7 +265,7 @@ TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other 
                          .front_end = PaperSteps::FrontEnd::separate,
                          .pixels_per_thread = 7,
                          .deterministic = true};
-  const TurboOptions turbo{.tensor_cores = false, .graph = true, .asynchronous = true};
+  const TurboOptions turbo{.tensor_cores = false, .asynchronous = true};
   for (const Backend backend : kBackends) {
     for (const Pipeline pipeline : kPipelines) {
       CAPTURE(static_cast<int>(pipeline));
@@ -179,7 +287,6 @@ TEST_CASE("steps are the paper's alone, turbo's options turbo's alone: no other 
       }
       const FrameSettings s = settings_of({.pipeline = pipeline, .turbo = turbo}, std::nullopt, backend);
       CHECK_FALSE(s.cuda.tensor_cores);
-      CHECK(s.cuda.graph == s.cuda.turbo);
       CHECK(s.cuda.asynchronous == s.cuda.turbo);
     }
   }

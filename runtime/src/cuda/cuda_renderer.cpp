@@ -144,6 +144,7 @@ Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
   stats.instances = *pairs;
   stats.depth_bits = f.view.key.quantized ? f.view.key.depth_bits : 0;
   stats.key_bits = f.view.key.bits();
+  stats.depth_resolution = f.depth_resolution;
   stats.bytes = bytes();
   Status ok;
   if (how.count_pairs) {
@@ -166,7 +167,7 @@ Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
       }
       return static_cast<double>(ms);
     };
-    if (how.stage_timings && !(how.graph && draws_turbo(f.settings, f.n()))) {
+    if (how.stage_timings) {
       stats.project_ms = between(detail::kStart, detail::kProjected);
       stats.sort_ms = between(detail::kDuplicated, detail::kSorted);
       stats.bin_ms = between(detail::kProjected, detail::kDuplicated) + between(detail::kSorted, detail::kRanged);
@@ -196,13 +197,18 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     if (!ok) return tl::unexpected(ok.error());
 
     const bool is_turbo = draws_turbo(settings, scene.size());
-    const Frame frame{scene.storage_,
-                      camera.width,
-                      camera.height,
-                      detail::arrays_of(target, camera),
-                      view_of(camera, scene.origin(), settings, scene.sh_degree(), is_turbo),
-                      settings,
-                      stream};
+    Frame frame{scene.storage_,
+                camera.width,
+                camera.height,
+                detail::arrays_of(target, camera),
+                view_of(camera, scene.origin(), settings, scene.sh_degree(), is_turbo),
+                settings,
+                stream,
+                0};
+    if (frame.view.key.quantized) {
+      frame.depth_resolution =
+          detail::depth_resolution(settings, frame.view.key.depth_bits, camera, scene.declarations());
+    }
     w.last = {};
     ok = w.with_pipeline(frame, [&](auto& pipeline) { return pipeline.queue(frame); });
     if (!ok) {

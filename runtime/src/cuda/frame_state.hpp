@@ -32,6 +32,7 @@ struct Frame {
   cuda::ViewParameters view;
   FrameSettings settings;
   CudaStream stream;
+  double depth_resolution;  ///< FrameStats has it
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }

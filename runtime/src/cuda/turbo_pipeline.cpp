@@ -119,13 +119,9 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   return a;
 }
 
-// The end of a stage; none within a graph.
-Status TurboPipeline::mark(Mark mark, const Frame& f, CudaStream on) {
-  return f.settings.cuda.graph ? Status() : state_.mark(mark, f, on);
-}
-
 // Long lists are few and take several steps: beside the others, which would have to wait for them.
-Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArguments& a, CudaStream on) {
+Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArguments& a) {
+  auto* const on = f.stream;
   const bool is_tensor = f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass && !a.has_details();
   Status ok = listed_.record(on);
   if (ok) ok = listed_.hold(beside_.get());
@@ -139,7 +135,7 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, seen_.get(), on);
   if (ok) ok = counted_.record(on);
   for (const Mark m : {kSorted, kRanged}) {
-    if (ok) ok = mark(m, f, on);
+    if (ok) ok = state_.mark(m, f, on);
   }
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor(a, on);
   if (joined) joined = done_long_.hold(on);
@@ -148,49 +144,41 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   return is_tensor ? cuda::launch_turbo_segments(a, on) : cuda::launch_turbo_blend(a, on);
 }
 
-// The frame's kernels, on its stream or on one that captures them. Nothing is waited for.
-Status TurboPipeline::launch(const Frame& f, CudaStream on) {
+// The frame's kernels. Nothing is waited for.
+Status TurboPipeline::launch(const Frame& f) {
   const cuda::TurboArrays arrays = arrays_for(f);
-  Status ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
-                            "the frame's state could not be cleared");
+  auto* const on = f.stream;
+  Status ok = state_.mark(kStart, f, on);
+  if (ok) {
+    ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
+                       "the frame's state could not be cleared");
+  }
   if (ok) {
     ok = cuda::launch_turbo_emit(
         {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
   }
-  if (ok) ok = mark(kProjected, f, on);
+  if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);
-  if (ok) ok = mark(kDuplicated, f, on);
+  if (ok) ok = state_.mark(kDuplicated, f, on);
   if (!ok) return ok;
-  const cuda::TurboBlendArguments blend{arrays,      state_.splats.as<cuda::ScreenSplat>(),
-                                        f.view.grid, f.width,
-                                        f.height,    f.background(),
-                                        f.target,    f.settings.cuda.count_pairs};
-  return order_and_blend(f, blend, on);
-}
-
-Status TurboPipeline::enqueue(const Frame& f) {
-  const bool is_graph = f.settings.cuda.graph;
-  Status ok;
-  if (is_graph) ok = graph_.capture([&](CudaStream on) { return launch(f, on); });
-  if (ok) ok = state_.mark(kStart, f, f.stream);
-  if (ok) ok = is_graph ? graph_.launch(f.stream) : launch(f, f.stream);
-  return ok ? state_.mark(kBlended, f, f.stream) : ok;
+  ok = order_and_blend(f, {arrays, state_.splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height,
+                           f.background(), f.target, f.settings.cuda.count_pairs});
+  return ok ? state_.mark(kBlended, f, on) : ok;
 }
 
 Status TurboPipeline::queue(const Frame& f) {
   Status ok = state_.begin(f);
   if (!ok) return ok;
   ok = reserve_tiles(f);
-  if (ok) ok = enqueue(f);
+  if (ok) ok = launch(f);
   const Status ended = state_.end(f);
   return ok ? ended : ok;
 }
 
 Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
   for (;;) {
-    // Events within a graph cannot be waited for.
-    Status ok = (f.settings.cuda.graph ? state_.finished : counted_).wait();
-    if (ok && !f.settings.cuda.graph) ok = counted_long_.wait();
+    Status ok = counted_.wait();
+    if (ok) ok = counted_long_.wait();
     if (!ok) return tl::unexpected(ok.error());
     const cuda::TurboState& seen = *seen_.get();
     const cuda::TurboArrays arrays = arrays_for(f);

@@ -4,7 +4,6 @@
 
 #include <cstdint>
 
-#include "cuda/frame_graph.hpp"
 #include "cuda/frame_state.hpp"
 #include "turbo/turbo.hpp"
 
@@ -39,17 +38,14 @@ class TurboPipeline {
   std::uint64_t cell_capacity() const;
   cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays arrays_for(const Frame& frame) const;
-  Status mark(Mark mark, const Frame& frame, CudaStream on);
-  Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments, CudaStream on);
-  Status launch(const Frame& frame, CudaStream on);
-  Status enqueue(const Frame& frame);
+  Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments);
+  Status launch(const Frame& frame);
 
   FrameState& state_;
   Event counted_, counted_long_;  // the frame has counted its pairs: both
   OwnedStream beside_;            // for long lists; `listed_` begins what is queued there, `done_long_` ends it
   Event listed_, done_long_;
   PageLocked<cuda::TurboState> seen_;
-  FrameGraph graph_;
   DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, ranked_;
   DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;
 };

@@ -22,6 +22,7 @@ namespace {
 
 using namespace rgs::bench;
 using rgs::test::sample_report;
+using rgs::test::stress_report;
 
 std::vector<std::string> lines_of(const std::string& text) {
   std::vector<std::string> lines;
@@ -70,7 +71,7 @@ std::size_t count(const std::string& text, const std::string& what) {
 TEST_CASE("the JSON report holds every mode and size") {
   const Report report = sample_report();
   const auto json = nlohmann::json::parse(report_json(report));
-  CHECK(json["schema"] == "rgs-bench/1");
+  CHECK(json["schema"] == "rgs-bench/2");
   CHECK(json["device"]["name"] == "NVIDIA H100 80GB HBM3");
   CHECK(json["rates"]["copy_bytes"] == 2.9e12);
   REQUIRE(json["modes"].size() == 3);
@@ -78,7 +79,7 @@ TEST_CASE("the JSON report holds every mode and size") {
   CHECK(json["modes"][1]["step"] == true);
   CHECK(json["modes"][2]["options"]["exp"] == "paper");
   CHECK(json["modes"][2]["options"]["pixel_format"] == "rgb32f");
-  CHECK(json["modes"][2]["options"]["graph"] == false);
+  CHECK_FALSE(json["modes"][2]["options"].contains("graph"));
   CHECK(json["modes"][2]["options"]["depth_order"] == "quantized");
   CHECK(json["modes"][2]["quality"]["photo_loss"] == doctest::Approx(0.014));
   REQUIRE(json["sizes"].size() == 1);
@@ -104,6 +105,107 @@ TEST_CASE("the JSON report says null for equal pictures and leaves out what was 
   CHECK_FALSE(json["modes"][1].contains("quality"));
   CHECK_FALSE(json.contains("rates"));
   CHECK_FALSE(json["sizes"][0]["results"][0]["stages"]["sort"].contains("floor_ms"));
+}
+
+TEST_CASE("times from outside stand beside those of the stages, in the table, JSON and CSV") {
+  const Report report = sample_report();
+  const auto json = nlohmann::json::parse(report_json(report));
+  const auto& paper = json["sizes"][0]["results"][2];
+  CHECK(paper["total_ms"] == doctest::Approx(0.8684));
+  CHECK(paper["eager_clock_ms"] == doctest::Approx(0.9084));
+  CHECK(paper["eager_events_ms"] == doctest::Approx(0.8984));
+  CHECK(paper["queued_ms"] == doctest::Approx(0.8784));
+  CHECK(paper["frames"] == 100);
+  const auto csv = lines_of(report_csv(report));
+  const auto names = fields_of(csv[0]), values = fields_of(csv[3]);
+  const auto at = [&](const char* name) {
+    return values[static_cast<std::size_t>(std::find(names.begin(), names.end(), name) - names.begin())];
+  };
+  CHECK(at("eager_clock_ms") == "0.9084");
+  CHECK(at("eager_events_ms") == "0.8984");
+  CHECK(at("queued_ms") == "0.8784");
+  CHECK(at("view").empty());
+  const auto table = lines_of(outside_text(report.sizes[0], report));
+  REQUIRE(table.size() == 3 + 3);
+  CHECK(table[1].find("1920x1080") == 0);
+  CHECK(table[5].find("+ fast exp = paper") == 0);
+  for (const char* number : {"0.8684", "0.9084", "0.8984", "0.8784"}) CHECK(table[5].find(number) != std::string::npos);
+  for (std::size_t k = 2; k < table.size(); ++k) CHECK(table[k].size() == table[2].size());
+}
+
+TEST_CASE("stress views compare turbo with paper, and the one that is slower fails by name") {
+  Report report = stress_report();
+  CHECK(stress_row(report.sizes[0], report).ratio() == doctest::Approx(0.875 / 0.32));
+  CHECK(stress_row(report.sizes[0], report).passes());
+  CHECK_FALSE(stress_row(report.sizes[1], report).passes());
+  CHECK(failed_views(report) == std::vector<std::string>{"back 300 units at 1920x1080 (9.4500 ms, paper 0.8750 ms)"});
+  const auto json = nlohmann::json::parse(report_json(report));
+  CHECK(json["stress"]["passed"] == false);
+  CHECK(json["stress"]["scene_size"] == 12.5);
+  CHECK(json["stress"]["densest"] == nlohmann::json{1.0, 2.0, 3.0});
+  REQUIRE(json["stress"]["views"].size() == 2);
+  const auto& far = json["stress"]["views"][1];
+  CHECK(far["view"] == "back 300 units");
+  CHECK(far["width"] == 1920);
+  CHECK(far["height"] == 1080);
+  CHECK(far["paper_ms"] == doctest::Approx(0.875));
+  CHECK(far["turbo_ms"] == doctest::Approx(9.45));
+  CHECK(far["ratio"] == doctest::Approx(0.875 / 9.45));
+  CHECK(far["passed"] == false);
+  CHECK(json["stress"]["views"][0]["passed"] == true);
+  CHECK(json["sizes"][1]["view"] == "back 300 units");
+  CHECK(json["sizes"][1]["results"][1]["stages"]["blend"]["ms"] == doctest::Approx(9.15));
+  CHECK_FALSE(nlohmann::json::parse(report_json(sample_report())).contains("stress"));
+  CHECK_FALSE(nlohmann::json::parse(report_json(sample_report()))["sizes"][0].contains("view"));
+  const auto csv = lines_of(report_csv(report));
+  REQUIRE(csv.size() == 5);
+  CHECK(csv[4].find("\"back 300 units\",1920,1080,\"turbo\"") != std::string::npos);
+
+  const auto head = lines_of(stress_head_text(report));
+  const auto first = lines_of(stress_row_text(report.sizes[0], report))[0],
+             second = lines_of(stress_row_text(report.sizes[1], report))[0];
+  CHECK(first.size() == head.back().size());
+  CHECK(first.find("2.73x") != std::string::npos);
+  CHECK(second.find("slower") != std::string::npos);
+  CHECK(second.find("9.4500") != std::string::npos);
+  for (const auto& line : {head[1], head[2], first, second}) CHECK(line.size() <= 160);
+
+  // Equal is not slower; what was not measured passes nothing.
+  report.sizes[1].rows[1].timing.mean.total_ms = 0.875;
+  CHECK(failed_views(report).empty());
+  CHECK(nlohmann::json::parse(report_json(report))["stress"]["passed"] == true);
+  report.sizes[1].rows[1].timing.mean.total_ms = 0;
+  CHECK(failed_views(report).size() == 1);
+  // The baseline before them changes nothing.
+  Report more = stress_report();
+  more.modes.insert(more.modes.begin(), {make_mode("baseline", {}), {}});
+  for (SizeReport& size : more.sizes) size.rows.insert(size.rows.begin(), size.rows[1]);
+  CHECK(failed_views(more) == failed_views(stress_report()));
+}
+
+TEST_CASE("rows whose depth key is too coarse are named, others are not") {
+  const Report report = stress_report();
+  CHECK(coarse_depth_text(report.sizes[0], 0, report).empty());
+  CHECK(coarse_depth_text(report.sizes[1], 1, report).empty());
+  const std::string text = coarse_depth_text(report.sizes[1], 0, report);
+  for (const char* part : {"back 300 units at 1920x1080, paper", "19 bits", "0.0025", "0.0001", "Depth resolution"}) {
+    CHECK_MESSAGE(text.find(part) != std::string::npos, text);
+  }
+  CHECK(text.back() == '\n');
+  Report limit = report;
+  limit.sizes[1].rows[0].timing.mean.depth_resolution = rgs::kCoarseDepthResolution;
+  CHECK_FALSE(coarse_depth_text(limit.sizes[1], 0, limit).empty());
+  CHECK(nlohmann::json::parse(report_json(report))["sizes"][1]["results"][0]["depth_resolution"] == 2.5e-3);
+}
+
+TEST_CASE("modes that are compared: the baseline always, or in stress views paper and turbo always") {
+  using Names = std::vector<std::string>;
+  const auto compared = [](const Names& asked, bool is_stress) { return compared_modes(asked, is_stress); };
+  CHECK(compared({"baseline", "paper", "turbo"}, false) == Names{"baseline", "paper", "turbo"});
+  CHECK(compared({"turbo"}, false) == Names{"baseline", "turbo"});
+  CHECK(compared({}, true) == Names{"paper", "turbo"});
+  CHECK(compared({"turbo"}, true) == Names{"paper", "turbo"});
+  CHECK(compared({"turbo-fp32", "baseline"}, true) == Names{"baseline", "paper", "turbo", "turbo-fp32"});
 }
 
 TEST_CASE("the orbit is in the JSON report and in a table of its own") {

@@ -35,16 +35,42 @@ inline bench::Report sample_report() {
       {rows[0], frame_stats(0.0868, 1.0258, 1.0141, 3.7877, 630022, 14888772, 2000.5e6, 154.0e6, 45)},
       {rows[3], frame_stats(0.1255, 0.0293, 0.3183, 1.0417, 623199, 3485263, 402.8e6, 154.5e6, 45)},
       {rows[6], frame_stats(0.1235, 0.0275, 0.1966, 0.5208, 623199, 3485263, 400.5e6, 153.2e6, 32)}};
-  r.sizes.push_back({1920, 1080, {}});
+  r.sizes.push_back({1920, 1080, {}, {}});
   for (const auto& row : measured) {
     const bench::Configuration& c = row.first;
     r.modes.push_back({c, bench::Quality{51.1, 49.5, 0.9971, 0.7037F, 22.0, 0.014}});
     bench::Measurement m;
     m.timing.mean = row.second;
     m.timing.peak_bytes = 197000000;
+    m.timing.frames = 100;
+    m.timing.outside = {row.second.total_ms + 0.04, row.second.total_ms + 0.03, row.second.total_ms + 0.01};
     m.costs = bench::stage_costs({row.second, c.options, 1920, 1080, c.compact, 3});
     r.sizes.front().rows.push_back(m);
   }
+  return r;
+}
+
+/// Two stress views of paper and turbo, in the first of which turbo is ahead.
+inline bench::Report stress_report() {
+  bench::Report r = sample_report();
+  r.modes = {{bench::make_mode("paper", {}), {}}, {bench::make_mode("turbo", {}), {}}};
+  r.stress = bench::StressSource{12.5, {1, 2, 3}};
+  r.n_quality_cameras = 0;
+  r.rates.reset();
+  r.sizes.clear();
+  for (const auto& [view, turbo_ms] : {std::pair("ordinary", 0.32), {"back 300 units", 9.45}}) {
+    bench::SizeReport size{1920, 1080, view, {}};
+    for (const double ms : {0.875, turbo_ms}) {
+      bench::Measurement m;
+      m.timing.mean = frame_stats(0.1, 0.1, 0.1, ms - 0.3, 1000, 2000, 3000, 4000, 32);
+      m.timing.frames = 40;
+      m.timing.outside = {ms + 0.04, ms + 0.03, ms + 0.01};
+      size.rows.push_back(m);
+    }
+    r.sizes.push_back(size);
+  }
+  r.sizes[1].rows[0].timing.mean.depth_resolution = 2.5e-3;
+  r.sizes[1].rows[0].timing.mean.depth_bits = 19;
   return r;
 }
 

@@ -50,10 +50,24 @@ TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   CHECK(rgs::test::run_program({RGS_BENCH}).exit_code == 2);
   CHECK(stage.run({"--pixel-format", "rgb8"}).exit_code == 2);
   CHECK(stage.run({"--mode", "fastest"}).exit_code == 2);
+  CHECK(stage.run({"--graph"}).exit_code == 2);
   CHECK(stage.run({"--frames", "0"}).exit_code == 2);
   CHECK(stage.run({"--size", "1920"}).exit_code == 2);
   CHECK(stage.run({"--orbit", "2"}).exit_code == 2);   // no second difference
   CHECK(stage.run({"--photos", "."}).exit_code == 2);  // of which cameras?
+  CHECK(stage.run({"--views", "all"}).exit_code == 2);
+  for (const std::vector<std::string>& more : std::vector<std::vector<std::string>>{
+           {"--size", "64x48"}, {"--ablate"}, {"--orbit", "5"}, {"--quality-cameras", stage.cameras}, {"--roofline"}}) {
+    CAPTURE(more.front());
+    std::vector<std::string> arguments{"--views", "stress"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    const ProgramResult refused = stage.run(arguments);
+    CHECK(refused.exit_code == 2);
+    CHECK(refused.err.find("--views stress has no " + more.front()) != std::string::npos);
+  }
+  const ProgramResult blind = rgs::test::run_program({RGS_BENCH, kScene});
+  CHECK(blind.exit_code == 2);
+  CHECK(blind.err.find("--cameras is missing") != std::string::npos);
   CHECK(rgs::test::run_program({RGS_BENCH, "--help"}).exit_code == 0);
 }
 
@@ -74,6 +88,9 @@ TEST_CASE("without a device rgs-bench says so and writes nothing") {
   const std::string json = stage.folder.file("b.json");
   const ProgramResult result = stage.run({"--json", json}, kScene, [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); });
   CHECK(result.exit_code == 3);  // as its --help says
+  const auto blind = [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); };
+  CHECK(rgs::test::run_program({RGS_BENCH, kScene, "--views", "stress"}, blind).exit_code ==
+        3);  // without cameras, too
   CHECK(result.err.find("no CUDA device answers") != std::string::npos);
   CHECK_FALSE(std::filesystem::exists(json));
 }
@@ -92,7 +109,13 @@ TEST_CASE("rgs-bench measures every mode") {
   CHECK(report["scene"]["gaussians"] == 40);
   REQUIRE(report["sizes"].size() == 2);
   REQUIRE(report["sizes"][1]["results"].size() == report["modes"].size());
-  for (const auto& row : report["sizes"][0]["results"]) CHECK(row["total_ms"].get<double>() > 0);
+  for (const auto& row : report["sizes"][0]["results"]) {
+    const double inside = row["total_ms"].get<double>(), events = row["eager_events_ms"].get<double>();
+    CHECK(inside > 0);
+    CHECK(events > 0.5 * inside);  // with two frames they are no better than that
+    CHECK(row["eager_clock_ms"].get<double>() > events);
+    CHECK(row["queued_ms"].get<double>() > 0);
+  }
   CHECK(report["modes"][0]["quality"]["largest_difference"] == 0);
   CHECK(report["rates"]["copy_bytes"].get<double>() > 0);
   CHECK(report["orbit"]["width"] == 64);
@@ -107,13 +130,29 @@ TEST_CASE("rgs-bench measures every mode") {
   const auto packed_report = nlohmann::json::parse(read_text(packed));
   CHECK(packed_report["modes"][1]["options"]["pixel_format"] == "rgba8");
   CHECK(packed_report["sizes"][0]["results"][1]["total_ms"].get<double>() > 0);
-  const std::string graph = stage.folder.file("graph.json");
-  const ProgramResult as_graph =
-      stage.run({"--mode", "turbo", "--size", "64x48", "--frames", "2", "--graph", "--json", graph});
-  REQUIRE_MESSAGE(as_graph.exit_code == 0, as_graph.err);
-  const auto graph_report = nlohmann::json::parse(read_text(graph));
-  CHECK(graph_report["modes"][1]["options"]["graph"] == true);
-  CHECK(graph_report["modes"][0]["options"]["graph"] == false);
-  CHECK(graph_report["sizes"][0]["results"][1]["total_ms"].get<double>() > 0);
   CHECK(stage.run({}, stage.cameras).exit_code == 4);  // no scene
+}
+
+TEST_CASE("rgs-bench goes through the stress views, and fails where turbo is slower") {
+  int n_devices = 0;
+  if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0) return rgs::test::skip("no CUDA device answers");
+  const Stage stage;
+  const std::string json = stage.folder.file("stress.json");
+  const ProgramResult result =
+      rgs::test::run_program({RGS_BENCH, kScene, "--views", "stress", "--frames", "5", "--json", json});
+  // 40 Gaussians: which of the two is faster is not the question here, but the code must agree with the report.
+  const auto report = nlohmann::json::parse(read_text(json));
+  CHECK(report["cameras"] == 1);
+  REQUIRE(report["modes"].size() == 2);
+  REQUIRE(report["stress"]["views"].size() == 20);
+  CHECK_MESSAGE(result.exit_code == (report["stress"]["passed"].get<bool>() ? 0 : 5), result.err);
+  CHECK((result.err.find("turbo is slower than paper") == std::string::npos) == (result.exit_code == 0));
+  for (const auto& view : report["stress"]["views"]) {
+    CHECK(view["paper_ms"].get<double>() > 0);
+    CHECK(view["turbo_ms"].get<double>() > 0);
+  }
+  for (const auto& size : report["sizes"]) {
+    if (size["view"] != "empty") continue;
+    for (const auto& row : size["results"]) CHECK(row["visible"] == 0);
+  }
 }

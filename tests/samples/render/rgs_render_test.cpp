@@ -259,6 +259,30 @@ TEST_CASE("options change the picture as they say") {
   }
 }
 
+TEST_CASE("a depth key that is too coarse is said, with its resolution in the JSON summary") {
+  const Stage stage;
+  const auto run = [&](const std::string& options) {
+    return stage.run("@scene.ply -c @cameras.json --backend cpu --overwrite --out @o " + options);
+  };
+  const std::string warning = "Gaussians may change places";
+  const Outcome coarse = run("--key linear --depth-bits 12 --depth-range 2,8");
+  CHECK(coarse.code == 0);
+  CHECK_MESSAGE(
+      coarse.out.find("key of 12 bits tells depths apart that differ by 0.00073 of the depth") != std::string::npos,
+      coarse.out);
+  CHECK(coarse.out.find(warning) != std::string::npos);
+  CHECK(coarse.out.find(warning) == coarse.out.rfind(warning));  // once, for three pictures
+  for (const char* fine : {"", "--key log", "--mode turbo", "--key linear --depth-bits 24"}) {
+    CAPTURE(fine);
+    CHECK(run(fine).out.find(warning) == std::string::npos);
+  }
+  const auto json = nlohmann::json::parse(run("--key log --depth-bits 16 --depth-range 2,8 --json --quiet").out);
+  for (const auto& frame : json["frames"]) {
+    CHECK(frame["depth_bits"] == 16);
+    CHECK(frame["depth_resolution"].get<double>() == doctest::Approx(std::log(4.0) / 65535).epsilon(1e-4));
+  }
+}
+
 TEST_CASE("what a file declares of its anti-aliasing is drawn, in every format, unless another is asked for") {
   const Stage stage;
   const rgs::SplatCloud cloud = ball();
