@@ -14,7 +14,7 @@
 #include "rgs/quantize.hpp"
 
 // Arrays that a device keeps in registers are indexed by numbers known at compile time.
-#if defined(__CUDACC__)
+#if defined(__CUDA_ARCH__)
 #define RGS_UNROLL _Pragma("unroll")
 #else
 #define RGS_UNROLL
@@ -91,7 +91,7 @@ struct RelativeShSteps {
 /// The predictor of a frame in the form in which the device keeps it, in 32-bit words: times 2^8, so that the high half
 /// of its product with a 16-bit number times 2^16 is the product of the specification.
 template <int kDegree>
-struct ShPredictor {
+struct alignas(16) ShPredictor {  // four entries are one load
   static constexpr int kCodes = 3 * (kDegree + 1) * (kDegree + 1);
   static constexpr std::size_t kSlots = static_cast<std::size_t>((kCodes + 3) / 4 * 4);
   std::int32_t weight[kSlots][kSlots];  ///< [i][j]: what code j > i takes from code i; 0 elsewhere
@@ -119,6 +119,13 @@ RGS_HD inline std::int32_t product_high(std::int32_t a, std::int32_t b) {
   return __mulhi(a, b);
 #else
   return static_cast<std::int32_t>(static_cast<std::int64_t>(a) * b >> 32);
+#endif
+}
+/// What has been read from memory before is read again after it, not kept: the device has fewer registers than a frame
+/// has weights.
+RGS_HD inline void forget_loads() {
+#if defined(__CUDA_ARCH__)
+  asm volatile("" ::: "memory");
 #endif
 }
 /// The lower 16 bits as a number.
@@ -182,6 +189,7 @@ RGS_HD inline void decode_sh_lane(const ShPredictor<kDegree>& predictor, const S
   std::int16_t step[12] = {}, inverse[12] = {};
   std::uint32_t chunk_end = 0;  // of the chunk that they are of
   for (std::uint32_t k = 0; k < n_steps; ++k) {
+    detail::forget_loads();
     const std::uint32_t position = k * kLanes + lane, row = k < rows_a_lane ? lane * rows_a_lane + k : position;
     if (row >= chunk_end) {
       const std::uint32_t chunk = row / frame.chunk_rows;
