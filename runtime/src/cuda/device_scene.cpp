@@ -156,7 +156,13 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
     const auto placed = place_sections({n * kMeanBytes, n * kGeometryBytes, n * sh_bytes(header.sh_degree),
                                         file.step_table().size(), file.chunk_table().size()},
                                        *storage, options);
-    if (!placed) return tl::unexpected(placed.error());
+    if (!placed) {
+      // A damaged file is one, also where no device answers.
+      if (placed.error().code == Errc::device_failed && options.validate) {
+        if (const auto data = load_direct(file); !data) return tl::unexpected(data.error());
+      }
+      return tl::unexpected(placed.error());
+    }
     if (const auto ok = detail::upload_file(file, *placed, options); !ok) return tl::unexpected(ok.error());
     storage->attributes = detail::compact_attributes(header, *placed);
     DeviceScene result;
