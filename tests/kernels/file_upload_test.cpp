@@ -250,9 +250,11 @@ TEST_CASE("every rule of stored values is checked on the device itself") {
       change("GEOM", geometry, std::uint64_t{0xBC00});  // -1, 0, 0, 0
       change("GEOM", geometry, std::uint64_t{0x7E00});  // NaN
       for (const std::uint64_t k : {8u, 10u, 12u}) {
-        for (const std::uint16_t bits : {0x7C00, 0x7E01, 0x8000, 0xBC00, 0x7BFF}) change("GEOM", geometry + k, bits);
+        for (const unsigned bits : {0x7C00u, 0x7E01u, 0x8000u, 0xBC00u, 0x7BFFu})
+          change("GEOM", geometry + k, static_cast<std::uint16_t>(bits));
       }
-      for (const std::uint16_t bits : {0x3C01, 0x8000, 0x7E00, 0xFFFF}) change("GEOM", geometry + 14, bits);
+      for (const unsigned bits : {0x3C01u, 0x8000u, 0x7E00u, 0xFFFFu})
+        change("GEOM", geometry + 14, static_cast<std::uint16_t>(bits));
       change("SHI8", sh + 1, std::int8_t{-128});
       change("SHI8", sh, std::int8_t{1});                                                  // of the step that is 0
       if (degree == 0 || degree == 2) change("SHI8", sh + row_bytes - 1, std::int8_t{1});  // padding
