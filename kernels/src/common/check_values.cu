@@ -83,9 +83,11 @@ __global__ void __launch_bounds__(kThreads)
     high[k] = reduce_warp(high[k], [](float x, float y) { return fmaxf(x, y); });
     is_sound = is_sound && low[k] == detail::float_of(entry[k]) && high[k] == detail::float_of(entry[4 + k]);
   }
-  const float scale = float_from_half(static_cast<std::uint16_t>(warp_max(largest_scale))) * a.scale_unit;  // exact
-  is_sound = is_sound && 3.f * scale == detail::float_of(entry[3]) &&
-             float_from_half(static_cast<std::uint16_t>(warp_max(largest_opacity))) == detail::float_of(entry[7]);
+  // All lanes of the warp take part, whatever they have found.
+  const auto scale_code = static_cast<std::uint16_t>(warp_max(largest_scale));
+  const auto opacity_code = static_cast<std::uint16_t>(warp_max(largest_opacity));
+  is_sound = is_sound && 3.f * (float_from_half(scale_code) * a.scale_unit) == detail::float_of(entry[3]) &&  // exact
+             float_from_half(opacity_code) == detail::float_of(entry[7]);
 
   add_count(&out->counts.scale_subnormal, static_cast<std::uint32_t>(counts.scale_subnormal));
   add_count(&out->counts.scale_zero, static_cast<std::uint32_t>(counts.scale_zero));
