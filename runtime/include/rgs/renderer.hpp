@@ -144,7 +144,7 @@ class Renderer {
 
   /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option, the size
   /// of a target span, or contributions asked of CUDA), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
-  /// device_failed.
+  /// device_failed; of a scene that has to be brought there first, those of prepare().
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
 

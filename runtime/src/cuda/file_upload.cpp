@@ -3,8 +3,8 @@
 // A job is what one frame index, or a piece of a section that is stored as is, brings. A thread takes a job and a place in
 // the ring, fills the place (hash, Zstandard; nothing else is left to the host), and queues on one of a few streams the
 // copy to the device and the kernels that make rows of it. The place is free again once it has been copied; the stream and
-// its memory on the device once the rows are made. A frame's SH take a millisecond whatever the device, so that there are
-// more streams than places: frames are decoded side by side.
+// its memory on the device once the rows are made. A frame's SH keep a few threads busy for long, however large the device, so
+// that there are many streams: frames are decoded side by side.
 //
 // What the device finds damaged it does not explain. The host then decodes the file again, by its own path, and its error
 // is the one that is returned.
@@ -251,7 +251,10 @@ Status FileUpload::prepare() {
     const std::uint64_t fitting = std::clamp<std::uint64_t>(bytes / largest, 2, most);
     return static_cast<std::size_t>(std::min<std::uint64_t>(fitting, n_jobs_));
   };
-  host_places_ = std::vector<HostPlace>(limited(kRingBytes, n_threads_ + n_threads_ / 2 + 1));
+  // One to fill for each thread and some on their way. Locking pages takes time as well: the ring of a small file is small.
+  const std::uint64_t useful = std::min<std::uint64_t>(n_threads_ + n_threads_ / 2 + 1, n_jobs_ / 4);
+  host_places_ = std::vector<HostPlace>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
+  n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_places_.size()));
   lanes_ = std::vector<Lane>(limited(kStagingBytes, kMaxStreams));
   ok = ring_.create(host_places_.size() * largest);
   if (ok && is_coded) {
