@@ -1,9 +1,9 @@
 // file_upload.cpp - a ring of page-locked memory between the threads that decompress and the streams that copy and decode.
 //
 // A job is what one frame index, or a piece of a section that is stored as is, brings. A thread takes a job and a place in
-// the ring, fills the place (hash, Zstandard; nothing else is left to the host), and queues on one of a few streams the
-// copy to the device and the kernels that make rows of it. The place is free again once it has been copied; the stream and
-// its memory on the device once the rows are made. A frame's SH keep a few threads busy for long, however large the device, so
+// the ring and fills the place (hash, Zstandard; nothing else is left to the host). The caller's thread, which alone calls
+// CUDA, so that any context will do, queues on one of a few streams the copy to the device and the kernels that make rows
+// of it. The place is free again once it has been copied; the stream and its memory on the device once the rows are made. A frame's SH keep a few threads busy for long, however large the device, so
 // that there are many streams: frames are decoded side by side.
 //
 // What the device finds damaged it does not explain. The host then decodes the file again, by its own path, and its error
@@ -104,29 +104,45 @@ struct Lane {
   Event done;
 };
 
-// Those that nobody uses; the one that was given back first comes first.
+struct Filled {
+  HostPlace* place = nullptr;
+  Job job;
+};
+
+// Hands things from thread to thread, first come, first served.
 template <class T>
 class Queue {
  public:
-  void give(T* one) {
+  void give(const T& one) {
     {
       const std::lock_guard lock(mutex_);
-      free_.push_back(one);
+      waiting_.push_back(one);
     }
     given_.notify_one();
   }
-  T* take() {
+  /// Nobody waits from now on.
+  void close() {
+    {
+      const std::lock_guard lock(mutex_);
+      is_closed_ = true;
+    }
+    given_.notify_all();
+  }
+  /// Absent if nothing is there, and after close().
+  std::optional<T> take(bool wait) {
     std::unique_lock lock(mutex_);
-    given_.wait(lock, [this] { return !free_.empty(); });
-    T* const one = free_.front();
-    free_.pop_front();
+    if (wait) given_.wait(lock, [this] { return is_closed_ || !waiting_.empty(); });
+    if (is_closed_ || waiting_.empty()) return std::nullopt;
+    const T one = waiting_.front();
+    waiting_.pop_front();
     return one;
   }
 
  private:
   std::mutex mutex_;
   std::condition_variable given_;
-  std::deque<T*> free_;
+  std::deque<T> waiting_;
+  bool is_closed_ = false;
 };
 
 class FileUpload {
@@ -150,6 +166,9 @@ class FileUpload {
   Status prepare();
   Status copy_tables();
   void work();
+  Status fill_next(FrameContents& contents, bool& is_done);
+  Status dispatch();
+  Status reclaim(bool wait);
   Status fill(const Job& job, HostPlace& place, FrameContents& contents);
   Status queue(const Job& job, const HostPlace& place, const Lane& lane);
   Status unpack(const Part& part, const Lane& lane);
@@ -160,7 +179,6 @@ class FileUpload {
   const FileView& file_;
   const SectionPlaces places_;
   const UploadOptions& options_;
-  int device_ = 0;
   unsigned n_threads_ = 1;
   std::optional<DirectData> decoded_;  // of an archive
   std::array<Section, 3> sections_;
@@ -171,8 +189,9 @@ class FileUpload {
   Event ready_;  // the device's memory
   std::vector<HostPlace> host_places_;
   std::vector<Lane> lanes_;
-  Queue<HostPlace> free_places_;
-  Queue<Lane> free_lanes_;
+  Queue<HostPlace*> free_places_;
+  Queue<Filled> filled_;
+  std::deque<HostPlace*> copying_;  // places on their way to the device
   std::atomic<std::uint64_t> next_{0};
   std::atomic<bool> has_failed_{false};
   std::mutex failing_;
@@ -241,8 +260,7 @@ Status FileUpload::prepare() {
     total += bytes * group.n_jobs;
     is_coded = is_coded || group.sections[0]->table != nullptr;
   }
-  Status ok = device_status(cudaGetDevice(&device_), "the current device could not be read");
-  if (!ok || n_jobs_ == 0) return ok;
+  if (n_jobs_ == 0) return {};
   constexpr std::uint64_t kWorthThreads = std::uint64_t{1} << 20;
   const unsigned machine = std::max(1u, std::thread::hardware_concurrency());
   n_threads_ = total < kWorthThreads ? 1 : static_cast<unsigned>(std::min<std::uint64_t>(machine, n_jobs_));
@@ -256,7 +274,7 @@ Status FileUpload::prepare() {
   host_places_ = std::vector<HostPlace>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
   n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_places_.size()));
   lanes_ = std::vector<Lane>(limited(kStagingBytes, kMaxStreams));
-  ok = ring_.create(host_places_.size() * largest);
+  Status ok = ring_.create(host_places_.size() * largest);
   if (ok && is_coded) {
     const auto memory = DeviceMemory::create(options_.allocator);
     ok = memory ? staging_.reserve(lanes_.size() * largest, *memory, options_.stream) : tl::unexpected(memory.error());
@@ -274,7 +292,6 @@ Status FileUpload::prepare() {
     ok = lanes_[i].stream.create();
     if (ok) ok = lanes_[i].done.create();
     if (ok) ok = ready_.hold(lanes_[i].stream.get());
-    free_lanes_.give(&lanes_[i]);
   }
   return ok;
 }
@@ -294,32 +311,84 @@ Status FileUpload::copy_tables() {
 }
 
 void FileUpload::fail(const Status& status) {
-  const std::lock_guard lock(failing_);
-  if (!has_failed_) status_ = status;
-  has_failed_ = true;
+  {
+    const std::lock_guard lock(failing_);
+    if (!has_failed_) status_ = status;
+    has_failed_ = true;
+  }
+  free_places_.close();
+  filled_.close();
 }
 
+// A thread that fills places. The first job of all is the check of the tables.
 void FileUpload::work() {
   const Status worked = guard_memory([&]() -> Status {
-    if (Status s = device_status(cudaSetDevice(device_), "the device could not be chosen"); !s) return s;
     FrameContents contents;
-    for (std::uint64_t i = next_++; i < n_jobs_ && !has_failed_; i = next_++) {
-      HostPlace* const place = free_places_.take();
-      const Job job = job_at(i);
-      Status ok = place->copied.wait();
-      if (ok) ok = fill(job, *place, contents);
-      if (ok) {
-        Lane* const lane = free_lanes_.take();
-        ok = lane->done.wait();
-        if (ok) ok = queue(job, *place, *lane);
-        free_lanes_.give(lane);
-      }
-      free_places_.give(place);
-      if (!ok) return ok;
+    for (bool is_done = false; !is_done && !has_failed_;) {
+      if (Status s = fill_next(contents, is_done); !s) return s;
     }
     return {};
   });
   if (!worked) fail(worked);
+}
+
+Status FileUpload::fill_next(FrameContents& contents, bool& is_done) {
+  const std::uint64_t i = next_++;
+  is_done = i > n_jobs_;
+  if (is_done) return {};
+  if (i == 0) return check_tables();
+  const auto place = free_places_.take(true);
+  if (!place) return {};  // somebody has failed
+  const Filled filled{*place, job_at(i - 1)};
+  if (Status s = fill(filled.job, **place, contents); !s) return s;
+  filled_.give(filled);
+  return {};
+}
+
+// Gives back the places that have been copied; waits for the first if asked to.
+Status FileUpload::reclaim(bool wait) {
+  while (!copying_.empty()) {
+    HostPlace* const place = copying_.front();
+    if (wait) {
+      if (Status s = place->copied.wait(); !s) return s;
+    } else if (const cudaError_t error = cudaEventQuery(place->copied.get()); error == cudaErrorNotReady) {
+      cudaGetLastError();  // it is no error of later calls
+      return {};
+    } else if (error != cudaSuccess) {
+      return device_status(error, "a scene could not be copied to the device");
+    }
+    wait = false;
+    copying_.pop_front();
+    free_places_.give(place);
+  }
+  return {};
+}
+
+// The caller's thread: queues what is filled. Where it is the only one, it fills as well.
+Status FileUpload::dispatch() {
+  FrameContents contents;
+  bool is_done = false;
+  if (n_threads_ == 1) {
+    if (Status s = fill_next(contents, is_done); !s) return s;  // the tables
+  }
+  for (std::uint64_t n_queued = 0; n_queued < n_jobs_ && !has_failed_;) {
+    if (n_threads_ == 1) {
+      if (Status s = reclaim(copying_.size() == host_places_.size()); !s) return s;
+      if (Status s = fill_next(contents, is_done); !s) return s;
+    }
+    // With nothing to queue, places that are being copied come back, or else all are with threads that fill them.
+    const auto filled = filled_.take(copying_.empty());
+    Status ok;
+    if (filled) {
+      const Lane& lane = lanes_[n_queued++ % lanes_.size()];
+      ok = lane.done.wait();
+      if (ok) ok = queue(filled->job, *filled->place, lane);
+      copying_.push_back(filled->place);
+    }
+    if (ok) ok = reclaim(!filled && !copying_.empty());
+    if (!ok) return ok;
+  }
+  return {};
 }
 
 Status FileUpload::fill(const Job& job, HostPlace& place, FrameContents& contents) {
@@ -429,12 +498,14 @@ Status FileUpload::run() {
 
   std::vector<std::thread> threads;
   threads.reserve(n_threads_);
-  try {
-    while (threads.size() + 1 < n_threads_) threads.emplace_back([this] { work(); });
-  } catch (...) {  // no more threads, or no memory for one: those there are do the work
+  if (n_threads_ > 1) {
+    try {
+      while (threads.size() < n_threads_) threads.emplace_back([this] { work(); });
+    } catch (...) {  // no more threads, or no memory for one: those there are do the work
+    }
+    if (threads.empty()) n_threads_ = 1;
   }
-  if (const Status tables = guard_memory([this] { return check_tables(); }); !tables) fail(tables);
-  work();
+  if (const Status queued = guard_memory([this] { return dispatch(); }); !queued) fail(queued);
   for (std::thread& thread : threads) thread.join();
   times.host_ms = since_start() - times.setup_ms;
 
