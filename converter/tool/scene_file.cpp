@@ -10,11 +10,11 @@
 namespace rgs {
 namespace {
 
-Result<SceneFile> load_rgs(MappedFile file, const DecodeLimits& limits) {
+Result<SceneFile> load_rgs(MappedFile file, const DecodeLimits& limits, bool only_open) {
   SceneFile out;
   out.format = SplatFormat::rgs;
   out.file_bytes = file.bytes().size();
-  auto scene = Scene::load(std::move(file), limits);
+  auto scene = only_open ? Scene::open(std::move(file), limits) : Scene::load(std::move(file), limits);
   if (!scene) return tl::unexpected(scene.error());
   const Declarations& declarations = *scene->declarations();
   out.up = declared_up(declarations);
@@ -45,6 +45,14 @@ Result<SceneFile> load_other(const std::string& path, const DecodeLimits& limits
   return out;
 }
 
+Result<SceneFile> read_scene_file(const std::string& path, const DecodeLimits& limits, const Axes& axes,
+                                  bool only_open) {
+  auto file = MappedFile::open(path);
+  if (!file) return tl::unexpected(file.error());
+  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path, limits, axes);
+  return load_rgs(*std::move(file), limits, only_open);
+}
+
 }  // namespace
 
 Declarations declarations_of(const SplatFile& file) {
@@ -59,10 +67,11 @@ Declarations declarations_of(const SplatFile& file) {
 }
 
 Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits, const Axes& axes) {
-  auto file = MappedFile::open(path);
-  if (!file) return tl::unexpected(file.error());
-  if (detect_format(file->bytes()) != SplatFormat::rgs) return load_other(path, limits, axes);
-  return load_rgs(*std::move(file), limits);
+  return read_scene_file(path, limits, axes, false);
+}
+
+Result<SceneFile> open_scene_file(const std::string& path, const DecodeLimits& limits) {
+  return read_scene_file(path, limits, kAxes3dgs, true);
 }
 
 }  // namespace rgs

@@ -28,5 +28,7 @@ Declarations declarations_of(const SplatFile& file);
 /// of the Gaussian.
 Result<SceneFile> load_scene_file(const std::string& path, const DecodeLimits& limits = {},
                                   const Axes& axes = kAxes3dgs);
+/// The same, but that an .rgs file is opened as by Scene::open(): what draws it first validates it.
+Result<SceneFile> open_scene_file(const std::string& path, const DecodeLimits& limits = {});
 
 }  // namespace rgs

@@ -43,6 +43,13 @@ Result<Renderer> Renderer::create(const RendererOptions& options) {
   });
 }
 
+Status Renderer::prepare(const Scene& scene) {
+  if (impl_->cuda) return detail::guard_memory([&] { return impl_->cuda->prepare(scene); });
+  const auto view = scene.view();
+  if (!view) return tl::unexpected(view.error());
+  return {};
+}
+
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                     const RenderOptions& options) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());

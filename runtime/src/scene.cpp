@@ -111,11 +111,13 @@ struct Scene::Storage {
   FileView opened;  // `file`
 
   mutable std::mutex mutex;                   // of all below
+  mutable bool is_validated = false;          // `file`, on the host
   mutable std::optional<DirectData> decoded;  // by load(), until somebody needs it
   mutable std::optional<SceneView> arrays;    // of `activated` or `expanded`
   SplatCloud activated;                       // training parameters, activated
   mutable std::unique_ptr<float[]> expanded;  // of a file
 
+  Status describe(const FileView& view);
   Status decode(const FileView& view);
   const Origin& origin() const { return declarations ? declarations->origin : kNoOrigin; }
   // The caller holds the mutex, or is the only one who knows the scene.
@@ -123,23 +125,34 @@ struct Scene::Storage {
   Status expand() const;
 };
 
-// Validates.
-Status Scene::Storage::decode(const FileView& view) {
+// What the head says.
+Status Scene::Storage::describe(const FileView& view) {
   n = view.header().n_gaussians;
   if (n >= kMaxGaussians) {
     return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxGaussians - 1,
                       n);
   }
-  auto data = load_direct(view);
-  if (!data) return tl::unexpected(data.error());
   sh_degree = view.header().sh_degree;
   declarations = view.declarations();
+  return {};
+}
+
+// Validates.
+Status Scene::Storage::decode(const FileView& view) {
+  if (const auto ok = describe(view); !ok) return ok;
+  auto data = load_direct(view);
+  if (!data) return tl::unexpected(data.error());
   decoded = std::move(*data);
+  is_validated = true;
   return {};
 }
 
 Result<DirectData> Scene::Storage::take_direct() const {
-  if (!decoded) return load_direct(opened, {.validate = false});
+  if (!decoded) {
+    auto data = load_direct(opened, {.validate = !is_validated});
+    if (data) is_validated = true;
+    return data;
+  }
   DirectData data = std::move(*decoded);
   decoded.reset();
   return data;
@@ -256,6 +269,26 @@ Result<Scene> Scene::load(MappedFile&& file, const DecodeLimits& limits) {
   });
 }
 
+Result<Scene> Scene::open(const std::string& path, const DecodeLimits& limits) {
+  auto file = MappedFile::open(path);
+  if (!file) return tl::unexpected(file.error());
+  return open(*std::move(file), limits);
+}
+
+Result<Scene> Scene::open(MappedFile&& file, const DecodeLimits& limits) {
+  return detail::guard_memory([&]() -> Result<Scene> {
+    auto opened = FileView::open(file.bytes(), limits);
+    if (!opened) return tl::unexpected(opened.error());
+    auto storage = std::make_shared<Storage>();
+    if (const auto ok = storage->describe(*opened); !ok) return tl::unexpected(ok.error());
+    storage->opened = *std::move(opened);
+    storage->file = std::move(file);
+    Scene scene;
+    scene.storage_ = std::move(storage);
+    return scene;
+  });
+}
+
 std::uint64_t Scene::size() const {
   return storage_ ? storage_->n : 0;
 }
@@ -274,6 +307,20 @@ std::uint64_t Scene::identity() const {
 }
 bool Scene::has_file() const {
   return storage_ && !storage_->file.bytes().empty();
+}
+
+const FileView* Scene::file() const {
+  return has_file() ? &storage_->opened : nullptr;
+}
+bool Scene::is_validated() const {
+  if (!has_file()) return false;
+  const std::scoped_lock lock(storage_->mutex);
+  return storage_->is_validated;
+}
+bool Scene::is_decoded() const {
+  if (!has_file()) return false;
+  const std::scoped_lock lock(storage_->mutex);
+  return storage_->decoded && storage_->opened.coded();
 }
 
 std::uint64_t Scene::bytes() const {

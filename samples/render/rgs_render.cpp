@@ -287,10 +287,13 @@ int render(const Options& options) {
   auto renderer = rgs::Renderer::create(options.renderer);
   if (!renderer) return tool::report("", renderer.error());
   const auto opened = Clock::now();  // to the end of the first frame: what a viewer of the scene waits for
-  const auto scene = rgs::load_scene_file(options.scene, options.limits);
+  const auto scene = rgs::open_scene_file(options.scene, options.limits);
+  rgs::Status prepared;
+  if (scene) prepared = renderer->prepare(scene->scene);
   // That a file changed explains whatever was found wrong in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return tool::report(options.scene, scene.error());
+  if (!prepared) return tool::report(options.scene, prepared.error());
   const double load_seconds = seconds_since(start);
 
   std::vector<Shot> shots;

@@ -168,7 +168,7 @@ TEST_CASE("backends: automatic is CUDA if a device answers and the CPU if not") 
   }
 }
 
-TEST_CASE("damaged files are refused before anything is uploaded") {
+TEST_CASE("damaged files are refused, with or without a device") {
   const auto sound = CompactScene::of(golden_cloud(300, 2, 5));
   const auto code = [](std::vector<std::byte> bytes) {
     const auto file = FileView::open(bytes);

@@ -538,6 +538,70 @@ TEST_CASE("a scene from a file is drawn to the same bytes whether its arrays are
   CHECK(psnr(render(scene_of(*decoded), camera, {}, kVector).rgb, expected.rgb) > 80);  // logarithms and back
 }
 
+TEST_CASE("a scene that is only opened is validated by whoever needs it first") {
+  const TemporaryFolder folder;
+  const int n = 3000;
+  const std::string path = write_scene(folder, cloud_of(random_splats(64, n), 1), Profile::packed);
+  const auto loaded = Scene::load(path), opened = Scene::open(path);
+  REQUIRE(loaded);
+  REQUIRE(opened);
+  CHECK(loaded->is_validated());
+  CHECK(loaded->is_decoded());
+  CHECK_FALSE(opened->is_validated());
+  CHECK_FALSE(opened->is_decoded());
+  CHECK(opened->size() == n);
+  CHECK(opened->sh_degree() == 1);
+  CHECK(opened->declarations().has_value());
+  CHECK(opened->bytes() == 0);
+  REQUIRE(opened->file() != nullptr);
+  CHECK(opened->file()->header().n_gaussians == n);
+  CHECK(scene_of(cloud_of(random_splats(64, 2))).file() == nullptr);
+  CHECK(Scene().file() == nullptr);
+  CHECK_FALSE(Scene().is_decoded());
+  CHECK(same_arrays(opened->view().value(), loaded->view().value()));
+  CHECK(opened->is_validated());
+
+  auto renderer = Renderer::create({.backend = Backend::cpu, .threads = 1});
+  REQUIRE(renderer);
+  const auto other = Scene::open(path);
+  REQUIRE(other);
+  REQUIRE(renderer->prepare(*other));
+  CHECK(other->is_validated());
+  CHECK(other->bytes() == loaded->bytes());
+  CHECK(renderer->prepare(Scene()));
+
+  const auto file = MappedFile::open(path);
+  REQUIRE(file);
+  std::vector<std::byte> damaged(file->bytes().begin(), file->bytes().end());
+  damaged[damaged.size() - 100] ^= std::byte{1};
+  const std::string damaged_path = folder.file("damaged.rgs");
+  std::ofstream(damaged_path, std::ios::binary)
+      .write(reinterpret_cast<const char*>(damaged.data()), static_cast<std::streamsize>(damaged.size()));
+  const auto expected = Scene::load(damaged_path);
+  REQUIRE_FALSE(expected);
+  const auto scene = Scene::open(damaged_path);
+  REQUIRE(scene);
+  const auto check_refused = [&](const auto& result) {
+    REQUIRE_FALSE(result);
+    CHECK(result.error().code == expected.error().code);
+    CHECK(result.error().offset == expected.error().offset);
+  };
+  for (int time = 0; time < 2; ++time) {
+    check_refused(scene->view());
+    check_refused(scene->direct());
+    check_refused(renderer->prepare(*scene));
+    const Camera camera = front_camera(20, 10);
+    Frame frame = Frame::of(camera);
+    check_refused(renderer->render(*scene, camera, frame.target()));
+  }
+  CHECK_FALSE(scene->is_validated());
+  damaged.resize(100);
+  std::ofstream(damaged_path, std::ios::binary | std::ios::trunc)
+      .write(reinterpret_cast<const char*>(damaged.data()), static_cast<std::streamsize>(damaged.size()));
+  REQUIRE_FALSE(Scene::open(damaged_path));
+  CHECK(Scene::open(damaged_path).error().code == Errc::truncated);
+}
+
 TEST_CASE("a packed file loads as the scene of the direct one") {
   SplitMix random{21};
   const SplatCloud cloud = random_cloud(20000, 3, random);

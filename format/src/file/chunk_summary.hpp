@@ -6,9 +6,9 @@
 #include <cstddef>
 #include <cstdint>
 
-#include "file/value_counts.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/quantize.hpp"
+#include "rgs/stored_values.hpp"
 
 namespace rgs::detail {
 

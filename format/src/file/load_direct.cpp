@@ -39,35 +39,14 @@ std::byte* allocate(std::uint64_t bytes) {
   return static_cast<std::byte*>(memory);
 }
 
-// SH steps of the chunks of a frame.
-Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
-                   std::vector<ShStepSet>& steps) {
-  steps.clear();
-  for (std::uint64_t i = first_chunk; i < first_chunk + n_chunks; ++i) {
-    const auto set = view.chunk_steps(i);
-    if (!set) return tl::unexpected(set.error());
-    steps.push_back(*set);
-  }
-  return {};
-}
-
 struct Worker {
   detail::FrameDecoder decoder;
   std::vector<ShStepSet> steps;
 };
 
-// Stored bytes of a frame, once their hash is right.
-Result<std::span<const std::byte>> frame_bytes(const FileView& view, const CodedFrame& frame) {
-  const auto stored = view.bytes().subspan(frame.offset, frame.stored_bytes);
-  if (const std::uint64_t hash = xxh3(stored); hash != frame.xxh3) {
-    return make_error(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
-  }
-  return stored;
-}
-
 Status decode_frame(const FileView& view, const CodedPart& part, std::uint64_t index, Worker& worker) {
   const CodedFrame& frame = part.table->frames[index];
-  const auto bytes = frame_bytes(view, frame);
+  const auto bytes = detail::frame_bytes(view, frame);
   if (!bytes) return tl::unexpected(bytes.error());
   const auto stored = *bytes;
   const std::uint64_t first = index * part.table->rows;
@@ -77,7 +56,8 @@ Status decode_frame(const FileView& view, const CodedPart& part, std::uint64_t i
     case SectionType::geometry: return worker.decoder.geometry(stored, frame.offset, count, rows);
     case SectionType::sh: {
       const std::uint32_t chunk_rows = view.header().chunk_size;
-      if (Status s = frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, worker.steps); !s)
+      if (Status s = detail::frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, worker.steps);
+          !s)
         return s;
       return worker.decoder.sh(stored, frame.offset, count, {view.header().sh_degree, chunk_rows, worker.steps}, rows);
     }
@@ -95,21 +75,22 @@ Status decode_archive_frame(const FileView& view, std::span<const CodedPart> par
     return std::span(part.rows + (first - part.first) * part.row_bytes, count * part.row_bytes);
   };
   const CodedFrame& mean_frame = means.table->frames[index];
-  const auto mean_bytes = frame_bytes(view, mean_frame);
+  const auto mean_bytes = detail::frame_bytes(view, mean_frame);
   if (!mean_bytes) return tl::unexpected(mean_bytes.error());
   if (Status s = decoder.means(*mean_bytes, mean_frame.offset, count, rows(means)); !s) return s;
   const CodedFrame& geometry_frame = geometry.table->frames[index];
-  const auto geometry_bytes = frame_bytes(view, geometry_frame);
+  const auto geometry_bytes = detail::frame_bytes(view, geometry_frame);
   if (!geometry_bytes) return tl::unexpected(geometry_bytes.error());
   if (Status s = decoder.geometry_codes(*geometry_bytes, geometry_frame.offset, count); !s) return s;
   decoder.geometry(view.header().scale_exponent, rows(geometry));
   const CodedFrame& sh_frame = sh.table->frames[index];
-  const auto sh_bytes = frame_bytes(view, sh_frame);
+  const auto sh_bytes = detail::frame_bytes(view, sh_frame);
   if (!sh_bytes) return tl::unexpected(sh_bytes.error());
   if (Status s = decoder.sh_codes(*sh_bytes, sh_frame.offset); !s) return s;
   const std::uint32_t chunk_rows = view.header().chunk_size;
   std::vector<ShStepSet> steps;
-  if (Status s = frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, steps); !s) return s;
+  if (Status s = detail::frame_steps(view, first / chunk_rows, (count + chunk_rows - 1) / chunk_rows, steps); !s)
+    return s;
   decoder.sh(view.header().sh_degree, chunk_rows, steps, rows(sh));
   return {};
 }

@@ -33,7 +33,7 @@ void store(std::byte*& out, const T& value) {
 
 // Rows of a chunk's Gaussians: means [n * 12], geometry [n * 16], sh [n * sh_bytes(degree)].
 ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, const ShStepSet& steps, std::byte* means,
-                       std::byte* geometry, std::byte* sh, detail::ValueCounts& counts) {
+                       std::byte* geometry, std::byte* sh, ValueCounts& counts) {
   const auto floats = static_cast<std::size_t>(3 * sh_coefficients(header.sh_degree));
   const std::size_t stride = sh_bytes(header.sh_degree);
   float step[48];  // per coefficient and channel, so that the loop below has no look-up
@@ -97,7 +97,7 @@ struct SceneWriter::Batch::State {
   std::vector<Splat> splats;       // of the next chunk
   std::vector<ChunkEntry> chunks;
   std::vector<ShStepSet> steps;
-  detail::ValueCounts counts;
+  ValueCounts counts;
   std::array<std::vector<std::byte>, kLarge.size()> rows, frames;
   std::array<std::uint64_t, kLarge.size()> frame_hashes{};
   std::optional<detail::FrameEncoder> encoder;

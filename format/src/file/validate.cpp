@@ -2,17 +2,17 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <cstring>
 
 #include "file/chunk_summary.hpp"
 #include "file/value_checks.hpp"
-#include "file/value_counts.hpp"
 #include "file/workers.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/frame_content.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
+#include "rgs/stored_values.hpp"
 
 namespace rgs {
 namespace detail {
@@ -39,37 +39,25 @@ namespace {
 
 using detail::run_jobs;
 using detail::threads_for;
-using detail::ValueCounts;
 using detail::worker_count;
 using Totals = detail::ValueTotals;
-
-// Stored quaternions have a squared norm within 2^-8 of 1: twice what the encoder lets through unnormalised.
-constexpr double kNormTolerance = 0x1p-8;
 
 // `place` gives the offset in the file of a byte of the row.
 template <class Place>
 Status check_geometry(const std::uint16_t codes[8], const Place& place, ValueCounts& counts,
                       std::uint16_t& largest_scale, std::uint16_t& largest_opacity) {
-  double squared = 0;  // exact: squares of FP16 numbers and their sums fit into 53 bits
-  for (int i = 0; i < 4; ++i) {
-    const double component = static_cast<double>(float_from_half(codes[i]));
-    squared += component * component;
-  }
-  if (!(std::abs(squared - 1.0) <= kNormTolerance)) {
+  if (!is_unit_quaternion(codes)) {
     return make_error(Errc::bad_value, place(0), "a rotation is not a unit quaternion");
   }
-  if ((codes[0] & 0x8000u) != 0) return make_error(Errc::bad_value, place(0), "a rotation's w has its sign bit set");
+  if (has_sign_bit(codes[0])) return make_error(Errc::bad_value, place(0), "a rotation's w has its sign bit set");
   for (int i = 4; i < 7; ++i) {
-    if (codes[i] >= 0x7C00u) {
+    if (!is_stored_scale(codes[i])) {
       return make_error(Errc::bad_value, place(2 * static_cast<std::uint64_t>(i)), "a scale is negative or not finite");
     }
-    counts.scale_zero += codes[i] == 0;
-    counts.scale_subnormal += codes[i] != 0 && codes[i] < 0x0400;
     largest_scale = std::max(largest_scale, codes[i]);
   }
-  if (codes[7] > 0x3C00u) return make_error(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
-  counts.opacity_zero += codes[7] == 0;
-  counts.opacity_one += codes[7] == 0x3C00u;
+  if (!is_stored_opacity(codes[7])) return make_error(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
+  counts.add(codes);
   largest_opacity = std::max(largest_opacity, codes[7]);
   return {};
 }
@@ -132,7 +120,7 @@ Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) 
     float mean[3];
     std::memcpy(mean, data.means().data() + row * kMeanBytes, kMeanBytes);
     for (std::size_t k = 0; k < 3; ++k) {
-      if (!std::isfinite(mean[k])) {
+      if (!is_finite(mean[k])) {
         return make_error(Errc::bad_value, view.place(SectionType::means, i, 4 * k), "a mean is not finite");
       }
       box.min[k] = i == first ? mean[k] : std::min(box.min[k], mean[k]);
@@ -289,6 +277,28 @@ Status Validation::finish() const {
 std::uint64_t Validation::chunks_at_a_time() const {
   const Header& h = view_->header();
   return std::max<std::uint64_t>(1, view_->coded() ? (1u << 19) / h.chunk_size : h.n_chunks);
+}
+
+Status validate_tables(const FileView& view, unsigned threads) {
+  return detail::guard_memory([&]() -> Status {
+    if (Status s = check_sections(view, threads, false); !s) return s;
+    if (Status s = check_step_sets(view); !s) return s;
+    for (std::uint64_t i = 0; i < view.header().n_chunks; ++i) {
+      if (const auto entry = view.chunk(i); !entry) return tl::unexpected(entry.error());
+    }
+    return check_permutation(view);
+  });
+}
+
+Status validate_declarations(const FileView& view, const ValueCounts& counts) {
+  Totals totals;
+  totals.counts = counts;
+  for (std::uint64_t i = 0; i < view.header().n_chunks; ++i) {
+    const auto entry = view.chunk(i);
+    if (!entry) return tl::unexpected(entry.error());
+    totals.add({{}, entry->means, false});
+  }
+  return check_declarations(view, totals);
 }
 
 Status validate(const FileView& view) {

@@ -173,25 +173,13 @@ void store(const ShLanes& lanes, int n, int count, std::int8_t* rows, std::size_
 
 // This and correlate() are left to the compiler's own vectors.
 //
-// FP16 to FP32 by re-biasing the exponent; infinity and NaN become numbers of 2^16 and above, which no unit quaternion
-// has either. The root is 0 or from 2^-12 to 1, a normal FP16 number.
 void unit_w(const std::uint8_t* xyz, std::size_t stride, int count, std::uint16_t* w) {
   for (int i = 0; i < count; ++i) {
-    float squared[3];
-    for (std::size_t k = 0; k < 3; ++k) {
+    const auto half = [&](std::size_t k) {
       const std::uint8_t* plane = xyz + 2 * k * stride + i;
-      const std::uint32_t bits = static_cast<std::uint32_t>((plane[0] | plane[stride] << 8) & 0x7FFF) << 13;
-      float x;
-      __builtin_memcpy(&x, &bits, sizeof x);
-      x *= 0x1p112f;
-      squared[k] = x * x;
-    }
-    const float rest = 1.f - ((squared[0] + squared[1]) + squared[2]);
-    const float root = __builtin_sqrtf(rest > 0.f ? rest : 0.f);
-    std::uint32_t bits;
-    __builtin_memcpy(&bits, &root, sizeof bits);
-    const std::uint32_t half = (bits + 0xFFFu + (bits >> 13 & 1u) - 0x38000000u) >> 13;
-    w[i] = static_cast<std::uint16_t>(rest > 0.f ? half : 0u);
+      return static_cast<std::uint16_t>(plane[0] | plane[stride] << 8);
+    };
+    w[i] = rgs::unit_w(half(0), half(1), half(2));
   }
 }
 

@@ -5,9 +5,10 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "rgs/planes.hpp"
+
 namespace rgs::detail {
 
-inline constexpr int kShLanes = 64;
 inline constexpr int kShMaxCodes = 48;
 
 /// Weights of a frame's predictor, times 2^15: code i has weights[i * (i - 1) / 2 + j] for the codes j < i of the same
@@ -26,17 +27,6 @@ struct alignas(64) ShLanes {
   std::int16_t inverse[12][kShLanes];         ///< sh_inverse_step(step)
   std::int8_t codes[kShMaxCodes][kShLanes];   ///< in the order of a row: 3 * coefficient + channel
 };
-
-/// 2^16 / step, rounded down; 0 for steps below 3, of which nothing is predicted.
-constexpr std::int16_t sh_inverse_step(std::int16_t step) {
-  return static_cast<std::int16_t>(step < 3 ? 0 : 65536 / step);
-}
-
-/// Green first: it predicts the others best.
-constexpr int sh_channel(int i) {
-  constexpr int kOrder[3] = {1, 0, 2};
-  return kOrder[i % 3];
-}
 
 struct CodecKernels {
   /// residual [n][stride]: byte planes of which 64 are read; gives codes, updates value and error.

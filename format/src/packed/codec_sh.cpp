@@ -19,30 +19,11 @@
 namespace rgs::detail {
 namespace {
 
-using ChunkSteps = std::array<std::int16_t, 12>;
-
-// Steps of each chunk in 1/256 of the frame's largest of the degree. 127 * 256 still fits 16 bits.
-std::vector<ChunkSteps> relative_steps(const ShFrame& frame) {
-  std::vector<ChunkSteps> all(frame.chunk_steps.size());
-  for (std::size_t degree = 0; degree < 4; ++degree) {
-    float largest = 0;
-    for (const ShStepSet& set : frame.chunk_steps)
-      largest = std::max({largest, set.step[degree][0], set.step[degree][1], set.step[degree][2]});
-    for (std::size_t chunk = 0; chunk < all.size(); ++chunk) {
-      for (std::size_t c = 0; c < 3; ++c) {
-        const float share = largest > 0 ? frame.chunk_steps[chunk].step[degree][c] / largest : 0.f;
-        all[chunk][3 * degree + c] = static_cast<std::int16_t>(std::nearbyint(256.f * share));
-      }
-    }
-  }
-  return all;
-}
-
 // Walks the frame's rows in lanes. visit(first_position, first_row, row_distance, n_lanes), for which lane l has row
 // first_row + l * row_distance, is called with steps, and at the start errors of 0, in place.
 template <class Visit>
 void walk(ShLanes& lanes, std::uint32_t n_rows, const ShFrame& frame, const Visit& visit) {
-  const std::vector<ChunkSteps> steps = relative_steps(frame);
+  const std::vector<RelativeShSteps> steps = relative_sh_steps(frame);
   std::memset(lanes.error, 0, sizeof lanes.error);
   std::memset(lanes.codes, 0, sizeof lanes.codes);
   const auto set_steps = [&](std::uint32_t first, std::uint32_t distance, std::uint32_t count) {
@@ -50,8 +31,8 @@ void walk(ShLanes& lanes, std::uint32_t n_rows, const ShFrame& frame, const Visi
     for (std::uint32_t lane = 0; lane < count; ++lane) {
       const std::uint32_t row = first + lane * distance, chunk = row / frame.chunk_rows;
       for (std::size_t k = 0; k < 12; ++k) {
-        lanes.step[k][lane] = steps[chunk][k];
-        lanes.inverse[k][lane] = sh_inverse_step(steps[chunk][k]);
+        lanes.step[k][lane] = steps[chunk].step[k];
+        lanes.inverse[k][lane] = sh_inverse_step(steps[chunk].step[k]);
       }
       unchanged = std::min(unchanged, (chunk + 1) * frame.chunk_rows - row);
     }
@@ -156,6 +137,23 @@ double quadratic(const std::vector<float>& matrix, std::size_t stride, std::span
 }
 
 }  // namespace
+
+// In 1/256 of the frame's largest of the degree. 127 * 256 still fits 16 bits.
+std::vector<RelativeShSteps> relative_sh_steps(const ShFrame& frame) {
+  std::vector<RelativeShSteps> all(frame.chunk_steps.size());
+  for (std::size_t degree = 0; degree < 4; ++degree) {
+    float largest = 0;
+    for (const ShStepSet& set : frame.chunk_steps)
+      largest = std::max({largest, set.step[degree][0], set.step[degree][1], set.step[degree][2]});
+    for (std::size_t chunk = 0; chunk < all.size(); ++chunk) {
+      for (std::size_t c = 0; c < 3; ++c) {
+        const float share = largest > 0 ? frame.chunk_steps[chunk].step[degree][c] / largest : 0.f;
+        all[chunk].step[3 * degree + c] = static_cast<std::int16_t>(std::nearbyint(256.f * share));
+      }
+    }
+  }
+  return all;
+}
 
 void fit_sh_weights(ShLanes& lanes, std::span<const std::byte> rows, const ShFrame& frame,
                     std::span<std::uint8_t> weights) {

@@ -10,6 +10,7 @@
 
 #include "packed/codec_kernels.hpp"
 #include "packed/inflater.hpp"
+#include "rgs/decode.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/result.hpp"
 
@@ -23,6 +24,12 @@ struct ShFrame {
   std::uint32_t chunk_rows = 0;            ///< Gaussians a chunk; a frame begins with a chunk
   std::span<const ShStepSet> chunk_steps;  ///< of each chunk that the frame touches
 };
+
+/// Stored bytes of a frame, once their hash is right. Errors: checksum_mismatch.
+Result<std::span<const std::byte>> frame_bytes(const FileView& view, const CodedFrame& frame);
+/// SH steps of the chunks of a frame. Errors: those of FileView::chunk_steps().
+Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                   std::vector<ShStepSet>& steps);
 
 /// Decodes frames, one at a time. Memory grows to that of the largest frame. Safe on untrusted bytes: whatever decodes
 /// without corrupt_data fills `out` with some rows. Errors: corrupt_data at `offset`, the frame's place in the file.
@@ -74,10 +81,7 @@ class FrameEncoder {
 
 // ---- the SH predictor (codec_sh.cpp) ------------------------------------------------------------------------------
 
-/// Bytes of a frame's weights: n (n - 1) / 2 + n.
-constexpr std::size_t sh_weight_bytes(int n_codes) {
-  return static_cast<std::size_t>(n_codes * (n_codes + 1) / 2);
-}
+std::vector<RelativeShSteps> relative_sh_steps(const ShFrame& frame);
 /// Weights that suit the frame, as its content begins with them.
 void fit_sh_weights(ShLanes& lanes, std::span<const std::byte> rows, const ShFrame& frame,
                     std::span<std::uint8_t> weights);

@@ -7,7 +7,8 @@
 #include <cstring>
 
 #include "packed/frame_codec.hpp"
-#include "rgs/quantize.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/planes.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -15,18 +16,26 @@ namespace {
 constexpr std::size_t kHalves = kGeometryBytes / 2;
 constexpr std::size_t kBlock = 1024;  // rows whose intermediate results stay in the first-level cache
 
-// The inverses of what frame_encoder.cpp does to words.
-constexpr std::uint32_t unordered(std::uint32_t key) {
-  return (key & 0x80000000u) != 0 ? key & 0x7FFFFFFFu : ~key;
-}
-constexpr std::uint32_t unfold(std::uint32_t folded) {
-  return folded >> 1 ^ (0u - (folded & 1u));
-}
-constexpr std::uint16_t unfold16(std::uint16_t folded) {
-  return static_cast<std::uint16_t>((folded >> 1) ^ (0u - (folded & 1u)));
+}  // namespace
+
+Result<std::span<const std::byte>> frame_bytes(const FileView& view, const CodedFrame& frame) {
+  const auto stored = view.bytes().subspan(frame.offset, frame.stored_bytes);
+  if (const std::uint64_t hash = xxh3(stored); hash != frame.xxh3) {
+    return make_error(Errc::checksum_mismatch, frame.offset, "a frame's checksum does not match", frame.xxh3, hash);
+  }
+  return stored;
 }
 
-}  // namespace
+Status frame_steps(const FileView& view, std::uint64_t first_chunk, std::uint64_t n_chunks,
+                   std::vector<ShStepSet>& steps) {
+  steps.clear();
+  for (std::uint64_t i = first_chunk; i < first_chunk + n_chunks; ++i) {
+    const auto set = view.chunk_steps(i);
+    if (!set) return tl::unexpected(set.error());
+    steps.push_back(*set);
+  }
+  return {};
+}
 
 FrameDecoder::FrameDecoder() : lanes_(std::make_unique<ShLanes>()) {}
 
@@ -57,7 +66,7 @@ Status FrameDecoder::words(std::span<const std::byte> stored, std::uint64_t offs
       }
       for (std::size_t i = 0; i < count; ++i, to += row_bytes) {
         key += differences[i];
-        const std::uint32_t bits = unordered(key);
+        const std::uint32_t bits = bits_of_key(key);
         std::memcpy(to, &bits, sizeof bits);
       }
     }

@@ -14,25 +14,12 @@
 #include <new>
 
 #include "packed/frame_codec.hpp"
-#include "rgs/quantize.hpp"
+#include "rgs/planes.hpp"
 
 namespace rgs::detail {
 namespace {
 
 constexpr std::size_t kBlock = 1024;  // rows whose intermediate results stay in the first-level cache
-
-// Bits of an FP32 number to an integer that orders like it.
-constexpr std::uint32_t ordered(std::uint32_t bits) {
-  return (bits & 0x80000000u) != 0 ? ~bits : bits | 0x80000000u;
-}
-
-// Small differences of either sign to small numbers; mod 2^32 and 2^16.
-constexpr std::uint32_t fold(std::uint32_t difference) {
-  return difference << 1 ^ (0u - (difference >> 31));
-}
-constexpr std::uint16_t fold16(std::uint16_t difference) {
-  return static_cast<std::uint16_t>(difference * 2u ^ (0u - (difference >> 15)));
-}
 
 }  // namespace
 
@@ -101,7 +88,7 @@ std::vector<std::byte> FrameEncoder::words(std::span<const std::byte> rows, std:
     for (std::size_t i = 0; i < n; ++i) {
       std::uint32_t bits;
       std::memcpy(&bits, rows.data() + i * row_bytes + 4 * word, sizeof bits);
-      const std::uint32_t key = ordered(bits), folded = fold(key - before);
+      const std::uint32_t key = ordered_key(bits), folded = fold(key - before);
       before = key;
       for (std::size_t k = 0; k < 4; ++k) plane[i + k * n] = static_cast<std::uint8_t>(folded >> (8 * k));
     }

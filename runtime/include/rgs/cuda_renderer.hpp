@@ -35,12 +35,24 @@ struct DeviceAllocator {
   void* user = nullptr;  ///< handed to both; must outlive all memory that is not taken back
 };
 
+/// Where the time of DeviceScene::upload() of a file goes. What happens side by side is counted once: with what it ends
+/// with.
+struct UploadTimes {
+  double setup_ms = 0;   ///< page-locked and device memory, streams
+  double host_ms = 0;    ///< then, until everything is read, decompressed and on its way to the device
+  double device_ms = 0;  ///< then, until the device has copied, decoded and checked what was left
+};
+
 struct UploadOptions {
   CudaStream stream = nullptr;  ///< for the copies
   /// Return once the copies are queued. What is uploaded must keep its place and its values, and the stream must live,
   /// until the stream has done its work. Frames on any stream wait for the copies, on the device.
   bool asynchronous = false;
   DeviceAllocator allocator = {};
+  /// Of a FileView alone. validate: as LoadOptions has it; without, the file has been validated before.
+  bool validate = true;
+  bool decode_on_host = false;   ///< by load_direct(), and copied then: to compare with
+  UploadTimes* times = nullptr;  ///< filled on success
 };
 
 namespace detail {
@@ -60,8 +72,11 @@ class DeviceScene {
   /// what load_direct() or read_chunks() has validated: of values only what the kernels use as an index is checked
   /// again. Errors: those of FileView::chunk() and of the other overload.
   static Result<DeviceScene> upload(const DirectData& data, const UploadOptions& options = {});
-  /// The same of a whole file, which is validated first. Always waits for the copy: what it decodes is gone on return.
-  /// Errors: those of load_direct() and of the other overloads.
+  /// The same of a whole file, which is decoded and checked on the way: threads of the host decompress what is packed into
+  /// a ring of page-locked memory (32 MiB, or two frames), the device makes rows of it and checks their values, in
+  /// up to 96 MiB of memory that it gives back. The host never holds the scene, but for Profile::archive, which it decodes itself.
+  /// Always waits: nothing of the file is used on return. Errors: those of load_direct(), with its offsets, and of the
+  /// other overloads.
   static Result<DeviceScene> upload(const FileView& file, const UploadOptions& options = {});
 
   std::uint64_t size() const;
@@ -74,6 +89,7 @@ class DeviceScene {
 
  private:
   friend class CudaRenderer;
+  static Result<DeviceScene> upload_decoded(const FileView& file, const UploadOptions& options);
   std::shared_ptr<const detail::SceneStorage> storage_;
 };
 

@@ -143,9 +143,14 @@ class Renderer {
   Renderer& operator=(Renderer&&) noexcept;
   ~Renderer();
 
+  /// Brings the scene to where it is drawn, which the first render() does otherwise: CUDA uploads it, and decodes on the
+  /// device what Scene::open() has left in its file; the CPU makes its FP32 arrays. Errors: those of Scene::view() and
+  /// DeviceScene::upload().
+  Status prepare(const Scene& scene);
+
   /// Fills `target` and returns what it cost. Errors: bad_camera (see validate()), bad_argument (an option, the size
   /// of a target span, or contributions asked of CUDA), limit_exceeded (2^32 (tile, Gaussian) pairs or more, on CUDA 2^31), device_out_of_memory,
-  /// device_failed.
+  /// device_failed; of a scene that has to be brought there first, those of prepare().
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
 

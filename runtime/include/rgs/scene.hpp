@@ -55,6 +55,11 @@ class Scene {
   /// replacing it does no harm.
   static Result<Scene> load(const std::string& path, const DecodeLimits& limits = {});
   static Result<Scene> load(MappedFile&& file, const DecodeLimits& limits = {});
+  /// The same without reading more of the file than its head. Whoever needs the Gaussians first decodes and validates them:
+  /// Renderer::prepare() and render(), which let a GPU do it, view() and direct(). They return the errors of validate()
+  /// then. Errors: those of FileView::open() and MappedFile::open(), limit_exceeded.
+  static Result<Scene> open(const std::string& path, const DecodeLimits& limits = {});
+  static Result<Scene> open(MappedFile&& file, const DecodeLimits& limits = {});
 
   std::uint64_t size() const;
   int sh_degree() const;
@@ -73,9 +78,15 @@ class Scene {
   Result<SceneView> view() const;
   /// Whether the scene keeps the .rgs file that it came from.
   bool has_file() const;
+  /// That file; null without one. It lives as long as the scene.
+  const FileView* file() const;
+  /// Whether the host has validated it: load(), or the first view() or direct() of a scene from open().
+  bool is_validated() const;
+  /// Whether what load() has decoded of a coded file waits for the first view() or direct().
+  bool is_decoded() const;
   /// The attributes as they lie in the kept file, where there is one (has_file()); they must not outlive the scene. The
   /// first call gives away what load() decoded, others decode it again: nobody holds what nobody uses. Errors: those of
-  /// load_direct() without validation, which load() has done; bad_argument without a file.
+  /// load_direct(), which validates if that has not been done; bad_argument without a file.
   Result<DirectData> direct() const;
 
  private:

@@ -13,13 +13,14 @@
 namespace rgs::detail {
 namespace {
 
-// A kept file's attributes as they lie in it, a third of the others' size; Scene::load() has validated it.
+// A kept file's attributes as they lie in it, a third of the others' size. What the host has decoded is not decoded again.
 Result<DeviceScene> upload(const Scene& scene) {
-  if (scene.has_file()) {
+  if (scene.is_decoded()) {
     const auto data = scene.direct();
     if (!data) return tl::unexpected(data.error());
     return DeviceScene::upload(*data);
   }
+  if (scene.has_file()) return DeviceScene::upload(*scene.file(), {.validate = !scene.is_validated()});
   const auto view = scene.view();
   if (!view) return tl::unexpected(view.error());
   return DeviceScene::upload(*view);
@@ -52,16 +53,20 @@ const char* CudaBackend::name() const {
   return impl_->renderer.name();
 }
 
+Status CudaBackend::prepare(const Scene& scene) {
+  if (impl_->scene_identity == scene.identity()) return {};
+  impl_->scene = {};  // before the next one: both may not fit
+  impl_->scene_identity = 0;
+  auto uploaded = upload(scene);
+  if (!uploaded) return tl::unexpected(uploaded.error());
+  impl_->scene = std::move(*uploaded);
+  impl_->scene_identity = scene.identity();
+  return {};
+}
+
 Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
-  if (impl_->scene_identity != scene.identity()) {
-    impl_->scene = {};  // before the next one: both may not fit
-    impl_->scene_identity = 0;
-    auto uploaded = upload(scene);
-    if (!uploaded) return tl::unexpected(uploaded.error());
-    impl_->scene = std::move(*uploaded);
-    impl_->scene_identity = scene.identity();
-  }
+  if (const auto ok = prepare(scene); !ok) return tl::unexpected(ok.error());
 
   DeviceTarget device;
   Status ok;

@@ -17,6 +17,8 @@ class CudaBackend {
   CudaBackend& operator=(CudaBackend&&) noexcept;
   ~CudaBackend();
 
+  /// Brings the scene to the device. Errors: those of DeviceScene::upload().
+  Status prepare(const Scene& scene);
   /// Camera, options and target are valid (the caller has checked them). Errors: those of CudaRenderer::render().
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);

@@ -13,6 +13,9 @@ CudaBackend::~CudaBackend() = default;
 Result<CudaBackend> CudaBackend::create() {
   return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
+Status CudaBackend::prepare(const Scene&) {
+  return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+}
 Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const RenderTarget&, const RenderOptions&) {
   return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }

@@ -3,10 +3,11 @@
 #include "cuda/device_scene.hpp"
 
 #include <array>
-#include <cmath>
+#include <chrono>
 #include <memory>
 #include <span>
 
+#include "cuda/file_upload.hpp"
 #include "rgs/guard_memory.hpp"
 
 namespace rgs {
@@ -37,28 +38,37 @@ Status check(const SceneView& s) {
 }
 
 using Sections = std::array<std::span<const std::byte>, 5>;
-using Places = std::array<const std::byte*, 5>;
+using Places = detail::SectionPlaces;
 
 // Each section at a multiple of 256 bytes of one allocation.
-Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, const UploadOptions& options) {
+Result<Places> place_sections(const std::array<std::uint64_t, 5>& sizes, SceneStorage& storage,
+                              const UploadOptions& options) {
   const auto aligned = [](std::uint64_t bytes) { return (bytes + 255) / 256 * 256; };
   const auto memory = detail::DeviceMemory::create(options.allocator);
   if (!memory) return tl::unexpected(memory.error());
   std::uint64_t total = 0;
-  for (const auto& section : sections) total += aligned(section.size());
-  Status ok = storage.memory.reserve(total, *memory, options.stream);
-  if (ok && options.asynchronous) ok = storage.copied.emplace().create();
+  for (const std::uint64_t bytes : sizes) total += aligned(bytes);
+  const Status ok = storage.memory.reserve(total, *memory, options.stream);
   if (!ok) return tl::unexpected(ok.error());
-
   Places places{};
-  const std::byte* next = storage.memory.as<std::byte>();
+  std::byte* next = storage.memory.as<std::byte>();
+  for (std::size_t k = 0; k < sizes.size(); next += aligned(sizes[k++])) places[k] = next;
+  return places;
+}
+
+Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, const UploadOptions& options) {
+  std::array<std::uint64_t, 5> sizes{};
+  for (std::size_t k = 0; k < sections.size(); ++k) sizes[k] = sections[k].size();
+  const auto places = place_sections(sizes, storage, options);
+  if (!places) return places;
+  Status ok;
+  if (options.asynchronous) ok = storage.copied.emplace().create();
+  if (!ok) return tl::unexpected(ok.error());
   for (std::size_t k = 0; k < sections.size(); ++k) {
-    places[k] = next;
-    next += aligned(sections[k].size());
     if (!ok || sections[k].empty()) continue;
-    ok = device_status(cudaMemcpyAsync(const_cast<std::byte*>(places[k]), sections[k].data(), sections[k].size(),
-                                       cudaMemcpyHostToDevice, options.stream),
-                       "a scene could not be copied to the device");
+    ok = device_status(
+        cudaMemcpyAsync((*places)[k], sections[k].data(), sections[k].size(), cudaMemcpyHostToDevice, options.stream),
+        "a scene could not be copied to the device");
   }
   if (ok && options.asynchronous) ok = storage.copied->record(options.stream);
   if (!ok || !options.asynchronous) {  // after an error, too: the memory goes back
@@ -109,27 +119,56 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
     const auto placed =
         copy_sections({data.means(), data.geometry(), data.sh(), data.step_table(), chunks}, *storage, options);
     if (!placed) return tl::unexpected(placed.error());
-    storage->attributes = cuda::CompactAttributes{reinterpret_cast<const float*>((*placed)[0]),
-                                                  reinterpret_cast<const std::uint16_t*>((*placed)[1]),
-                                                  reinterpret_cast<const std::uint32_t*>((*placed)[2]),
-                                                  reinterpret_cast<const float*>((*placed)[3]),
-                                                  reinterpret_cast<const std::uint32_t*>((*placed)[4]),
-                                                  header.chunk_size,
-                                                  std::ldexp(1.0F, -header.scale_exponent),
-                                                  header.sh_degree};
+    storage->attributes = detail::compact_attributes(header, *placed);
     DeviceScene result;
     result.storage_ = std::move(storage);
     return result;
   });
 }
 
-Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOptions& options) {
-  if (const auto ok = check_size(file.header().n_gaussians); !ok) return tl::unexpected(ok.error());
-  const auto data = load_direct(file);
+// As before there was a decoder on the device.
+Result<DeviceScene> DeviceScene::upload_decoded(const FileView& file, const UploadOptions& options) {
+  const auto start = std::chrono::steady_clock::now();
+  const auto since_start = [&start] {
+    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
+  };
+  const auto data = load_direct(file, {options.validate, 0});
   if (!data) return tl::unexpected(data.error());
+  const double host_ms = since_start();
   UploadOptions waiting = options;
   waiting.asynchronous = false;
-  return upload(*data, waiting);
+  auto scene = upload(*data, waiting);
+  if (scene && options.times != nullptr) *options.times = {0, host_ms, since_start() - host_ms};
+  return scene;
+}
+
+Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOptions& options) {
+  return detail::guard_memory([&]() -> Result<DeviceScene> {
+    const Header& header = file.header();
+    if (const auto ok = check_size(header.n_gaussians); !ok) return tl::unexpected(ok.error());
+    if (options.decode_on_host) return upload_decoded(file, options);
+    auto storage = std::make_shared<SceneStorage>();
+    storage->n = header.n_gaussians;
+    storage->sh_degree = header.sh_degree;
+    storage->declarations = file.declarations();
+    storage->origin = storage->declarations->origin;
+    const std::uint64_t n = header.n_gaussians;
+    const auto placed = place_sections({n * kMeanBytes, n * kGeometryBytes, n * sh_bytes(header.sh_degree),
+                                        file.step_table().size(), file.chunk_table().size()},
+                                       *storage, options);
+    if (!placed) {
+      // A damaged file is one, also where no device answers.
+      if (placed.error().code == Errc::device_failed && options.validate) {
+        if (const auto data = load_direct(file); !data) return tl::unexpected(data.error());
+      }
+      return tl::unexpected(placed.error());
+    }
+    if (const auto ok = detail::upload_file(file, *placed, options); !ok) return tl::unexpected(ok.error());
+    storage->attributes = detail::compact_attributes(header, *placed);
+    DeviceScene result;
+    result.storage_ = std::move(storage);
+    return result;
+  });
 }
 
 std::uint64_t DeviceScene::size() const {

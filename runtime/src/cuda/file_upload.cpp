@@ -1,0 +1,549 @@
+// file_upload.cpp - a ring of page-locked memory between the threads that decompress and the streams that copy and decode.
+//
+// A job is what one frame index, or a piece of a section that is stored as is, brings. A thread takes a job and a place in
+// the ring and fills the place (hash, Zstandard; nothing else is left to the host). The caller's thread, which alone calls
+// CUDA, so that any context will do, queues on one of a few streams the copy to the device and the kernels that make rows
+// of it. The place is free again once it has been copied; the stream and its memory on the device once the rows are made. A frame's SH keep a few threads busy for long, however large the device, so
+// that there are many streams: frames are decoded side by side.
+//
+// What the device finds damaged it does not explain. The host then decodes the file again, by its own path, and its error
+// is the one that is returned.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/file_upload.hpp"
+
+#include <algorithm>
+#include <atomic>
+#include <chrono>
+#include <cmath>
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <memory>
+#include <mutex>
+#include <optional>
+#include <span>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "common/check_values.hpp"
+#include "common/unpack.hpp"
+#include "cuda/cuda_objects.hpp"
+#include "cuda/device_memory.hpp"
+#include "rgs/frame_content.hpp"
+#include "rgs/guard_memory.hpp"
+
+namespace rgs::detail {
+namespace {
+
+constexpr std::uint64_t kPieceBytes = std::uint64_t{1} << 20;     // of what is stored as is
+constexpr std::uint64_t kRingBytes = std::uint64_t{32} << 20;     // page-locked, unless two places take more
+constexpr std::uint64_t kStagingBytes = std::uint64_t{96} << 20;  // on the device, unless two streams take more
+constexpr std::uint64_t kMaxStreams = 32;
+
+constexpr std::uint64_t align(std::uint64_t bytes) {
+  return (bytes + 255) / 256 * 256;
+}
+
+struct Section {
+  SectionType type = SectionType::means;
+  std::uint64_t row_bytes = 0;
+  std::byte* place = nullptr;
+  const FrameTable* table = nullptr;  // of a section of Codec::planes
+  std::span<const std::byte> bytes;   // of any other
+};
+
+struct Part {
+  const Section* section = nullptr;
+  std::uint64_t index = 0;     // frame, or piece of kPieceBytes
+  std::uint64_t at = 0;        // in its place of the ring
+  std::uint64_t bytes = 0;     // of the content or the piece
+  std::uint64_t n_steps = 0;   // SHI8: chunks of the frame
+  std::uint64_t steps_at = 0;  // their steps
+};
+
+struct Job {
+  std::array<Part, 3> parts;
+  std::size_t n_parts = 0;
+  std::uint64_t bytes = 0;
+
+  std::span<const Part> all() const { return std::span(parts).first(n_parts); }
+};
+
+// Sections whose frames, or pieces, of one index are a job.
+struct Group {
+  std::array<const Section*, 3> sections;
+  std::size_t n_sections = 0;
+  std::uint64_t n_jobs = 0;
+};
+
+class PageLockedBytes {
+ public:
+  PageLockedBytes() = default;
+  PageLockedBytes(const PageLockedBytes&) = delete;
+  PageLockedBytes& operator=(const PageLockedBytes&) = delete;
+  ~PageLockedBytes() { cudaFreeHost(bytes_); }
+  Status create(std::uint64_t n) {
+    return device_status(cudaMallocHost(&bytes_, n), "page-locked host memory could not be allocated");
+  }
+  std::byte* get() const { return static_cast<std::byte*>(bytes_); }
+
+ private:
+  void* bytes_ = nullptr;
+};
+
+// A place of the ring.
+struct HostPlace {
+  std::byte* memory = nullptr;
+  Event copied;
+};
+
+struct Lane {
+  OwnedStream stream;
+  std::byte* memory = nullptr;  // contents on the device
+  Event done;
+};
+
+struct Filled {
+  HostPlace* place = nullptr;
+  Job job;
+};
+
+// Hands things from thread to thread, first come, first served.
+template <class T>
+class Queue {
+ public:
+  void give(const T& one) {
+    {
+      const std::lock_guard lock(mutex_);
+      waiting_.push_back(one);
+    }
+    given_.notify_one();
+  }
+  /// Nobody waits from now on.
+  void close() {
+    {
+      const std::lock_guard lock(mutex_);
+      is_closed_ = true;
+    }
+    given_.notify_all();
+  }
+  /// Absent if nothing is there, and after close().
+  std::optional<T> take(bool wait) {
+    std::unique_lock lock(mutex_);
+    if (wait) given_.wait(lock, [this] { return is_closed_ || !waiting_.empty(); });
+    if (is_closed_ || waiting_.empty()) return std::nullopt;
+    const T one = waiting_.front();
+    waiting_.pop_front();
+    return one;
+  }
+
+ private:
+  std::mutex mutex_;
+  std::condition_variable given_;
+  std::deque<T> waiting_;
+  bool is_closed_ = false;
+};
+
+class FileUpload {
+ public:
+  FileUpload(const FileView& file, const SectionPlaces& places, const UploadOptions& options)
+      : file_(file), places_(places), options_(options) {}
+  FileUpload(const FileUpload&) = delete;
+  FileUpload& operator=(const FileUpload&) = delete;
+  ~FileUpload() {
+    for (const Lane& lane : lanes_) {
+      if (lane.stream.get() != nullptr) cudaStreamSynchronize(lane.stream.get());
+    }
+    cudaStreamSynchronize(options_.stream);
+  }
+
+  Status run();
+
+ private:
+  void plan();
+  Job job_at(std::uint64_t index) const;
+  Status prepare();
+  Status copy_tables();
+  void work();
+  Status fill_next(FrameContents& contents, bool& is_done);
+  Status dispatch();
+  Status reclaim(bool wait);
+  Status fill(const Job& job, HostPlace& place, FrameContents& contents);
+  Status queue(const Job& job, const HostPlace& place, const Lane& lane);
+  Status unpack(const Part& part, const Lane& lane);
+  Status check_tables() const;
+  Status check_values();
+  void fail(const Status& status);
+
+  const FileView& file_;
+  const SectionPlaces places_;
+  const UploadOptions& options_;
+  unsigned n_threads_ = 1;
+  std::optional<DirectData> decoded_;  // of an archive
+  std::array<Section, 3> sections_;
+  std::vector<Group> groups_;  // what takes longest first
+  std::uint64_t n_jobs_ = 0;
+  PageLockedBytes ring_;
+  DeviceBuffer staging_;
+  Event ready_;  // the device's memory
+  std::vector<HostPlace> host_places_;
+  std::vector<Lane> lanes_;
+  Queue<HostPlace*> free_places_;
+  Queue<Filled> filled_;
+  std::deque<HostPlace*> copying_;  // places on their way to the device
+  std::atomic<std::uint64_t> next_{0};
+  std::atomic<bool> has_failed_{false};
+  std::mutex failing_;
+  Status status_;
+};
+
+// Coded frames of one index are one job where all sections have as many rows a frame, as writers have it.
+void FileUpload::plan() {
+  const Header& h = file_.header();
+  using Bytes = std::span<const std::byte>;
+  const auto source = [&](SectionType type, std::uint64_t row_bytes, std::byte* place, Bytes decoded) {
+    const FrameTable& table = file_.frames(type);
+    if (decoded_) return Section{type, row_bytes, place, nullptr, decoded};
+    if (table.rows != 0) return Section{type, row_bytes, place, &table, {}};
+    return Section{type, row_bytes, place, nullptr, file_.stored(type)};
+  };
+  const DirectData* const d = decoded_ ? &*decoded_ : nullptr;
+  sections_ = {source(SectionType::sh, sh_bytes(h.sh_degree), places_[2], d != nullptr ? d->sh() : Bytes()),
+               source(SectionType::geometry, kGeometryBytes, places_[1], d != nullptr ? d->geometry() : Bytes()),
+               source(SectionType::means, kMeanBytes, places_[0], d != nullptr ? d->means() : Bytes())};
+  for (const Section& section : sections_) {
+    const bool is_coded = section.table != nullptr;
+    Group* same = nullptr;
+    for (Group& group : groups_) {
+      const FrameTable* const table = group.sections[0]->table;
+      if (is_coded && table != nullptr && table->rows == section.table->rows) same = &group;
+    }
+    if (same == nullptr) same = &groups_.emplace_back();
+    same->sections[same->n_sections++] = &section;
+    same->n_jobs = is_coded ? section.table->frames.size() : (section.bytes.size() + kPieceBytes - 1) / kPieceBytes;
+  }
+  for (const Group& group : groups_) n_jobs_ += group.n_jobs;
+}
+
+Job FileUpload::job_at(std::uint64_t index) const {
+  std::size_t k = 0;
+  while (index >= groups_[k].n_jobs) index -= groups_[k++].n_jobs;
+  const std::uint64_t chunk_size = file_.header().chunk_size;
+  Job job;
+  for (const Section* section : std::span(groups_[k].sections).first(groups_[k].n_sections)) {
+    Part& part = job.parts[job.n_parts++];
+    part.section = section;
+    part.index = index;
+    part.at = job.bytes;
+    if (section->table == nullptr) {
+      part.bytes = std::min<std::uint64_t>(kPieceBytes, section->bytes.size() - index * kPieceBytes);
+    } else {
+      part.bytes = frame_content_bytes(file_, section->type, index);
+      const std::uint64_t rows = rows_of_frame(file_, section->type, index);
+      if (section->type == SectionType::sh) part.n_steps = (rows + chunk_size - 1) / chunk_size;
+    }
+    part.steps_at = part.at + align(part.bytes);
+    job.bytes = part.steps_at + align(part.n_steps * sizeof(RelativeShSteps));
+  }
+  return job;
+}
+
+Status FileUpload::prepare() {
+  std::uint64_t largest = 0, total = 0, first_job = 0;
+  bool is_coded = false;
+  for (const Group& group : groups_) {
+    if (group.n_jobs == 0) continue;
+    const std::uint64_t bytes = job_at(first_job).bytes;  // a group's last job may be smaller
+    first_job += group.n_jobs;
+    largest = std::max(largest, bytes);
+    total += bytes * group.n_jobs;
+    is_coded = is_coded || group.sections[0]->table != nullptr;
+  }
+  if (n_jobs_ == 0) return {};
+  constexpr std::uint64_t kWorthThreads = std::uint64_t{1} << 20;
+  const unsigned machine = std::max(1u, std::thread::hardware_concurrency());
+  n_threads_ = total < kWorthThreads ? 1 : static_cast<unsigned>(std::min<std::uint64_t>(machine, n_jobs_));
+
+  const auto limited = [&](std::uint64_t bytes, std::uint64_t most) {
+    const std::uint64_t fitting = std::clamp<std::uint64_t>(bytes / largest, 2, most);
+    return static_cast<std::size_t>(std::min<std::uint64_t>(fitting, n_jobs_));
+  };
+  // One to fill for each thread and some on their way. Locking pages takes time as well: the ring of a small file is small.
+  const std::uint64_t useful = std::min<std::uint64_t>(n_threads_ + n_threads_ / 2 + 1, n_jobs_ / 4);
+  host_places_ = std::vector<HostPlace>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
+  n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_places_.size()));
+  lanes_ = std::vector<Lane>(limited(kStagingBytes, kMaxStreams));
+  Status ok = ring_.create(host_places_.size() * largest);
+  if (ok && is_coded) {
+    const auto memory = DeviceMemory::create(options_.allocator);
+    ok = memory ? staging_.reserve(lanes_.size() * largest, *memory, options_.stream) : tl::unexpected(memory.error());
+  }
+  // The caller's allocator may give memory that is there once its stream has come so far.
+  if (ok) ok = ready_.create();
+  if (ok) ok = ready_.record(options_.stream);
+  for (std::size_t i = 0; i < host_places_.size() && ok; ++i) {
+    host_places_[i].memory = ring_.get() + i * largest;
+    ok = host_places_[i].copied.create();
+    free_places_.give(&host_places_[i]);
+  }
+  for (std::size_t i = 0; i < lanes_.size() && ok; ++i) {
+    if (is_coded) lanes_[i].memory = staging_.as<std::byte>() + i * largest;
+    ok = lanes_[i].stream.create();
+    if (ok) ok = lanes_[i].done.create();
+    if (ok) ok = ready_.hold(lanes_[i].stream.get());
+  }
+  return ok;
+}
+
+// SHSC and CHNK, which FileView::open() has decoded.
+Status FileUpload::copy_tables() {
+  const std::pair<std::byte*, std::span<const std::byte>> tables[] = {{places_[3], file_.step_table()},
+                                                                      {places_[4], file_.chunk_table()}};
+  for (const auto& [place, bytes] : tables) {
+    if (bytes.empty()) continue;
+    const Status ok =
+        device_status(cudaMemcpyAsync(place, bytes.data(), bytes.size(), cudaMemcpyHostToDevice, options_.stream),
+                      "a scene could not be copied to the device");
+    if (!ok) return ok;
+  }
+  return {};
+}
+
+void FileUpload::fail(const Status& status) {
+  {
+    const std::lock_guard lock(failing_);
+    if (!has_failed_) status_ = status;
+    has_failed_ = true;
+  }
+  free_places_.close();
+  filled_.close();
+}
+
+// A thread that fills places. The first job of all is the check of the tables.
+void FileUpload::work() {
+  const Status worked = guard_memory([&]() -> Status {
+    FrameContents contents;
+    for (bool is_done = false; !is_done && !has_failed_;) {
+      if (Status s = fill_next(contents, is_done); !s) return s;
+    }
+    return {};
+  });
+  if (!worked) fail(worked);
+}
+
+Status FileUpload::fill_next(FrameContents& contents, bool& is_done) {
+  const std::uint64_t i = next_++;
+  is_done = i > n_jobs_;
+  if (is_done) return {};
+  if (i == 0) return check_tables();
+  const auto place = free_places_.take(true);
+  if (!place) return {};  // somebody has failed
+  const Filled filled{*place, job_at(i - 1)};
+  if (Status s = fill(filled.job, **place, contents); !s) return s;
+  filled_.give(filled);
+  return {};
+}
+
+// Gives back the places that have been copied; waits for the first if asked to.
+Status FileUpload::reclaim(bool wait) {
+  while (!copying_.empty()) {
+    HostPlace* const place = copying_.front();
+    if (wait) {
+      if (Status s = place->copied.wait(); !s) return s;
+    } else if (const cudaError_t error = cudaEventQuery(place->copied.get()); error == cudaErrorNotReady) {
+      cudaGetLastError();  // it is no error of later calls
+      return {};
+    } else if (error != cudaSuccess) {
+      return device_status(error, "a scene could not be copied to the device");
+    }
+    wait = false;
+    copying_.pop_front();
+    free_places_.give(place);
+  }
+  return {};
+}
+
+// The caller's thread: queues what is filled. Where it is the only one, it fills as well.
+Status FileUpload::dispatch() {
+  FrameContents contents;
+  bool is_done = false;
+  if (n_threads_ == 1) {
+    if (Status s = fill_next(contents, is_done); !s) return s;  // the tables
+  }
+  for (std::uint64_t n_queued = 0; n_queued < n_jobs_ && !has_failed_;) {
+    if (n_threads_ == 1) {
+      if (Status s = reclaim(copying_.size() == host_places_.size()); !s) return s;
+      if (Status s = fill_next(contents, is_done); !s) return s;
+    }
+    // With nothing to queue, places that are being copied come back, or else all are with threads that fill them.
+    const auto filled = filled_.take(copying_.empty());
+    Status ok;
+    if (filled) {
+      const Lane& lane = lanes_[n_queued++ % lanes_.size()];
+      ok = lane.done.wait();
+      if (ok) ok = queue(filled->job, *filled->place, lane);
+      copying_.push_back(filled->place);
+    }
+    if (ok) ok = reclaim(!filled && !copying_.empty());
+    if (!ok) return ok;
+  }
+  return {};
+}
+
+Status FileUpload::fill(const Job& job, HostPlace& place, FrameContents& contents) {
+  for (const Part& part : job.all()) {
+    const std::span to(place.memory + part.at, part.bytes);
+    const Section& section = *part.section;
+    if (section.table == nullptr) {
+      std::memcpy(to.data(), section.bytes.data() + part.index * kPieceBytes, part.bytes);
+      continue;
+    }
+    if (Status s = contents.read(file_, section.type, part.index, to); !s) return s;
+    if (section.type != SectionType::sh) continue;
+    const auto steps = relative_sh_steps(file_, part.index);
+    if (!steps) return tl::unexpected(steps.error());
+    std::memcpy(place.memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
+  }
+  return {};
+}
+
+Status FileUpload::queue(const Job& job, const HostPlace& place, const Lane& lane) {
+  const Part& first = job.parts[0];
+  const bool is_coded = first.section->table != nullptr;
+  std::byte* const to = is_coded ? lane.memory : first.section->place + first.index * kPieceBytes;
+  Status ok = device_status(
+      cudaMemcpyAsync(to, place.memory, is_coded ? job.bytes : first.bytes, cudaMemcpyHostToDevice, lane.stream.get()),
+      "a scene could not be copied to the device");
+  if (ok) ok = place.copied.record(lane.stream.get());
+  for (const Part& part : job.all()) {
+    if (ok && is_coded) ok = unpack(part, lane);
+  }
+  if (ok) ok = lane.done.record(lane.stream.get());
+  return ok;
+}
+
+Status FileUpload::unpack(const Part& part, const Lane& lane) {
+  const Section& section = *part.section;
+  const auto* const content = reinterpret_cast<const std::uint8_t*>(lane.memory + part.at);
+  const std::uint32_t n_rows = rows_of_frame(file_, section.type, part.index);
+  std::byte* const rows = section.place + part.index * section.table->rows * section.row_bytes;
+  switch (section.type) {
+    case SectionType::means:
+      return cuda::launch_unpack_means(content, n_rows, reinterpret_cast<float*>(rows), lane.stream.get());
+    case SectionType::geometry:
+      return cuda::launch_unpack_geometry(content, n_rows, reinterpret_cast<std::uint16_t*>(rows), lane.stream.get());
+    default:
+      return cuda::launch_unpack_sh(
+          {content, reinterpret_cast<const RelativeShSteps*>(lane.memory + part.steps_at), n_rows,
+           file_.header().chunk_size, file_.header().sh_degree, reinterpret_cast<std::uint32_t*>(rows)},
+          lane.stream.get());
+  }
+}
+
+// What kernels use as an index is always checked.
+Status FileUpload::check_tables() const {
+  if (options_.validate && !decoded_) return validate_tables(file_);
+  for (std::uint64_t i = 0; i < file_.header().n_chunks; ++i) {
+    if (const auto entry = file_.chunk(i); !entry) return tl::unexpected(entry.error());
+  }
+  return {};
+}
+
+// On the device, once everything is there and its tables are checked.
+Status FileUpload::check_values() {
+  const Header& h = file_.header();
+  cuda::CheckedValues found{};
+  if (h.n_gaussians != 0) {
+    const auto memory = DeviceMemory::create(options_.allocator);
+    if (!memory) return tl::unexpected(memory.error());
+    DeviceBuffer buffer;
+    Status ok = buffer.reserve(sizeof found, *memory, options_.stream);
+    if (!ok) return ok;
+    auto* const values = buffer.as<cuda::CheckedValues>();
+    ok = device_status(cudaMemsetAsync(values, 0, sizeof found, options_.stream), "memory could not be cleared");
+    if (ok) {
+      ok = cuda::launch_check_values(compact_attributes(h, places_), static_cast<std::uint32_t>(h.n_gaussians), values,
+                                     options_.stream);
+    }
+    if (ok) {
+      ok = device_status(cudaMemcpyAsync(&found, values, sizeof found, cudaMemcpyDeviceToHost, options_.stream),
+                         "what a check has found could not be read");
+    }
+    const Status done = device_status(cudaStreamSynchronize(options_.stream), "a scene could not be checked");
+    if (ok) ok = done;
+    if (!ok) return ok;
+  }
+  if (found.n_damaged != 0) return make_error(Errc::bad_value, Error::kNone, "the device found damaged values");
+  return validate_declarations(file_, found.counts);
+}
+
+Status FileUpload::run() {
+  using Clock = std::chrono::steady_clock;
+  const auto start = Clock::now();
+  UploadTimes times;
+  const auto since_start = [&] { return std::chrono::duration<double, std::milli>(Clock::now() - start).count(); };
+
+  if (file_.archive() != nullptr) {
+    auto data = load_direct(file_, {options_.validate, 0});
+    if (!data) return tl::unexpected(data.error());
+    decoded_ = std::move(*data);
+  }
+  const double decoded_ms = since_start();
+  plan();
+  Status ok = prepare();
+  if (ok) ok = copy_tables();
+  if (!ok) return ok;
+  times.setup_ms = since_start() - decoded_ms;
+
+  std::vector<std::thread> threads;
+  threads.reserve(n_threads_);
+  if (n_threads_ > 1) {
+    try {
+      while (threads.size() < n_threads_) threads.emplace_back([this] { work(); });
+    } catch (...) {  // no more threads, or no memory for one: those there are do the work
+    }
+    if (threads.empty()) n_threads_ = 1;
+  }
+  if (const Status queued = guard_memory([this] { return dispatch(); }); !queued) fail(queued);
+  for (std::thread& thread : threads) thread.join();
+  times.host_ms = since_start() - times.setup_ms;
+
+  for (const Lane& lane : lanes_) {
+    const Status done = device_status(cudaStreamSynchronize(lane.stream.get()), "a scene could not be decoded");
+    if (!done) fail(done);
+  }
+  const Status copied =
+      device_status(cudaStreamSynchronize(options_.stream), "a scene could not be copied to the device");
+  if (!copied) fail(copied);
+  if (!status_) return status_;
+  if (options_.validate && !decoded_) ok = check_values();
+  times.device_ms = since_start() - times.host_ms - times.setup_ms;
+  if (options_.times != nullptr) *options_.times = times;
+  return ok;
+}
+
+// Whether the device or this process is to blame, and not the file.
+bool is_of_machine(Errc code) {
+  return code == Errc::host_out_of_memory || code == Errc::device_out_of_memory || code == Errc::device_failed ||
+         code == Errc::bad_argument;
+}
+
+}  // namespace
+
+cuda::CompactAttributes compact_attributes(const Header& header, const SectionPlaces& places) {
+  return {reinterpret_cast<const float*>(places[0]),         reinterpret_cast<const std::uint16_t*>(places[1]),
+          reinterpret_cast<const std::uint32_t*>(places[2]), reinterpret_cast<const float*>(places[3]),
+          reinterpret_cast<const std::uint32_t*>(places[4]), header.chunk_size,
+          std::ldexp(1.0F, -header.scale_exponent),          header.sh_degree};
+}
+
+Status upload_file(const FileView& file, const SectionPlaces& places, const UploadOptions& options) {
+  const Status uploaded = FileUpload(file, places, options).run();
+  if (uploaded || is_of_machine(uploaded.error().code)) return uploaded;
+  const auto data = load_direct(file, {options.validate, 0});
+  if (!data) return tl::unexpected(data.error());
+  return make_error(Errc::device_failed, Error::kNone, "the device finds damage that the host does not find");
+}
+
+}  // namespace rgs::detail
