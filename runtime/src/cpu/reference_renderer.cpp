@@ -2,8 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Gaussians are ordered by depth once, and a stable counting sort by tile then gives every tile its list in that order:
-// no (tile, depth) key exists. Equal depths keep the order of the scene. The image does not depend on the number of
-// threads: blocks only decide who does the work, never in which order anything is listed or summed.
+// no (tile, depth) key exists. Equal depths are then put into tie order (rgs/math/tie_order.hpp): few have any. The image
+// does not depend on the number of threads: blocks only decide who does the work, never in which order anything is listed
+// or summed.
 #include "cpu/reference_renderer.hpp"
 
 #include <hwy/cache_control.h>
@@ -28,6 +29,7 @@
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/projection.hpp"
 #include "rgs/math/sh.hpp"
+#include "rgs/math/tie_order.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -46,6 +48,11 @@ using SortItem = std::uint64_t;
 // 16 bits hold a tile coordinate: the largest image side is 65536 pixels.
 struct Span16 {
   std::uint16_t first, last;
+};
+
+// Items begin .. end - 1 of the depth order have one key.
+struct Tie {
+  std::uint64_t begin, end;
 };
 
 // Visible Gaussians of one projection block: splats first .. first + n - 1 of the frame's array.
@@ -98,6 +105,7 @@ struct ReferenceRenderer::Workspace {
 
   void project(const SceneView& scene, const math::View<float>& view, const FrameSettings& settings);
   void sort_by_depth();
+  void order_ties(const SceneView& scene);
   void list_by_tile();
   template <class BlendTile>
   void blend(const math::View<float>& view, const RenderTarget& target, const FrameSettings& settings,
@@ -124,6 +132,7 @@ struct ReferenceRenderer::Workspace {
   std::vector<Block> blocks;
   Scratch<ScreenSplat> splats;            // [blocks * kBlock], the visible ones of a block at its start
   Scratch<SortItem> order, spare;         // [n_visible]
+  std::vector<std::vector<Tie>> ties;     // of each part of `order`
   std::vector<std::uint64_t> counts;      // histograms of the two sorts
   std::vector<std::uint64_t> tile_begin;  // [n_tiles + 1] into `instances`
   Scratch<std::uint32_t> instances;
@@ -268,6 +277,59 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
     std::swap(from, to);
   }
   if (from != order.get()) std::swap(order, spare);
+}
+
+namespace {
+
+// A scene as the tie order reads it.
+struct TieValues {
+  const SceneView& scene;
+
+  math::Vec3<float> mean(std::uint32_t i) const { return of_three(scene.mean, i); }
+  math::Vec3<float> scale(std::uint32_t i) const { return of_three(scene.scale, i); }
+  float opacity(std::uint32_t i) const { return scene.opacity[i]; }
+  math::Quaternion<float> rotation(std::uint32_t i) const {
+    const float* q = &scene.rotation[4 * std::uint64_t{i}];
+    return {q[0], q[1], q[2], q[3]};
+  }
+  int n_sh() const { return 3 * sh_coefficients(scene.sh_degree); }
+  float sh(std::uint32_t i, int k) const {
+    return scene.sh[static_cast<std::uint64_t>(n_sh()) * i + static_cast<std::uint64_t>(k)];
+  }
+
+ private:
+  static math::Vec3<float> of_three(std::span<const float> values, std::uint32_t i) {
+    const float* v = &values[3 * std::uint64_t{i}];
+    return {v[0], v[1], v[2]};
+  }
+};
+
+}  // namespace
+
+// All ties are found before any is put in order: threads read their neighbours' items.
+void ReferenceRenderer::Workspace::order_ties(const SceneView& scene) {
+  SortItem* const items = order.get();
+  const auto tied = [items](std::uint64_t i) { return items[i - 1] >> 32 == items[i] >> 32; };
+  const std::uint64_t n_parts = parts(1);
+  ties.resize(n_parts);
+  parallel_blocks(n_parts, [&](std::uint64_t part) {
+    ties[part].clear();
+    const std::uint64_t part_end = n_visible * (part + 1) / n_parts;
+    for (std::uint64_t i = n_visible * part / n_parts + 1; i <= part_end && i < n_visible; ++i) {
+      if (!tied(i) || (i > 1 && tied(i - 1))) continue;  // one that begins before the part is that part's
+      const std::uint64_t begin = i - 1;
+      while (i < n_visible && tied(i)) ++i;
+      ties[part].push_back({begin, i});
+    }
+  });
+  const TieValues values{scene};
+  const auto before = [&](SortItem a, SortItem b) {
+    const auto gaussian = [this](SortItem item) { return splats.get()[static_cast<std::uint32_t>(item)].gaussian; };
+    return math::ties_before(values, gaussian(a), gaussian(b));
+  };
+  parallel_blocks(n_parts, [&](std::uint64_t part) {
+    for (const Tie& tie : ties[part]) std::sort(items + tie.begin, items + tie.end, before);
+  });
 }
 
 // Stable counting sort of all (tile, Gaussian) pairs by tile, from the depth order.
@@ -420,6 +482,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     fits = w.n_instances <= kMaxInstances;
     if (!fits) return;
     w.sort_by_depth();
+    w.order_ties(scene);
     stats.sort_ms = stage.lap_ms();
     w.list_by_tile();
     stats.bin_ms = stage.lap_ms();
