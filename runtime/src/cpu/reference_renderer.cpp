@@ -304,31 +304,69 @@ struct TieValues {
   }
 };
 
+// One of some Gaussians of equal depth, with what tells most of them apart.
+struct TiedItem {
+  std::uint64_t place = 0;
+  std::uint32_t splat, gaussian = 0;
+};
+constexpr std::size_t kTiedAtOnce = 4096;    // loads that need not wait for each other
+constexpr std::size_t kSortAlone = 1 << 16;  // items that one thread sorts
+
+// x above y: of the mean, the first values that decide.
+std::uint64_t place_of(const TieValues& values, std::uint32_t gaussian) {
+  const auto mean = values.mean(gaussian);
+  return std::uint64_t{math::order_bits(mean.x)} << 32 | math::order_bits(mean.y);
+}
+
+void sort_tied(std::span<TiedItem> items, const TieValues& values) {
+  const auto before = [&values](const TiedItem& a, const TiedItem& b) {
+    return a.place != b.place ? a.place < b.place : math::ties_before(values, a.gaussian, b.gaussian);
+  };
+  if (items.size() <= kSortAlone) return std::sort(items.begin(), items.end(), before);
+  const std::size_t half = items.size() / 2;
+  parallel_blocks(2, [&](std::uint64_t k) { sort_tied(k == 0 ? items.first(half) : items.subspan(half), values); });
+  std::inplace_merge(items.begin(), items.begin() + static_cast<std::ptrdiff_t>(half), items.end(), before);
+}
+
 }  // namespace
 
 // All ties are found before any is put in order: threads read their neighbours' items.
 void ReferenceRenderer::Workspace::order_ties(const SceneView& scene) {
   SortItem* const items = order.get();
-  const auto tied = [items](std::uint64_t i) { return items[i - 1] >> 32 == items[i] >> 32; };
+  const auto same_key = [items](std::uint64_t i) { return items[i - 1] >> 32 == items[i] >> 32; };
   const std::uint64_t n_parts = parts(1);
   ties.resize(n_parts);
   parallel_blocks(n_parts, [&](std::uint64_t part) {
     ties[part].clear();
     const std::uint64_t part_end = n_visible * (part + 1) / n_parts;
     for (std::uint64_t i = n_visible * part / n_parts + 1; i <= part_end && i < n_visible; ++i) {
-      if (!tied(i) || (i > 1 && tied(i - 1))) continue;  // one that begins before the part is that part's
+      if (!same_key(i) || (i > 1 && same_key(i - 1))) continue;  // one that begins before the part is that part's
       const std::uint64_t begin = i - 1;
-      while (i < n_visible && tied(i)) ++i;
+      while (i < n_visible && same_key(i)) ++i;
       ties[part].push_back({begin, i});
     }
   });
   const TieValues values{scene};
-  const auto before = [&](SortItem a, SortItem b) {
-    const auto gaussian = [this](SortItem item) { return splats.get()[static_cast<std::uint32_t>(item)].gaussian; };
-    return math::ties_before(values, gaussian(a), gaussian(b));
-  };
   parallel_blocks(n_parts, [&](std::uint64_t part) {
-    for (const Tie& tie : ties[part]) std::sort(items + tie.begin, items + tie.end, before);
+    std::vector<TiedItem> tied;
+    std::size_t first = 0;  // tie whose items come first in `tied`
+    for (std::size_t k = 0; k < ties[part].size(); ++k) {
+      const Tie& tie = ties[part][k];
+      for (std::uint64_t i = tie.begin; i < tie.end; ++i)
+        tied.push_back({.splat = static_cast<std::uint32_t>(items[i])});
+      if (tied.size() < kTiedAtOnce && k + 1 < ties[part].size()) continue;
+      for (TiedItem& t : tied) t.gaussian = splats.get()[t.splat].gaussian;
+      for (TiedItem& t : tied) t.place = place_of(values, t.gaussian);
+      for (std::span<TiedItem> rest = tied; first <= k; ++first) {
+        const Tie& next = ties[part][first];
+        const auto own = rest.first(next.end - next.begin);
+        sort_tied(own, values);
+        const SortItem key = items[next.begin] >> 32 << 32;
+        for (std::size_t j = 0; j < own.size(); ++j) items[next.begin + j] = key | own[j].splat;
+        rest = rest.subspan(own.size());
+      }
+      tied.clear();
+    }
   });
 }
 
