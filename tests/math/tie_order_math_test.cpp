@@ -36,7 +36,10 @@ struct Gaussians {
   std::vector<Gaussian> all;
 
   const Gaussian& at(std::uint32_t i) const { return all[i]; }
-  Vec3<float> mean(std::uint32_t i) const { return at(i).mean; }
+  float mean(std::uint32_t i, int axis) const {
+    const Vec3<float>& m = at(i).mean;
+    return axis == 0 ? m.x : axis == 1 ? m.y : m.z;
+  }
   Vec3<float> scale(std::uint32_t i) const { return at(i).scale; }
   Quaternion<float> rotation(std::uint32_t i) const { return at(i).rotation; }
   float opacity(std::uint32_t i) const { return at(i).opacity; }

@@ -285,8 +285,13 @@ namespace {
 struct TieValues {
   const SceneView& scene;
 
-  math::Vec3<float> mean(std::uint32_t i) const { return of_three(scene.mean, i); }
-  math::Vec3<float> scale(std::uint32_t i) const { return of_three(scene.scale, i); }
+  float mean(std::uint32_t i, int axis) const {
+    return scene.mean[3 * std::uint64_t{i} + static_cast<std::uint64_t>(axis)];
+  }
+  math::Vec3<float> scale(std::uint32_t i) const {
+    const float* s = &scene.scale[3 * std::uint64_t{i}];
+    return {s[0], s[1], s[2]};
+  }
   float opacity(std::uint32_t i) const { return scene.opacity[i]; }
   math::Quaternion<float> rotation(std::uint32_t i) const {
     const float* q = &scene.rotation[4 * std::uint64_t{i}];
@@ -295,12 +300,6 @@ struct TieValues {
   int n_sh() const { return 3 * sh_coefficients(scene.sh_degree); }
   float sh(std::uint32_t i, int k) const {
     return scene.sh[static_cast<std::uint64_t>(n_sh()) * i + static_cast<std::uint64_t>(k)];
-  }
-
- private:
-  static math::Vec3<float> of_three(std::span<const float> values, std::uint32_t i) {
-    const float* v = &values[3 * std::uint64_t{i}];
-    return {v[0], v[1], v[2]};
   }
 };
 
@@ -314,8 +313,7 @@ constexpr std::size_t kSortAlone = 1 << 16;  // items that one thread sorts
 
 // x above y: of the mean, the first values that decide.
 std::uint64_t place_of(const TieValues& values, std::uint32_t gaussian) {
-  const auto mean = values.mean(gaussian);
-  return std::uint64_t{math::order_bits(mean.x)} << 32 | math::order_bits(mean.y);
+  return std::uint64_t{math::order_bits(values.mean(gaussian, 0))} << 32 | math::order_bits(values.mean(gaussian, 1));
 }
 
 void sort_tied(std::span<TiedItem> items, const TieValues& values) {

@@ -141,8 +141,9 @@ Status TurboPipeline::launch(const Frame& f, CudaStream on) {
   Status ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
                             "the frame's state could not be cleared");
   if (ok) {
-    ok = cuda::launch_turbo_emit(
-        {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
+    ok = cuda::launch_turbo_emit({f.attributes(), static_cast<std::uint32_t>(f.n()), f.view,
+                                  state_.splats.as<cuda::ScreenSplat>(), arrays, f.rank()},
+                                 on);
   }
   if (ok) ok = mark_stage(kProjected);
   if (ok) ok = cuda::launch_turbo_lists(arrays, seen_.get(), on);

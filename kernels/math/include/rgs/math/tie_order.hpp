@@ -32,14 +32,13 @@ RGS_HD inline int compare_values(float a, float b) {
 
 /// -1, 0 or 1: the tie order of Gaussians a and b of a scene, 0 if all their values are equal. By mean x, y, z, opacity, scale
 /// x, y, z, the coefficient of SH degree 0 (r, g, b), rotation w, x, y, z, and then the other coefficients. `scene` has
-/// mean(i), opacity(i), scale(i), rotation(i), n_sh() and sh(i, k), activated and dequantised, for k below n_sh() =
+/// mean(i, axis), opacity(i), scale(i), rotation(i), n_sh() and sh(i, k), activated and dequantised, for k below n_sh() =
 /// 3 (degree + 1)^2, coefficients before channels.
 template <class Scene>
 RGS_HD inline int compare_ties(const Scene& scene, std::uint32_t a, std::uint32_t b) {
-  const Vec3<float> m = scene.mean(a), n = scene.mean(b);
-  if (const int c = compare_values(m.x, n.x); c != 0) return c;
-  if (const int c = compare_values(m.y, n.y); c != 0) return c;
-  if (const int c = compare_values(m.z, n.z); c != 0) return c;
+  for (int axis = 0; axis < 3; ++axis) {
+    if (const int c = compare_values(scene.mean(a, axis), scene.mean(b, axis)); c != 0) return c;
+  }
   const Vec3<float> s = scene.scale(a), t = scene.scale(b);
   const Quaternion<float> q = scene.rotation(a), r = scene.rotation(b);
   const float from[] = {
