@@ -82,10 +82,9 @@ struct Mode {
   RenderOptions options;
 };
 std::vector<Mode> modes() {
-  RenderOptions separate = paper_options(), turbo_fp32 = turbo_options(), graph = turbo_options();
+  RenderOptions separate = paper_options(), turbo_fp32 = turbo_options();
   separate.paper.front_end = PaperSteps::FrontEnd::separate;
   turbo_fp32.turbo.tensor_cores = false;
-  graph.turbo.graph = true;
   return {
       {"baseline", baseline_options()},
       {"paper", paper_options()},
@@ -94,8 +93,7 @@ std::vector<Mode> modes() {
        Arithmetic{
            .depth_order = math::DepthOrder::quantized, .depth_bits = 3, .depth_range = {1, 6}, .deterministic = true}},
       {"turbo", turbo_options()},
-      {"turbo, FP32", turbo_fp32},
-      {"turbo, graph", graph}};
+      {"turbo, FP32", turbo_fp32}};
 }
 
 }  // namespace

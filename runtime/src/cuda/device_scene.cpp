@@ -71,7 +71,8 @@ Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, co
   return places;
 }
 
-// Numbers the Gaussians in tie order, once their attributes are where the kernels read them: behind the copies on their stream.
+// Numbers the Gaussians in tie order, once their attributes are where the kernels read them: behind the copies on their stream,
+// and waited for if they were.
 Status order_ties(SceneStorage& storage, const UploadOptions& options) {
   if (storage.n == 0) return {};
   const auto n = static_cast<std::uint32_t>(storage.n);
@@ -84,8 +85,8 @@ Status order_ties(SceneStorage& storage, const UploadOptions& options) {
   if (!ok) return ok;
   ok = cuda::launch_tie_order(
       {storage.attributes, n, storage.ranks.as<std::uint32_t>(), storage.temporary.as<void>(), *bytes}, options.stream);
-  if (ok && options.asynchronous) ok = storage.copied->record(options.stream);
-  if (ok && options.asynchronous) return ok;
+  if (ok && storage.copied) ok = storage.copied->record(options.stream);
+  if (ok && storage.copied) return ok;
   const Status done = device_status(cudaStreamSynchronize(options.stream), "a scene's ties could not be put in order");
   storage.temporary = {};
   return ok ? done : ok;
