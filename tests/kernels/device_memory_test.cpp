@@ -248,6 +248,29 @@ TEST_CASE("a caller's allocator gives all memory and gets all of it back, and it
   }
 }
 
+TEST_CASE("what an asynchronous upload needs for its time is given back with the first frame after it") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(64, 48);
+  const Scene scene = walls(3000);
+  Ledger waited, queued;
+  const DeviceScene expected = upload(scene.view().value(), {.allocator = waited.allocator()});
+  CHECK(waited.total == expected.bytes());
+  {
+    const TestStream stream;
+    CudaRenderer device = renderer();
+    const DeviceScene late =
+        upload(scene.view().value(), {.stream = stream.get(), .asynchronous = true, .allocator = queued.allocator()});
+    CHECK(queued.total == late.bytes());
+    synchronize();
+    const auto rgb = picture(device, late, camera, turbo_options());
+    CHECK(queued.total == late.bytes());
+    CHECK(late.bytes() == expected.bytes());
+    CHECK(rgb == picture(device, expected, camera, turbo_options()));
+  }
+  CHECK(queued.held.empty());
+  CHECK(queued.n_wrong == 0);
+}
+
 TEST_CASE("a workspace grows while another stream is busy, without waiting for it") {
   if (!device_answers()) return;
   if (small_sizes()) return skip("RGS_TEST_SIZE is set: compute-sanitizer may wait for all streams");

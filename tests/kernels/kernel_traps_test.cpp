@@ -325,7 +325,7 @@ TEST_CASE("trap 6: at 8K too few bits of depth give the exact order, and it is s
   CHECK(coarse.stats.key_bits == 32);
 }
 
-TEST_CASE("trap 7: Gaussians of one depth keep the order of the scene in deterministic mode") {
+TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order in deterministic mode, whatever that of the scene") {
   if (!device_answers()) return;
   auto splats = random_splats(704, small_sizes() ? 600 : 20000);
   for (Splat& s : splats) {
@@ -347,10 +347,15 @@ TEST_CASE("trap 7: Gaussians of one depth keep the order of the scene in determi
     const auto turbo = draw(uploaded, camera, turbo_options());
     CHECK(psnr(turbo.rgb, host.rgb) >= 60);
     for (int run = 0; run < 4; ++run) CHECK(draw(uploaded, camera, turbo_options()).rgb == turbo.rgb);
-    // The same Gaussians in another order are another picture: the test sees order.
     auto reversed = splats;
     std::reverse(reversed.begin(), reversed.end());
-    CHECK(psnr(draw(upload(scene_of(cloud_of(reversed, 1)).view().value()), camera, options).rgb, first.rgb) < 60);
+    const DeviceScene backwards = upload(scene_of(cloud_of(reversed, 1)).view().value());
+    CHECK(draw(backwards, camera, options).rgb == first.rgb);
+    CHECK(draw(backwards, camera, turbo_options()).rgb == turbo.rgb);
+    // Depths that tell them apart, the other way round, are another picture: the test sees order.
+    for (Splat& s : reversed) s.mean[2] -= 1e-4F * s.mean[0];
+    const auto other = draw(upload(scene_of(cloud_of(reversed, 1)).view().value()), camera, options);
+    if (order == DepthOrder::exact) CHECK(psnr(other.rgb, first.rgb) < 60);
   }
 }
 

@@ -33,15 +33,15 @@ class OrbitStage {
     renderer_.emplace(*std::move(renderer));
   }
 
-  /// Rows of baseline, turbo with and without tensor cores, and baseline with a depth key of 5 bits, which pops.
+  /// Rows of baseline, turbo with and without tensor cores, and baseline with a depth key of 10 bits, which pops.
   std::vector<bench::OrbitRow> follow(int frames) {
     RenderOptions coarse{.pipeline = Pipeline::paper, .paper = steps_of(baseline_options(), Backend::cuda)};
     coarse.paper.depth_order = math::DepthOrder::quantized;
-    coarse.paper.depth_bits = 5;
+    coarse.paper.depth_bits = 10;
     RenderOptions fp32 = turbo_options();
     fp32.turbo.tensor_cores = false;
     const RenderOptions modes[] = {baseline_options(), turbo_options(), fp32, coarse};
-    const std::string names[] = {"baseline", "turbo", "turbo, FP32", "5 bits"};
+    const std::string names[] = {"baseline", "turbo", "turbo, FP32", "10 bits"};
     const auto path = bench::turntable(camera_, distance(), 0.25, frames);
     auto rows = bench::follow(path, names, [&](std::size_t mode, const Camera& view) -> Result<Image> {
       pixels_.fill(0xFF);

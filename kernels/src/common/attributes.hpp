@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <variant>
 
 namespace rgs::cuda {
 
@@ -28,5 +29,7 @@ struct CompactAttributes {
   float scale_unit;               ///< 2^-E
   int sh_degree;
 };
+
+using Attributes = std::variant<Fp32Attributes, CompactAttributes>;
 
 }  // namespace rgs::cuda

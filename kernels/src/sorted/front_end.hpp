@@ -3,15 +3,12 @@
 #pragma once
 
 #include <cstdint>
-#include <variant>
 
 #include "common/attributes.hpp"
 #include "common/frame.hpp"
 #include "rgs/result.hpp"
 
 namespace rgs::cuda {
-
-using Attributes = std::variant<Fp32Attributes, CompactAttributes>;
 
 /// Where pairs go. Key and value of a pair have the same index; keys are 32 bits wide if v.key.bits() <= 32 and
 /// `narrow_keys`, else 64.
@@ -22,11 +19,11 @@ struct PairArrays {
   bool narrow_keys;
 };
 
-/// One fused kernel (the paper, III-A3): projects n Gaussians, writes splats [n] at the indices of the visible ones and
+/// One fused kernel (the paper, III-A3): projects n Gaussians, writes splats [n] at the numbers of the visible ones and
 /// their pairs, and adds to counters.instances and .visible. Pairs beyond the capacity are counted, not written.
 /// `block_state` is null, and blocks take their place among the pairs by an atomic addition, in the order in which they
-/// happen to run; or it is [fused_blocks(n) + 1], zeroed before, and pairs lie in the order of the Gaussians on every
-/// run (chained scan, Merrill and Garland 2016). Errors: device_failed.
+/// happen to run; or it is [fused_blocks(n) + 1], zeroed before, and pairs lie in the order of the Gaussians' numbers on every
+/// run (chained scan, Merrill and Garland 2016). Gaussian order[k] has the number k. Errors: device_failed.
 struct FusedArguments {
   Attributes attributes;
   std::uint32_t n;
@@ -36,21 +33,23 @@ struct FusedArguments {
   PairArrays pairs;
   Counters* counters;
   std::uint64_t* block_state;
+  const std::uint32_t* order = nullptr;  ///< [n] a permutation; null: Gaussians have their index
 };
 Status launch_fused(const FusedArguments& arguments, Stream stream);
 std::uint32_t fused_blocks(std::uint32_t n);
 
 /// The original's kernels. First: projects n Gaussians, writes splats [n], covers [n] and tiles touched [n], 0 where
-/// nothing is drawn. Errors: device_failed.
+/// nothing is drawn, all by the Gaussians' numbers: Gaussian order[k] has the number k. Errors: device_failed.
 struct ProjectArguments {
   Attributes attributes;
   std::uint32_t n;
   ViewParameters view;
   math::Extent extent;
   ScreenSplat* splats;
-  void* covers;          ///< [n] of cover_bytes()
-  std::uint32_t* tiles;  ///< [n]
-  Counters* counters;    ///< .visible
+  void* covers;                          ///< [n] of cover_bytes()
+  std::uint32_t* tiles;                  ///< [n]
+  Counters* counters;                    ///< .visible
+  const std::uint32_t* order = nullptr;  ///< [n] a permutation; null: Gaussians have their index
 };
 Status launch_project(const ProjectArguments& arguments, Stream stream);
 std::uint64_t cover_bytes();

@@ -6,8 +6,9 @@
 // Cost    project: 236 B (FP32) or 76 B (compact) read, 48 + 16 or 44 + 4 B written; about 500 flops: memory-bound
 //         duplicate: 12 or 8 B written a pair, uncoalesced: each thread writes its own run
 // Launch  256 threads, ceil(n / 256) blocks
-// Order   deterministic: pairs lie in the order of the Gaussians. Compiled without contraction to FMA, so that
-//         positions, covers and depths are those of the CPU to the bit.
+// Order   deterministic: pairs lie in the order of the Gaussians' numbers, which a stable sort leaves to equal depths: in tie
+//         order, if `order` is given, for 4 B more a Gaussian and attributes that are gathered. Compiled without contraction
+//         to FMA, so that positions, covers and depths are those of the CPU to the bit.
 #include <cstdint>
 
 #include "common/atomic_add.cuh"
@@ -25,10 +26,11 @@ constexpr int kThreads = 256;
 template <class A, math::Extent E>
 __global__ void __launch_bounds__(kThreads)
     project_kernel(A attributes, std::uint32_t n, ViewParameters v, ScreenSplat* splats, Cover<E>* covers,
-                   std::uint32_t* tiles, Counters* counters) {
-  const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
+                   std::uint32_t* tiles, Counters* counters, const std::uint32_t* order) {
+  const std::uint32_t number = blockIdx.x * kThreads + threadIdx.x;
   std::uint32_t n_tiles = 0;
-  if (i < n) {
+  if (number < n) {
+    const std::uint32_t i = order == nullptr ? number : __ldg(order + number);
     const math::Vec3<float> mean = load_mean(attributes.mean, i);
     const auto p = project_splat(attributes, i, v, mean);
     if (p.footprint.valid) {
@@ -39,11 +41,11 @@ __global__ void __launch_bounds__(kThreads)
         n_tiles += static_cast<std::uint32_t>(span.last - span.first);
       }
       if (n_tiles > 0) {
-        covers[i] = cover;
-        splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
+        covers[number] = cover;
+        splats[number] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
       }
     }
-    tiles[i] = n_tiles;
+    tiles[number] = n_tiles;
   }
   const int visible = __syncthreads_count(n_tiles > 0);
   if (threadIdx.x == 0 && visible > 0) {
@@ -75,7 +77,7 @@ __global__ void __launch_bounds__(kThreads)
 template <class A, math::Extent E>
 void run_project(const A& attributes, const ProjectArguments& a, Stream stream) {
   project_kernel<A, E><<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(
-      attributes, a.n, a.view, a.splats, static_cast<Cover<E>*>(a.covers), a.tiles, a.counters);
+      attributes, a.n, a.view, a.splats, static_cast<Cover<E>*>(a.covers), a.tiles, a.counters, a.order);
 }
 
 template <math::Extent E, class Key>

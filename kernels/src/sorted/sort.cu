@@ -1,4 +1,4 @@
-// sort.cu - (tile, Gaussian) pairs into tile and depth order: the one file that instantiates CUB.
+// sort.cu - (tile, Gaussian) pairs into tile and depth order: CUB's radix sort and sum.
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  keys, Gaussians [n] -> the same, sorted stably by the lowest `bits` bits; ranges [n_tiles]

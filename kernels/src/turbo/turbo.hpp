@@ -249,16 +249,18 @@ struct TurboLongListSizes {
   }
 };
 
-/// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
+/// Projects n Gaussians, writes splats [n] at the ranks of the visible ones, entries and runs; adds to the state's
 /// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
 /// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
-/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. Errors: device_failed.
+/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. From here
+/// on a Gaussian's index is its rank in tie order: lists order by depth, then by it. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
   ViewParameters view;
   ScreenSplat* splats;
   TurboArrays arrays;
+  const std::uint32_t* rank = nullptr;  ///< [n] a permutation; null: ranks are the indices
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 

@@ -2,8 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Gaussians are ordered by depth once, and a stable counting sort by tile then gives every tile its list in that order:
-// no (tile, depth) key exists. Equal depths keep the order of the scene. The image does not depend on the number of
-// threads: blocks only decide who does the work, never in which order anything is listed or summed.
+// no (tile, depth) key exists. Equal depths are then put into tie order (rgs/math/tie_order.hpp): few have any. The image
+// does not depend on the number of threads: blocks only decide who does the work, never in which order anything is listed
+// or summed.
 #include "cpu/reference_renderer.hpp"
 
 #include <hwy/cache_control.h>
@@ -28,6 +29,7 @@
 #include "rgs/math/coverage.hpp"
 #include "rgs/math/projection.hpp"
 #include "rgs/math/sh.hpp"
+#include "rgs/math/tie_order.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -46,6 +48,11 @@ using SortItem = std::uint64_t;
 // 16 bits hold a tile coordinate: the largest image side is 65536 pixels.
 struct Span16 {
   std::uint16_t first, last;
+};
+
+// Items begin .. end - 1 of the depth order have one key.
+struct Tie {
+  std::uint64_t begin, end;
 };
 
 // Visible Gaussians of one projection block: splats first .. first + n - 1 of the frame's array.
@@ -98,6 +105,7 @@ struct ReferenceRenderer::Workspace {
 
   void project(const SceneView& scene, const math::View<float>& view, const FrameSettings& settings);
   void sort_by_depth();
+  void order_ties(const SceneView& scene);
   void list_by_tile();
   template <class BlendTile>
   void blend(const math::View<float>& view, const RenderTarget& target, const FrameSettings& settings,
@@ -124,6 +132,7 @@ struct ReferenceRenderer::Workspace {
   std::vector<Block> blocks;
   Scratch<ScreenSplat> splats;            // [blocks * kBlock], the visible ones of a block at its start
   Scratch<SortItem> order, spare;         // [n_visible]
+  std::vector<std::vector<Tie>> ties;     // of each part of `order`
   std::vector<std::uint64_t> counts;      // histograms of the two sorts
   std::vector<std::uint64_t> tile_begin;  // [n_tiles + 1] into `instances`
   Scratch<std::uint32_t> instances;
@@ -268,6 +277,95 @@ void ReferenceRenderer::Workspace::sort_by_depth() {
     std::swap(from, to);
   }
   if (from != order.get()) std::swap(order, spare);
+}
+
+namespace {
+
+// A scene as the tie order reads it.
+struct TieValues {
+  const SceneView& scene;
+
+  float mean(std::uint32_t i, int axis) const {
+    return scene.mean[3 * std::uint64_t{i} + static_cast<std::uint64_t>(axis)];
+  }
+  math::Vec3<float> scale(std::uint32_t i) const {
+    const float* s = &scene.scale[3 * std::uint64_t{i}];
+    return {s[0], s[1], s[2]};
+  }
+  float opacity(std::uint32_t i) const { return scene.opacity[i]; }
+  math::Quaternion<float> rotation(std::uint32_t i) const {
+    const float* q = &scene.rotation[4 * std::uint64_t{i}];
+    return {q[0], q[1], q[2], q[3]};
+  }
+  int n_sh() const { return 3 * sh_coefficients(scene.sh_degree); }
+  float sh(std::uint32_t i, int k) const {
+    return scene.sh[static_cast<std::uint64_t>(n_sh()) * i + static_cast<std::uint64_t>(k)];
+  }
+};
+
+// One of some Gaussians of equal depth, with what tells most of them apart.
+struct TiedItem {
+  std::uint64_t place = 0;
+  std::uint32_t splat, gaussian = 0;
+};
+constexpr std::size_t kTiedAtOnce = 4096;    // loads that need not wait for each other
+constexpr std::size_t kSortAlone = 1 << 16;  // items that one thread sorts
+
+// x above y: of the mean, the first values that decide.
+std::uint64_t place_of(const TieValues& values, std::uint32_t gaussian) {
+  return std::uint64_t{math::order_bits(values.mean(gaussian, 0))} << 32 | math::order_bits(values.mean(gaussian, 1));
+}
+
+void sort_tied(std::span<TiedItem> items, const TieValues& values) {
+  const auto before = [&values](const TiedItem& a, const TiedItem& b) {
+    return a.place != b.place ? a.place < b.place : math::ties_before(values, a.gaussian, b.gaussian);
+  };
+  if (items.size() <= kSortAlone) return std::sort(items.begin(), items.end(), before);
+  const std::size_t half = items.size() / 2;
+  parallel_blocks(2, [&](std::uint64_t k) { sort_tied(k == 0 ? items.first(half) : items.subspan(half), values); });
+  std::inplace_merge(items.begin(), items.begin() + static_cast<std::ptrdiff_t>(half), items.end(), before);
+}
+
+}  // namespace
+
+// All ties are found before any is put in order: threads read their neighbours' items.
+void ReferenceRenderer::Workspace::order_ties(const SceneView& scene) {
+  SortItem* const items = order.get();
+  const auto same_key = [items](std::uint64_t i) { return items[i - 1] >> 32 == items[i] >> 32; };
+  const std::uint64_t n_parts = parts(1);
+  ties.resize(n_parts);
+  parallel_blocks(n_parts, [&](std::uint64_t part) {
+    ties[part].clear();
+    const std::uint64_t part_end = n_visible * (part + 1) / n_parts;
+    for (std::uint64_t i = n_visible * part / n_parts + 1; i <= part_end && i < n_visible; ++i) {
+      if (!same_key(i) || (i > 1 && same_key(i - 1))) continue;  // one that begins before the part is that part's
+      const std::uint64_t begin = i - 1;
+      while (i < n_visible && same_key(i)) ++i;
+      ties[part].push_back({begin, i});
+    }
+  });
+  const TieValues values{scene};
+  parallel_blocks(n_parts, [&](std::uint64_t part) {
+    std::vector<TiedItem> tied;
+    std::size_t first = 0;  // tie whose items come first in `tied`
+    for (std::size_t k = 0; k < ties[part].size(); ++k) {
+      const Tie& tie = ties[part][k];
+      for (std::uint64_t i = tie.begin; i < tie.end; ++i)
+        tied.push_back({.splat = static_cast<std::uint32_t>(items[i])});
+      if (tied.size() < kTiedAtOnce && k + 1 < ties[part].size()) continue;
+      for (TiedItem& t : tied) t.gaussian = splats.get()[t.splat].gaussian;
+      for (TiedItem& t : tied) t.place = place_of(values, t.gaussian);
+      for (std::span<TiedItem> rest = tied; first <= k; ++first) {
+        const Tie& next = ties[part][first];
+        const auto own = rest.first(next.end - next.begin);
+        sort_tied(own, values);
+        const SortItem key = items[next.begin] >> 32 << 32;
+        for (std::size_t j = 0; j < own.size(); ++j) items[next.begin + j] = key | own[j].splat;
+        rest = rest.subspan(own.size());
+      }
+      tied.clear();
+    }
+  });
 }
 
 // Stable counting sort of all (tile, Gaussian) pairs by tile, from the depth order.
@@ -420,6 +518,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     fits = w.n_instances <= kMaxInstances;
     if (!fits) return;
     w.sort_by_depth();
+    w.order_ties(scene);
     stats.sort_ms = stage.lap_ms();
     w.list_by_tile();
     stats.bin_ms = stage.lap_ms();

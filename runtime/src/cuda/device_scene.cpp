@@ -7,6 +7,7 @@
 #include <memory>
 #include <span>
 
+#include "common/tie_order.hpp"
 #include "cuda/file_upload.hpp"
 #include "rgs/guard_memory.hpp"
 
@@ -80,6 +81,27 @@ Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, co
   return places;
 }
 
+// Numbers the Gaussians in tie order, once their attributes are where the kernels read them: behind the copies on their stream,
+// and waited for if they were.
+Status order_ties(SceneStorage& storage, const UploadOptions& options) {
+  if (storage.n == 0) return {};
+  const auto n = static_cast<std::uint32_t>(storage.n);
+  const auto bytes = cuda::tie_order_bytes(n);
+  if (!bytes) return tl::unexpected(bytes.error());
+  const auto memory = detail::DeviceMemory::create(options.allocator);
+  if (!memory) return tl::unexpected(memory.error());
+  Status ok = storage.ranks.reserve(std::uint64_t{4} * n, *memory, options.stream);
+  if (ok) ok = storage.temporary.reserve(*bytes, *memory, options.stream);
+  if (!ok) return ok;
+  ok = cuda::launch_tie_order(
+      {storage.attributes, n, storage.ranks.as<std::uint32_t>(), storage.temporary.as<void>(), *bytes}, options.stream);
+  if (ok && storage.copied) ok = storage.copied->record(options.stream);
+  if (ok && storage.copied) return ok;
+  const Status done = device_status(cudaStreamSynchronize(options.stream), "a scene's ties could not be put in order");
+  storage.temporary = {};
+  return ok ? done : ok;
+}
+
 }  // namespace
 
 Result<DeviceScene> DeviceScene::upload(const SceneView& scene, const UploadOptions& options) {
@@ -96,6 +118,7 @@ Result<DeviceScene> DeviceScene::upload(const SceneView& scene, const UploadOpti
     if (!placed) return tl::unexpected(placed.error());
     const auto floats = [&placed](std::size_t k) { return reinterpret_cast<const float*>((*placed)[k]); };
     storage->attributes = cuda::Fp32Attributes{floats(0), floats(1), floats(2), floats(3), floats(4), scene.sh_degree};
+    if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
     DeviceScene result;
     result.storage_ = std::move(storage);
     return result;
@@ -120,6 +143,7 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
         copy_sections({data.means(), data.geometry(), data.sh(), data.step_table(), chunks}, *storage, options);
     if (!placed) return tl::unexpected(placed.error());
     storage->attributes = detail::compact_attributes(header, *placed);
+    if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
     DeviceScene result;
     result.storage_ = std::move(storage);
     return result;
@@ -165,6 +189,7 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
     }
     if (const auto ok = detail::upload_file(file, *placed, options); !ok) return tl::unexpected(ok.error());
     storage->attributes = detail::compact_attributes(header, *placed);
+    if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
     DeviceScene result;
     result.storage_ = std::move(storage);
     return result;
@@ -181,7 +206,7 @@ bool DeviceScene::compact() const {
   return storage_ && std::holds_alternative<cuda::CompactAttributes>(storage_->attributes);
 }
 std::uint64_t DeviceScene::bytes() const {
-  return storage_ ? storage_->memory.bytes() : 0;
+  return storage_ ? storage_->bytes() : 0;
 }
 const Origin& DeviceScene::origin() const {
   return storage_ ? storage_->origin : kNoOrigin;

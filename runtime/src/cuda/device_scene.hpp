@@ -3,6 +3,7 @@
 #pragma once
 
 #include <cstdint>
+#include <mutex>
 #include <optional>
 
 #include "cuda/cuda_objects.hpp"
@@ -26,7 +27,24 @@ struct SceneStorage {
   Origin origin = kNoOrigin;
   cuda::Attributes attributes;
   DeviceBuffer memory;
+  DeviceBuffer ranks;           ///< [n] places in tie order
   std::optional<Event> copied;  ///< the end of an upload that nobody has waited for
+
+  const std::uint32_t* rank() const { return ranks.as<std::uint32_t>(); }
+  /// Device memory held. Thread-safe.
+  std::uint64_t bytes() const {
+    const std::scoped_lock lock(mutex);
+    return memory.bytes() + ranks.bytes() + temporary.bytes();
+  }
+  /// Gives back what the upload alone has needed, if it is over by now. Thread-safe.
+  void settle() const {
+    const std::scoped_lock lock(mutex);
+    if (temporary.bytes() == 0) return;
+    if (cudaEventQuery(copied->get()) == cudaSuccess) temporary = {};
+    cudaGetLastError();  // that it is not over is no error of later calls
+  }
+  mutable std::mutex mutex;        // of `temporary`
+  mutable DeviceBuffer temporary;  // of an upload that nobody has waited for
 };
 
 }  // namespace rgs::detail

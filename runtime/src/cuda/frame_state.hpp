@@ -36,6 +36,7 @@ struct Frame {
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
+  const std::uint32_t* rank() const { return scene ? scene->rank() : nullptr; }
   std::uint32_t n_tiles() const { return static_cast<std::uint32_t>(view.grid.columns * view.grid.rows); }
   math::Vec3<float> background() const {
     return {settings.background[0], settings.background[1], settings.background[2]};
@@ -60,6 +61,7 @@ struct FrameState {
 
   /// The last frame may be on another stream, and still at work; so may the scene's upload.
   Status begin(const Frame& f) const {
+    if (f.scene) f.scene->settle();
     const Status ok = finished.hold(f.stream);
     return ok && f.scene && f.scene->copied ? f.scene->copied->hold(f.stream) : ok;
   }

@@ -4,6 +4,7 @@
 
 #include <algorithm>
 
+#include "common/tie_order.hpp"
 #include "cuda/workspace_growth.hpp"
 #include "sorted/blend.hpp"
 #include "sorted/front_end.hpp"
@@ -17,16 +18,30 @@ bool has_narrow_keys(const Frame& f) {
 bool is_separate(const Frame& f) {
   return f.settings.cuda.front_end == PaperSteps::FrontEnd::separate;
 }
+// Otherwise pairs lie in the order in which blocks happen to run.
+bool is_ordered(const Frame& f) {
+  return f.settings.cuda.deterministic || is_separate(f);
+}
 
 }  // namespace
 
 std::uint64_t SortedPipeline::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&counters_, &covers_, &tiles_, &sums_, &sum_temporary_, &block_state_, &keys_,
+  for (const DeviceBuffer* b : {&order_, &counters_, &covers_, &tiles_, &sums_, &sum_temporary_, &block_state_, &keys_,
                                 &spare_keys_, &gaussians_, &spare_gaussians_, &sort_temporary_, &ranges_}) {
     sum += b->bytes();
   }
   return sum;
+}
+
+// Which Gaussian has which rank: what the front ends take in turn. Made once for the frames of a scene.
+Status SortedPipeline::order_scene(const Frame& f) {
+  if (!is_ordered(f) || f.rank() == nullptr || (f.scene == ordered_.lock() && order_.bytes() > 0)) return {};
+  ordered_.reset();
+  Status ok = state_.reserve(order_, f.n() * sizeof(std::uint32_t), f.stream);
+  if (ok) ok = cuda::launch_inverse(f.rank(), static_cast<std::uint32_t>(f.n()), order_.as<std::uint32_t>(), f.stream);
+  if (ok) ordered_ = f.scene;
+  return ok;
 }
 
 Status SortedPipeline::reserve_scene(const Frame& f) {
@@ -80,6 +95,10 @@ cuda::PairArrays SortedPipeline::pair_arrays(const Frame& f) const {
   return {keys_.as<void>(), gaussians_.as<std::uint32_t>(), capacity, narrow};
 }
 
+const std::uint32_t* SortedPipeline::order_of(const Frame& f) const {
+  return is_ordered(f) && f.rank() != nullptr ? order_.as<std::uint32_t>() : nullptr;
+}
+
 // The fused front end: one kernel, which runs a second time if its pairs did not fit.
 Status SortedPipeline::count_and_write(const Frame& f) {
   for (;;) {
@@ -93,7 +112,7 @@ Status SortedPipeline::count_and_write(const Frame& f) {
     if (ok) {
       ok = cuda::launch_fused({f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, f.settings.extent,
                                state_.splats.as<cuda::ScreenSplat>(), pairs, counters_.as<cuda::Counters>(),
-                               f.settings.cuda.deterministic ? block_state_.as<std::uint64_t>() : nullptr},
+                               f.settings.cuda.deterministic ? block_state_.as<std::uint64_t>() : nullptr, order_of(f)},
                               f.stream);
     }
     if (ok) ok = state_.mark(kProjected, f, f.stream);
@@ -113,9 +132,10 @@ Status SortedPipeline::count_then_write(const Frame& f) {
   Status ok = device_status(cudaMemsetAsync(counters_.as<void>(), 0, sizeof(cuda::Counters), f.stream),
                             "counters could not be cleared");
   if (ok) {
-    ok = cuda::launch_project({f.attributes(), n, f.view, f.settings.extent, state_.splats.as<cuda::ScreenSplat>(),
-                               covers_.as<void>(), tiles_.as<std::uint32_t>(), counters_.as<cuda::Counters>()},
-                              f.stream);
+    ok = cuda::launch_project(
+        {f.attributes(), n, f.view, f.settings.extent, state_.splats.as<cuda::ScreenSplat>(), covers_.as<void>(),
+         tiles_.as<std::uint32_t>(), counters_.as<cuda::Counters>(), order_of(f)},
+        f.stream);
   }
   if (ok) ok = state_.mark(kProjected, f, f.stream);
   if (ok) {
@@ -158,6 +178,7 @@ Status SortedPipeline::order(const Frame& f, cuda::SortBuffers& sorted) {
 
 Status SortedPipeline::draw(const Frame& f) {
   Status ok = reserve_scene(f);
+  if (ok) ok = order_scene(f);
   if (ok) ok = state_.mark(kStart, f, f.stream);
   if (ok) ok = is_separate(f) ? count_then_write(f) : count_and_write(f);
   if (!ok || n_pairs_ > kMaxPairs) return ok;

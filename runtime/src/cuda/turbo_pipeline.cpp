@@ -154,8 +154,9 @@ Status TurboPipeline::launch(const Frame& f) {
                        "the frame's state could not be cleared");
   }
   if (ok) {
-    ok = cuda::launch_turbo_emit(
-        {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
+    ok = cuda::launch_turbo_emit({f.attributes(), static_cast<std::uint32_t>(f.n()), f.view,
+                                  state_.splats.as<cuda::ScreenSplat>(), arrays, f.rank()},
+                                 on);
   }
   if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);

@@ -153,7 +153,7 @@ TEST_CASE("a failing frame ends the path") {
 TEST_CASE("turbo's definition is as steady as baseline's on an orbit; a coarse depth key pops") {
   RenderOptions coarse{.pipeline = Pipeline::paper, .paper = steps_of(test::baseline_options(), Backend::cpu)};
   coarse.paper.depth_order = math::DepthOrder::quantized;
-  coarse.paper.depth_bits = 5;
+  coarse.paper.depth_bits = 10;
   const auto rows = orbit_on_cpu({test::baseline_options(), test::turbo_options(), coarse}, 24);
   CHECK(rows[0].step.p999 > 0.02);  // the camera does move
   CHECK(unsteadiness(rows[1], rows[0]) <= 1.03);
@@ -161,5 +161,5 @@ TEST_CASE("turbo's definition is as steady as baseline's on an orbit; a coarse d
   CHECK(unsteadiness(rows[2], rows[0]) > 1.5);
   CHECK(rows[2].added.worst_p999 > 4.0 / 255);
   MESSAGE("added by turbo ", 255 * rows[1].added.worst_p999, "/255, x", unsteadiness(rows[1], rows[0]),
-          "; by a key of 5 bits ", 255 * rows[2].added.worst_p999, "/255, x", unsteadiness(rows[2], rows[0]));
+          "; by a key of 10 bits ", 255 * rows[2].added.worst_p999, "/255, x", unsteadiness(rows[2], rows[0]));
 }

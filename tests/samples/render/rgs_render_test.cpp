@@ -239,7 +239,7 @@ TEST_CASE("options change the picture as they say") {
   CHECK(largest_difference(plain, picture("--sh-degree 0")) > 0.05F);
   CHECK(largest_difference(plain, picture("--aa mip")) > 0.001F);
   for (const char* options : {"--exp paper", "--exp zero-mean", "--exponent folded", "--key linear", "--key log",
-                              "--key linear --depth-bits 8 --depth-range 2,8", "--extent square", "--scalar",
+                              "--key linear --depth-bits 10 --depth-range 2,8", "--extent square", "--scalar",
                               "--threads 1", "--backend cpu", "--backend auto"}) {
     CAPTURE(options);
     const rgs::Image image = picture(options);

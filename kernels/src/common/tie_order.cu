@@ -1,0 +1,117 @@
+// tie_order.cu - a scene's Gaussians in tie order: one sort when it comes to the device.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Math    rgs/math/tie_order.hpp
+// In/Out  attributes [n] -> rank [n]
+// Cost    n log2 n comparisons of 4 B each and gathered, mostly from L1 and L2; more where values are equal, at most all of
+//         both Gaussians. 4 B written a Gaussian
+// Launch  CUB's merge sort of indices; 256 threads, one an index, for the inverse
+// Order   deterministic: the order is total. Compiled without contraction to FMA, so that rotations are those of the CPU to
+//         the bit
+//
+// A radix sort by each value in turn, the last one first, would take a pass of all Gaussians for values that hardly ever
+// decide: 59 of them in SH degree 3. Comparisons look at what they need, and are the CPU's.
+#include <thrust/iterator/counting_iterator.h>
+#include <cub/device/device_merge_sort.cuh>
+
+#include "common/launch.cuh"
+#include "common/load_splat.cuh"
+#include "common/tie_order.hpp"
+#include "rgs/math/tie_order.hpp"
+
+namespace rgs::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+
+__device__ inline float load_sh(const Fp32Attributes& a, std::uint32_t i, int k) {
+  const int n_sh = 3 * (a.sh_degree + 1) * (a.sh_degree + 1);
+  return __ldg(a.sh + static_cast<std::uint64_t>(i) * static_cast<std::uint32_t>(n_sh) + k);
+}
+
+__device__ inline float load_sh(const CompactAttributes& a, std::uint32_t i, int k) {
+  const int n_words = (3 * (a.sh_degree + 1) * (a.sh_degree + 1) + 3) / 4;
+  const std::uint32_t word = __ldg(a.sh + static_cast<std::uint64_t>(i) * static_cast<std::uint32_t>(n_words) + k / 4);
+  const int coefficient = k / 3, degree = coefficient < 1 ? 0 : coefficient < 4 ? 1 : coefficient < 9 ? 2 : 3;
+  // Entry of CHNK: its index of a step set lies at byte 32.
+  const std::uint32_t set = __ldg(a.chunks + 12 * (i / a.chunk_size) + 8);
+  return dequantize_sh(static_cast<std::int8_t>(word >> 8 * (k % 4)),
+                       __ldg(a.sh_steps + 12 * set + static_cast<std::uint32_t>(3 * degree + k % 3)));
+}
+
+// Attributes as the tie order reads them.
+template <class A>
+struct TieValues {
+  A attributes;
+
+  __device__ float mean(std::uint32_t i, int axis) const {
+    return __ldg(attributes.mean + 3 * static_cast<std::uint64_t>(i) + axis);
+  }
+  __device__ float opacity(std::uint32_t i) const { return load_geometry(attributes, i).opacity; }
+  __device__ math::Vec3<float> scale(std::uint32_t i) const { return load_geometry(attributes, i).scale; }
+  __device__ math::Quaternion<float> rotation(std::uint32_t i) const { return load_geometry(attributes, i).rotation; }
+  __device__ int n_sh() const { return 3 * (attributes.sh_degree + 1) * (attributes.sh_degree + 1); }
+  __device__ float sh(std::uint32_t i, int k) const { return load_sh(attributes, i, k); }
+};
+
+// Not inlined: the sort unrolls hundreds of comparisons.
+template <class A>
+struct TiesBefore {
+  TieValues<A> values;
+
+  __device__ __noinline__ bool operator()(std::uint32_t a, std::uint32_t b) const {
+    return math::ties_before(values, a, b);
+  }
+};
+
+template <class A>
+cudaError_t sort(const A& attributes, std::uint32_t n, std::uint32_t* order, void* temporary, std::size_t& bytes,
+                 Stream stream) {
+  return cub::DeviceMergeSort::SortKeysCopy(temporary, bytes, thrust::counting_iterator<std::uint32_t>(0), order, n,
+                                            TiesBefore<A>{{attributes}}, stream);
+}
+
+__global__ void __launch_bounds__(kThreads)
+    inverse_kernel(const std::uint32_t* permutation, std::uint32_t n, std::uint32_t* inverse) {
+  const std::uint32_t k = blockIdx.x * kThreads + threadIdx.x;
+  if (k < n) inverse[permutation[k]] = k;
+}
+
+// Of the order itself, which comes first in the temporary memory.
+constexpr std::uint64_t order_bytes(std::uint32_t n) {
+  return (std::uint64_t{4} * n + 255) / 256 * 256;
+}
+
+}  // namespace
+
+Result<std::uint64_t> tie_order_bytes(std::uint32_t n) {
+  std::size_t fp32 = 0, compact = 0;
+  auto ok = checked(sort(Fp32Attributes{}, n, nullptr, nullptr, fp32, nullptr),
+                    "the size of the tie order's temporary memory is unknown");
+  if (ok) {
+    ok = checked(sort(CompactAttributes{}, n, nullptr, nullptr, compact, nullptr),
+                 "the size of the tie order's temporary memory is unknown");
+  }
+  if (!ok) return tl::unexpected(ok.error());
+  return order_bytes(n) + math::max(fp32, compact);
+}
+
+Status launch_tie_order(const TieOrderArguments& a, Stream stream) {
+  if (a.n == 0) return {};
+  auto* const order = static_cast<std::uint32_t*>(a.temporary);
+  void* const temporary = static_cast<char*>(a.temporary) + order_bytes(a.n);
+  std::size_t bytes = a.temporary_bytes - order_bytes(a.n);
+  const auto ok =
+      checked(std::visit([&](const auto& attributes) { return sort(attributes, a.n, order, temporary, bytes, stream); },
+                         a.attributes),
+              "the tie order's sort could not be launched");
+  return ok ? launch_inverse(order, a.n, a.rank, stream) : ok;
+}
+
+Status launch_inverse(const std::uint32_t* permutation, std::uint32_t n, std::uint32_t* inverse, Stream stream) {
+  if (n == 0) return {};
+  inverse_kernel<<<blocks_for(n, kThreads), kThreads, 0, stream>>>(permutation, n, inverse);
+  return launched("the inverse of an order could not be launched");
+}
+
+}  // namespace rgs::cuda
