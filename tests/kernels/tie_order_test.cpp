@@ -50,11 +50,14 @@ std::vector<std::uint32_t> device_ranks(const DeviceAttributes& attributes, std:
   const auto count = static_cast<std::uint32_t>(n);
   const auto bytes = cuda::tie_order_bytes(count);
   require_ok(bytes);
-  const DeviceArray<std::uint32_t> rank(n);
+  const DeviceArray<std::uint32_t> order(n), rank(n);
   const DeviceArray<std::byte> temporary(*bytes);
-  require_ok(cuda::launch_tie_order({attributes.get(), count, rank.data(), temporary.data(), *bytes}, nullptr));
+  require_ok(
+      cuda::launch_tie_order({attributes.get(), count, order.data(), rank.data(), temporary.data(), *bytes}, nullptr));
   temporary.check_guards();
-  return rank.download();
+  const auto in_order = order.download(), ranks = rank.download();
+  for (std::uint32_t k = 0; k < count; ++k) REQUIRE(ranks[in_order[k]] == k);
+  return ranks;
 }
 
 DeviceScene upload(const SplatCloud& cloud) {

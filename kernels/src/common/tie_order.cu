@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/math/tie_order.hpp
-// In/Out  attributes [n] -> rank [n]
+// In/Out  attributes [n] -> order [n], rank [n]
 // Cost    n log2 n comparisons of 4 B each and gathered, mostly from L1 and L2; more where values are equal, at most all of
 //         both Gaussians. 4 B written a Gaussian
 // Launch  CUB's merge sort of indices; 256 threads, one an index, for the inverse
@@ -77,11 +77,6 @@ __global__ void __launch_bounds__(kThreads)
   if (k < n) inverse[permutation[k]] = k;
 }
 
-// Of the order itself, which comes first in the temporary memory.
-constexpr std::uint64_t order_bytes(std::uint32_t n) {
-  return (std::uint64_t{4} * n + 255) / 256 * 256;
-}
-
 }  // namespace
 
 Result<std::uint64_t> tie_order_bytes(std::uint32_t n) {
@@ -93,25 +88,19 @@ Result<std::uint64_t> tie_order_bytes(std::uint32_t n) {
                  "the size of the tie order's temporary memory is unknown");
   }
   if (!ok) return tl::unexpected(ok.error());
-  return order_bytes(n) + math::max(fp32, compact);
+  return math::max(fp32, compact);
 }
 
 Status launch_tie_order(const TieOrderArguments& a, Stream stream) {
   if (a.n == 0) return {};
-  auto* const order = static_cast<std::uint32_t*>(a.temporary);
-  void* const temporary = static_cast<char*>(a.temporary) + order_bytes(a.n);
-  std::size_t bytes = a.temporary_bytes - order_bytes(a.n);
-  const auto ok =
-      checked(std::visit([&](const auto& attributes) { return sort(attributes, a.n, order, temporary, bytes, stream); },
-                         a.attributes),
-              "the tie order's sort could not be launched");
-  return ok ? launch_inverse(order, a.n, a.rank, stream) : ok;
-}
-
-Status launch_inverse(const std::uint32_t* permutation, std::uint32_t n, std::uint32_t* inverse, Stream stream) {
-  if (n == 0) return {};
-  inverse_kernel<<<blocks_for(n, kThreads), kThreads, 0, stream>>>(permutation, n, inverse);
-  return launched("the inverse of an order could not be launched");
+  std::size_t bytes = a.temporary_bytes;
+  const auto ok = checked(
+      std::visit([&](const auto& attributes) { return sort(attributes, a.n, a.order, a.temporary, bytes, stream); },
+                 a.attributes),
+      "the tie order's sort could not be launched");
+  if (!ok) return ok;
+  inverse_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(a.order, a.n, a.rank);
+  return launched("the inverse of the tie order could not be launched");
 }
 
 }  // namespace rgs::cuda

@@ -10,19 +10,16 @@
 
 namespace rgs::cuda {
 
-/// Writes rank [n]: rank[i] is the place of Gaussian i in tie order, 0 .. n - 1. `temporary` has tie_order_bytes(n) and is
-/// aligned to 256 bytes. n < 2^31. Errors: device_failed.
+/// Writes order [n], the Gaussians in tie order, and its inverse rank [n]: Gaussian i is number rank[i]. `temporary` has
+/// tie_order_bytes(n). n < 2^31. Errors: device_failed.
 struct TieOrderArguments {
   Attributes attributes;
   std::uint32_t n;
-  std::uint32_t* rank;
+  std::uint32_t *order, *rank;
   void* temporary;
   std::uint64_t temporary_bytes;
 };
 Status launch_tie_order(const TieOrderArguments& arguments, Stream stream);
 Result<std::uint64_t> tie_order_bytes(std::uint32_t n);
-
-/// Writes inverse [n] of a permutation [n]: inverse[permutation[k]] = k. Errors: device_failed.
-Status launch_inverse(const std::uint32_t* permutation, std::uint32_t n, std::uint32_t* inverse, Stream stream);
 
 }  // namespace rgs::cuda

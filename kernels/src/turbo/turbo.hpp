@@ -200,6 +200,7 @@ struct TurboArrays {
   std::uint32_t* segment_done;    ///< [segments]
   TurboSegment* waves;            ///< [kTurboWaves, segments]
   std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
+  TieOrder ties;  ///< of the scene's Gaussians; without one, equal depths are ordered by index
 };
 
 /// How many long cells and segments there can be at most among so many Gaussians of cells.
@@ -249,18 +250,16 @@ struct TurboLongListSizes {
   }
 };
 
-/// Projects n Gaussians, writes splats [n] at the ranks of the visible ones, entries and runs; adds to the state's
+/// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
 /// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
 /// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
-/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. From here
-/// on a Gaussian's index is its rank in tie order: lists order by depth, then by it. Errors: device_failed.
+/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
   ViewParameters view;
   ScreenSplat* splats;
   TurboArrays arrays;
-  const std::uint32_t* rank = nullptr;  ///< [n] a permutation; null: ranks are the indices
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 
@@ -272,7 +271,7 @@ Status launch_turbo_large_gaussians(const TurboArrays& arrays, math::TileGrid gr
 /// gets a copy of the state for the host to read: page-locked memory that the device reaches. Errors: device_failed.
 Status launch_turbo_lists(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
 
-/// Orders the lists that are not long by depth, then by index, and deals them out to their tiles' cells. Cells of tiles
+/// Orders the lists that are not long by depth, then in tie order, and deals them out to their tiles' cells. Cells of tiles
 /// that do not fit are empty. `seen`, see above, gets the Gaussians of all cells once both this and
 /// launch_turbo_long_lists() have found places for theirs. Errors: device_failed.
 Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);

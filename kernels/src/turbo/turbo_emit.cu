@@ -3,14 +3,12 @@
 //
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; turbo_geometry.hpp
 // In/Out  attributes [n] -> splats [n], entries, runs, large
-// Cost    as front_end.cu, with 4 B read for the rank of a visible Gaussian, 8 B written an entry, and 16 B and an atomic
-//         addition a run
+// Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
 // Launch  256 threads, ceil(n / 256) blocks
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
-//         candidates between counting and placing; 34 KiB
-// Order   of entries and runs: any. The lists' order is made later, by depth and the index in an entry, so that the image is
-//         the same on every run. That index, and the place of the splat, is the Gaussian's rank in tie order. Compiled
-//         without contraction to FMA, see project.cu.
+//         candidates between counting and placing; 33 KiB
+// Order   of entries and runs: any. The lists' order is made later, by depth and index, so that the image is the same
+//         on every run. Compiled without contraction to FMA, see project.cu.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the
 // block sorts its entries by tile before they leave it, by counting. What their rows show is kept meanwhile: a candidate
@@ -66,7 +64,6 @@ struct Shared {
   math::Ellipse<float> ellipse[kThreads];
   Box box[kThreads];
   std::uint32_t depth[kThreads];              // bits
-  std::uint32_t rank[kThreads];               // in tie order
   std::uint16_t row_end[kThreads];            // inclusive sums of the Gaussians' rows after the first
   std::uint8_t listed[kThreads];              // the Gaussian has an entry
   alignas(16) std::uint32_t counts[kWindow];  // entries of each tile of the window; then the place of its next one
@@ -127,10 +124,10 @@ __device__ void place_window(Shared& s, std::uint32_t window, const math::TileRe
 
 // Leaves a Gaussian to turbo_large_gaussians.cu.
 __device__ void set_aside(const TurboArrays& out, const math::Ellipse<float>& ellipse, const math::TileRect& rect,
-                          std::uint32_t depth, std::uint32_t rank) {
+                          std::uint32_t depth, std::uint32_t i) {
   const std::uint32_t at = atomicAdd(&out.state->n_large_gaussians, 1u);
   if (at >= out.large_capacity) return;
-  out.large_gaussians[at] = {ellipse, depth, rank, 0, {}};
+  out.large_gaussians[at] = {ellipse, depth, i, 0, {}};
   out.large_boxes[at] = {static_cast<std::uint16_t>(rect.x0), static_cast<std::uint16_t>(rect.y0),
                          static_cast<std::uint16_t>(rect.x1), static_cast<std::uint16_t>(rect.y1)};
 }
@@ -141,7 +138,8 @@ __global__ void __launch_bounds__(kThreads)
   __shared__ Shared memory;
   Shared& s = memory;
   const ViewParameters& v = a.view;
-  const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
+  const std::uint32_t first = blockIdx.x * kThreads;
+  const std::uint32_t i = first + threadIdx.x;
   const auto clear_counts = [&s] {
     static_assert(kWindow == 4 * kThreads);
     reinterpret_cast<uint4*>(s.counts)[threadIdx.x] = {};
@@ -167,16 +165,12 @@ __global__ void __launch_bounds__(kThreads)
         n_rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
         s.ellipse[threadIdx.x] = ellipse;
         s.depth[threadIdx.x] = math::depth_bits(p.z);
-        // The rank is loaded last: earlier it would take registers, and a block from every multiprocessor.
-        const ScreenSplat splat = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
-        const std::uint32_t rank = a.rank == nullptr ? i : __ldg(a.rank + i);
-        s.rank[threadIdx.x] = rank;
-        a.splats[rank] = splat;
+        a.splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
       }
     }
   }
   const auto leave = [&] {
-    set_aside(a.arrays, s.ellipse[threadIdx.x], rect, s.depth[threadIdx.x], s.rank[threadIdx.x]);
+    set_aside(a.arrays, s.ellipse[threadIdx.x], rect, s.depth[threadIdx.x], i);
     n_columns = n_rows = 0;
   };
   if (n_columns * n_rows > kLargeTiles) leave();
@@ -228,7 +222,7 @@ __global__ void __launch_bounds__(kThreads)
       s.listed[owner] = 1;
       const std::uint32_t at = atomicAdd(s.counts + tile, 1u);
       if (at < a.arrays.entry_capacity)
-        a.arrays.entries[at] = make_entry(s.depth[owner], s.rank[owner], cells_in(candidate));
+        a.arrays.entries[at] = make_entry(s.depth[owner], first + owner, cells_in(candidate));
     }
     window += kWindow;
     if (window >= n_tiles) break;

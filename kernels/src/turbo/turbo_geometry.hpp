@@ -40,8 +40,8 @@ static_assert(std::has_single_bit(unsigned{kTurboTile}) && std::has_single_bit(u
               "quotients by them are shifts, and products with their inverses exact");
 static_assert(kTurboCellWidth <= kTurboTile && kTurboCellHeight <= kTurboTile, "cells fill a tile");
 
-/// What a list holds of a Gaussian: bits of its depth (positive: 31), its index, which is its rank in tie order, and the cells
-/// of the tile that it touches, a bit each. Entries order by depth, then by index.
+/// What a list holds of a Gaussian: bits of its depth (positive: 31), its index, and the cells of the tile that it
+/// touches, a bit each. Entries order by depth, then by index; where depths are equal, by rank in its place.
 using TurboEntry = std::uint64_t;
 inline constexpr int kTurboDepthBits = 31, kTurboIndexBits = 25, kTurboCellBits = 8;
 inline constexpr std::uint64_t kMaxTurboGaussians = std::uint64_t{1} << kTurboIndexBits;

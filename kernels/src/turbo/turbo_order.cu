@@ -6,7 +6,7 @@
 // Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
 //         time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
-// Order   exact: by depth, then by index, whatever the order of the list: deterministic. Of cells in memory: any
+// Order   exact: by depth, then in tie order, whatever the order of the list: deterministic. Of cells in memory: any
 //
 // Units of a list (turbo_long_lists.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from
 // those before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
@@ -172,9 +172,8 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shi
 // Position of each of the s.n entries in the order of the entries, into s.order. Keys of 32 bits are ordered first. Their
 // depth is relative to the list's own range; what it leaves of the key tells equal depths apart by the first bits of the
 // index, since far away many depths are equal. Neighbours of equal keys are then put right by looking at the entries
-// themselves. `range` is that of the depths that the thread has seen.
+// themselves. `range` is that of the depths of the list.
 __device__ inline void sort_entries(Shared& s, DepthRange range) {
-  range.combine(s);
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
@@ -202,6 +201,35 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
       swapped = true;
     }
     quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
+  }
+}
+
+// The entry with the Gaussian's rank in place of its index.
+__device__ inline TurboEntry with_rank(const TieOrder& ties, TurboEntry entry) {
+  return make_entry(depth_of(entry), ties.rank[index_of(entry)],
+                    static_cast<std::uint32_t>(entry) & ((1u << kTurboCellBits) - 1));
+}
+
+// The same, with equal depths in tie order. In most lists there are none, and in those of whom many are expected all entries
+// have ranks at once. `range` is that of the depths that the thread has seen; has_ranks: entries have them already. Returns
+// whether they have them now.
+__device__ inline bool order_entries(Shared& s, const TieOrder& ties, DepthRange range, bool has_ranks) {
+  range.combine(s);
+  bool wants_ranks = !has_ranks && ties.rank != nullptr && range.high - range.low < 16 * s.n;
+  for (;;) {
+    if (wants_ranks) {
+      for (std::uint32_t k = threadIdx.x; k < s.n; k += kThreads) s.entries[k] = with_rank(ties, s.entries[k]);
+      has_ranks = true;
+      __syncthreads();
+    }
+    sort_entries(s, range);
+    if (has_ranks || ties.rank == nullptr) return has_ranks;
+    bool tied = false;
+    for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) {
+      tied = tied || depth_of(s.entries[s.order[k] & s.positions]) == depth_of(s.entries[s.order[k + 1] & s.positions]);
+    }
+    wants_ranks = __syncthreads_or(tied) != 0;
+    if (!wants_ranks) return false;
   }
 }
 
@@ -241,10 +269,12 @@ __device__ inline void count_groups(Shared& s) {
 }
 
 // Writes the round's ordered entries to the cells from s.cell_begin on.
-__device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
+__device__ inline void deal_out(const Shared& s, const TurboArrays& a, bool has_ranks) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
   for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * group);
+    std::uint32_t index = index_of(entry);
+    if (has_ranks) index = a.ties.order[index];
     const std::uint32_t own = lane % kTurboCells;
     const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
 #pragma unroll
@@ -253,7 +283,7 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
       const std::uint32_t lanes = __ballot_sync(kFullWarp, own_entry);
       const std::uint32_t at = __shfl_sync(kFullWarp, begin, static_cast<int>(c));
       if (!own_entry) continue;
-      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index_of(entry);
+      a.cell_gaussians[at + static_cast<std::uint32_t>(__popc(static_cast<int>(lanes & below)))] = index;
     }
   }
 }
@@ -268,7 +298,7 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
-  sort_entries(s, range);
+  const bool has_ranks = order_entries(s, a.ties, range, false);
   count_groups(s);
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
@@ -276,14 +306,19 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
     if (threadIdx.x == 0) s.fits = place.fits;
   }
   __syncthreads();
-  if (s.fits) deal_out(s, a);
+  if (s.fits) deal_out(s, a, has_ranks);
 }
 
-// A part of scratch memory, and what of it a unit orders: entries from <= entry < to.
+// A part of scratch memory, and what of it a unit orders: entries from <= entry < to. Where it is a share, entries have ranks
+// from here on: shares cut equal depths, too.
 struct Part {
   const TurboEntry* entries;
   std::uint32_t n;
+  TieOrder ties{};
   TurboEntry from = 0, to = ~TurboEntry{0};
+
+  __device__ bool has_ranks() const { return ties.rank != nullptr; }
+  __device__ TurboEntry entry(std::uint64_t k) const { return has_ranks() ? with_rank(ties, entries[k]) : entries[k]; }
 };
 
 // Cuts a part in equal shares, by a sample of it: all blocks find the same. Entries are unique, so that equal depths
@@ -291,11 +326,12 @@ struct Part {
 __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
-    s.entries[k] = part.entries[std::uint64_t{k} * part.n / kTurboRound];
+    s.entries[k] = part.entry(std::uint64_t{k} * part.n / kTurboRound);
     range.add(depth_of(s.entries[k]));
   }
   if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
+  range.combine(s);
   sort_entries(s, range);
   const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
   if (share > 0) part.from = cut(share);
@@ -313,7 +349,7 @@ __device__ inline DepthRange load(Shared& s, const Part& part) {
   DepthRange range;
   CellCounter cells(s.cell_n);
   for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
-    const TurboEntry entry = part.entries[k];
+    const TurboEntry entry = part.entry(k);
     if (entry < part.from || entry >= part.to) continue;
     const std::uint32_t at = part.n <= kTurboRound ? k : atomicAdd(&s.n, 1u);
     if (at < kTurboRound) s.entries[at] = entry;
@@ -337,7 +373,7 @@ __device__ inline TurboEntry round_end(Shared& s, const Part& part) {
     bins[threadIdx.x] = 0;
     __syncthreads();
     for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
-      const TurboEntry entry = part.entries[k];
+      const TurboEntry entry = part.entry(k);
       const TurboEntry bin = (entry - begin) >> shift;
       if (entry >= begin && entry < part.to && bin < kBins) atomicAdd(bins + bin, 1u);
     }
@@ -377,7 +413,10 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   const TurboUnit own = a.units[unit];
   Part part{a.scratch + own.begin, own.end - own.begin};
   const std::uint32_t n_shares = turbo_shares(part.n);
-  if (n_shares > 1) part = share_of(s, part, own.share, n_shares);
+  if (n_shares > 1) {
+    part.ties = a.ties;
+    part = share_of(s, part, own.share, n_shares);
+  }
   DepthRange range = load(s, part);
   tell(s, a, unit);
   place_in_cells(s, a, unit, a.long_lists[own.long_list]);
@@ -392,9 +431,9 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
       part.from = round.to;
     }
     left -= s.n;
-    sort_entries(s, range);
+    const bool has_ranks = order_entries(s, a.ties, range, part.has_ranks());
     count_groups(s);
-    deal_out(s, a);
+    deal_out(s, a, has_ranks);
     __syncthreads();
     if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
   }

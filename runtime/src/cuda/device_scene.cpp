@@ -90,11 +90,12 @@ Status order_ties(SceneStorage& storage, const UploadOptions& options) {
   if (!bytes) return tl::unexpected(bytes.error());
   const auto memory = detail::DeviceMemory::create(options.allocator);
   if (!memory) return tl::unexpected(memory.error());
-  Status ok = storage.ranks.reserve(std::uint64_t{4} * n, *memory, options.stream);
+  Status ok = storage.ties.reserve(std::uint64_t{8} * n, *memory, options.stream);
   if (ok) ok = storage.temporary.reserve(*bytes, *memory, options.stream);
   if (!ok) return ok;
-  ok = cuda::launch_tie_order(
-      {storage.attributes, n, storage.ranks.as<std::uint32_t>(), storage.temporary.as<void>(), *bytes}, options.stream);
+  auto* const order = storage.ties.as<std::uint32_t>();
+  ok = cuda::launch_tie_order({storage.attributes, n, order, order + n, storage.temporary.as<void>(), *bytes},
+                              options.stream);
   if (ok && storage.copied) ok = storage.copied->record(options.stream);
   if (ok && storage.copied) return ok;
   const Status done = device_status(cudaStreamSynchronize(options.stream), "a scene's ties could not be put in order");

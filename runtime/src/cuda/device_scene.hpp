@@ -27,14 +27,17 @@ struct SceneStorage {
   Origin origin = kNoOrigin;
   cuda::Attributes attributes;
   DeviceBuffer memory;
-  DeviceBuffer ranks;           ///< [n] places in tie order
+  DeviceBuffer ties;            ///< [n] Gaussians in tie order, [n] the places of each
   std::optional<Event> copied;  ///< the end of an upload that nobody has waited for
 
-  const std::uint32_t* rank() const { return ranks.as<std::uint32_t>(); }
+  cuda::TieOrder tie_order() const {
+    const auto* const order = ties.as<std::uint32_t>();
+    return {order, order != nullptr ? order + n : nullptr};
+  }
   /// Device memory held. Thread-safe.
   std::uint64_t bytes() const {
     const std::scoped_lock lock(mutex);
-    return memory.bytes() + ranks.bytes() + temporary.bytes();
+    return memory.bytes() + ties.bytes() + temporary.bytes();
   }
   /// Gives back what the upload alone has needed, if it is over by now. Thread-safe.
   void settle() const {

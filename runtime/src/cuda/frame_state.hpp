@@ -36,7 +36,7 @@ struct Frame {
 
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
-  const std::uint32_t* rank() const { return scene ? scene->rank() : nullptr; }
+  cuda::TieOrder tie_order() const { return scene ? scene->tie_order() : cuda::TieOrder{}; }
   std::uint32_t n_tiles() const { return static_cast<std::uint32_t>(view.grid.columns * view.grid.rows); }
   math::Vec3<float> background() const {
     return {settings.background[0], settings.background[1], settings.background[2]};

@@ -4,7 +4,6 @@
 
 #include <algorithm>
 
-#include "common/tie_order.hpp"
 #include "cuda/workspace_growth.hpp"
 #include "sorted/blend.hpp"
 #include "sorted/front_end.hpp"
@@ -18,30 +17,20 @@ bool has_narrow_keys(const Frame& f) {
 bool is_separate(const Frame& f) {
   return f.settings.cuda.front_end == PaperSteps::FrontEnd::separate;
 }
-// Otherwise pairs lie in the order in which blocks happen to run.
-bool is_ordered(const Frame& f) {
-  return f.settings.cuda.deterministic || is_separate(f);
+// What the front ends take in turn; none where pairs lie in the order in which blocks happen to run.
+const std::uint32_t* order_of(const Frame& f) {
+  return f.settings.cuda.deterministic || is_separate(f) ? f.tie_order().order : nullptr;
 }
 
 }  // namespace
 
 std::uint64_t SortedPipeline::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&order_, &counters_, &covers_, &tiles_, &sums_, &sum_temporary_, &block_state_, &keys_,
+  for (const DeviceBuffer* b : {&counters_, &covers_, &tiles_, &sums_, &sum_temporary_, &block_state_, &keys_,
                                 &spare_keys_, &gaussians_, &spare_gaussians_, &sort_temporary_, &ranges_}) {
     sum += b->bytes();
   }
   return sum;
-}
-
-// Which Gaussian has which rank: what the front ends take in turn. Made once for the frames of a scene.
-Status SortedPipeline::order_scene(const Frame& f) {
-  if (!is_ordered(f) || f.rank() == nullptr || (f.scene == ordered_.lock() && order_.bytes() > 0)) return {};
-  ordered_.reset();
-  Status ok = state_.reserve(order_, f.n() * sizeof(std::uint32_t), f.stream);
-  if (ok) ok = cuda::launch_inverse(f.rank(), static_cast<std::uint32_t>(f.n()), order_.as<std::uint32_t>(), f.stream);
-  if (ok) ordered_ = f.scene;
-  return ok;
 }
 
 Status SortedPipeline::reserve_scene(const Frame& f) {
@@ -93,10 +82,6 @@ cuda::PairArrays SortedPipeline::pair_arrays(const Frame& f) const {
   const bool narrow = has_narrow_keys(f);
   const std::uint64_t capacity = std::min({gaussians_.bytes() / 4, keys_.bytes() / (narrow ? 4 : 8), kMaxPairs});
   return {keys_.as<void>(), gaussians_.as<std::uint32_t>(), capacity, narrow};
-}
-
-const std::uint32_t* SortedPipeline::order_of(const Frame& f) const {
-  return is_ordered(f) && f.rank() != nullptr ? order_.as<std::uint32_t>() : nullptr;
 }
 
 // The fused front end: one kernel, which runs a second time if its pairs did not fit.
@@ -178,7 +163,6 @@ Status SortedPipeline::order(const Frame& f, cuda::SortBuffers& sorted) {
 
 Status SortedPipeline::draw(const Frame& f) {
   Status ok = reserve_scene(f);
-  if (ok) ok = order_scene(f);
   if (ok) ok = state_.mark(kStart, f, f.stream);
   if (ok) ok = is_separate(f) ? count_then_write(f) : count_and_write(f);
   if (!ok || n_pairs_ > kMaxPairs) return ok;

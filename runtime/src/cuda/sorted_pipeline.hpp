@@ -3,7 +3,6 @@
 #pragma once
 
 #include <cstdint>
-#include <memory>
 
 #include "cuda/frame_state.hpp"
 #include "sorted/sort.hpp"
@@ -26,10 +25,8 @@ class SortedPipeline {
 
  private:
   Status reserve_scene(const Frame& frame);
-  Status order_scene(const Frame& frame);
   Status reserve_pairs(const Frame& frame, std::uint64_t needed, std::uint64_t generous);
   cuda::PairArrays pair_arrays(const Frame& frame) const;
-  const std::uint32_t* order_of(const Frame& frame) const;
   Status draw(const Frame& frame);
   Status count_and_write(const Frame& frame);
   Status count_then_write(const Frame& frame);
@@ -37,8 +34,7 @@ class SortedPipeline {
 
   FrameState& state_;
   std::uint64_t n_pairs_ = 0;
-  std::weak_ptr<const SceneStorage> ordered_;  // whose tie order `order_` is
-  DeviceBuffer order_, counters_, covers_, tiles_, sums_, sum_temporary_, block_state_;
+  DeviceBuffer counters_, covers_, tiles_, sums_, sum_temporary_, block_state_;
   DeviceBuffer keys_, spare_keys_, gaussians_, spare_gaussians_, sort_temporary_, ranges_;
 };
 

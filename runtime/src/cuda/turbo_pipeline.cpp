@@ -116,6 +116,7 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   a.cell_gaussians = cell_gaussians_.as<std::uint32_t>();
   a.cell_capacity = cell_capacity();
   cuda::TurboLongCellSizes::of(cell_capacity()).lay_out(long_cells_.as<void>(), a);
+  a.ties = f.tie_order();
   return a;
 }
 
@@ -154,9 +155,8 @@ Status TurboPipeline::launch(const Frame& f) {
                        "the frame's state could not be cleared");
   }
   if (ok) {
-    ok = cuda::launch_turbo_emit({f.attributes(), static_cast<std::uint32_t>(f.n()), f.view,
-                                  state_.splats.as<cuda::ScreenSplat>(), arrays, f.rank()},
-                                 on);
+    ok = cuda::launch_turbo_emit(
+        {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
   }
   if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);

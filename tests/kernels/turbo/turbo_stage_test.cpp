@@ -651,7 +651,7 @@ TEST_CASE("a share that the sample has made too large is ordered in rounds") {
   }
 }
 
-TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths by index") {
+TEST_CASE("lists longer than what is ordered at a time are ordered all the same, equal depths in tie order") {
   if (!device_answers()) return;
   for (const bool far : {false, true}) {
     CAPTURE(far);
@@ -670,7 +670,7 @@ TEST_CASE("lists longer than what is ordered at a time are ordered all the same,
     if (!far) CHECK(largest_difference(device.depth, host.depth) <= 0.01);
     auto reversed = splats;
     std::reverse(reversed.begin(), reversed.end());
-    CHECK(psnr(render_with(reversed, turbo_options(), Backend::cuda).rgb, device.rgb) < quality - 5);
+    CHECK(render_with(reversed, turbo_options(), Backend::cuda).rgb == device.rgb);
   }
 }
 
