@@ -9,6 +9,12 @@
 
 namespace rgs::cuda {
 
+/// The entry with the Gaussian's rank in place of its index.
+__device__ inline TurboEntry with_rank(const TieOrder& ties, TurboEntry entry) {
+  return make_entry(depth_of(entry), ties.rank[index_of(entry)],
+                    static_cast<std::uint32_t>(entry) & ((1u << kTurboCellBits) - 1));
+}
+
 /// Runs of entries.
 struct TurboRuns {
   const TurboRun* runs;

@@ -68,11 +68,12 @@ struct alignas(8) TurboBox {
 /// next to each other. It is then ordered in units: parts, or a share of one that holds more than is ordered at a time.
 struct alignas(16) TurboLongList {
   std::uint32_t tile;
-  std::uint32_t in_class;                 ///< place of the tile in its class, see below
-  std::uint32_t scratch;                  ///< place of its n_entries in TurboArrays::scratch
-  std::uint32_t first_slice, n_slices;    ///< in turn, a slice has ceil(n_runs / n_slices) of its runs
-  std::uint32_t nearest, farthest;        ///< bits of depth: range of a sample of the entries
-  std::uint32_t counted;                  ///< slices that have been
+  std::uint32_t in_class;               ///< place of the tile in its class, see below
+  std::uint32_t scratch;                ///< place of its n_entries in TurboArrays::scratch
+  std::uint32_t first_slice, n_slices;  ///< in turn, a slice has ceil(n_runs / n_slices) of its runs
+  std::uint32_t nearest, farthest;      ///< bits of depth: range of a sample of the entries
+  std::uint32_t counted;                ///< slices that have been
+  std::uint32_t n_entries;
   std::uint32_t first_unit;               ///< its units have numbers in order of depth
   std::uint32_t cell_n[kTurboCells];      ///< Gaussians of its cells,
   std::uint32_t cell_begin[kTurboCells];  ///< and where they begin in TurboArrays::cell_gaussians
@@ -88,6 +89,12 @@ RGS_HD constexpr std::uint32_t turbo_slice(std::uint64_t entries, std::uint32_t 
 inline constexpr std::uint32_t kTurboSliceRuns = 256;  ///< runs of a slice, or fewer
 inline constexpr std::uint32_t kTurboPart = 1024;      ///< entries of a part, but for the length of a bin
 inline constexpr std::uint32_t kTurboShare = 1024;     ///< entries of a share, but for what a sample misses
+
+/// Entries of lists so long have ranks in scratch memory: parts of many shares are read many times.
+inline constexpr std::uint32_t kTurboRankedList = 1u << 16;
+RGS_HD constexpr bool has_ranks_in_scratch(const TieOrder& ties, const TurboLongList& list) {
+  return ties.rank != nullptr && list.n_entries >= kTurboRankedList;
+}
 
 /// Of the part begin .. end - 1 of TurboArrays::scratch: all entries, or one share of more than kTurboRound.
 struct alignas(16) TurboUnit {

@@ -35,6 +35,7 @@ __device__ std::uint32_t add_long(const TurboArrays& a, std::uint32_t tile, std:
   TurboLongList list{};
   list.tile = tile;
   list.in_class = in_class;
+  list.n_entries = n;
   list.scratch = atomicAdd(&a.state->n_scratch, n);
   const std::uint32_t slice = turbo_slice(a.state->counters.instances, n);
   list.n_slices = math::max((n + slice - 1) / slice, (n_runs + kTurboSliceRuns - 1) / kTurboSliceRuns);

@@ -151,8 +151,7 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   __threadfence();
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = __ldcg(list.cell_n + threadIdx.x);  // with other blocks' sums
   place_bins(s, list.scratch, sums);
-  const std::uint32_t n_entries = a.lists[list.tile].n_entries;
-  const std::uint32_t rank = threadIdx.x < 32 ? rank_of(own_class_begin(a), n_entries, list.in_class) : 0;
+  const std::uint32_t rank = threadIdx.x < 32 ? rank_of(own_class_begin(a), list.n_entries, list.in_class) : 0;
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
     list.cell_begin[threadIdx.x] = place.begin;
@@ -163,7 +162,7 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   }
   __syncthreads();
   if (!s.fits) return;
-  cut_parts(s, list.scratch, n_entries);
+  cut_parts(s, list.scratch, list.n_entries);
   make_units(s, a, own);
 }
 
@@ -186,6 +185,7 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
     const std::uint32_t own = a.slices[slice];
     const TurboLongList& list = a.long_lists[own];
     const DepthBins bins(list);
+    const bool has_ranks = has_ranks_in_scratch(a.ties, list);
     const TurboRuns runs = runs_of(a, list, slice);
     clear(s.bins);
     __syncthreads();
@@ -195,8 +195,10 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
       if (s.bins[k] > 0) s.bins[k] = atomicAdd(places + k, s.bins[k]);
     }
     __syncthreads();
-    runs.for_each(s.places,
-                  [&](TurboEntry entry, std::uint32_t) { a.scratch[atomicAdd(s.bins + bins.of(entry), 1u)] = entry; });
+    runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t) {
+      const std::uint32_t at = atomicAdd(s.bins + bins.of(entry), 1u);
+      a.scratch[at] = has_ranks ? with_rank(a.ties, entry) : entry;
+    });
   }
 }
 

@@ -41,6 +41,7 @@ struct Shared {
   // Of each group of 32 entries in order, how many touch a cell; then the sums of those before.
   std::uint32_t groups[kTurboCells][kTurboRound / 32];
   std::uint32_t unit;
+  bool has_ranks;  // entries have them in place of the index
   bool fits;
 };
 
@@ -169,11 +170,13 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shi
   return s.exchange[at];
 }
 
-// Position of each of the s.n entries in the order of the entries, into s.order. Keys of 32 bits are ordered first. Their
-// depth is relative to the list's own range; what it leaves of the key tells equal depths apart by the first bits of the
-// index, since far away many depths are equal. Neighbours of equal keys are then put right by looking at the entries
-// themselves. `range` is that of the depths of the list.
-__device__ inline void sort_entries(Shared& s, DepthRange range) {
+// Position of each of the s.n entries in their order, into s.order: by depth, then by index; or, with ties, in their order.
+// Keys of 32 bits are ordered first. Their depth is relative to the list's own range; what it leaves of the key tells equal
+// depths apart by the first bits of the index, since far away many depths are equal. Neighbours whose keys do not decide are
+// then put right by looking at the entries themselves. `range` is that of the depths of the list. False if ties are too many to
+// be put right so: they want ranks in the entries.
+__device__ inline bool sort_entries(Shared& s, DepthRange range, const TieOrder& ties) {
+  constexpr std::uint32_t kMostTurns = 8;
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
@@ -185,16 +188,24 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
   std::uint32_t* const order =
       s.n <= 4 * kThreads ? sort_keys<4>(s, low, shift, position_bits) : sort_keys<8>(s, low, shift, position_bits);
   s.order = order;
+  const bool has_ties = ties.rank != nullptr;
+  // Of a key, what does not decide: the position, and with ties the bits of the index.
+  const int open_bits = position_bits + (has_ties ? math::max(0, kTurboIndexBits - shift) : 0);
   const auto is_inverted = [&](std::uint32_t k) {
     const std::uint32_t a = order[k], b = order[k + 1];
-    return ((a ^ b) & ~positions) == 0 && s.entries[a & positions] > s.entries[b & positions];
+    if ((a ^ b) >> open_bits != 0) return false;
+    const TurboEntry first = s.entries[a & positions], second = s.entries[b & positions];
+    if (!has_ties || depth_of(first) != depth_of(second)) return first > second;
+    return __ldg(ties.rank + index_of(first)) > __ldg(ties.rank + index_of(second));
   };
   bool any = false;
   for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
-  if (!__syncthreads_or(any)) return;
-  for (std::uint32_t odd = 0, quiet = 0; quiet < 2; odd ^= 1) {
+  if (!__syncthreads_or(any)) return true;
+  std::uint32_t turn = 0;
+  for (std::uint32_t quiet = 0; quiet < 2; ++turn) {
+    if (has_ties && turn == kMostTurns) return false;
     bool swapped = false;
-    for (std::uint32_t k = 2 * threadIdx.x + odd; k + 1 < s.n; k += 2 * kThreads) {
+    for (std::uint32_t k = 2 * threadIdx.x + turn % 2; k + 1 < s.n; k += 2 * kThreads) {
       if (!is_inverted(k)) continue;
       const std::uint32_t a = order[k];
       order[k] = order[k + 1], order[k + 1] = a;
@@ -202,34 +213,23 @@ __device__ inline void sort_entries(Shared& s, DepthRange range) {
     }
     quiet = __syncthreads_or(swapped) ? 0 : quiet + 1;
   }
+  return true;
 }
 
-// The entry with the Gaussian's rank in place of its index.
-__device__ inline TurboEntry with_rank(const TieOrder& ties, TurboEntry entry) {
-  return make_entry(depth_of(entry), ties.rank[index_of(entry)],
-                    static_cast<std::uint32_t>(entry) & ((1u << kTurboCellBits) - 1));
-}
-
-// The same, with equal depths in tie order. In most lists there are none, and in those of whom many are expected all entries
-// have ranks at once. `range` is that of the depths that the thread has seen; has_ranks: entries have them already. Returns
-// whether they have them now.
-__device__ inline bool order_entries(Shared& s, const TieOrder& ties, DepthRange range, bool has_ranks) {
+// The same of entries with the index or, s.has_ranks, with ranks; where most depths are equal, the former are given them. `range`
+// is that of the depths that the thread has seen.
+__device__ inline void order_entries(Shared& s, const TieOrder& ties, DepthRange range) {
   range.combine(s);
-  bool wants_ranks = !has_ranks && ties.rank != nullptr && range.high - range.low < 16 * s.n;
+  bool wants_ranks = !s.has_ranks && ties.rank != nullptr && range.high - range.low < s.n;
   for (;;) {
     if (wants_ranks) {
+      __syncthreads();
       for (std::uint32_t k = threadIdx.x; k < s.n; k += kThreads) s.entries[k] = with_rank(ties, s.entries[k]);
-      has_ranks = true;
+      if (threadIdx.x == 0) s.has_ranks = true;
       __syncthreads();
     }
-    sort_entries(s, range);
-    if (has_ranks || ties.rank == nullptr) return has_ranks;
-    bool tied = false;
-    for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) {
-      tied = tied || depth_of(s.entries[s.order[k] & s.positions]) == depth_of(s.entries[s.order[k + 1] & s.positions]);
-    }
-    wants_ranks = __syncthreads_or(tied) != 0;
-    if (!wants_ranks) return false;
+    if (sort_entries(s, range, s.has_ranks ? TieOrder{} : ties)) return;
+    wants_ranks = true;
   }
 }
 
@@ -269,12 +269,12 @@ __device__ inline void count_groups(Shared& s) {
 }
 
 // Writes the round's ordered entries to the cells from s.cell_begin on.
-__device__ inline void deal_out(const Shared& s, const TurboArrays& a, bool has_ranks) {
+__device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
   const std::uint32_t lane = threadIdx.x % 32, below = (1u << lane) - 1;
   for (std::uint32_t group = threadIdx.x / 32; 32 * group < s.n; group += kWarps) {
     const TurboEntry entry = ordered_entry(s, 32 * group);
     std::uint32_t index = index_of(entry);
-    if (has_ranks) index = a.ties.order[index];
+    if (s.has_ranks) index = a.ties.order[index];
     const std::uint32_t own = lane % kTurboCells;
     const std::uint32_t begin = s.cell_begin[own] + s.groups[own][group];  // of cell `own`
 #pragma unroll
@@ -291,14 +291,14 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a, bool has_
 // A list that fits shared memory, and is not empty.
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                       const TurboRankedList& list) {
-  if (threadIdx.x == 0) s.n = list.n_entries;
+  if (threadIdx.x == 0) s.n = list.n_entries, s.has_ranks = false;
   const TurboRuns runs{a.tile_runs + list.begin, a.entries, list.n_runs};
   DepthRange range;
   runs.for_each(s.places, [&](TurboEntry entry, std::uint32_t k) {
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
-  const bool has_ranks = order_entries(s, a.ties, range, false);
+  order_entries(s, a.ties, range);
   count_groups(s);
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
@@ -306,33 +306,35 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
     if (threadIdx.x == 0) s.fits = place.fits;
   }
   __syncthreads();
-  if (s.fits) deal_out(s, a, has_ranks);
+  if (s.fits) deal_out(s, a);
 }
 
-// A part of scratch memory, and what of it a unit orders: entries from <= entry < to. Where it is a share, entries have ranks
-// from here on: shares cut equal depths, too.
+// A part of scratch memory, and what of it a unit orders: entries from <= entry < to. Where it gives ranks, entries have the
+// index in memory, and get the rank when they are read: shares cut equal depths, too.
 struct Part {
   const TurboEntry* entries;
   std::uint32_t n;
-  TieOrder ties{};
+  bool gives_ranks = false;
   TurboEntry from = 0, to = ~TurboEntry{0};
 
-  __device__ bool has_ranks() const { return ties.rank != nullptr; }
-  __device__ TurboEntry entry(std::uint64_t k) const { return has_ranks() ? with_rank(ties, entries[k]) : entries[k]; }
+  __device__ TurboEntry entry(const TieOrder& ties, std::uint64_t k) const {
+    return gives_ranks ? with_rank(ties, entries[k]) : entries[k];
+  }
 };
 
 // Cuts a part in equal shares, by a sample of it: all blocks find the same. Entries are unique, so that equal depths
 // are cut, too.
-__device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::uint32_t n_shares) {
+__device__ inline Part share_of(Shared& s, const TieOrder& ties, Part part, std::uint32_t share,
+                                std::uint32_t n_shares) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
-    s.entries[k] = part.entry(std::uint64_t{k} * part.n / kTurboRound);
+    s.entries[k] = part.entry(ties, std::uint64_t{k} * part.n / kTurboRound);
     range.add(depth_of(s.entries[k]));
   }
   if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
   range.combine(s);
-  sort_entries(s, range);
+  sort_entries(s, range, {});
   const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
   if (share > 0) part.from = cut(share);
   if (share + 1 < n_shares) part.to = cut(share + 1);
@@ -342,14 +344,14 @@ __device__ inline Part share_of(Shared& s, Part part, std::uint32_t share, std::
 
 // Puts what a unit orders into s.entries, as far as there is room, their number into s.n, how many touch each cell into
 // s.cell_n; and the range of their depths.
-__device__ inline DepthRange load(Shared& s, const Part& part) {
+__device__ inline DepthRange load(Shared& s, const TieOrder& ties, const Part& part) {
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   if (threadIdx.x == 0) s.n = part.n <= kTurboRound ? part.n : 0;
   __syncthreads();
   DepthRange range;
   CellCounter cells(s.cell_n);
   for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
-    const TurboEntry entry = part.entry(k);
+    const TurboEntry entry = part.entry(ties, k);
     if (entry < part.from || entry >= part.to) continue;
     const std::uint32_t at = part.n <= kTurboRound ? k : atomicAdd(&s.n, 1u);
     if (at < kTurboRound) s.entries[at] = entry;
@@ -364,7 +366,7 @@ __device__ inline DepthRange load(Shared& s, const Part& part) {
 // End of the round that begins at part.from, where the part has more than kTurboRound entries: at most kTurboRound of them, and
 // at least one, lie in part.from <= entry < end. Looks for it among kBins bins of equal width, then in the one that holds
 // too many, and so on: entries are unique, so that bins of width 1 hold one each.
-__device__ inline TurboEntry round_end(Shared& s, const Part& part) {
+__device__ inline TurboEntry round_end(Shared& s, const TieOrder& ties, const Part& part) {
   constexpr TurboEntry kBins = TurboEntry{1} << kBinBits;
   __shared__ std::uint32_t bins[kBins];
   TurboEntry begin = part.from;
@@ -373,7 +375,7 @@ __device__ inline TurboEntry round_end(Shared& s, const Part& part) {
     bins[threadIdx.x] = 0;
     __syncthreads();
     for (std::uint32_t k = threadIdx.x; k < part.n; k += kThreads) {
-      const TurboEntry entry = part.entry(k);
+      const TurboEntry entry = part.entry(ties, k);
       const TurboEntry bin = (entry - begin) >> shift;
       if (entry >= begin && entry < part.to && bin < kBins) atomicAdd(bins + bin, 1u);
     }
@@ -412,28 +414,31 @@ __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint
 __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint32_t unit) {
   const TurboUnit own = a.units[unit];
   Part part{a.scratch + own.begin, own.end - own.begin};
+  const TurboLongList& list = a.long_lists[own.long_list];
   const std::uint32_t n_shares = turbo_shares(part.n);
+  const bool ranks_in_memory = has_ranks_in_scratch(a.ties, list);
   if (n_shares > 1) {
-    part.ties = a.ties;
-    part = share_of(s, part, own.share, n_shares);
+    part.gives_ranks = !ranks_in_memory && a.ties.rank != nullptr;
+    part = share_of(s, a.ties, part, own.share, n_shares);
   }
-  DepthRange range = load(s, part);
+  if (threadIdx.x == 0) s.has_ranks = ranks_in_memory || part.gives_ranks;
+  DepthRange range = load(s, a.ties, part);
   tell(s, a, unit);
-  place_in_cells(s, a, unit, a.long_lists[own.long_list]);
+  place_in_cells(s, a, unit, list);
   std::uint32_t left = s.n;
   const bool at_once = left <= kTurboRound;
   while (left > 0) {
     __syncthreads();
     if (!at_once) {
       Part round = part;
-      if (left > kTurboRound) round.to = round_end(s, part);
-      range = load(s, round);
+      if (left > kTurboRound) round.to = round_end(s, a.ties, part);
+      range = load(s, a.ties, round);
       part.from = round.to;
     }
     left -= s.n;
-    const bool has_ranks = order_entries(s, a.ties, range, part.has_ranks());
+    order_entries(s, a.ties, range);
     count_groups(s);
-    deal_out(s, a, has_ranks);
+    deal_out(s, a);
     __syncthreads();
     if (threadIdx.x < kTurboCells) s.cell_begin[threadIdx.x] += s.cell_n[threadIdx.x];
   }
