@@ -655,7 +655,7 @@ TEST_CASE("lists longer than what is ordered at a time are ordered all the same,
   if (!device_answers()) return;
   for (const bool far : {false, true}) {
     CAPTURE(far);
-    const auto splats = crowd(small_sizes() ? 5000 : 60000, far);
+    const auto splats = crowd(sized(80000, 5000, 3000), far);
     const int size = small_sizes() ? 32 : 64;
     const auto render_with = [&](std::span<const Splat> list, const RenderOptions& options, Backend backend) {
       return render(scene_of(cloud_of(list)), front_camera(size, size), options, {.backend = backend, .simd = false});
