@@ -122,7 +122,8 @@ TEST_CASE("ranks on the device are places in the CPU's tie order, of FP32 and co
     }
   }
   // All equal: by index.
-  const SplatCloud wall = cloud_of(std::vector(sized(200000, 3000, 600), splat_at(0, 0, 3, 0.1, 0.5)), 3);
+  const SplatCloud wall = cloud_of(
+      std::vector(sized(std::size_t{200000}, std::size_t{3000}, std::size_t{600}), splat_at(0, 0, 3, 0.1, 0.5)), 3);
   const auto ranks = device_ranks(DeviceAttributes(scene_of(wall).view().value()), wall.size());
   for (std::uint32_t i = 0; i < ranks.size(); ++i) REQUIRE(ranks[i] == i);
 }
