@@ -23,20 +23,82 @@ constexpr int kThreads = 256;
 constexpr std::uint32_t kBinsPerThread = kTurboBins / kThreads;
 static_assert(kBinsPerThread == 4, "a vector of them");
 
-// Bins of equal width in the bits of depth, which is nearly equal ratio; the first and last hold what is outside, too.
-struct DepthBins {
-  std::uint32_t nearest;
-  int shift;
+// Stretches of a very long list's depths, by a sample of it: a few distant Gaussians would otherwise leave the others a few
+// bins, and each of these would be read once for every share of it. A stretch has six of 64 samples, fewer at both ends.
+struct Stretches {
+  static constexpr std::uint32_t kN = 16, kBins = kTurboBins / kN, kSample = 64;
+  std::uint32_t begin[kN + 1];  // bits of depth
+  float bins[kN];               // for a difference of one in the bits
+  std::uint32_t sample[kSample], in_order[kSample];
 
-  __device__ explicit DepthBins(const TurboLongList& list) : nearest(list.nearest) {
+  // The sample with which a stretch begins.
+  __device__ static std::uint32_t first(std::uint32_t k) {
+    return k < 4 ? (1u << k) / 2 : k < 13 ? 8 + 6 * (k - 4) : kSample - (16u >> (k - 11));
+  }
+};
+
+// Bins of equal width in the bits of depth, which is nearly equal ratio, of the list or of a stretch; the first and last hold
+// what is outside, too.
+class DepthBins {
+ public:
+  // All threads of the block call it; all blocks find the same.
+  __device__ DepthBins(const TurboArrays& a, const TurboLongList& list, Stretches& stretches)
+      : nearest_(list.nearest), stretches_(list.n_entries >= kTurboRankedList ? &stretches : nullptr) {
     constexpr int kBits = 10;
     static_assert(kTurboBins == 1 << kBits);
-    shift = math::max(0, 32 - __clz(static_cast<int>(list.farthest - list.nearest)) - kBits);
+    shift_ = math::max(0, 32 - __clz(static_cast<int>(list.farthest - list.nearest)) - kBits);
+    if (stretches_ != nullptr) find(a, list, stretches);
   }
   __device__ std::uint32_t of(TurboEntry entry) const {
     const std::uint32_t depth = depth_of(entry);
-    return depth > nearest ? math::min((depth - nearest) >> shift, kTurboBins - 1) : 0;
+    if (stretches_ == nullptr) return depth > nearest_ ? math::min((depth - nearest_) >> shift_, kTurboBins - 1) : 0;
+    std::uint32_t k = 0;
+#pragma unroll
+    for (std::uint32_t step = Stretches::kN / 2; step > 0; step /= 2) {
+      if (depth >= stretches_->begin[k + step]) k += step;
+    }
+    const std::uint32_t begin = stretches_->begin[k];
+    const auto in_stretch =
+        static_cast<std::uint32_t>(static_cast<float>(math::max(depth, begin) - begin) * stretches_->bins[k]);
+    return Stretches::kBins * k + math::min(in_stretch, Stretches::kBins - 1);
   }
+
+ private:
+  __device__ static void find(const TurboArrays& a, const TurboLongList& list, Stretches& s) {
+    constexpr std::uint32_t kSample = Stretches::kSample;
+    const std::uint32_t own = threadIdx.x;
+    __syncthreads();  // those of the list before have been read
+    if (own < kSample) {
+      const TurboList all = a.lists[list.tile];
+      const TurboRun run = a.tile_runs[all.begin + std::uint64_t{own} * all.n_runs / kSample];
+      s.sample[own] = depth_of(a.entries[run.begin + own * 7919 % run.n]);
+    }
+    __syncthreads();
+    if (own < kSample) {
+      std::uint32_t place = 0;
+#pragma unroll 16
+      for (std::uint32_t k = 0; k < kSample; ++k) {
+        place += s.sample[k] < s.sample[own] || (s.sample[k] == s.sample[own] && k < own);
+      }
+      s.in_order[place] = s.sample[own];
+    }
+    __syncthreads();
+    if (own <= Stretches::kN) {
+      s.begin[own] = own == 0              ? math::min(s.in_order[0], list.nearest)
+                     : own < Stretches::kN ? s.in_order[Stretches::first(own)]
+                                           : math::max(s.in_order[kSample - 1], list.farthest) + 1;
+    }
+    __syncthreads();
+    if (own < Stretches::kN) {
+      const std::uint32_t width = s.begin[own + 1] - s.begin[own];
+      s.bins[own] = width > 0 ? static_cast<float>(Stretches::kBins) / static_cast<float>(width) : 0;
+    }
+    __syncthreads();
+  }
+
+  std::uint32_t nearest_;
+  int shift_;
+  const Stretches* stretches_;
 };
 
 // The runs of a slice.
@@ -48,6 +110,7 @@ __device__ TurboRuns runs_of(const TurboArrays& a, const TurboLongList& list, st
 }
 
 struct Counting {
+  Stretches stretches;
   TurboRuns::Places<kThreads> places;
   std::uint32_t bins[kTurboBins];  // entries of each; in the last block of a list, where each begins
   std::uint32_t cell_n[kTurboCells];
@@ -131,7 +194,7 @@ __device__ void count_slice(Counting& s, const TurboArrays& a, math::TileGrid gr
   clear(s.bins);
   if (threadIdx.x < kTurboCells) s.cell_n[threadIdx.x] = 0;
   __syncthreads();
-  const DepthBins bins(list);
+  const DepthBins bins(a, list, s.stretches);
   CellCounter cells(s.cell_n);
   runs_of(a, list, slice).for_each(s.places, [&](TurboEntry entry, std::uint32_t) {
     atomicAdd(s.bins + bins.of(entry), 1u);
@@ -175,6 +238,7 @@ __global__ void __launch_bounds__(kThreads) turbo_count_kernel(TurboArrays a, ma
 }
 
 struct Scattering {
+  Stretches stretches;
   TurboRuns::Places<kThreads> places;
   std::uint32_t bins[kTurboBins];  // entries of the slice; then the place of the next one
 };
@@ -184,7 +248,7 @@ __global__ void __launch_bounds__(kThreads) turbo_scatter_kernel(TurboArrays a) 
   for (std::uint32_t slice = blockIdx.x; slice < a.state->n_slices; slice += gridDim.x) {
     const std::uint32_t own = a.slices[slice];
     const TurboLongList& list = a.long_lists[own];
-    const DepthBins bins(list);
+    const DepthBins bins(a, list, s.stretches);
     const bool has_ranks = has_ranks_in_scratch(a.ties, list);
     const TurboRuns runs = runs_of(a, list, slice);
     clear(s.bins);

@@ -399,12 +399,26 @@ __device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t
 __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint32_t unit, const TurboLongList& list) {
   const std::uint32_t cell = threadIdx.x / 32, lane = threadIdx.x % 32;
   if (kTurboCells < kWarps && cell >= kTurboCells) return;
-  std::uint32_t before = 0;
-  for (std::uint32_t k = list.first_unit + lane; k < unit; k += 32) {
-    const volatile std::uint32_t& told = a.unit_cells[kTurboCells * k + cell];
-    std::uint32_t n = told;
-    while (n == 0) n = told;
-    before += n - 1;
+  const auto told = [&](std::uint32_t k) {
+    return *static_cast<const volatile std::uint32_t*>(a.unit_cells + kTurboCells * (list.first_unit + k) + cell);
+  };
+  // Groups of 32 units, four at a time, from another one on in every unit: otherwise all would wait for the same words.
+  constexpr std::uint32_t kAhead = 4;
+  const std::uint32_t n = unit - list.first_unit, n_groups = (n + 31) / 32;
+  std::uint32_t before = 0, group = n_groups > 0 ? unit % n_groups : 0;
+  for (std::uint32_t begin = 0; begin < n_groups; begin += kAhead) {
+    std::uint32_t k[kAhead], seen[kAhead];
+#pragma unroll
+    for (std::uint32_t j = 0; j < kAhead; ++j) {
+      k[j] = begin + j < n_groups ? 32 * group + lane : n;
+      seen[j] = k[j] < n ? told(k[j]) : 1;
+      group = group + 1 < n_groups ? group + 1 : 0;
+    }
+#pragma unroll
+    for (std::uint32_t j = 0; j < kAhead; ++j) {
+      while (seen[j] == 0) seen[j] = told(k[j]);
+      before += seen[j] - 1;
+    }
   }
   before = warp_sum(before);
   if (lane == 0) s.cell_begin[cell] = list.cell_begin[cell] + before;

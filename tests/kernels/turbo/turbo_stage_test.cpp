@@ -82,8 +82,15 @@ std::uint32_t check_units(const cuda::TurboLongList& list, std::uint32_t own, co
     std::vector<TurboEntry> part(scratch.begin() + list.scratch + begin, scratch.begin() + list.scratch + end);
     std::sort(part.begin(), part.end());
     CHECK_MESSAGE(std::equal(part.begin(), part.end(), entries.begin() + begin), "entries ", begin, " to ", end);
-    // It is too long for the sake of its last bin alone.
-    if (end - begin > 2 * cuda::kTurboPart) {
+    // It is too long for the sake of its last bin alone: of a very long list that holds one depth, or few others.
+    if (n >= cuda::kTurboRankedList) {
+      std::size_t most = 0, run = 0;
+      for (std::size_t k = 0; k < part.size(); ++k) {
+        run = k > 0 && cuda::depth_of(part[k]) == cuda::depth_of(part[k - 1]) ? run + 1 : 1;
+        most = std::max(most, run);
+      }
+      CHECK(part.size() - most <= cuda::kTurboPart + n / 6);
+    } else if (end - begin > 2 * cuda::kTurboPart) {
       const auto within = [&](TurboEntry e) { return std::clamp(cuda::depth_of(e), list.nearest, list.farthest); };
       CHECK(within(part.back()) - within(part[cuda::kTurboPart]) <=
             2 * (list.farthest - list.nearest) / cuda::kTurboBins);
@@ -589,6 +596,21 @@ TEST_CASE("long lists are moved to scratch memory and ordered in units that foll
       if (n > 4000 && far) CHECK(lists.n_shares > 0);
     }
   }
+}
+
+TEST_CASE("a few distant Gaussians do not leave a very long list's others a few bins") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  Random random(813);
+  std::vector<Splat> splats;
+  for (std::uint32_t i = 0; i < cuda::kTurboRankedList + 4000; ++i) {
+    const double z = i % 400 == 0 ? std::exp(random.uniform(std::log(5), std::log(1e4))) : random.uniform(4, 4.4);
+    splats.push_back(splat_at(random.uniform(-0.4, 0.4) * z, random.uniform(-0.4, 0.4) * z, z, 0.01 * z, 0.3));
+  }
+  const Scene scene = scene_of(cloud_of(splats));
+  const Lists lists = check(DeviceAttributes(scene.view().value()).get(), scene.view().value(), one_tile());
+  REQUIRE(lists.tiles[0].size() >= cuda::kTurboRankedList);
+  CHECK(lists.n_shares == 0);
 }
 
 TEST_CASE("a list of more entries of one depth than a sample can tell apart is ordered in rounds") {
