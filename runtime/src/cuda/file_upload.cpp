@@ -3,8 +3,9 @@
 // A job is what one frame index, or a piece of a section that is stored as is, brings. A thread takes a job and a place in
 // the ring and fills the place (hash, Zstandard; nothing else is left to the host). The caller's thread, which alone calls
 // CUDA, so that any context will do, queues on one of a few streams the copy to the device and the kernels that make rows
-// of it. The place is free again once it has been copied; the stream and its memory on the device once the rows are made. A frame's SH keep a few threads busy for long, however large the device, so
-// that there are many streams: frames are decoded side by side.
+// of it. The place is free again once it has been copied, the stream and its memory on the device once the rows are made.
+// A frame's SH keep a few threads busy for long, however large the device: there are many streams, and frames are decoded
+// side by side.
 //
 // What the device finds damaged it does not explain. The host then decodes the file again, by its own path, and its error
 // is the one that is returned.
