@@ -40,7 +40,7 @@ struct DeviceAllocator {
 struct UploadTimes {
   double setup_ms = 0;   ///< page-locked and device memory, streams
   double host_ms = 0;    ///< then, until everything is read, decompressed and on its way to the device
-  double device_ms = 0;  ///< then, until the device has copied, decoded and checked what was left
+  double device_ms = 0;  ///< then, until the device has copied, decoded and checked what was left, and has ordered ties
 };
 
 struct UploadOptions {
