@@ -102,7 +102,7 @@ Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<
                .turbo = is_turbo,
                .tensor_cores = is_turbo && o.turbo.tensor_cores,
                .pixels_per_thread = s.pixels_per_thread,
-               .deterministic = s.deterministic || is_turbo,
+               .deterministic = s.deterministic,
                .timings = o.measure.timings,
                .stage_timings = o.measure.stage_timings,
                .count_pairs = o.measure.count_pairs,

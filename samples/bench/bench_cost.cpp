@@ -176,13 +176,13 @@ Cost project_cost(const FrameWork& w, const Counts& n) {
   return c;
 }
 
-// Chunks outside the view are not read, so that nobody but the visible ones is sure to be. Runs of entries are not
-// counted: they are few.
+// Chunks outside the view are not read, so that nobody but the visible ones is sure to be. Splats lie at the Gaussians' indices.
+// Runs of entries are not counted: they are few.
 Cost turbo_project_cost(const FrameWork& w, const Counts& n) {
   Cost c;
   const double geometry = w.compact ? kCompactGeometryBytes : kFp32GeometryBytes;
   c.bytes = (w.compact ? n.visible : n.gaussians) * kMeanBytes +
-            n.visible * (kWord + geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes) +  // its rank first
+            n.visible * (geometry + sh_bytes(w.compact, w.sh_degree) + kSplatBytes) +
             n.pairs * sizeof(cuda::TurboEntry);
   add(c, kToCamera + kProject + kEllipse + kEllipseRow + kEllipseRow, n.visible);
   add(c, color_ops(std::min(w.sh_degree, w.options.sh_degree_limit), w.compact), n.visible);
@@ -194,10 +194,11 @@ double turbo_tiles(const FrameWork& w) {
   return static_cast<double>(grid.columns) * static_cast<double>(grid.rows);
 }
 
-// Counts of entries and runs to a list and a place in a class, tile by tile. Runs are not counted.
+// Counts of entries and runs to a list, tile by tile, and the list to its rank. Runs are not counted; the cells of empty tiles,
+// which are written here, are counted with the others'.
 Cost turbo_bin_cost(const FrameWork& w) {
   Cost c;
-  c.bytes = turbo_tiles(w) * (sizeof(cuda::TurboCount) + sizeof(cuda::TurboList) + kWord);
+  c.bytes = turbo_tiles(w) * (sizeof(cuda::TurboCount) + 2 * sizeof(cuda::TurboList) + sizeof(cuda::TurboRankedList));
   return c;
 }
 
@@ -207,11 +208,12 @@ double staged_by_cells(const Counts& n) {
 }
 
 // Every entry is read, once if its list is short, and written to one cell at least; cells have all that their pixels go
-// through. Ordering takes integer operations, which are not counted.
+// through. Ranks of Gaussians are read where depths are equal alone, and not counted; nor are integer operations, which
+// ordering takes.
 Cost turbo_order_cost(const FrameWork& w, const Counts& n) {
   Cost c;
   c.bytes = n.pairs * sizeof(cuda::TurboEntry) + std::max(n.pairs, staged_by_cells(n)) * kWord +
-            turbo_tiles(w) * (sizeof(cuda::TurboList) + kWord + cuda::kTurboCells * sizeof(cuda::TurboCell));
+            turbo_tiles(w) * (sizeof(cuda::TurboRankedList) + cuda::kTurboCells * sizeof(cuda::TurboCell));
   return c;
 }
 

@@ -47,6 +47,7 @@ ordered_json options_json(const Configuration& c) {
   json["turbo"] = is_turbo;
   json["tensor_cores"] = is_turbo && c.options.turbo.tensor_cores;
   json["front_end"] = o.front_end == PaperSteps::FrontEnd::fused ? "fused" : "separate";
+  json["deterministic"] = is_turbo || o.deterministic || o.front_end == PaperSteps::FrontEnd::separate;
   json["extent"] = o.extent == math::Extent::square ? "square" : "ellipse";
   json["depth_order"] = o.depth_order == math::DepthOrder::exact ? "exact" : "quantized";
   if (o.depth_order == math::DepthOrder::quantized) {

@@ -60,6 +60,10 @@ std::uint64_t pixel_bytes(const std::optional<math::PixelFormat>& packed) {
   return packed ? math::pixel_bytes(*packed) : 3 * sizeof(float);
 }
 
+bool reads_fp32(std::span<const Configuration> rows) {
+  return std::ranges::any_of(rows, [](const Configuration& row) { return !row.compact; });
+}
+
 std::vector<Configuration> ablation(const ModeInput& input) {
   const RenderOptions paper = make_mode("paper", input).options;
   std::vector<Configuration> rows{make_mode("baseline", input)};

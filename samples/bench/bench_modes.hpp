@@ -42,6 +42,8 @@ std::vector<std::string> mode_names();
 std::vector<std::string> compared_modes(std::span<const std::string> asked, bool is_stress);
 /// `name` is one of mode_names().
 Configuration make_mode(std::string_view name, const ModeInput& input);
+/// Whether any of them draws FP32 attributes.
+bool reads_fp32(std::span<const Configuration> rows);
 /// The paper's steps, one after the other: from baseline, the first, to paper, the last.
 std::vector<Configuration> ablation(const ModeInput& input);
 

@@ -13,7 +13,7 @@
 
 namespace rgs::bench {
 
-/// The same Gaussians on the device in both forms.
+/// The same Gaussians on the device in both forms, as far as they are drawn.
 struct DeviceScenes {
   DeviceScene fp32, compact;
   const DeviceScene& of(const Configuration& c) const { return c.compact ? compact : fp32; }

@@ -80,13 +80,35 @@ Result<rgs::Scene> load_source(const std::string& path, const rgs::DecodeLimits&
   return scene;
 }
 
-// Both forms of the scene on the device, and what stress views are made from.
+std::vector<Configuration> configurations(const Options& o, const std::optional<rgs::Declarations>& declared) {
+  rgs::bench::ModeInput input{declared, {}, {}};
+  if (!o.exp.empty()) {
+    input.exp = o.exp == "exact"   ? rgs::math::Exp::exact
+                : o.exp == "paper" ? rgs::math::Exp::paper
+                                   : rgs::math::Exp::zero_mean;
+  }
+  if (!o.key.empty()) input.depth_mapping = o.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
+  std::vector<Configuration> rows;
+  if (o.ablate) rows = rgs::bench::ablation(input);
+  for (const std::string& mode : rgs::bench::compared_modes(o.modes, o.is_stress())) {
+    // The ablation begins with the baseline and ends with the paper's mode, under a name of its own.
+    if (!(o.ablate && (mode == "baseline" || mode == "paper"))) rows.push_back(rgs::bench::make_mode(mode, input));
+  }
+  for (Configuration& row : rows) {
+    if (o.pixel_format != "rgb32f") {
+      row.packed = o.pixel_format == "rgba8" ? rgs::math::PixelFormat::rgba8 : rgs::math::PixelFormat::rgba16f;
+    }
+  }
+  return rows;
+}
+
+// The scene on the device, in the forms that are drawn, and what stress views are made from.
 struct LoadedScenes {
   rgs::bench::DeviceScenes device;
   rgs::bench::StressScene stress;
 };
 
-// With what the report says about them.
+// With what the report says about them, and the modes that draw them.
 tl::expected<LoadedScenes, int> load_scenes(const Options& o, Report& report) {
   LoadedScenes result;
   rgs::bench::DeviceScenes& scenes = result.device;
@@ -97,14 +119,18 @@ tl::expected<LoadedScenes, int> load_scenes(const Options& o, Report& report) {
   auto compact = rgs::DeviceScene::upload(*view);
   if (!compact) return failed(o.scene, compact.error());
   scenes.compact = *compact;
+  const std::vector<Configuration> rows = configurations(o, view->declarations());
+  for (const Configuration& row : rows) report.modes.push_back({row, {}});
   const std::string source = o.source.empty() ? o.scene : o.source;
   const auto loaded = load_source(source, o.limits);
   if (!loaded) return failed(source, loaded.error());
   const auto arrays = loaded->view();
   if (!arrays) return failed(source, arrays.error());
-  auto fp32 = rgs::DeviceScene::upload(*arrays);
-  if (!fp32) return failed(source, fp32.error());
-  scenes.fp32 = *fp32;
+  if (rgs::bench::reads_fp32(rows)) {
+    auto fp32 = rgs::DeviceScene::upload(*arrays);
+    if (!fp32) return failed(source, fp32.error());
+    scenes.fp32 = *fp32;
+  }
   report.scene = std::filesystem::path(o.scene).filename().string();
   report.source = std::filesystem::path(source).filename().string();
   report.gaussians = scenes.compact.size();
@@ -143,28 +169,6 @@ tl::expected<Views, int> load_views(const Options& o) {
     views.photos.push_back(std::move(*photo));
   }
   return views;
-}
-
-std::vector<Configuration> configurations(const Options& o, const std::optional<rgs::Declarations>& declared) {
-  rgs::bench::ModeInput input{declared, {}, {}};
-  if (!o.exp.empty()) {
-    input.exp = o.exp == "exact"   ? rgs::math::Exp::exact
-                : o.exp == "paper" ? rgs::math::Exp::paper
-                                   : rgs::math::Exp::zero_mean;
-  }
-  if (!o.key.empty()) input.depth_mapping = o.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
-  std::vector<Configuration> rows;
-  if (o.ablate) rows = rgs::bench::ablation(input);
-  for (const std::string& mode : rgs::bench::compared_modes(o.modes, o.is_stress())) {
-    // The ablation begins with the baseline and ends with the paper's mode, under a name of its own.
-    if (!(o.ablate && (mode == "baseline" || mode == "paper"))) rows.push_back(rgs::bench::make_mode(mode, input));
-  }
-  for (Configuration& row : rows) {
-    if (o.pixel_format != "rgb32f") {
-      row.packed = o.pixel_format == "rgba8" ? rgs::math::PixelFormat::rgba8 : rgs::math::PixelFormat::rgba16f;
-    }
-  }
-  return rows;
 }
 
 Step measure_quality(const rgs::bench::DeviceScenes& scenes, const Views& views, Report& report) {
@@ -331,8 +335,6 @@ int bench(const Options& o) {
   // All is on the device now. That a file changed explains whatever was found wrong in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scenes) return scenes.error();
-  for (Configuration& c : configurations(o, scenes->device.compact.declarations()))
-    report.modes.push_back({std::move(c), {}});
   const bool floors = o.roofline || !o.svg.empty();
   if (floors) {
     const auto rates = rgs::cuda::measure_rates();

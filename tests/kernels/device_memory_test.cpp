@@ -82,9 +82,7 @@ std::vector<float> picture(CudaRenderer& device, const DeviceScene& scene, const
   return rgb.download();
 }
 std::vector<RenderOptions> pipelines() {
-  RenderOptions paper = paper_options();
-  paper.paper.deterministic = true;
-  return {baseline_options(), paper, turbo_options()};
+  return {baseline_options(), paper_options(), turbo_options()};
 }
 /// Walls that fill the image of front_camera(), one behind the other.
 Scene walls(int n) {

@@ -16,10 +16,9 @@ using math::PixelFormat;
 namespace {
 
 std::vector<RenderOptions> pipelines() {
-  RenderOptions paper = paper_options(), turbo_fp32 = turbo_options();
-  paper.paper.deterministic = true;
+  RenderOptions turbo_fp32 = turbo_options();
   turbo_fp32.turbo.tensor_cores = false;
-  return {baseline_options(), paper, turbo_options(), turbo_fp32};
+  return {baseline_options(), paper_options(), turbo_options(), turbo_fp32};
 }
 
 CudaRenderer renderer() {

@@ -4,6 +4,7 @@
 
 #include <doctest/doctest.h>
 
+#include <chrono>
 #include <cstring>
 
 #include "common/check_values.hpp"
@@ -168,8 +169,13 @@ TEST_CASE("uploads wait for the caller's stream, say what they took, and give ba
   const auto file = FileView::open(bytes);
   require_ok(file);
   {
-    const auto scene = DeviceScene::upload(*file, {.stream = stream, .allocator = allocator});
+    const auto start = std::chrono::steady_clock::now();
+    const auto scene = DeviceScene::upload(*file, {.stream = stream, .allocator = allocator, .times = &times});
+    const double total_ms = std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
     require_ok(scene);
+    const double steps_ms = times.setup_ms + times.host_ms + times.device_ms;  // one after the other, none left out
+    CHECK(steps_ms <= total_ms);
+    CHECK(steps_ms > 0.8 * total_ms);
     CHECK(ledger.held == scene->bytes());
     const auto on_host = DeviceScene::upload(*file, {.decode_on_host = true, .times = &times});
     require_ok(on_host);
@@ -207,6 +213,22 @@ TEST_CASE("what the host refuses of a damaged file the device refuses, with the 
   }
   MESSAGE(n_refused, " refused, ", n_sound, " sound");
   CHECK(n_refused > 40);
+}
+
+TEST_CASE("a table that is damaged is told with its place, also without validation") {
+  if (!device_answers()) return;
+  SplitMix random{89};
+  auto bytes = encoded(random_cloud(300, 1, random), {}, Profile::direct);
+  const std::uint64_t at = section_of(bytes, "CHNK") + 32;
+  put(bytes, at, std::uint32_t{0xFFFF});  // a set of steps that there is none of
+  fix_hashes(bytes);
+  const auto file = FileView::open(bytes);
+  require_ok(file);
+  REQUIRE(load_direct(*file, {.validate = false}));  // does not look at it
+  const auto scene = DeviceScene::upload(*file, {.validate = false});
+  REQUIRE_FALSE(scene);
+  CHECK(scene.error().code == Errc::bad_value);
+  CHECK(scene.error().offset == at);
 }
 
 TEST_CASE("every rule of stored values is checked on the device itself") {

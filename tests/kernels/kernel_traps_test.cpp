@@ -119,11 +119,6 @@ DeviceScene upload(const Source& source) {
   require_ok(scene);
   return *std::move(scene);
 }
-RenderOptions paper_deterministic() {
-  RenderOptions o = paper_options();
-  o.paper.deterministic = true;
-  return o;
-}
 
 }  // namespace
 
@@ -272,7 +267,7 @@ TEST_CASE("trap 5: needles whose exponents are all rounding leave every pixel be
   const DeviceScene scene = upload(compact.file);
   const Camera camera = small_sizes() ? front_camera(150, 80) : front_camera(3840, 2160);
   for (const RenderOptions& options :
-       {baseline_options(), paper_deterministic(), turbo_options(), RenderOptions(Arithmetic())}) {
+       {baseline_options(), paper_options(), turbo_options(), RenderOptions(Arithmetic())}) {
     auto renderer = CudaRenderer::create();
     require_ok(renderer);
     const auto n = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
@@ -299,7 +294,7 @@ TEST_CASE("trap 6: 32 bits are sorted, no constant ones") {
   for (const Case& c : {Case{1, 1, 0}, {16, 16, 0}, {17, 16, 1}, {640, 360, 10}, {1920, 1080, 13}, {3840, 2160, 15}}) {
     if (small_sizes() && c.width > 20) continue;
     CAPTURE(c.width);
-    const auto f = draw(scene, front_camera(c.width, c.height), paper_deterministic());
+    const auto f = draw(scene, front_camera(c.width, c.height), paper_options());
     CHECK(f.stats.key_bits == 32);
     CHECK(f.stats.depth_bits == 32 - c.tile_bits);
     CHECK(draw(scene, front_camera(c.width, c.height), baseline_options()).stats.key_bits == 32 + c.tile_bits);
@@ -311,7 +306,7 @@ TEST_CASE("trap 6: at 8K too few bits of depth give the exact order, and it is s
   if (small_sizes()) return skip("RGS_TEST_SIZE is set");
   const DeviceScene scene = upload(scene_of(cloud_of(random_splats(703, 3000), 1)).view().value());
   const Camera eight_k = front_camera(7680, 4320);  // 129,600 tiles: 17 bits, which leave 15
-  RenderOptions options = paper_deterministic();
+  RenderOptions options = paper_options();
   const auto fallen_back = draw(scene, eight_k, options);
   CHECK(fallen_back.stats.depth_bits == 0);
   CHECK(fallen_back.stats.key_bits == 17 + 32);
@@ -325,7 +320,7 @@ TEST_CASE("trap 6: at 8K too few bits of depth give the exact order, and it is s
   CHECK(coarse.stats.key_bits == 32);
 }
 
-TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order in deterministic mode, whatever that of the scene") {
+TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order, whatever that of the scene") {
   if (!device_answers()) return;
   auto splats = random_splats(704, small_sizes() ? 600 : 20000);
   for (Splat& s : splats) {
@@ -336,7 +331,7 @@ TEST_CASE("trap 7: Gaussians of one depth are drawn in tie order in deterministi
   const Camera camera = race_sizes() ? front_camera(64, 40) : front_camera(320, 200);
   const DeviceScene uploaded = upload(scene.view().value());
   for (const auto order : {DepthOrder::exact, DepthOrder::quantized}) {
-    RenderOptions options = Arithmetic{.depth_order = order, .deterministic = true};
+    RenderOptions options = Arithmetic{.depth_order = order};
     const Frame host = render(scene, camera, options, {.backend = Backend::cpu, .simd = false});
     const auto first = draw(uploaded, camera, options);
     CHECK(psnr(first.rgb, host.rgb) >= 70);

@@ -90,3 +90,15 @@ TEST_CASE("a scene whose depths are all equal takes no more than its size") {
           }) < kLinearGrowth);
   }
 }
+
+TEST_CASE("what a frame holds for its ties is counted with its workspace") {
+  static constexpr int kCount = 1000;  // in one tile
+  const auto bytes = [](bool is_tied) {
+    std::vector<Splat> splats;
+    for (int i = 0; i < kCount; ++i) splats.push_back(splat_at(0, 0, 5 + 0.001 * (is_tied ? i / 2 : i), 0.001, 0.5));
+    const Frame frame = render(scene_of(cloud_of(splats)), front_camera(16, 16), Arithmetic());
+    CHECK(frame.stats.instances == kCount);
+    return frame.stats.bytes;
+  };
+  CHECK(bytes(true) == bytes(false) + kCount / 2 * 16);  // begin and end of each pair
+}

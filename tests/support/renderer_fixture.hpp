@@ -93,7 +93,6 @@ struct Arithmetic {
   std::array<float, 2> depth_range = {0.2F, 100};
   math::Exponent exponent = math::Exponent::direct;
   math::Exp exp = math::Exp::exact;
-  bool deterministic = false;
 
   operator RenderOptions() const {  // NOLINT(google-explicit-constructor): stands for it
     return {.background = background,
@@ -109,8 +108,7 @@ struct Arithmetic {
                       .depth_bits = depth_bits,
                       .depth_range = depth_range,
                       .exponent = exponent,
-                      .exp = exp,
-                      .deterministic = deterministic}};
+                      .exp = exp}};
   }
 };
 

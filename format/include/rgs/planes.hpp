@@ -212,3 +212,5 @@ RGS_HD inline void decode_sh_lane(const ShPredictor<kDegree>& predictor, const S
 }
 
 }  // namespace rgs
+
+#undef RGS_UNROLL

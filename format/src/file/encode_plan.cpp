@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "file/layout_io.hpp"
+#include "file/repeated_index.hpp"
 #include "packed/packed.hpp"
 #include "rgs/guard_memory.hpp"
 #include "rgs/quantize.hpp"
@@ -106,10 +107,11 @@ Status check_positions(std::uint64_t n_given, const EncodeOptions& options) {
   }
   if (options.source_index.size() != n_given) return bad("source_index has not one position for each Gaussian");
   if (n_source >> 32 != 0) return bad("positions in a source of 2^32 Gaussians and more are not written");
-  std::vector<std::uint32_t> sorted(options.source_index.begin(), options.source_index.end());
-  std::ranges::sort(sorted);
-  if (sorted.back() >= n_source) return bad("source_index names a Gaussian beyond n_source");
-  if (std::ranges::adjacent_find(sorted) != sorted.end()) return bad("source_index names a Gaussian twice");
+  const auto& index = options.source_index;
+  if (std::ranges::max(index) >= n_source) return bad("source_index names a Gaussian beyond n_source");
+  if (detail::has_repeated_index(n_given, n_source, [&index](std::uint64_t i) { return index[i]; })) {
+    return bad("source_index names a Gaussian twice");
+  }
   return {};
 }
 

@@ -5,6 +5,7 @@
 #include <cstring>
 
 #include "file/chunk_summary.hpp"
+#include "file/repeated_index.hpp"
 #include "file/value_checks.hpp"
 #include "file/workers.hpp"
 #include "rgs/checksum.hpp"
@@ -200,18 +201,16 @@ Status check_permutation(const FileView& view) {
   const SectionEntry* entry = view.find(SectionType::permutation);
   if (entry == nullptr) return {};
   const std::uint64_t n = view.header().n_gaussians;
-  std::vector<std::uint64_t> indices(n);
   const std::uint64_t entry_bytes = n == 0 ? 0 : entry->stored_bytes / n;
   const std::uint64_t n_source = view.declarations().n_source;
   for (std::uint64_t i = 0; i < n; ++i) {
-    indices[i] = view.source_index(i);
-    if (indices[i] >= n_source) {
+    const std::uint64_t index = view.source_index(i);
+    if (index >= n_source) {
       return make_error(Errc::bad_value, entry->offset + i * entry_bytes,
-                        "the permutation names a Gaussian beyond the source", n_source, indices[i]);
+                        "the permutation names a Gaussian beyond the source", n_source, index);
     }
   }
-  std::ranges::sort(indices);
-  if (std::ranges::adjacent_find(indices) != indices.end()) {
+  if (detail::has_repeated_index(n, n_source, [&view](std::uint64_t i) { return view.source_index(i); })) {
     return make_error(Errc::bad_value, entry->offset, "the permutation names a source Gaussian twice");
   }
   return {};

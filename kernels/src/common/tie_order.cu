@@ -4,7 +4,7 @@
 // Math    rgs/math/tie_order.hpp
 // In/Out  attributes [n] -> order [n], rank [n]
 // Cost    n log2 n comparisons of 4 B each and gathered, mostly from L1 and L2; more where values are equal, at most all of
-//         both Gaussians. 4 B written a Gaussian
+//         both Gaussians. 8 B written a Gaussian
 // Launch  CUB's merge sort of indices; 256 threads, one an index, for the inverse
 // Order   deterministic: the order is total. Compiled without contraction to FMA, so that rotations are those of the CPU to
 //         the bit

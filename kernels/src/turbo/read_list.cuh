@@ -1,4 +1,4 @@
-// turbo_list.cuh - what kernels read of a tile's list: its entries, their depths, how many touch each cell.
+// read_list.cuh - what kernels read of a tile's list: its entries, their depths, how many touch each cell.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

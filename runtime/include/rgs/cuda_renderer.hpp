@@ -40,13 +40,13 @@ struct DeviceAllocator {
 struct UploadTimes {
   double setup_ms = 0;   ///< page-locked and device memory, streams
   double host_ms = 0;    ///< then, until everything is read, decompressed and on its way to the device
-  double device_ms = 0;  ///< then, until the device has copied, decoded and checked what was left
+  double device_ms = 0;  ///< then, until the device has copied, decoded and checked what was left, and has ordered ties
 };
 
 struct UploadOptions {
   CudaStream stream = nullptr;  ///< for the copies and what is made of them
   /// Return once the copies are queued. What is uploaded must keep its place and its values, and the stream must live,
-  /// until the stream has done its work. Frames on any stream wait for the upload, on the device. The scene holds the 8 bytes
+  /// until the stream has done its work. Frames on any stream wait for the upload, on the device. The scene holds the 4 bytes
   /// a Gaussian that its tie order (docs/RENDERING.md) takes to make until the first frame that begins after it.
   bool asynchronous = false;
   DeviceAllocator allocator = {};
@@ -65,13 +65,13 @@ class DeviceScene {
  public:
   DeviceScene() = default;  ///< no Gaussians
 
-  /// Activated FP32 attributes, 236 bytes a Gaussian at SH degree 3: the original's layout; and 4 bytes of its rank in tie
-  /// order. Needs 8 bytes a Gaussian more for its time. Waits for all that unless it is asynchronous. Errors: bad_argument
+  /// Activated FP32 attributes, 236 bytes a Gaussian at SH degree 3: the original's layout; and 8 bytes of its place in tie
+  /// order. Needs 4 bytes a Gaussian more for its time. Waits for all that unless it is asynchronous. Errors: bad_argument
   /// (sizes that contradict each other, an SH degree not 0..3, half an allocator), limit_exceeded (2^31 Gaussians or more),
   /// device_out_of_memory, device_failed.
   static Result<DeviceScene> upload(const SceneView& scene, const UploadOptions& options = {});
-  /// The sections of an .rgs file, or of some of its chunks, byte for byte: 76 bytes a Gaussian at SH degree 3, and 4 of its
-  /// rank. They are what load_direct() or read_chunks() has validated: of values only what the kernels use as an index is
+  /// The sections of an .rgs file, or of some of its chunks, byte for byte: 76 bytes a Gaussian at SH degree 3, and 8 of its
+  /// place in tie order. They are what load_direct() or read_chunks() has validated: of values only what the kernels use as an index is
   /// checked again. Errors: those of FileView::chunk() and of the other overload.
   static Result<DeviceScene> upload(const DirectData& data, const UploadOptions& options = {});
   /// The same of a whole file, which is decoded and checked on the way: threads of the host decompress what is packed into

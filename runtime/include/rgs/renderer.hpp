@@ -114,9 +114,10 @@ inline constexpr double kCoarseDepthResolution = 1e-4;
 /// What one frame cost. Counts are exact; times are wall clock of the calling thread, or of the device's stream.
 struct FrameStats {
   double project_ms = 0;  ///< cull, project, colour; the whole fused front end
-  double sort_ms = 0;     ///< order by depth, on CUDA by tile and depth
+  double sort_ms = 0;     ///< order by depth, on CUDA by tile and depth; of turbo that of the lists that are not long
   double bin_ms = 0;      ///< lists of Gaussians per tile; on CUDA pairs of the separate front end, and tile ranges
-  double blend_ms = 0;    ///< pixels
+  /// Pixels; of turbo also what its long lists take longer, which are ordered and blended beside the others.
+  double blend_ms = 0;
   double total_ms = 0;
   std::uint64_t gaussians = 0;  ///< in the scene
   std::uint64_t visible = 0;    ///< listed in at least one tile

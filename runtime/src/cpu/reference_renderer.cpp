@@ -541,6 +541,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
   stats.bytes = w.n_visible * (sizeof(ScreenSplat) + 2 * sizeof(SortItem)) + w.n_instances * sizeof(std::uint32_t) +
                 (w.counts.size() + w.tile_begin.size()) * sizeof(std::uint64_t);
   for (const Block& block : w.blocks) stats.bytes += block.spans.size() * sizeof(Span16);
+  for (const auto& part : w.ties) stats.bytes += part.size() * sizeof(Tie);
   return stats;
 }
 

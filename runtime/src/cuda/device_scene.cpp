@@ -17,7 +17,13 @@ namespace {
 using detail::device_status;
 using detail::SceneStorage;
 
+using Clock = std::chrono::steady_clock;
+
 constexpr std::uint64_t kMaxGaussians = std::uint64_t{1} << 31;
+
+double ms_since(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
 
 Status check_size(std::uint64_t n) {
   if (n < kMaxGaussians) return {};
@@ -153,17 +159,14 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
 
 // As before there was a decoder on the device.
 Result<DeviceScene> DeviceScene::upload_decoded(const FileView& file, const UploadOptions& options) {
-  const auto start = std::chrono::steady_clock::now();
-  const auto since_start = [&start] {
-    return std::chrono::duration<double, std::milli>(std::chrono::steady_clock::now() - start).count();
-  };
+  const auto start = Clock::now();
   const auto data = load_direct(file, {options.validate, 0});
   if (!data) return tl::unexpected(data.error());
-  const double host_ms = since_start();
+  const double host_ms = ms_since(start);
   UploadOptions waiting = options;
   waiting.asynchronous = false;
   auto scene = upload(*data, waiting);
-  if (scene && options.times != nullptr) *options.times = {0, host_ms, since_start() - host_ms};
+  if (scene && options.times != nullptr) *options.times = {0, host_ms, ms_since(start) - host_ms};
   return scene;
 }
 
@@ -172,6 +175,7 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
     const Header& header = file.header();
     if (const auto ok = check_size(header.n_gaussians); !ok) return tl::unexpected(ok.error());
     if (options.decode_on_host) return upload_decoded(file, options);
+    const auto start = Clock::now();
     auto storage = std::make_shared<SceneStorage>();
     storage->n = header.n_gaussians;
     storage->sh_degree = header.sh_degree;
@@ -188,9 +192,16 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
       }
       return tl::unexpected(placed.error());
     }
-    if (const auto ok = detail::upload_file(file, *placed, options); !ok) return tl::unexpected(ok.error());
+    const double placed_ms = ms_since(start);
+    UploadTimes times;
+    UploadOptions timed = options;
+    timed.times = &times;
+    if (const auto ok = detail::upload_file(file, *placed, timed); !ok) return tl::unexpected(ok.error());
     storage->attributes = detail::compact_attributes(header, *placed);
     if (const auto ok = order_ties(*storage, options); !ok) return tl::unexpected(ok.error());
+    times.setup_ms += placed_ms;
+    times.device_ms = ms_since(start) - times.setup_ms - times.host_ms;  // what was borrowed is given back in it, too
+    if (options.times != nullptr) *options.times = times;
     DeviceScene result;
     result.storage_ = std::move(storage);
     return result;

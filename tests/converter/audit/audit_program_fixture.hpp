@@ -7,7 +7,6 @@
 
 #include <cstdlib>
 #include <filesystem>
-#include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -16,6 +15,7 @@
 #include "rgs/checksum.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
+#include "text_file.hpp"
 
 namespace rgs::test {
 
@@ -46,10 +46,6 @@ struct SceneFolder : TemporaryFolder {
     return nlohmann::json::parse(run.out);
   }
 };
-
-inline void write_text(const std::string& path, const std::string& text) {
-  std::ofstream(path, std::ios::binary) << text;
-}
 
 inline std::string browser() {
   for (const char* path : {"/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"})

@@ -6,7 +6,6 @@
 
 #include <cmath>
 #include <fstream>
-#include <iterator>
 #include <span>
 #include <string>
 #include <vector>
@@ -15,6 +14,7 @@
 #include "rgs/encode.hpp"
 #include "rgs/file.hpp"
 #include "rgs/ply.hpp"
+#include "text_file.hpp"
 
 namespace rgs::test {
 
@@ -57,11 +57,6 @@ inline std::string write_rgs(const std::string& path, const SplatCloud& cloud, c
   const auto bytes = encode(cloud.view(), options);
   REQUIRE(bytes);
   return write_bytes(path, *bytes);
-}
-
-inline std::string read_text(const std::string& path) {
-  std::ifstream in(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), {}};
 }
 
 /// Cameras "a.png", "b.png", ... that look along +z from -depths[i]: the ball around `origin` is so far before them, or

@@ -3,6 +3,7 @@
 #include <array>
 #include <nlohmann/json.hpp>
 
+#include "convert_program.hpp"
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/splat_edit.hpp"
@@ -13,11 +14,6 @@ using namespace rgs;
 using namespace rgs::test;
 
 namespace {
-
-ProgramResult rgs_convert(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite"});
-  return run_program(arguments);
-}
 
 // Largest difference of a mean: what tells frames, orders and places apart.
 double mean_error(const SplatCloud& a, const SplatCloud& b) {

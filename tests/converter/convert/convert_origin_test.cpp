@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
+#include "convert_program.hpp"
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/decode.hpp"
@@ -20,18 +21,6 @@ namespace {
 
 using Position = std::array<double, 3>;
 constexpr Origin kEcef{4.2e6, 1.7e5, 4.8e6};
-
-ProgramResult rgs_convert(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite", "--json"});
-  return run_program(arguments);
-}
-
-nlohmann::json converted(std::vector<std::string> arguments) {
-  const ProgramResult run = rgs_convert(std::move(arguments));
-  CAPTURE(run.err);
-  REQUIRE(run.exit_code == 0);
-  return nlohmann::json::parse(run.out);
-}
 
 // A scene of doubles that no FP32 number holds, and where its Gaussians are.
 std::vector<Position> write_far_scene(const std::string& path, SplatCloud cloud, const Origin& place = kEcef) {

@@ -4,19 +4,15 @@
 
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <limits>
 #include <string>
 #include <vector>
 
 #include "golden_scenes.hpp"
 #include "ply_samples.hpp"
+#include "text_file.hpp"
 
 namespace rgs::test {
-
-inline void write_text(const std::string& path, const std::string& text) {
-  std::ofstream(path, std::ios::binary) << text;
-}
 
 inline std::vector<Splat> splats_of(const SplatCloud& cloud) {
   std::vector<Splat> splats;

@@ -3,6 +3,7 @@
 #include <array>
 #include <nlohmann/json.hpp>
 
+#include "convert_program.hpp"
 #include "convert_scenes.hpp"
 #include "interchange_samples.hpp"
 #include "rgs/ply.hpp"
@@ -14,21 +15,6 @@ using namespace rgs;
 using namespace rgs::test;
 
 namespace {
-
-ProgramResult rgs_convert(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite"});
-  return run_program(arguments);
-}
-
-// Runs it and returns what --json says.
-nlohmann::json converted(std::vector<std::string> arguments) {
-  arguments.insert(arguments.begin(), "--json");
-  const ProgramResult run = rgs_convert(arguments);
-  CAPTURE(arguments);
-  CAPTURE(run.err);
-  REQUIRE(run.exit_code == 0);
-  return nlohmann::json::parse(run.out);
-}
 
 struct RgsFile {
   explicit RgsFile(const std::string& path) : bytes(read_bytes(path)) {

@@ -25,6 +25,7 @@
 #include "rgs/decode.hpp"
 #include "rgs/interchange.hpp"
 #include "run_program.hpp"
+#include "sanitized.hpp"
 #include "skip.hpp"
 #include "temporary_folder.hpp"
 
@@ -32,21 +33,7 @@ using namespace rgs;
 using namespace rgs::test;
 namespace fs = std::filesystem;
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define RGS_SANITIZED 1
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define RGS_SANITIZED 1
-#endif
-#endif
-
 namespace {
-
-#ifdef RGS_SANITIZED
-constexpr bool kSanitized = true;
-#else
-constexpr bool kSanitized = false;
-#endif
 
 constexpr std::uint64_t kLongRun = kSanitized ? 40'000 : 200'000;  // Gaussians of a conversion that can be hit midway
 constexpr const char* kOld = "the output of an earlier run";

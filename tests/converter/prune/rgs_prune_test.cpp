@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
 #include <limits>
 #include <nlohmann/json.hpp>
 #include <random>
@@ -20,17 +19,15 @@
 #include "rgs/ply.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
+#include "text_file.hpp"
 
 namespace fs = std::filesystem;
 using namespace rgs;
 using test::ProgramResult;
+using test::read_text;
 
 namespace {
 
-std::string read_text(const std::string& path) {
-  std::ifstream in(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), {}};
-}
 void write_bytes(const std::string& path, std::span<const std::byte> bytes) {
   std::ofstream(path, std::ios::binary)
       .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));

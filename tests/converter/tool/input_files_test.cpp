@@ -12,18 +12,14 @@
 #include <vector>
 
 #include "temporary_folder.hpp"
+#include "text_file.hpp"
 
 using namespace rgs::tool;
 using rgs::test::TemporaryFolder;
+using rgs::test::write_text;
 namespace fs = std::filesystem;
 
-namespace {
-
-void write_text(const std::string& path, const std::string& text) {
-  std::ofstream(path) << text;
-}
-
-}  // namespace
+namespace {}  // namespace
 
 TEST_CASE("names of one file clash, whether it exists or not, and others do not") {
   const TemporaryFolder folder;

@@ -11,9 +11,7 @@
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
-#include <fstream>
 #include <functional>
-#include <iterator>
 #include <memory>
 #include <regex>
 #include <set>
@@ -28,28 +26,16 @@
 #include "ply_samples.hpp"
 #include "rgs/decode.hpp"
 #include "run_program.hpp"
+#include "sanitized.hpp"
 #include "skip.hpp"
 #include "temporary_folder.hpp"
+#include "text_file.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
 namespace fs = std::filesystem;
 
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define RGS_SANITIZED 1
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define RGS_SANITIZED 1
-#endif
-#endif
-
 namespace {
-
-#ifdef RGS_SANITIZED
-constexpr bool kSanitized = true;
-#else
-constexpr bool kSanitized = false;
-#endif
 
 using Arguments = std::vector<std::string>;
 
@@ -59,15 +45,6 @@ std::string program(const std::string& name) {
   for (const std::string& path : kPrograms)
     if (fs::path(path).filename() == name) return path;
   return {};
-}
-
-void write_text(const std::string& path, std::string_view text) {
-  std::ofstream(path, std::ios::binary) << text;
-}
-
-std::string read_text(const std::string& path) {
-  std::ifstream in(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), {}};
 }
 
 constexpr const char* kCameras = R"([{"name":"a.jpg","split":"test","width":32,"height":24,"fx":30,"fy":30,)"

@@ -18,15 +18,8 @@
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"
 #include "rgs/decode.hpp"
+#include "sanitized.hpp"
 #include "skip.hpp"
-
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define RGS_TEST_SANITIZED
-#elif defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define RGS_TEST_SANITIZED
-#endif
-#endif
 
 using namespace rgs;
 using namespace rgs::test;

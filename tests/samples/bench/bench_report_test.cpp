@@ -93,6 +93,18 @@ TEST_CASE("the JSON report holds every mode and size") {
   CHECK(blend["time_over_floor"].get<double>() == doctest::Approx(0.5208 / blend["floor_ms"].get<double>()));
 }
 
+TEST_CASE("the JSON report says which modes draw equal depths in tie order") {
+  Report report = sample_report();
+  for (ModeReport& mode : report.modes) mode.configuration.options.paper.deterministic = false;
+  report.modes.push_back({make_mode("turbo", {}), {}});
+  report.modes.push_back({make_mode("paper", {}), {}});
+  const auto modes = nlohmann::json::parse(report_json(report))["modes"];
+  CHECK(modes[0]["options"]["deterministic"] == true);  // a front end that has no other way
+  CHECK(modes[2]["options"]["deterministic"] == false);
+  CHECK(modes[3]["options"]["deterministic"] == true);
+  CHECK(modes[4]["options"]["deterministic"] == true);
+}
+
 TEST_CASE("the JSON report says null for equal pictures and leaves out what was not measured") {
   Report report = sample_report();
   report.modes[0].quality->psnr = std::numeric_limits<double>::infinity();
@@ -206,6 +218,19 @@ TEST_CASE("modes that are compared: the baseline always, or in stress views pape
   CHECK(compared({}, true) == Names{"paper", "turbo"});
   CHECK(compared({"turbo"}, true) == Names{"paper", "turbo"});
   CHECK(compared({"turbo-fp32", "baseline"}, true) == Names{"baseline", "paper", "turbo", "turbo-fp32"});
+}
+
+TEST_CASE("FP32 attributes go to the device for the modes that draw them") {
+  const auto reads = [](std::vector<std::string> asked, bool is_stress) {
+    std::vector<Configuration> rows;
+    for (const std::string& mode : compared_modes(asked, is_stress)) rows.push_back(make_mode(mode, {}));
+    return reads_fp32(rows);
+  };
+  CHECK(reads({"turbo"}, false));  // beside the baseline
+  CHECK_FALSE(reads({}, true));
+  CHECK_FALSE(reads({"turbo-fp32"}, true));
+  CHECK(reads({"baseline"}, true));
+  CHECK(reads_fp32(ablation({})));
 }
 
 TEST_CASE("the orbit is in the JSON report and in a table of its own") {

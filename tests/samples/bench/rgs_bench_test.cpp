@@ -7,7 +7,6 @@
 #include <filesystem>
 #include <fstream>
 #include <functional>
-#include <iterator>
 #include <nlohmann/json.hpp>
 #include <string>
 #include <vector>
@@ -15,18 +14,15 @@
 #include "run_program.hpp"
 #include "skip.hpp"
 #include "temporary_folder.hpp"
+#include "text_file.hpp"
 
 namespace {
 
 using rgs::test::ProgramResult;
+using rgs::test::read_text;
 using rgs::test::TemporaryFolder;
 
 const std::string kScene = RGS_SOURCE_DIR "/tests/golden/degree3.rgs";
-
-std::string read_text(const std::string& path) {
-  std::ifstream in(path, std::ios::binary);
-  return {std::istreambuf_iterator<char>(in), {}};
-}
 
 struct Stage {
   TemporaryFolder folder;

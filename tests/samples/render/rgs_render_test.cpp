@@ -21,9 +21,11 @@
 #include "rgs/splat_edit.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
+#include "text_file.hpp"
 
 namespace fs = std::filesystem;
 using rgs::test::TemporaryFolder;
+using rgs::test::write_text;
 
 namespace {
 
@@ -62,10 +64,6 @@ void write_ply(const std::string& path, const rgs::SplatCloud& cloud, const rgs:
   for (std::uint64_t i = 0; i < cloud.size(); ++i) splats.push_back(cloud.view().splat(i));
   REQUIRE(writer->write(0, splats));
   REQUIRE(writer->commit());
-}
-
-void write_text(const std::string& path, const std::string& text) {
-  std::ofstream(path, std::ios::binary) << text;
 }
 
 std::string camera(const std::string& name, const std::string& split, double z, const std::string& fx = "60") {
