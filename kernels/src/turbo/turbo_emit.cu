@@ -7,7 +7,7 @@
 // Launch  256 threads, ceil(n / 256) blocks
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
 //         candidates between counting and placing; 33 KiB
-// Order   of entries and runs: any. The lists' order is made later, by depth and index, so that the image is the same
+// Order   of entries and runs: any. The lists' order is made later, by depth and in tie order, so that the image is the same
 //         on every run. Compiled without contraction to FMA, see project.cu.
 //
 // Neighbours in a file are neighbours in space: a block's 256 Gaussians touch few tiles, many of them together. So the

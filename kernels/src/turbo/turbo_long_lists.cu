@@ -2,7 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, tile_runs, entries, long_lists, slices -> scratch, units, cells; bins, unit_cells
-// Cost    an entry: 8 B read three times, 8 B written anywhere; an atomic addition a slice and bin, twice
+// Cost    an entry: 8 B read three times, 8 B written anywhere, of very long lists 4 B of its rank
+//         gathered; an atomic addition a slice and bin, twice
 // Launch  256 threads a slice of 1,024 to 4,096 entries; as many blocks as the device holds at a time take slices in turn
 // Shared  4 KiB of bins, 2 KiB of runs; the last block of a list 4 KiB more
 // Order   of entries in a bin, of lists' units and cells in memory: any

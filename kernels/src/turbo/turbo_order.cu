@@ -2,7 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // In/Out  lists, entries; units, scratch -> cells [tiles, kTurboCells], cell_gaussians
-// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches
+// Cost    an entry: 8 B read, 3 or 4 instructions a step of the sorting network; 4 B written for each cell it touches; where
+//         depths are equal 4 B of its rank, and 4 B back if the list is given ranks
 // Launch  256 threads a tile, longest lists first; for the units of long lists, as many blocks as the device holds at a
 //         time. A warp orders 128 or 256 entries in registers, the block merges them; then a warp deals out 32 at a time
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
@@ -170,13 +171,32 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shi
   return s.exchange[at];
 }
 
+// Orders the s.n entries themselves, where keys of 32 bits leave too much open: a bitonic network in shared memory.
+__device__ __noinline__ void sort_whole(Shared& s) {  // seldom called: not at the cost of the others' registers
+  const std::uint32_t total = 1u << (32 - __clz(static_cast<int>(s.n - 1)));
+  for (std::uint32_t k = s.n + threadIdx.x; k < total; k += kThreads) s.entries[k] = ~TurboEntry{0};
+  for (std::uint32_t k = threadIdx.x; k < total; k += kThreads) s.exchange[0][k] = k;
+  for (std::uint32_t length = 2; length <= total; length *= 2) {
+    for (std::uint32_t stride = length / 2; stride > 0; stride /= 2) {
+      __syncthreads();
+      for (std::uint32_t pair = threadIdx.x; pair < total / 2; pair += kThreads) {
+        const std::uint32_t k = 2 * pair - pair % stride;
+        const TurboEntry a = s.entries[k], b = s.entries[k + stride];
+        if ((a > b) == ((k & length) == 0)) s.entries[k] = b, s.entries[k + stride] = a;
+      }
+    }
+  }
+  if (threadIdx.x == 0) s.order = s.exchange[0], s.positions = kTurboRound - 1;
+  __syncthreads();
+}
+
 // Position of each of the s.n entries in their order, into s.order: by depth, then by index; or, with ties, in their order.
 // Keys of 32 bits are ordered first. Their depth is relative to the list's own range; what it leaves of the key tells equal
 // depths apart by the first bits of the index, since far away many depths are equal. Neighbours whose keys do not decide are
-// then put right by looking at the entries themselves. `range` is that of the depths of the list. False if ties are too many to
-// be put right so: they want ranks in the entries.
+// then put right by looking at the entries themselves; if that takes too long, these are ordered as they are. `range` is that of
+// the depths of the list. False if ties are too many to be put right so: they want ranks in the entries.
 __device__ inline bool sort_entries(Shared& s, DepthRange range, const TieOrder& ties) {
-  constexpr std::uint32_t kMostTurns = 8;
+  constexpr std::uint32_t kMostTurns = 24, kMostTurnsOfTies = 8;
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
   const std::uint32_t positions = (1u << position_bits) - 1;
@@ -203,7 +223,11 @@ __device__ inline bool sort_entries(Shared& s, DepthRange range, const TieOrder&
   if (!__syncthreads_or(any)) return true;
   std::uint32_t turn = 0;
   for (std::uint32_t quiet = 0; quiet < 2; ++turn) {
-    if (has_ties && turn == kMostTurns) return false;
+    if (turn == (has_ties ? kMostTurnsOfTies : kMostTurns)) {
+      if (has_ties) return false;
+      sort_whole(s);
+      return true;
+    }
     bool swapped = false;
     for (std::uint32_t k = 2 * threadIdx.x + turn % 2; k + 1 < s.n; k += 2 * kThreads) {
       if (!is_inverted(k)) continue;
