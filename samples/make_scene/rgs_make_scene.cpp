@@ -4,6 +4,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <array>
@@ -35,12 +36,29 @@ struct Options {
   bool town = false, overwrite = false, quiet = false, no_sync = false;
 };
 
-rgs::Status write_text(const std::string& path, const std::string& text, const rgs::AtomicFile::Options& options) {
-  rgs::Result<rgs::AtomicFile> file = rgs::AtomicFile::create(path, options);
-  if (!file) return tl::unexpected(file.error());
-  if (rgs::Status written = file->write_at(0, std::as_bytes(std::span(text))); !written) return written;
-  return file->commit().map([](double) {});
-}
+// A text beside the scene. Its file is there before the work begins, so that what is in its way shows then.
+class TextFile {
+ public:
+  // The exit code, reported; an empty path is no file.
+  int create(const std::string& path, const rgs::AtomicFile::Options& options) {
+    path_ = path;
+    if (path.empty()) return tool::kSuccess;
+    rgs::Result<rgs::AtomicFile> file = rgs::AtomicFile::create(path, options);
+    if (!file) return tool::report(path, file.error());
+    file_ = std::move(*file);
+    return tool::kSuccess;
+  }
+  int write(const std::string& text) {
+    if (path_.empty()) return tool::kSuccess;
+    rgs::Status written = file_.write_at(0, std::as_bytes(std::span(text)));
+    if (written) written = file_.commit().map([](double) {});
+    return written ? tool::kSuccess : tool::report(path_, written.error());
+  }
+
+ private:
+  std::string path_;
+  rgs::AtomicFile file_;
+};
 
 // Writes Gaussians 0 .. count - 1 of `source` to rows first, first + 1, ... in batches, on all threads.
 template <class Source>
@@ -81,7 +99,11 @@ rgs::Status write_town(const rgs::TownGenerator& town, rgs::PlyWriter& writer, t
       [&](const tbb::blocked_range<std::uint64_t>& ranges) {
         for (std::uint64_t k = ranges.begin(); k != ranges.end() && !context.is_group_execution_cancelled(); ++k) {
           const rgs::TownRange range = town.range(k);
-          if (rgs::Status written = write_batches(range, town.first(k), range.size(), writer, progress); !written) {
+          rgs::Status written;
+          // Isolated: a thread that waits for a range's batches does not begin another range meanwhile.
+          tbb::this_task_arena::isolate(
+              [&] { written = write_batches(range, town.first(k), range.size(), writer, progress); });
+          if (!written) {
             const std::lock_guard lock(mutex);
             if (status) status = written;
             context.cancel_group_execution();
@@ -104,6 +126,10 @@ int make_scene(const Options& options, std::uint64_t n) {
 
   rgs::Declarations stated;
   stated.origin = options.origin;
+  if (options.town) stated.metres_per_unit = 1;
+  TextFile cameras, camera_path;
+  if (const int code = cameras.create(options.cameras, file_options); code != tool::kSuccess) return code;
+  if (const int code = camera_path.create(options.camera_path, file_options); code != tool::kSuccess) return code;
   rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options, stated);
   if (!writer) return tool::report(options.output, writer.error());
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -113,16 +139,15 @@ int make_scene(const Options& options, std::uint64_t n) {
                    : write_batches(rgs::SceneGenerator(options.seed, n, options.degree), 0, n, *writer, progress);
   if (!rows) return tool::report(options.output, rows.error());
   // Cameras first: a failure there leaves no scene without the cameras that were asked for.
-  const std::string views = options.town ? rgs::town_cameras_json(options.seed, 1280, 720, options.origin)
-                                         : rgs::scene_cameras_json(1280, 720, options.origin);
-  if (!options.cameras.empty()) {
-    if (rgs::Status written = write_text(options.cameras, views, file_options); !written)
-      return tool::report(options.cameras, written.error());
-  }
-  if (!options.camera_path.empty()) {
-    const std::string path = rgs::town_path_json(options.seed, 1280, 720, options.origin);
-    if (rgs::Status written = write_text(options.camera_path, path, file_options); !written)
-      return tool::report(options.camera_path, written.error());
+  const int width = 1280, height = 720;
+  if (const int code = cameras.write(options.town ? rgs::town_cameras_json(options.seed, width, height, options.origin)
+                                                  : rgs::scene_cameras_json(width, height, options.origin));
+      code != tool::kSuccess)
+    return code;
+  if (options.town) {
+    if (const int code = camera_path.write(rgs::town_path_json(options.seed, width, height, options.origin));
+        code != tool::kSuccess)
+      return code;
   }
   if (rgs::Result<double> synced = writer->commit(); !synced) return tool::report(options.output, synced.error());
   progress.finish();

@@ -38,13 +38,8 @@ struct Look {
 // A caster as the sun sees it: right and up in a plane that faces the sun, depth towards the sun.
 struct Shade {
   double right, up, depth, radius;
-  Caster caster;
+  std::span<const HalfSpace> sides;
 };
-
-Shade shade_of(const Caster& caster) {
-  return {glm::dot(caster.centre, kSunRight), glm::dot(caster.centre, kSunUp), glm::dot(caster.centre, kSun),
-          caster.radius, caster};
-}
 
 // 1 where cells of `spacing` show a pattern of period `period`, 0 where they cannot.
 double shown(double period, double spacing) {
@@ -186,8 +181,9 @@ struct TownRange::Layout {
   std::uint64_t seed = 0, count = 0;
   int sh_degree = 0;
   std::vector<Part> parts;
-  std::vector<std::uint64_t> first;  // [parts + 1] Gaussians before each part
-  std::vector<Shade> shades;         // that may fall on this range
+  std::vector<std::uint64_t> first;   // [parts + 1] Gaussians before each part
+  std::vector<Shade> shades;          // that may fall on this range
+  std::shared_ptr<const void> owner;  // owns their sides
 
   void share_out();
   void paint(std::size_t p, std::uint64_t from, std::span<Splat> out, std::vector<const Shade*>& near) const;
@@ -218,13 +214,12 @@ double TownRange::Layout::sunlight(const Vec& p, const std::vector<const Shade*>
     const double dx = shade->right - right, dy = shade->up - up, miss2 = dx * dx + dy * dy,
                  r2 = shade->radius * shade->radius;
     if (miss2 > 1.5 * r2) continue;
-    if (shade->caster.n_sides == 0) {
+    if (shade->sides.empty()) {
       if (shade->depth - depth > 0.3 * shade->radius) light *= 0.35 + 0.65 * smooth(miss2 / r2 - 0.5);
       continue;
     }
     double enter = 0.02, leave = 1e9;  // the ray's stay within the house
-    for (std::size_t k = 0; k < shade->caster.n_sides; ++k) {
-      const HalfSpace& side = shade->caster.sides[k];
+    for (const HalfSpace& side : shade->sides) {
       const double slope = glm::dot(side.n, kSun), room = side.d - glm::dot(side.n, p);
       (slope < 0 ? enter : leave) =
           slope < 0 ? std::max(enter, room / slope) : std::min(leave, slope > 0 ? room / slope : leave);
@@ -467,6 +462,7 @@ struct TownGenerator::Layout {
     std::uint64_t first = 0;
     Box box;
     std::vector<Caster> casters;
+    std::vector<HalfSpace> sides;
   };
   std::uint64_t seed, n;
   int sh_degree, blocks;
@@ -506,7 +502,8 @@ TownGenerator::TownGenerator(std::uint64_t seed, std::uint64_t n, int sh_degree,
       entry.box.high = glm::max(entry.box.high, box.high);
     }
     total += k < TownPlan::kSectors ? 0 : weight[k];
-    entry.casters = std::move(block.casters);
+    entry.casters.assign(block.casters.begin(), block.casters.end());  // no more memory than they need
+    entry.sides.assign(block.sides.begin(), block.sides.end());
   }
   // The background needs a share that falls with n: its distance stays.
   const double amount = static_cast<double>(n), around = 0.05 * amount / std::sqrt(1 + amount / 2e6);
@@ -564,13 +561,18 @@ TownRange TownGenerator::range(std::uint64_t k) const {
   const double reach = glm::length(box.high - box.low) / 2, right = glm::dot(middle, kSunRight),
                up = glm::dot(middle, kSunUp);
   for (int y = std::max(0, j - 1); y <= std::min(side - 1, j + 1); ++y)
-    for (int x = std::max(0, i - 1); x <= std::min(side - 1, i + 1); ++x)
-      for (const Caster& caster :
-           layout_->ranges[static_cast<std::size_t>(TownPlan::kSectors + y * side + x)].casters) {
-        const Shade shade = shade_of(caster);
+    for (int x = std::max(0, i - 1); x <= std::min(side - 1, i + 1); ++x) {
+      const auto neighbour = static_cast<std::size_t>(TownPlan::kSectors + y * side + x);
+      const TownGenerator::Layout::Entry& entry = layout_->ranges[neighbour];
+      for (const Caster& caster : entry.casters) {
+        const Shade shade{glm::dot(caster.centre, kSunRight), glm::dot(caster.centre, kSunUp),
+                          glm::dot(caster.centre, kSun), caster.radius,
+                          std::span(entry.sides).subspan(caster.first_side, caster.n_sides)};
         if (std::hypot(shade.right - right, shade.up - up) < reach + 1.25 * shade.radius)
           range->shades.push_back(shade);
       }
+    }
+  range->owner = layout_;
   return TownRange(range);
 }
 

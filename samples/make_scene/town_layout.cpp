@@ -7,7 +7,6 @@
 // do not after training.
 #include "town_layout.hpp"
 
-#include <cassert>
 #include <iterator>
 #include <span>
 
@@ -198,7 +197,7 @@ class BlockBuilder {
   void gable(const House& house, const Plot& foot, const Plot& eaves);
   void dress(House& house);
   // A roof's surface, which bounds the body that casts the shadow too.
-  void cover(const House& house, const std::array<Vec, 4>& corner, std::vector<HalfSpace>& sides);
+  void cover(const House& house, const std::array<Vec, 4>& corner);
 
   Block& block_;
   Draws draws_;
@@ -284,17 +283,18 @@ void BlockBuilder::wall(const House& house, const Plan& from, const Plan& to, bo
   plain(0, wide, done, eaves);
 }
 
-void BlockBuilder::cover(const House& house, const std::array<Vec, 4>& corner, std::vector<HalfSpace>& sides) {
+void BlockBuilder::cover(const House& house, const std::array<Vec, 4>& corner) {
   quad(house.cover, 1.5, house.cover_colour, corner);
   const Vec n = glm::normalize(
       glm::cross(corner[1] + corner[2] - corner[0] - corner[3], corner[3] + corner[2] - corner[0] - corner[1]));
-  sides.push_back({n, glm::dot(n, (corner[0] + corner[1] + corner[2] + corner[3]) / 4.0)});
+  block_.sides.push_back({n, glm::dot(n, (corner[0] + corner[1] + corner[2] + corner[3]) / 4.0)});
 }
 
 void BlockBuilder::house(const House& house) {
   const Plot& foot = house.foot;
   const double eaves = house.eaves();
-  std::vector<HalfSpace> sides;
+  std::vector<HalfSpace>& sides = block_.sides;
+  const std::size_t first_side = sides.size();
   for (std::size_t k = 0; k < 4; ++k) {
     const std::size_t n = (k + 1) % 4;
     wall(house, foot[k], foot[n], k % 2 == 0 || !house.attached, k == 0);
@@ -334,13 +334,13 @@ void BlockBuilder::house(const House& house) {
   } else if (house.roof == Roof::hip) {
     const double in = std::min(0.5, half / width(body_foot));
     const Plan a = glm::mix(left, right, in), b = glm::mix(left, right, 1 - in);
-    cover(house, {above(edge[0], low), above(edge[1], low), above(b, high), above(a, high)}, sides);
-    cover(house, {above(edge[1], low), above(edge[2], low), above(b, high), above(b, high)}, sides);
-    cover(house, {above(edge[2], low), above(edge[3], low), above(a, high), above(b, high)}, sides);
-    cover(house, {above(edge[3], low), above(edge[0], low), above(a, high), above(a, high)}, sides);
+    cover(house, {above(edge[0], low), above(edge[1], low), above(b, high), above(a, high)});
+    cover(house, {above(edge[1], low), above(edge[2], low), above(b, high), above(b, high)});
+    cover(house, {above(edge[2], low), above(edge[3], low), above(a, high), above(b, high)});
+    cover(house, {above(edge[3], low), above(edge[0], low), above(a, high), above(a, high)});
   } else {
-    cover(house, {above(edge[0], low), above(edge[1], low), above(right, high), above(left, high)}, sides);
-    cover(house, {above(edge[2], low), above(edge[3], low), above(left, high), above(right, high)}, sides);
+    cover(house, {above(edge[0], low), above(edge[1], low), above(right, high), above(left, high)});
+    cover(house, {above(edge[2], low), above(edge[3], low), above(left, high), above(right, high)});
     for (const std::size_t k : {1U, 3U}) {
       const std::size_t n = (k + 1) % 4;
       const Plan top = (body_foot[k] + body_foot[n]) / 2.0;
@@ -391,9 +391,8 @@ void BlockBuilder::house(const House& house) {
   Caster caster{above(middle, half_height), 0};
   for (const Plan& corner : edge)
     caster.radius = std::max(caster.radius, std::hypot(glm::distance(corner, middle), half_height));
-  assert(sides.size() <= caster.sides.size());
-  caster.n_sides = sides.size();
-  std::copy(sides.begin(), sides.end(), caster.sides.begin());
+  caster.first_side = static_cast<std::uint32_t>(first_side);
+  caster.n_sides = static_cast<std::uint32_t>(sides.size() - first_side);
   block_.casters.push_back(caster);
 }
 

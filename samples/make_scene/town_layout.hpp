@@ -59,8 +59,7 @@ struct Part {
 struct Caster {
   Vec centre;
   double radius;
-  std::array<HalfSpace, 8> sides{};
-  std::size_t n_sides = 0;  // 0: a ball
+  std::uint32_t first_side = 0, n_sides = 0;  // in Block::sides; no sides: a ball
 };
 
 struct Box {
@@ -70,6 +69,7 @@ struct Box {
 struct Block {
   std::vector<Part> parts;
   std::vector<Caster> casters;
+  std::vector<HalfSpace> sides;
 };
 
 /// Streets run between the points crossing(i, j); block (i, j) lies between crossings (i, j) and (i + 1, j + 1). They are
