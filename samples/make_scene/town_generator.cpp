@@ -252,7 +252,8 @@ Splat TownRange::Layout::splat(const Part& part, Spot q, const Dice& dice, const
     t = glm::normalize(glm::cross(n, dice.vector(Use::spin) + 1e-3));
   } else {
     const std::uint64_t off = dice.bits(Use::tilt);
-    const auto part16 = [off](int s) { return 0.1 * (static_cast<double>(off >> s & 0xFFFF) * 0x1p-16 - 0.5); };
+    const double most = part.stuff == Stuff::field ? 0.01 : 0.1;  // large ones would tower over the plain
+    const auto part16 = [off, most](int s) { return most * (static_cast<double>(off >> s & 0xFFFF) * 0x1p-16 - 0.5); };
     n = glm::normalize(q.n + part16(0) * q.t + part16(16) * q.b);
     t = q.t + part16(32) * q.b;
     t = glm::normalize(t - glm::dot(t, n) * n);
@@ -267,9 +268,11 @@ Splat TownRange::Layout::splat(const Part& part, Spot q, const Dice& dice, const
   if (part.stuff == Stuff::sky || part.stuff == Stuff::hill) logit = 4 + 0.5 * dice.normal(Use::opacity);
 
   Splat out;
-  const double scale[3] = {
-      std::log(q.wide * fit_wide) + size, std::log(q.high * fit_high) + size,
-      std::log(std::min(q.wide, q.high) * (leaf ? 0.2 : 0.06)) - 0.5 * std::abs(dice.normal(Use::flat))};
+  const double scale[3] = {std::log(q.wide * fit_wide) + size, std::log(q.high * fit_high) + size,
+                           std::log(std::min(q.wide, q.high) * (leaf                         ? 0.2
+                                                                : part.stuff == Stuff::field ? 0.006
+                                                                                             : 0.06)) -
+                               0.5 * std::abs(dice.normal(Use::flat))};
   for (int k = 0; k < 3; ++k) {
     out.mean[k] = static_cast<float>(q.p[k]);
     out.log_scale[k] = static_cast<float>(scale[k]);
@@ -505,8 +508,9 @@ TownGenerator::TownGenerator(std::uint64_t seed, std::uint64_t n, int sh_degree,
     entry.casters.assign(block.casters.begin(), block.casters.end());  // no more memory than they need
     entry.sides.assign(block.sides.begin(), block.sides.end());
   }
-  // The background needs a share that falls with n: its distance stays.
-  const double amount = static_cast<double>(n), around = 0.05 * amount / std::sqrt(1 + amount / 2e6);
+  // The background needs a share that falls with n, as its distance stays, but enough of them to stay there.
+  const double amount = static_cast<double>(n),
+               around = std::min(0.2 * amount, 1500.0) + 0.05 * amount / std::sqrt(1 + amount / 2e6);
   double before = 0;
   for (std::size_t k = 0; k < n_all; ++k) {
     layout->ranges[k].first = std::min(n, static_cast<std::uint64_t>(before));

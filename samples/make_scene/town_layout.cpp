@@ -68,7 +68,8 @@ Plot turned(const Plot& plot) {
   return {plot[1], plot[2], plot[3], plot[0]};
 }
 
-// A sequence of random numbers, for plans only.
+// A sequence of random numbers, for plans only. One draw a call or declaration: compilers evaluate arguments and operands
+// in different orders, and every draw changes the next.
 class Draws {
  public:
   explicit Draws(std::uint64_t key) : key_(key) {}
@@ -176,8 +177,13 @@ class BlockBuilder {
   }
 
   void house(const House& house);
-  void tree(const Plan& foot, double height);
-  void bush(const Plan& foot, double radius);
+  // Of a height and radius between the two.
+  void tree(const Plan& foot, double low, double high);
+  void bush(const Plan& foot, double low, double high);
+  Plan somewhere(const Plot& plot, double u0, double u1, double v0, double v1) {
+    const double u = draws_.between(u0, u1), v = draws_.between(v0, v1);
+    return place(plot, u, v);
+  }
   void hedge(const Plot& foot, double height, const Vec& colour) {
     body(foot, 0, height, 0.03, Stuff::leaves, colour, Stuff::leaves, colour, 0.9);
   }
@@ -327,7 +333,7 @@ void BlockBuilder::house(const House& house) {
     }
     sides.push_back({kUp, eaves + 0.5});
     for (int k = 0; k < house.chimneys; ++k) {
-      const Plan spot = place(foot, draws_.between(0.2, 0.8), draws_.between(0.3, 0.7));
+      const Plan spot = somewhere(foot, 0.2, 0.8, 0.3, 0.7);
       body(rectangle(spot, glm::normalize(foot[1] - foot[0]), 2.6, 1.9), eaves + 0.1, eaves + 1.9, 0, Stuff::trim,
            house.trim, Stuff::gravel, kGravel, 1.2);
     }
@@ -415,13 +421,15 @@ void BlockBuilder::dress(House& house) {
 
 // ---- plants and things -------------------------------------------------------------------------------------------
 
-void BlockBuilder::tree(const Plan& foot, double height) {
-  const Vec green = draws_.pick(kGreen) * draws_.between(0.85, 1.15);
+void BlockBuilder::tree(const Plan& foot, double low, double high) {
+  const double height = draws_.between(low, high);
+  Vec green = draws_.pick(kGreen);
+  green *= draws_.between(0.85, 1.15);
   const double kind = draws_.next();
   constexpr double kLeaves = 0.65;
-  const auto crown = [&](const Vec& middle, double across, double high) {
-    add(Part::Shape::ellipsoid, Stuff::leaves, kLeaves, green, {middle, Vec{across, high, across}});
-    block_.casters.push_back({middle, 0.9 * std::min(across, high)});
+  const auto crown = [&](const Vec& middle, double across, double tall) {
+    add(Part::Shape::ellipsoid, Stuff::leaves, kLeaves, green, {middle, Vec{across, tall, across}});
+    block_.casters.push_back({middle, 0.9 * std::min(across, tall)});
   };
   add(Part::Shape::cone, Stuff::bark, 1.5, kBark, {above(foot, 0), Vec{0.02 * height + 0.06, 0.08, 0.6 * height}});
   if (kind < 0.15) {  // poplar
@@ -437,17 +445,19 @@ void BlockBuilder::tree(const Plan& foot, double height) {
   } else {
     const std::uint64_t n = 3 + draws_.bits() % 3;
     for (std::uint64_t k = 0; k < n; ++k) {
-      const double low = static_cast<double>(k) / static_cast<double>(n), phi = 2.4 * static_cast<double>(k) + kind * 9;
-      const double across = height * (0.27 - 0.09 * low) * draws_.between(0.85, 1.15);
-      crown(above(foot, height * (0.5 + 0.34 * low)) + turn(phi) * (0.17 * height * (1 - 0.6 * low)), across,
+      const double up = static_cast<double>(k) / static_cast<double>(n), phi = 2.4 * static_cast<double>(k) + kind * 9;
+      const double across = height * (0.27 - 0.09 * up) * draws_.between(0.85, 1.15);
+      crown(above(foot, height * (0.5 + 0.34 * up)) + turn(phi) * (0.17 * height * (1 - 0.6 * up)), across,
             0.85 * across);
     }
   }
 }
 
-void BlockBuilder::bush(const Plan& foot, double radius) {
+void BlockBuilder::bush(const Plan& foot, double low, double high) {
+  const double radius = draws_.between(low, high);
+  const Vec green = draws_.pick(kGreen);
   const Vec middle = above(foot, 0.7 * radius);
-  add(Part::Shape::ellipsoid, Stuff::leaves, 0.8, draws_.pick(kGreen), {middle, Vec{radius, 0.8 * radius, radius}});
+  add(Part::Shape::ellipsoid, Stuff::leaves, 0.8, green, {middle, Vec{radius, 0.8 * radius, radius}});
   block_.casters.push_back({middle, 0.8 * radius});
 }
 
@@ -551,13 +561,14 @@ void BlockBuilder::detached(const Plot& plot) {
     shed.foot = piece(plot, 1 - 4.0 / w, 1 - 0.9 / w, 1 - 4.2 / d, 1 - 1.2 / d);
     this->house(shed);
   }
-  for (std::uint64_t k = draws_.bits() % 4; k < 4; ++k)
-    tree(place(plot, draws_.between(0.12, 0.85), draws_.between(back + 0.08, 0.92)), draws_.between(4, 10));
-  if (draws_.happens(0.5))
-    tree(place(plot, draws_.happens(0.5) ? 0.1 : 0.9, draws_.between(0.4, 0.7) * v0), draws_.between(3, 7));
-  for (int k = 0; k < 4; ++k)
-    bush(place(plot, draws_.between(0.08, 0.92), draws_.happens(0.5) ? v0 - 0.9 / d : draws_.between(back, 0.95)),
-         draws_.between(0.35, 0.9));
+  for (std::uint64_t k = draws_.bits() % 4; k < 4; ++k) tree(somewhere(plot, 0.12, 0.85, back + 0.08, 0.92), 4, 10);
+  if (draws_.happens(0.5)) {
+    const double u = draws_.happens(0.5) ? 0.1 : 0.9;
+    tree(somewhere(plot, u, u, 0.4 * v0, 0.7 * v0), 3, 7);
+  }
+  const double front = v0 - 0.9 / d;
+  for (int k = 0; k < 2; ++k) bush(somewhere(plot, 0.08, 0.92, front, front), 0.35, 0.9);
+  for (int k = 0; k < 3; ++k) bush(somewhere(plot, 0.08, 0.92, back, 0.95), 0.35, 0.9);
 }
 
 void BlockBuilder::terraced(const Plot& plot, double set_back, bool shops) {
@@ -584,9 +595,8 @@ void BlockBuilder::terraced(const Plot& plot, double set_back, bool shops) {
   ground(Stuff::lawn, 0.8, kLawn * draws_.between(0.8, 1.15), piece(plot, 0, 1, yard, 1));
   const Vec brick = draws_.pick(kBrick);
   body(piece(plot, 0, 0.03, yard, 1), 0, 1.7, 0, Stuff::brick, brick, Stuff::brick, brick, 0.8);
-  if (draws_.happens(0.75))
-    tree(place(plot, draws_.between(0.3, 0.7), draws_.between(yard + 0.1, 0.9)), draws_.between(4, 8));
-  for (int k = 0; k < 2; ++k) bush(place(plot, draws_.between(0.15, 0.85), draws_.between(yard, 0.95)), 0.6);
+  if (draws_.happens(0.75)) tree(somewhere(plot, 0.3, 0.7, yard + 0.1, 0.9), 4, 8);
+  for (int k = 0; k < 2; ++k) bush(somewhere(plot, 0.15, 0.85, yard, 0.95), 0.4, 0.8);
 }
 
 void BlockBuilder::apartments(const Plot& plot) {
@@ -614,8 +624,7 @@ void BlockBuilder::apartments(const Plot& plot) {
   const Plan across = glm::normalize(plot[3] - plot[0]);
   for (double s = 3; s < w - 3; s += 2.9)
     if (draws_.happens(0.6)) car(place(plot, s / w, 1 - 3.2 / d), across);
-  for (int k = 0; k < 5; ++k)
-    tree(place(plot, draws_.between(0.05, 0.95), draws_.between(0.2, 0.6) * v0), draws_.between(5, 9));
+  for (int k = 0; k < 5; ++k) tree(somewhere(plot, 0.05, 0.95, 0.2 * v0, 0.6 * v0), 5, 9);
 }
 
 void BlockBuilder::park(const Plot& plot) {
@@ -643,10 +652,9 @@ void BlockBuilder::park(const Plot& plot) {
   for (std::size_t k = 0; k < 34; ++k) {
     const double x = draws_.between(0.04, 0.96), y = draws_.between(0.04, 0.96);
     const bool on_path = std::abs(x - 0.5) < 4 / w || std::abs(y - 0.5)<4 / d, in_pond = x> 0.57 && y > 0.57;
-    if (!on_path && (!in_pond || k % 4 == 0)) tree(place(plot, x, in_pond ? 0.95 : y), draws_.between(6, 14));
+    if (!on_path && (!in_pond || k % 4 == 0)) tree(place(plot, x, in_pond ? 0.95 : y), 6, 14);
   }
-  for (int k = 0; k < 14; ++k)
-    bush(place(plot, draws_.between(0.03, 0.45), draws_.between(0.03, 0.97)), draws_.between(0.4, 1.1));
+  for (int k = 0; k < 14; ++k) bush(somewhere(plot, 0.03, 0.45, 0.03, 0.97), 0.4, 1.1);
 }
 
 void BlockBuilder::church(const Plot& plot) {
@@ -682,8 +690,8 @@ void BlockBuilder::church(const Plot& plot) {
   ground(Stuff::paving, 0.8, stone, piece(plot, u1, 1, v0, v1));
   ground(Stuff::paving, 0.8, stone, piece(plot, 0, 1, v1, 1));
   for (int k = 0; k < 9; ++k) {
-    tree(place(plot, 0.06 + 0.11 * k, 0.08), draws_.between(5, 7));
-    tree(place(plot, 0.06 + 0.11 * k, 0.93), draws_.between(5, 7));
+    tree(place(plot, 0.06 + 0.11 * k, 0.08), 5, 7);
+    tree(place(plot, 0.06 + 0.11 * k, 0.93), 5, 7);
   }
 }
 
@@ -726,7 +734,7 @@ void BlockBuilder::streets(const Plot& middle, const Plot& kerb, const Plot& inn
       if (draws_.happens(busy)) car(kerb[k] + along * (s + draws_.between(-0.3, 0.3)) + out * 1.15, along);
     for (double s = 5; s < side - 4; s += wide ? 9.0 : 26.0) {
       const Plan spot = kerb[k] + along * s - out * 0.6;
-      if (wide && draws_.happens(0.75)) tree(spot, draws_.between(5, 8));
+      if (wide && draws_.happens(0.75)) tree(spot, 5, 8);
     }
     for (double s = 9.5; s < side - 4; s += 25) lamp(kerb[k] + along * s - out * 0.4);
   }
@@ -738,7 +746,8 @@ void BlockBuilder::streets(const Plot& middle, const Plot& kerb, const Plot& inn
 
 Vec TownPlan::crossing(int i, int j) const {
   Draws draws(key_of(seed_, i, j, 1));
-  return at((i + 0.14 * (draws.next() - 0.5)) * kPitchX, 0, (j + 0.16 * (draws.next() - 0.5)) * kPitchZ);
+  const double x = draws.between(-0.07, 0.07), z = draws.between(-0.08, 0.08);
+  return at((i + x) * kPitchX, 0, (j + z) * kPitchZ);
 }
 
 Block TownPlan::block(int i, int j) const {
@@ -824,9 +833,10 @@ Block TownPlan::surroundings(int first, int last, int sector) const {
   for (int k = 0; k < 40; ++k) {
     const double phi = draws.between(from, to);
     const Vec d = turn(phi);
-    const double r = edge_distance(first, last, d.x, d.z) + 25 + 400 * draws.next() * draws.next();
+    const double off = draws.next();
+    const double r = edge_distance(first, last, d.x, d.z) + 25 + 400 * off * off;
     const std::size_t before = block.parts.size();
-    builder.tree(Plan{middle * kPitchX + d.x * r, middle * kPitchZ + d.z * r}, draws.between(5, 13));
+    builder.tree(Plan{middle * kPitchX + d.x * r, middle * kPitchZ + d.z * r}, 5, 13);
     for (std::size_t p = before; p < block.parts.size(); ++p) {
       Part& part = block.parts[p];
       part.area = part_area(part);

@@ -7,6 +7,7 @@
 #include <sys/resource.h>
 
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cmath>
 #include <cstring>
@@ -14,12 +15,14 @@
 #include <fstream>
 #include <iterator>
 #include <map>
+#include <span>
 #include <string>
 #include <thread>
 #include <utility>
 #include <vector>
 
 #include "rgs/camera_file.hpp"
+#include "rgs/checksum.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 
@@ -135,6 +138,13 @@ TEST_CASE("a town has as many Gaussians as were asked for, all of them finite an
       CHECK(n_bad == 0);
       CHECK(n_outside == 0);
     }
+}
+
+TEST_CASE("a town's bytes stay what they are, whatever the compiler") {
+  const std::vector<Splat> splats = whole(TownGenerator(1, 50021, 3, 3));
+  const std::string cameras = town_cameras_json(1) + town_path_json(1);
+  CHECK(xxh3(std::as_bytes(std::span(splats))) == 1172239738387233810U);
+  CHECK(xxh3(std::as_bytes(std::span(cameras))) == 3235692612974067230U);
 }
 
 TEST_CASE("a lower degree of the town is the higher one cut off, and seeds give other towns") {
