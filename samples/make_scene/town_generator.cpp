@@ -469,6 +469,7 @@ struct TownGenerator::Layout {
   };
   std::uint64_t seed, n;
   int sh_degree, blocks;
+  double backdrop = 0;  // weight of fields, hills and sky in each sector
   TownPlan plan;
   std::vector<Entry> ranges;  // sectors around the town, then blocks, i fastest; one more with first = n
 
@@ -476,7 +477,7 @@ struct TownGenerator::Layout {
       : seed(mix(seed_ + kGolden)), n(n_), sh_degree(sh_degree_), blocks(blocks_), plan(seed) {}
   int low() const { return -(blocks / 2); }
   Block block(std::size_t k) const {
-    if (k < TownPlan::kSectors) return plan.surroundings(low(), low() + blocks, static_cast<int>(k));
+    if (k < TownPlan::kSectors) return plan.surroundings(low(), low() + blocks, static_cast<int>(k), backdrop);
     const auto at_block = static_cast<int>(k) - TownPlan::kSectors;
     return plan.block(low() + at_block % blocks, low() + at_block / blocks);
   }
@@ -504,17 +505,19 @@ TownGenerator::TownGenerator(std::uint64_t seed, std::uint64_t n, int sh_degree,
       entry.box.low = glm::min(entry.box.low, box.low);
       entry.box.high = glm::max(entry.box.high, box.high);
     }
-    total += k < TownPlan::kSectors ? 0 : weight[k];
+    total += weight[k];
     entry.casters.assign(block.casters.begin(), block.casters.end());  // no more memory than they need
     entry.sides.assign(block.sides.begin(), block.sides.end());
   }
-  // The background needs a share that falls with n, as its distance stays, but enough of them to stay there.
+  // Fields, hills and sky need a share that falls with n, as their distance stays, but enough of them to stay there.
   const double amount = static_cast<double>(n),
-               around = std::min(0.2 * amount, 1500.0) + 0.05 * amount / std::sqrt(1 + amount / 2e6);
+               share = std::min(0.25, 13000 / std::max(amount, 1.0)) + 0.003 / std::sqrt(1 + amount / 2e7);
+  layout->backdrop = total * share / (1 - share) / TownPlan::kSectors;
+  total /= 1 - share;
   double before = 0;
   for (std::size_t k = 0; k < n_all; ++k) {
-    layout->ranges[k].first = std::min(n, static_cast<std::uint64_t>(before));
-    before += k < TownPlan::kSectors ? around / TownPlan::kSectors : (amount - around) * (weight[k] / total);
+    layout->ranges[k].first = std::min(n, static_cast<std::uint64_t>(before / total * amount));
+    before += weight[k] + (k < TownPlan::kSectors ? layout->backdrop : 0);
   }
   layout->ranges[n_all].first = n;
   layout_ = layout;

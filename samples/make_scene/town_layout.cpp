@@ -816,21 +816,20 @@ Block TownPlan::block(int i, int j) const {
   return block;
 }
 
-Block TownPlan::surroundings(int first, int last, int sector) const {
+Block TownPlan::surroundings(int first, int last, int sector, double backdrop) const {
   Block block;
   BlockBuilder builder(block, key_of(seed_, sector, last - first, 3));
   Draws& draws = builder.draws();
   const double from = 2 * kPi * sector / kSectors, to = 2 * kPi * (sector + 1) / kSectors;
   const Vec span{from, to, 0}, town{static_cast<double>(first), static_cast<double>(last), 0};
-  const auto add = [&](Part::Shape shape, Stuff stuff, double area, const Vec& what) {
-    builder.add(shape, stuff, 1, Vec{0.5}, {span, what, town}).area = area;
+  const auto add = [&](Part::Shape shape, Stuff stuff, double share, const Vec& what) {
+    builder.add(shape, stuff, backdrop, Vec{0.5}, {span, what, town}).area = share;
   };
-  // The background gets about the share that trained scenes give it, whatever its true area.
-  add(Part::Shape::country, Stuff::field, 12000, {});
-  for (int k = 0; k < 3; ++k) add(Part::Shape::ridge, Stuff::hill, 1800, Vec{2600 + 800 * k, 130 + 110 * k, k + 1});
-  add(Part::Shape::dome, Stuff::sky, 7000, {});
+  add(Part::Shape::country, Stuff::field, 0.74, {});
+  for (int k = 0; k < 3; ++k) add(Part::Shape::ridge, Stuff::hill, 0.03, Vec{2600 + 800 * k, 130 + 110 * k, k + 1});
+  add(Part::Shape::dome, Stuff::sky, 0.17, {});
   const double middle = (first + last) / 2.0;
-  for (int k = 0; k < 40; ++k) {
+  for (int k = 0; k < 6 * (last - first); ++k) {
     const double phi = draws.between(from, to);
     const Vec d = turn(phi);
     const double off = draws.next();
@@ -840,7 +839,7 @@ Block TownPlan::surroundings(int first, int last, int sector) const {
     for (std::size_t p = before; p < block.parts.size(); ++p) {
       Part& part = block.parts[p];
       part.area = part_area(part);
-      part.detail = (p == before ? 4 : 45) / part.area;
+      part.detail *= 0.6;
     }
   }
   return block;

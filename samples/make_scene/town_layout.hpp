@@ -83,8 +83,9 @@ class TownPlan {
   /// On the ground, in the middle of the streets.
   Vec crossing(int i, int j) const;
   Block block(int i, int j) const;
-  /// Part k of kSectors of what lies around a town of blocks first .. last - 1 both ways.
-  Block surroundings(int first, int last, int sector) const;
+  /// Part `sector` of kSectors of what lies around a town of blocks first .. last - 1 both ways: trees, and fields, hills
+  /// and sky that have the weight `backdrop` together, whatever their area.
+  Block surroundings(int first, int last, int sector, double backdrop) const;
   static constexpr int kSectors = 8;
   static constexpr double kFar = 5000;  // radius of the sky, metres
 

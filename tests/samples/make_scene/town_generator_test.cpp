@@ -143,7 +143,7 @@ TEST_CASE("a town has as many Gaussians as were asked for, all of them finite an
 TEST_CASE("a town's bytes stay what they are, whatever the compiler") {
   const std::vector<Splat> splats = whole(TownGenerator(1, 50021, 3, 3));
   const std::string cameras = town_cameras_json(1) + town_path_json(1);
-  CHECK(xxh3(std::as_bytes(std::span(splats))) == 1172239738387233810U);
+  CHECK(xxh3(std::as_bytes(std::span(splats))) == 13581771211868982867U);
   CHECK(xxh3(std::as_bytes(std::span(cameras))) == 3235692612974067230U);
 }
 
@@ -215,7 +215,7 @@ TEST_CASE("the town's Gaussians are thin discs, nearly opaque, as wide as their 
       }
     }
   }
-  CHECK(n > 180000);
+  CHECK(n > 160000);  // the rest is around the town
   CHECK(percentile(flatness, 0.5) > std::log(4));
   CHECK(percentile(aspect, 0.5) < std::log(2));
   CHECK(percentile(opaque, 0.5) > 0.9);
