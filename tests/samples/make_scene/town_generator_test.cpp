@@ -76,6 +76,16 @@ bool is_block(const TownGenerator& town, std::uint64_t k) {
   return box.high[0] - box.low[0] < 200;
 }
 
+using Vector = std::array<double, 3>;
+
+Vector eye(const Camera& camera) {
+  Vector at{};
+  const auto& m = camera.world_to_camera;
+  for (int a = 0; a < 3; ++a)
+    for (int r = 0; r < 3; ++r) at[static_cast<std::size_t>(a)] -= m[a][r] * m[3][r];
+  return at;
+}
+
 double opacity(const Splat& s) {
   return 1 / (1 + std::exp(-double{s.opacity_logit}));
 }
@@ -339,14 +349,6 @@ TEST_CASE("the town's cameras and its path can be read, and the path is 30 m/s")
   REQUIRE(path.has_value());
   CHECK(views->cameras.size() == 8);
   REQUIRE(path->cameras.size() == kTownPathFrames);
-  using Vector = std::array<double, 3>;
-  const auto eye = [](const Camera& camera) {
-    Vector at{};
-    const auto& m = camera.world_to_camera;
-    for (int a = 0; a < 3; ++a)
-      for (int r = 0; r < 3; ++r) at[static_cast<std::size_t>(a)] -= m[a][r] * m[3][r];
-    return at;
-  };
   const auto forward = [](const Camera& camera) {
     const auto& m = camera.world_to_camera;
     return Vector{m[0][2], m[1][2], m[2][2]};
@@ -364,6 +366,27 @@ TEST_CASE("the town's cameras and its path can be read, and the path is 30 m/s")
   CHECK(eye(path->cameras.back())[1] < -40);
   CHECK(town_path_json(1) != town_path_json(2));
   CHECK(town_path_json(1, 1280, 720, {1e6, 0, 0}) != town_path_json(1));
+}
+
+TEST_CASE("the path runs into nothing") {
+  for (const std::uint64_t seed : {1U, 2U}) {
+    CAPTURE(seed);
+    const Result<CameraSet> path = parse_camera_json(town_path_json(seed));
+    REQUIRE(path.has_value());
+    std::size_t n_near = 0, n_below = 0;
+    for (const Splat& s : whole(TownGenerator(seed, 200000, 0, 4))) {
+      if (s.opacity_logit < 0) continue;
+      for (std::size_t k = 0; k < path->cameras.size(); k += 4) {
+        const Vector at = eye(path->cameras[k]);
+        const double distance =
+            std::hypot(double{s.mean[0]} - at[0], double{s.mean[1]} - at[1], double{s.mean[2]} - at[2]);
+        n_near += distance < 1.2 ? 1U : 0U;
+        n_below += distance < 2.2 ? 1U : 0U;  // the road
+      }
+    }
+    CHECK(n_near == 0);
+    CHECK(n_below > 0);
+  }
 }
 
 #ifdef RGS_MAKE_SCENE
