@@ -84,12 +84,6 @@ double part_area(const Part& part) {
   return 0;
 }
 
-// Horizon of hill range `range` above the ground at azimuth phi; sines of whole multiples close without a seam.
-double ridge_height(double phi, double range) {
-  return 0.55 + 0.2 * std::sin(3 * phi + 2.1 * range) + 0.16 * std::sin(5 * phi + range) +
-         0.07 * std::sin(11 * phi - 2 * range) + 0.03 * std::sin(23 * phi);
-}
-
 // (u, v) in [0, 1)^2 to the surface.
 Point sample(const Part& part, double u, double v, const Dice& dice) {
   const Vec &o = part.origin, &a = part.a, &b = part.b;
@@ -249,13 +243,7 @@ Look look(Material material, const Point& q, const Part& part, const Dice& dice)
       return {glm::mix(glm::mix(Vec{0.20, 0.36, 0.14}, Vec{0.36, 0.46, 0.20}, wood), Vec{0.56, 0.68, 0.80},
                        0.25 + 0.6 * haze)};
     }
-    case Material::sky: {
-      const double h = std::max(0.0, -q.p.y / kFar);
-      const Vec blue = glm::mix(Vec{0.80, 0.88, 0.94}, Vec{0.26, 0.48, 0.80}, smooth(1.7 * h));
-      // Clouds on a plane above the ground, which crowds them towards the horizon.
-      const double scale = 1.5 / (h + 0.12) / kFar, cover = fractal_noise(q.p.x * scale + 7, q.p.z * scale + 3);
-      return {glm::mix(blue, Vec{0.97, 0.97, 0.98}, 0.85 * smooth(4.5 * cover - 2.2) * smooth(6 * h))};
-    }
+    case Material::sky: return {sky_colour(q.p, kFar)};
     case Material::floater: return {Vec{0.55, 0.55, 0.5} + 0.2 * dice.vector(Use::hue)};
   }
   return {};
@@ -489,14 +477,7 @@ double SceneGenerator::Layout::sunlight(const Vec& p) const {
                  r2 = shade.radius * shade.radius;
     if (miss2 < 1.5 * r2 && shade.depth - depth > 0.3 * shade.radius) light *= smooth(miss2 / r2 - 0.5);
   }
-  double enter = 0.02, leave = 1e9;  // the ray's stay within the house
-  for (const HalfSpace& side : house) {
-    const double slope = glm::dot(side.n, kSun), room = side.d - glm::dot(side.n, p);
-    (slope < 0 ? enter : leave) =
-        slope < 0 ? std::max(enter, room / slope) : std::min(leave, slope > 0 ? room / slope : leave);
-    if (slope == 0 && room < 0) leave = -1;
-  }
-  return light * (1 - smooth((leave - enter) / 0.12));
+  return light * (1 - smooth(way_through(house, p) / 0.12));
 }
 
 Splat SceneGenerator::Layout::splat(std::uint64_t i, int sh_degree) const {

@@ -9,6 +9,7 @@
 #include <cmath>
 #include <cstdint>
 #include <glm/glm.hpp>
+#include <span>
 
 #include "rgs/splat_cloud.hpp"
 
@@ -111,6 +112,34 @@ struct HalfSpace {  // dot(n, p) <= d
   Vec n;
   double d;
 };
+
+// How far the ray from p to the sun runs through a convex body; negative if it misses it. What it leaves at once is its own
+// surface.
+inline double way_through(std::span<const HalfSpace> body, const Vec& p) {
+  double enter = 0.02, leave = 1e9;
+  for (const HalfSpace& side : body) {
+    const double slope = glm::dot(side.n, kSun), room = side.d - glm::dot(side.n, p);
+    (slope < 0 ? enter : leave) =
+        slope < 0 ? std::max(enter, room / slope) : std::min(leave, slope > 0 ? room / slope : leave);
+    if (slope == 0 && room < 0) leave = -1;
+  }
+  return leave - enter;
+}
+
+// Horizon of hill range `range` above the ground at azimuth phi; sines of whole multiples close without a seam.
+inline double ridge_height(double phi, double range) {
+  return 0.55 + 0.2 * std::sin(3 * phi + 2.1 * range) + 0.16 * std::sin(5 * phi + range) +
+         0.07 * std::sin(11 * phi - 2 * range) + 0.03 * std::sin(23 * phi);
+}
+
+// Colour of a sky of radius `far` at p.
+inline Vec sky_colour(const Vec& p, double far) {
+  const double h = std::max(0.0, -p.y / far);
+  const Vec blue = glm::mix(Vec{0.80, 0.88, 0.94}, Vec{0.26, 0.48, 0.80}, smooth(1.7 * h));
+  // Clouds on a plane above the ground, which crowds them towards the horizon.
+  const double scale = 1.5 / (h + 0.12) / far, cover = fractal_noise(p.x * scale + 7, p.z * scale + 3);
+  return glm::mix(blue, Vec{0.97, 0.97, 0.98}, 0.85 * smooth(4.5 * cover - 2.2) * smooth(6 * h));
+}
 
 // The quaternion of the frame x, y, z, scaled to `length`.
 inline void set_rotation(const Vec& x, const Vec& y, const Vec& z, double length, float out[4]) {

@@ -150,14 +150,7 @@ Look look(const Part& part, const Spot& q, const Dice& dice) {
       return {glm::mix(glm::mix(Vec{0.20, 0.36, 0.14}, Vec{0.36, 0.46, 0.20}, wood), Vec{0.56, 0.68, 0.80},
                        0.3 + 0.55 * haze)};
     }
-    case Stuff::sky: {
-      const double h = std::max(0.0, -q.p.y / TownPlan::kFar);
-      const Vec blue = glm::mix(Vec{0.80, 0.88, 0.94}, Vec{0.26, 0.48, 0.80}, smooth(1.7 * h));
-      // Clouds on a plane above the ground, which crowds them towards the horizon.
-      const double scale = 1.5 / (h + 0.12) / TownPlan::kFar,
-                   cover = fractal_noise(q.p.x * scale + 7, q.p.z * scale + 3);
-      return {glm::mix(blue, Vec{0.97, 0.97, 0.98}, 0.85 * smooth(4.5 * cover - 2.2) * smooth(6 * h))};
-    }
+    case Stuff::sky: return {sky_colour(q.p, TownPlan::kFar)};
     case Stuff::floater: return {Vec{0.5} + 0.15 * dice.vector(Use::hue)};
   }
   return {};
@@ -165,12 +158,6 @@ Look look(const Part& part, const Spot& q, const Dice& dice) {
 
 bool has_own_light(Stuff stuff) {  // its colour is what is seen
   return stuff == Stuff::sky || stuff == Stuff::hill || stuff == Stuff::floater;
-}
-
-// Horizon of hill range `range` above the ground at azimuth phi; sines of whole multiples close without a seam.
-double ridge_height(double phi, double range) {
-  return 0.55 + 0.2 * std::sin(3 * phi + 2.1 * range) + 0.16 * std::sin(5 * phi + range) +
-         0.07 * std::sin(11 * phi - 2 * range) + 0.03 * std::sin(23 * phi);
 }
 
 }  // namespace
@@ -218,14 +205,7 @@ double TownRange::Layout::sunlight(const Vec& p, const std::vector<const Shade*>
       if (shade->depth - depth > 0.3 * shade->radius) light *= 0.35 + 0.65 * smooth(miss2 / r2 - 0.5);
       continue;
     }
-    double enter = 0.02, leave = 1e9;  // the ray's stay within the house
-    for (const HalfSpace& side : shade->sides) {
-      const double slope = glm::dot(side.n, kSun), room = side.d - glm::dot(side.n, p);
-      (slope < 0 ? enter : leave) =
-          slope < 0 ? std::max(enter, room / slope) : std::min(leave, slope > 0 ? room / slope : leave);
-      if (slope == 0 && room < 0) leave = -1;
-    }
-    light *= 1 - smooth((leave - enter) / 0.4);
+    light *= 1 - smooth(way_through(shade->sides, p) / 0.4);
   }
   return light;
 }
@@ -302,7 +282,7 @@ void TownRange::Layout::paint_quad(std::size_t p, std::uint64_t from, std::span<
   const auto rows = static_cast<double>(n_rows);
   const auto before = [&](std::uint64_t r) {
     const double v = static_cast<double>(r) / rows;
-    return r == n_rows ? n : static_cast<std::uint64_t>(amount * v * (low + (top - low) * v / 2) / wide + 0.5);
+    return r == n_rows ? n : static_cast<std::uint64_t>(std::floor(amount * v * (low + (top - low) * v / 2) / wide));
   };
   std::uint64_t row = 0, above = n_rows;  // the row that holds Gaussian `from`
   while (above - row > 1) {
@@ -394,8 +374,9 @@ Spot TownRange::Layout::round_spot(std::size_t p, std::uint64_t j, const Dice& d
       const double aspect = a.y / (a.x * sector);  // of the hills' face
       const auto n_rows = static_cast<std::uint64_t>(std::max(1.0, std::round(std::sqrt(n * aspect))));
       const auto rows = static_cast<double>(n_rows);
+      const std::uint64_t column = j / n_rows;
       const double columns = std::ceil(n / rows), up = (static_cast<double>(j % n_rows) + 0.5) / rows,
-                   azimuth = std::lerp(o.x, o.y, (static_cast<double>(j / n_rows) + v) / columns);
+                   azimuth = std::lerp(o.x, o.y, (static_cast<double>(column) + v) / columns);
       const Vec out = turn(azimuth);
       const double crest = a.y * ridge_height(azimuth, a.z);
       Spot q = frame(centre + out * (a.x + 1.5 * crest * up) + kUp * (crest * up), glm::normalize(1.5 * kUp - out),
