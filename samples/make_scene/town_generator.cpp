@@ -605,21 +605,17 @@ std::string town_path_json(std::uint64_t seed, int width, int height, const Orig
   std::vector<View> views;
   double x = -2;
   Vec eye = street_point(plan, x) + kEyeLevel * kUp;
-  for (int k = 0; k < kTownPathFrames; ++k) {
-    const double flight = static_cast<double>(k - kWalk) / (kTownPathFrames - kWalk);  // 0 to 1 over the roofs
-    Vec ahead;
-    if (k < kWalk) {
-      const Vec along = street_point(plan, x + 0.01) - street_point(plan, x);
-      x += 0.01 * kStep / glm::length(along);
-      ahead = street_point(plan, x + 0.15) + 1.9 * kUp;
-      views.push_back({eye, ahead});
-      eye = street_point(plan, x) + kEyeLevel * kUp;
-      continue;
-    }
+  for (int k = 0; k < kWalk; ++k) {
+    x += 0.01 * kStep / glm::distance(street_point(plan, x), street_point(plan, x + 0.01));
+    views.push_back({eye, street_point(plan, x + 0.15) + 1.9 * kUp});
+    eye = street_point(plan, x) + kEyeLevel * kUp;
+  }
+  const Vec street_way = glm::normalize(street_point(plan, x + 0.15) - street_point(plan, x));
+  for (int k = kWalk; k < kTownPathFrames; ++k) {
     // Up, steepest in the middle of the climb, while the way turns towards the blocks at the left.
+    const double flight = static_cast<double>(k - kWalk) / (kTownPathFrames - kWalk);
     const double climb = 0.75 * smooth(3 * flight) * (1 - smooth((flight - 0.4) / 0.35)),
                  bend = 0.75 * smooth(1.3 * flight);
-    const Vec street_way = glm::normalize(street_point(plan, x + 0.15) - street_point(plan, x));
     const Vec flat =
         glm::normalize(Vec{std::cos(bend), 0, std::sin(bend)} + (1 - smooth(4 * flight)) * (street_way - Vec{1, 0, 0}));
     const Vec way = flat * std::cos(climb) + kUp * std::sin(climb);

@@ -7,6 +7,7 @@
 #include <memory>
 #include <span>
 #include <string>
+#include <utility>
 
 #include "rgs/splat_cloud.hpp"
 
@@ -35,10 +36,10 @@ class TownRange {
 
 /// A town on the plane y = 0 in metres, 3DGS axes (x right, y down, z forward): streets on a slightly irregular grid,
 /// terraces, villas with gardens, apartment houses, parks, a church, cars and trees; fields, hills and a sky 5 km away
-/// around it. Blocks measure about 78 x 64 m and the town's middle is the origin. Block (i, j) of a seed is the same
+/// around it. Blocks measure about 78 x 64 m and a crossing near the middle is the origin. Block (i, j) of a seed is the same
 /// whatever the town's size, so that a larger town contains the smaller one, with other Gaussians. Gaussians are flat
 /// discs that fit the surfaces, as wide as their neighbours are apart; most are nearly opaque.
-/// Memory: below 20 MB, and about 1 MB for each TownRange that exists. Values are finite. Thread-safe; copies share
+/// Memory: 10 KB for each block, and about 1 MB for each TownRange that exists. Values are finite. Thread-safe; copies share
 /// their state.
 class TownGenerator {
  public:

@@ -7,9 +7,6 @@
 // do not after training.
 #include "town_layout.hpp"
 
-#include <iterator>
-#include <span>
-
 namespace rgs::detail {
 namespace {
 
