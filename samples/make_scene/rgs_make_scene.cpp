@@ -4,6 +4,7 @@
 #include <tbb/blocked_range.h>
 #include <tbb/global_control.h>
 #include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 #include <algorithm>
 #include <array>
@@ -18,6 +19,7 @@
 #include "rgs/ply.hpp"
 #include "rgs/version.hpp"
 #include "scene_generator.hpp"
+#include "town_generator.hpp"
 
 namespace {
 
@@ -26,36 +28,56 @@ namespace tool = rgs::tool;
 constexpr std::uint64_t kBatch = 2048;  // Gaussians: 0.5 MB as Splat, as much again encoded, per thread
 
 struct Options {
-  std::string output, cameras, gaussians = "200k";
+  std::string output, cameras, camera_path, gaussians = "200k";
   rgs::Origin origin = rgs::kNoOrigin;
   std::uint64_t seed = 1;
-  int degree = 3;
+  int degree = 3, blocks = 0;
   unsigned threads = 0;
-  bool overwrite = false, quiet = false, no_sync = false;
+  bool town = false, overwrite = false, quiet = false, no_sync = false;
 };
 
-rgs::Status write_text(const std::string& path, const std::string& text, const rgs::AtomicFile::Options& options) {
-  rgs::Result<rgs::AtomicFile> file = rgs::AtomicFile::create(path, options);
-  if (!file) return tl::unexpected(file.error());
-  if (rgs::Status written = file->write_at(0, std::as_bytes(std::span(text))); !written) return written;
-  return file->commit().map([](double) {});
-}
+// A text beside the scene. Its file is there before the work begins, so that what is in its way shows then.
+class TextFile {
+ public:
+  // The exit code, reported; an empty path is no file.
+  int create(const std::string& path, const rgs::AtomicFile::Options& options) {
+    path_ = path;
+    if (path.empty()) return tool::kSuccess;
+    rgs::Result<rgs::AtomicFile> file = rgs::AtomicFile::create(path, options);
+    if (!file) return tool::report(path, file.error());
+    file_ = std::move(*file);
+    return tool::kSuccess;
+  }
+  int write(const std::string& text) {
+    if (path_.empty()) return tool::kSuccess;
+    rgs::Status written = file_.write_at(0, std::as_bytes(std::span(text)));
+    if (written) written = file_.commit().map([](double) {});
+    return written ? tool::kSuccess : tool::report(path_, written.error());
+  }
 
-rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer, tool::Progress& progress) {
+ private:
+  std::string path_;
+  rgs::AtomicFile file_;
+};
+
+// Writes Gaussians 0 .. count - 1 of `source` to rows first, first + 1, ... in batches, on all threads.
+template <class Source>
+rgs::Status write_batches(const Source& source, std::uint64_t first, std::uint64_t count, rgs::PlyWriter& writer,
+                          tool::Progress& progress) {
   rgs::Status status;
   std::mutex mutex;
   tbb::task_group_context context;
-  const std::uint64_t n_batches = (scene.size() + kBatch - 1) / kBatch;
+  const std::uint64_t n_batches = (count + kBatch - 1) / kBatch;
   tbb::parallel_for(
       tbb::blocked_range<std::uint64_t>(0, n_batches, 4),
       [&](const tbb::blocked_range<std::uint64_t>& range) {
         std::vector<rgs::Splat> splats;
         for (std::uint64_t batch = range.begin(); batch != range.end() && !context.is_group_execution_cancelled();
              ++batch) {
-          const std::uint64_t first = batch * kBatch;
-          splats.resize(std::min(kBatch, scene.size() - first));
-          scene.generate(first, splats);
-          if (rgs::Status written = writer.write(first, splats); !written) {
+          const std::uint64_t start = batch * kBatch;
+          splats.resize(std::min(kBatch, count - start));
+          source.generate(start, splats);
+          if (rgs::Status written = writer.write(first + start, splats); !written) {
             const std::lock_guard lock(mutex);
             if (status) status = written;
             context.cancel_group_execution();
@@ -67,29 +89,65 @@ rgs::Status write_scene(const rgs::SceneGenerator& scene, rgs::PlyWriter& writer
   return status;
 }
 
+// The same for a town: ranges in parallel, and the batches of a range too, as there may be few of either.
+rgs::Status write_town(const rgs::TownGenerator& town, rgs::PlyWriter& writer, tool::Progress& progress) {
+  rgs::Status status;
+  std::mutex mutex;
+  tbb::task_group_context context;
+  tbb::parallel_for(
+      tbb::blocked_range<std::uint64_t>(0, town.n_ranges(), 1),
+      [&](const tbb::blocked_range<std::uint64_t>& ranges) {
+        for (std::uint64_t k = ranges.begin(); k != ranges.end() && !context.is_group_execution_cancelled(); ++k) {
+          const rgs::TownRange range = town.range(k);
+          rgs::Status written;
+          // Isolated: a thread that waits for a range's batches does not begin another range meanwhile.
+          tbb::this_task_arena::isolate(
+              [&] { written = write_batches(range, town.first(k), range.size(), writer, progress); });
+          if (!written) {
+            const std::lock_guard lock(mutex);
+            if (status) status = written;
+            context.cancel_group_execution();
+          }
+        }
+      },
+      tbb::simple_partitioner{}, context);
+  return status;
+}
+
 int make_scene(const Options& options, std::uint64_t n) {
   const rgs::AtomicFile::Options file_options{options.overwrite, !options.no_sync};
-  const bool piped = options.output == "-" || options.cameras == "-";  // then text goes elsewhere
-  const std::array<std::string, 3> outputs{options.output, options.cameras, piped || options.quiet ? "" : "-"};
+  const bool piped =
+      options.output == "-" || options.cameras == "-" || options.camera_path == "-";  // then text goes elsewhere
+  const std::array<std::string, 4> outputs{options.output, options.cameras, options.camera_path,
+                                           piped || options.quiet ? "" : "-"};
   if (const int code = tool::InputFiles().check_outputs(outputs); code != tool::kSuccess) return code;
   const unsigned threads = options.threads > 0 ? options.threads : std::max(1U, std::thread::hardware_concurrency());
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
 
   rgs::Declarations stated;
   stated.origin = options.origin;
+  if (options.town) stated.metres_per_unit = 1;
+  TextFile cameras, camera_path;
+  if (const int code = cameras.create(options.cameras, file_options); code != tool::kSuccess) return code;
+  if (const int code = camera_path.create(options.camera_path, file_options); code != tool::kSuccess) return code;
   rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options, stated);
   if (!writer) return tool::report(options.output, writer.error());
-  const rgs::SceneGenerator scene(options.seed, n, options.degree);
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   progress.begin("writing", n, "Gaussians");
-  if (rgs::Status written = write_scene(scene, *writer, progress); !written)
-    return tool::report(options.output, written.error());
+  const rgs::Status rows =
+      options.town ? write_town(rgs::TownGenerator(options.seed, n, options.degree, options.blocks), *writer, progress)
+                   : write_batches(rgs::SceneGenerator(options.seed, n, options.degree), 0, n, *writer, progress);
+  if (!rows) return tool::report(options.output, rows.error());
   // Cameras first: a failure there leaves no scene without the cameras that were asked for.
-  if (!options.cameras.empty()) {
-    if (rgs::Status written =
-            write_text(options.cameras, rgs::scene_cameras_json(1280, 720, options.origin), file_options);
-        !written)
-      return tool::report(options.cameras, written.error());
+  const int width = 1280, height = 720;
+  if (const int code = cameras.write(options.town ? rgs::town_cameras_json(options.seed, width, height, options.origin)
+                                                  : rgs::scene_cameras_json(width, height, options.origin));
+      code != tool::kSuccess)
+    return code;
+  if (options.town) {
+    if (const int code = camera_path.write(rgs::town_path_json(options.seed, width, height, options.origin));
+        code != tool::kSuccess)
+      return code;
   }
   if (rgs::Result<double> synced = writer->commit(); !synced) return tool::report(options.output, synced.error());
   progress.finish();
@@ -106,16 +164,31 @@ int make_scene(const Options& options, std::uint64_t n) {
 
 int parse_and_make_scene(int argc, char** argv) {
   Options options;
-  CLI::App app{"Writes a deterministic synthetic scene (a house in a garden under a wide sky) as a 3DGS PLY.",
+  CLI::App app{"Writes a deterministic synthetic scene (a house in a garden, or a town) as a 3DGS PLY.",
                "rgs-make-scene"};
   app.add_option("output", options.output, "PLY file to write")->required();
   app.add_option("--seed", options.seed, "another seed, another scene")->capture_default_str();
-  app.add_option("--gaussians", options.gaussians, "number of Gaussians, 0 to 200M; suffixes k and M")
+  app.add_option("--gaussians", options.gaussians,
+                 "number of Gaussians, 0 to 200M, of a town to 1G; suffixes k, M and G")
       ->capture_default_str();
+  auto* const town = app.add_flag("--town", options.town,
+                                  "a town of streets, houses, gardens and trees under a wide sky, in metres; more "
+                                  "Gaussians make it larger and finer");
+  app.add_option(
+         "--blocks", options.blocks,
+         "blocks along each side of the town, 1 to 64; each measures about 78 x 64 m. By default 4 for 1M, 8 for "
+         "20M, 13 for 100M, 22 for 1G Gaussians")
+      ->check(CLI::Range(1, rgs::kMaxTownBlocks))
+      ->needs(town);
   app.add_option("--degree", options.degree, "degree of the spherical harmonics")
       ->check(CLI::Range(0, rgs::kMaxShDegree))
       ->capture_default_str();
   app.add_option("--cameras", options.cameras, "also write eight views of the scene to this JSON file");
+  app.add_option(
+         "--camera-path", options.camera_path,
+         "also write the 600 cameras of a way through the town to this JSON file: along a street, then over the "
+         "roofs, 30 m/s at 60 frames a second")
+      ->needs(town);
   app.add_option("--origin", options.origin,
                  "where the scene's middle lies in the world, x,y,z; then coordinates are double, as those of "
                  "georeferenced scenes")
@@ -132,9 +205,9 @@ int parse_and_make_scene(int argc, char** argv) {
   app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output.");
   if (const auto code = tool::parse(app, argc, argv)) return *code;
   const rgs::Result<std::uint64_t> n = tool::parse_count(options.gaussians);
-  if (!n || *n > rgs::kMaxSceneGaussians)
-    return tool::report_usage(
-        fmt::format("--gaussians takes a whole number from 0 to 200M, not '{}'", options.gaussians));
+  if (!n || *n > (options.town ? rgs::kMaxTownGaussians : rgs::kMaxSceneGaussians))
+    return tool::report_usage(fmt::format("--gaussians takes a whole number from 0 to {}, not '{}'",
+                                          options.town ? "1G" : "200M", options.gaussians));
   return make_scene(options, *n);
 }
 

@@ -10,10 +10,12 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <span>
 #include <string>
 #include <thread>
 #include <vector>
 
+#include "rgs/checksum.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 
@@ -95,6 +97,13 @@ TEST_CASE("the largest scene is reached at random") {
   std::vector<double> size;
   for (const Splat& splat : last) size.push_back(splat.log_scale[0]);
   CHECK(percentile(size, 0.5) < -6);  // below 3 mm
+}
+
+TEST_CASE("a scene's bytes stay what they are") {
+  const std::vector<Splat> splats = whole(1, 20011, 3);
+  CHECK(xxh3(std::as_bytes(std::span(splats))) == 17861800317272669149U);
+  const std::string cameras = scene_cameras_json();
+  CHECK(xxh3(std::as_bytes(std::span(cameras))) == 615894061732631915U);
 }
 
 TEST_CASE("statistics are those of a trained outdoor scene") {
