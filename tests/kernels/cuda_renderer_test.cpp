@@ -407,6 +407,24 @@ TEST_CASE("renderers on streams of their own at once give the bytes of each alon
   for (const auto& lane : lanes) require_cuda(cudaStreamDestroy(lane->stream));
 }
 
+TEST_CASE("a scene may be destroyed while its frame is drawn") {
+  if (!device_answers()) return;
+  const Camera camera = front_camera(90, 60);
+  const int n = sized(400000, 5000, 500);  // long lists: what orders them reads the scene after render() has returned
+  const auto kept = CompactScene::of(cloud_of(random_splats(618, n), 0)),
+             other = CompactScene::of(cloud_of(random_splats(619, n), 0));
+  for (const RenderOptions& options : modes()) {
+    CAPTURE(options.pipeline);
+    Device device(camera);
+    const DeviceScene scene = upload(kept.file);
+    require_ok(device.render(scene, options));
+    const auto expected = device.rgb();
+    require_ok(device.render(upload(kept.file), options));
+    const DeviceScene in_its_place = upload(other.file);
+    check_same(expected, device.rgb());
+  }
+}
+
 TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after the other") {
   if (!device_answers()) return;
   const Scene scenes[] = {scene_of(cloud_of(random_splats(606, sized(2000, 2000, 300)), 1)), Scene(),

@@ -136,7 +136,8 @@ class CudaRenderer {
   CudaRenderer& operator=(CudaRenderer&&) noexcept;
   ~CudaRenderer();
 
-  /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. Waits for the
+  /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. The scene may be
+  /// destroyed before that: its destructor waits for the frame. Waits for the
   /// number of (tile, Gaussian) pairs; where the workspace is too small it grows, and the frame is made and waited for
   /// again. That can happen three times in a row, each time for another of turbo's counts. With options.measure.timings or
   /// .count_pairs also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are exact

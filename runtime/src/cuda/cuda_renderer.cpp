@@ -63,7 +63,7 @@ Status check_pairs(std::uint64_t pairs) {
 
 struct CudaRenderer::Impl {
   ~Impl() {
-    if (state.finished.get() != nullptr) cudaEventSynchronize(state.finished.get());  // it uses all this until then
+    if (state.finished->get() != nullptr) cudaEventSynchronize(state.finished->get());  // it uses all this until then
   }
 
   // What `use` makes of the pipeline that draws the frame.
@@ -128,7 +128,7 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(const Frame& frame) {
   if (!pairs) ok = tl::unexpected(pairs.error());
   if (ok) ok = check_pairs(*pairs);
   if (ok) return pairs;
-  cudaEventSynchronize(state.finished.get());
+  cudaEventSynchronize(state.finished->get());
   return tl::unexpected(ok.error());
 }
 
@@ -212,7 +212,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     w.last = {};
     ok = w.with_pipeline(frame, [&](auto& pipeline) { return pipeline.queue(frame); });
     if (!ok) {
-      cudaEventSynchronize(w.state.finished.get());  // the caller may free the scene
+      cudaEventSynchronize(w.state.finished->get());  // the caller may free the scene
       return tl::unexpected(ok.error());
     }
     if (is_turbo && settings.cuda.asynchronous) {
@@ -233,7 +233,7 @@ Result<FrameStats> CudaRenderer::finish() {
       const Frame frame = *std::exchange(w.open, std::nullopt);
       if (const auto stats = w.outcome(frame); !stats) return stats;
     }
-    if (const auto ok = w.state.finished.wait(); !ok) return tl::unexpected(ok.error());
+    if (const auto ok = w.state.finished->wait(); !ok) return tl::unexpected(ok.error());
     return w.last;
   });
 }

@@ -3,8 +3,10 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <mutex>
 #include <optional>
+#include <vector>
 
 #include "cuda/cuda_objects.hpp"
 #include "cuda/device_memory.hpp"
@@ -19,6 +21,9 @@ struct SceneStorage {
   SceneStorage& operator=(const SceneStorage&) = delete;
   ~SceneStorage() {
     if (copied && copied->get() != nullptr) cudaEventSynchronize(copied->get());
+    for (const auto& frame : frames_) {
+      if (const auto last = frame.lock()) cudaEventSynchronize(last->get());
+    }
   }
 
   std::uint64_t n = 0;
@@ -39,6 +44,15 @@ struct SceneStorage {
     const std::scoped_lock lock(mutex);
     return memory.bytes() + ties.bytes() + temporary.bytes();
   }
+  /// A renderer draws it: what is freed waits for that renderer's last frame, `finished`. Thread-safe.
+  void drawn_by(const std::shared_ptr<Event>& finished) const {
+    const std::scoped_lock lock(mutex);
+    std::erase_if(frames_, [](const auto& frame) { return frame.expired(); });  // a renderer that is gone has waited
+    for (const auto& frame : frames_) {
+      if (frame.lock() == finished) return;
+    }
+    frames_.emplace_back(finished);
+  }
   /// Gives back what the upload alone has needed, if it is over by now. Thread-safe.
   void settle() const {
     const std::scoped_lock lock(mutex);
@@ -46,8 +60,11 @@ struct SceneStorage {
     if (cudaEventQuery(copied->get()) == cudaSuccess) temporary = {};
     cudaGetLastError();  // that it is not over is no error of later calls
   }
-  mutable std::mutex mutex;        // of `temporary`
+  mutable std::mutex mutex;        // of what follows
   mutable DeviceBuffer temporary;  // of an upload that nobody has waited for
+
+ private:
+  mutable std::vector<std::weak_ptr<Event>> frames_;
 };
 
 }  // namespace rgs::detail

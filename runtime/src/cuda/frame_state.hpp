@@ -56,17 +56,20 @@ struct FrameState {
     for (Event& event : marks) {
       if (ok) ok = event.create(cudaEventDefault);
     }
-    return ok ? finished.create() : ok;
+    return ok ? finished->create() : ok;
   }
 
   /// The last frame may be on another stream, and still at work; so may the scene's upload.
   Status begin(const Frame& f) const {
-    if (f.scene) f.scene->settle();
-    const Status ok = finished.hold(f.stream);
+    if (f.scene) {
+      f.scene->settle();
+      f.scene->drawn_by(finished);
+    }
+    const Status ok = finished->hold(f.stream);
     return ok && f.scene && f.scene->copied ? f.scene->copied->hold(f.stream) : ok;
   }
   /// After every begin(), whatever became of the frame: nothing uses the workspace after it.
-  Status end(const Frame& f) const { return finished.record(f.stream); }
+  Status end(const Frame& f) const { return finished->record(f.stream); }
 
   Status mark(Mark m, const Frame& f, CudaStream on) const {
     const bool is_stage = m != kStart && m != kBlended;
@@ -83,13 +86,14 @@ struct FrameState {
   /// frame before is waited for if there is anything to do. Errors: also those of DeviceMemory::allocate().
   Status reserve(DeviceBuffer& buffer, std::uint64_t bytes, CudaStream stream) const {
     if (bytes <= buffer.bytes()) return {};
-    const Status ok = finished.wait();
+    const Status ok = finished->wait();
     return ok ? buffer.reserve(bytes, memory, stream) : ok;
   }
 
   std::shared_ptr<const DeviceMemory> memory;
   std::array<Event, kMarks> marks;
-  Event finished;  ///< the last frame no longer uses the workspace
+  /// The last frame no longer uses the workspace, nor its scene.
+  std::shared_ptr<Event> finished = std::make_shared<Event>();
   PageLocked<HostCounters> host;
   DeviceBuffer splats;  ///< [n]
 };

@@ -190,7 +190,7 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
     const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
     if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
-    if (ok = state_.finished.wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
+    if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
     // Counts without all large Gaussians are too low to be worth memory.
     ok = all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)
                    : reserve_lists(0, 0, seen.n_large_gaussians, 0, f.stream);
