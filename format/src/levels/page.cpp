@@ -1,0 +1,87 @@
+// page.cpp - the tree of pages: what must hold of it, whoever made it.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/page.hpp"
+
+#include <cmath>
+
+namespace rgs::lod {
+namespace {
+
+bool is_box(const Box& box) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (!std::isfinite(box.min[k]) || !std::isfinite(box.max[k]) || box.min[k] > box.max[k]) return false;
+  }
+  return true;
+}
+
+bool contains(const Box& outer, const Box& inner) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (inner.min[k] < outer.min[k] || inner.max[k] > outer.max[k]) return false;
+  }
+  return true;
+}
+
+}  // namespace
+
+PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size) {
+  const Page& page = pages[index];
+  const bool root = index == 0, leaf = page.level == 0;
+  if (page.count == 0) return {PageField::count, "a page has no Gaussians"};
+  const bool last = index + 1 == pages.size();
+  if (leaf && !last && page.count % chunk_size != 0) {
+    return {PageField::count, "a leaf page that is not the last is not whole chunks"};
+  }
+  if (page.level >= kMaxLevels) return {PageField::level, "a page's level is above 63"};
+  const Page* before = root ? nullptr : &pages[index - 1];
+  if (before != nullptr && page.level != before->level && page.level + 1 != before->level) {
+    return {PageField::level, "pages are not ordered by level, coarse to fine"};
+  }
+  if (root != (page.parent == kNoPage)) {
+    return {PageField::parent,
+            root ? "the first page has a parent: it must be the root" : "a second page has no parent"};
+  }
+  if (last && !leaf) return {PageField::level, "the last page is not a leaf"};
+  if (leaf && (page.n_children != 0 || page.first_child != 0)) return {PageField::children, "a leaf page has children"};
+  if (!leaf) {
+    if (page.n_children == 0 || page.n_children > kMaxChildren) {
+      return {PageField::children, "a page above the leaves has not 1 to 255 children"};
+    }
+    // The first page of the level below follows the last of this one.
+    const bool continues = before != nullptr && before->level == page.level;
+    if (page.first_child <= index || page.first_child >= pages.size() ||
+        page.n_children > pages.size() - page.first_child ||
+        (continues && page.first_child != before->first_child + before->n_children)) {
+      return {PageField::children, "the children of pages do not follow each other"};
+    }
+  }
+  if (!is_box(page.bounds)) return {PageField::bounds, "a page's box is not finite or has min > max"};
+  if (!std::isfinite(page.error) || page.error < 0 || std::signbit(page.error) || (leaf && page.error != 0)) {
+    return {PageField::error, "a page's error is negative or not finite, or that of a leaf is not 0"};
+  }
+  if (root) return {};
+  if (page.parent >= index) return {PageField::parent, "a page's parent does not come before it"};
+  const Page& parent = pages[page.parent];
+  if (index < parent.first_child || index - parent.first_child >= parent.n_children || page.level + 1 != parent.level) {
+    return {PageField::parent, "a page is no child of the page that it names as its parent"};
+  }
+  if (!contains(parent.bounds, page.bounds)) return {PageField::bounds, "a page's box reaches out of its parent's"};
+  if (!(page.error < parent.error)) return {PageField::error, "a page's error is not less than its parent's"};
+  return {};
+}
+
+Status check_pages(const std::vector<Page>& pages, std::uint32_t chunk_size) {
+  if (pages.empty()) return make_error(Errc::bad_value, 0, "there are no pages");
+  std::uint64_t first = 0;
+  for (std::size_t i = 0; i < pages.size(); ++i) {
+    const PageFault fault = check_page(pages, i, chunk_size);
+    if (fault.what != nullptr) return make_error(Errc::bad_value, i, fault.what);
+    if (pages[i].first != first) {
+      return make_error(Errc::bad_value, i, "a page's Gaussians do not follow those of the page before", first,
+                        pages[i].first);
+    }
+    first += pages[i].count;
+  }
+  return {};
+}
+
+}  // namespace rgs::lod
