@@ -14,7 +14,8 @@
 #include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
-namespace RGS_API rgs::lod {
+namespace RGS_API rgs {
+namespace lod {
 
 inline constexpr std::uint32_t kNoPage = std::numeric_limits<std::uint32_t>::max();
 
@@ -69,4 +70,5 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
 /// page's index.
 Status check_pages(const std::vector<Page>& pages, std::uint32_t chunk_size);
 
-}  // namespace rgs::lod
+}  // namespace lod
+}  // namespace rgs

@@ -53,6 +53,9 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
         (continues && page.first_child != before->first_child + before->n_children)) {
       return {PageField::children, "the children of pages do not follow each other"};
     }
+    for (std::size_t child = page.first_child; child < std::size_t{page.first_child} + page.n_children; ++child) {
+      if (pages[child].parent != index) return {PageField::children, "a page's child names another page as its parent"};
+    }
   }
   if (!is_box(page.bounds)) return {PageField::bounds, "a page's box is not finite or has min > max"};
   if (!std::isfinite(page.error) || page.error < 0 || std::signbit(page.error) || (leaf && page.error != 0)) {
