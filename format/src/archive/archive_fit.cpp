@@ -235,7 +235,7 @@ void fit_grid(const Box& robust, const Box& full, ArchiveParameters& p) {
   }
 }
 
-std::vector<float> importance(const SplatView& splats, const ArchiveParameters& p) {
+std::vector<float> importance(const SplatView& splats, const ArchiveParameters& p, std::span<const float> farther) {
   std::vector<double> squared(splats.n);
   for (std::size_t i = 0; i < splats.n; ++i) {
     for (std::size_t k = 0; k < 3; ++k) {
@@ -250,6 +250,7 @@ std::vector<float> importance(const SplatView& splats, const ArchiveParameters& 
     const double area = static_cast<double>(s[0] + s[1] + s[2] - std::min({s[0], s[1], s[2]})) / std::log(2.0);
     const double opacity = std::max(1.0 / (1.0 + std::exp(-static_cast<double>(splats.opacity_logit[i]))), 1e-30);
     values[i] = 2 * std::log2(opacity) + area - std::log2(std::max(squared[i], near));
+    if (!farther.empty()) values[i] -= static_cast<double>(farther[i]);
   }
   const double middle = median(values);
   std::vector<float> result(splats.n);
