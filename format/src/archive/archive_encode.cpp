@@ -189,14 +189,16 @@ class Encoder {
         full.min[i % 3] = std::min(full.min[i % 3], splats_.mean[i]);
         full.max[i % 3] = std::max(full.max[i % 3], splats_.mean[i]);
       }
-      // A quarter of the Gaussians have four times the area, and are drawn where that is a quarter of the picture.
+      // A quarter of the Gaussians have four times the area, and are drawn where that is a quarter of the picture; half an
+      // octave more for what is but a likeness of the scene.
       farther.resize(splats_.n);
       for (const Frame& f : frames_) {
-        std::fill_n(farther.begin() + static_cast<std::ptrdiff_t>(f.first), f.count, 2 * static_cast<float>(f.level));
+        std::fill_n(farther.begin() + static_cast<std::ptrdiff_t>(f.first), f.count,
+                    2.5f * static_cast<float>(f.level));
       }
     }
     fit_grid(plan_.declarations.robust, full, p);
-    const std::vector<float> seen = importance(splats_, p, farther);
+    const std::vector<float> seen = importance(splats_, p, farther, first_leaf_);
     classes_ = fit_classes(seen, kClassOctaves);
     fit_steps(plan_.options.archive, splats_, classes_, kClassOctaves, p);
     fit_transforms(leaves(), std::span(seen).subspan(first_leaf_), tables_);

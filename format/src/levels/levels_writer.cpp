@@ -26,6 +26,21 @@ namespace rgs {
 
 using namespace detail;
 
+namespace {
+
+// Means of a page that stands for others need not be finer than what is seen of it: its error is a pixel, wherever it is
+// drawn. A 512th of that at most is lost, and in packed the bytes below it cost nothing.
+void round_means(std::span<Splat> splats, float error) {
+  int exponent = 0;
+  std::frexp(error, &exponent);  // error < 2^exponent
+  const double step = std::ldexp(1.0, exponent - 1 - 8);
+  for (Splat& s : splats) {
+    for (float& x : s.mean) x = static_cast<float>(std::nearbyint(static_cast<double>(x) / step) * step);
+  }
+}
+
+}  // namespace
+
 struct LevelsWriter::State {
   Sink sink;
   EncodePlan plan;
@@ -170,6 +185,7 @@ Status LevelsWriter::Encoder::encode(std::uint32_t page, const SplatView& splats
            }
            Header header = plan.header;
            if (!leaf) {
+             round_means(b.splats, p.error);
              header.scale_exponent =
                  static_cast<std::int16_t>(choose_scale_exponent(scale_from_log(smallest), scale_from_log(largest)));
            }
