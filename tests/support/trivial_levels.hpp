@@ -3,7 +3,6 @@
 #pragma once
 
 #include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <vector>
 
@@ -18,7 +17,7 @@ struct TrivialOptions {
   std::uint32_t n_children = 4;
 };
 
-/// Levels over `leaves`, which are in the order of the file.
+/// Levels over `leaves`, which are in the order of the file. Boxes hold means alone: writers make them large enough.
 inline lod::Levels trivial_levels(const SplatCloud& leaves, const TrivialOptions& options = {}) {
   struct Node {
     std::vector<Splat> splats;
@@ -29,10 +28,9 @@ inline lod::Levels trivial_levels(const SplatCloud& leaves, const TrivialOptions
     Box& box = node.page.bounds;
     for (std::size_t i = 0; i < node.splats.size(); ++i) {
       const Splat& s = node.splats[i];
-      const float reach = 3.01f * std::exp(std::max({s.log_scale[0], s.log_scale[1], s.log_scale[2]}));
       for (std::size_t k = 0; k < 3; ++k) {
-        box.min[k] = i == 0 ? s.mean[k] - reach : std::min(box.min[k], s.mean[k] - reach);
-        box.max[k] = i == 0 ? s.mean[k] + reach : std::max(box.max[k], s.mean[k] + reach);
+        box.min[k] = i == 0 ? s.mean[k] : std::min(box.min[k], s.mean[k]);
+        box.max[k] = i == 0 ? s.mean[k] : std::max(box.max[k], s.mean[k]);
       }
     }
     node.page.count = static_cast<std::uint32_t>(node.splats.size());

@@ -213,7 +213,8 @@ class Validation {
   std::unique_ptr<detail::ValueTotals> totals_;
 };
 
-/// FileView::open(), validate() and all Gaussians in memory.
+/// FileView::open(), validate() and all Gaussians in memory; of a file with levels of detail PagedFile::open(), validate()
+/// and its leaves, with pages_missing if some of them are.
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
 }  // namespace rgs

@@ -12,6 +12,7 @@
 #include "file/read_rows.hpp"
 #include "file/value_checks.hpp"
 #include "rgs/guard_memory.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -191,8 +192,21 @@ Status DirectData::read(std::uint64_t first, std::span<ActivatedSplat> out) cons
   return read_rows(view_, {first_, n_, means_, geometry_, sh_}, first, out);
 }
 
+// All that validate() checks, and the leaves.
+static Result<SplatCloud> decode_levels(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  const auto file = PagedFile::open(bytes, limits);
+  if (!file) return tl::unexpected(file.error());
+  if (const Status s = validate(*file); !s) return tl::unexpected(s.error());
+  if (!file->complete()) {
+    return make_error(Errc::pages_missing, bytes.size(),
+                      "the end of the file is missing, and with it some of the scene's own Gaussians");
+  }
+  return read_pages(*file, lod::pages_of_level(file->pages(), 0), {.validate = false});
+}
+
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<SplatCloud> {
+    if (has_levels(bytes)) return decode_levels(bytes, limits);
     const auto view = FileView::open(bytes, limits);
     if (!view) return tl::unexpected(view.error());
     const auto data = load_direct(*view);
