@@ -1,0 +1,83 @@
+// page.hpp - levels of detail: a scene as a tree of pages, in memory. docs/FORMAT.md "Levels of detail".
+//
+// Leaves are the scene's Gaussians in the order in which a file without levels holds them. Every other page is a simpler
+// picture of its children, up to one root. A page that is drawn replaces all that is below it.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace RGS_API rgs {
+namespace lod {
+
+inline constexpr std::uint32_t kNoPage = std::numeric_limits<std::uint32_t>::max();
+
+/// Chunks a page unless a writer is told otherwise: 3,072 Gaussians, 228 KiB as a GPU reads them at SH degree 3.
+inline constexpr std::uint32_t kPageChunks = 12;
+inline constexpr std::uint32_t kMaxPageChunks = 1024;    ///< that a file may state
+inline constexpr std::uint32_t kMaxPageRows = 1u << 16;  ///< Gaussians a page
+inline constexpr std::uint32_t kMaxLevels = 64;
+inline constexpr std::uint32_t kMaxChildren = 255;
+
+/// What the tree says of a page. Pages are ordered coarse to fine: the root is page 0, then all pages of the level below
+/// it, and so on; within a level they are in the order of their leaves. So the children of a page are consecutive, and the
+/// pages of one level are the children of the level above, one after the other.
+struct Page {
+  std::uint32_t level = 0;         ///< 0: leaves; a child's is one less than its parent's
+  std::uint32_t parent = kNoPage;  ///< kNoPage: the root
+  std::uint32_t first_child = 0;   ///< 0 in a leaf
+  std::uint32_t n_children = 0;    ///< 0 in a leaf, else 1 to kMaxChildren
+  std::uint64_t first = 0;         ///< first Gaussian, counted over all pages in their order
+  std::uint32_t count = 0;         ///< Gaussians of the page itself, at least 1
+  /// Holds every Gaussian of the page and of all below it out to 3 standard deviations. Relative to the origin.
+  Box bounds;
+  /// Footprint of a pixel, world units, from which on the page may be drawn for what is below it: 0 in a leaf, elsewhere
+  /// finite and greater than in each child.
+  float error = 0;
+};
+
+/// A scene with all its levels.
+struct Levels {
+  SplatCloud splats;        ///< of all pages in their order: page i is rows first .. first + count - 1
+  std::vector<Page> pages;  ///< coarse to fine
+  /// Quality that Page::error promises, dB: PSNR of the page's picture against what is below it. 0: not stated.
+  float quality_db = 0;
+
+  std::uint64_t n_leaves() const {  ///< Gaussians of the leaves, which are the last rows of `splats`
+    std::uint64_t n = 0;
+    for (const Page& page : pages) n += page.level == 0 ? page.count : 0;
+    return n;
+  }
+};
+
+/// Pages of one level, in their order: all that is drawn where that level is. Level 0: the leaves.
+std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level);
+
+/// The finest cut of at most `max_count` Gaussians: pages whose error is at most some e, and whose parent's is more. They
+/// replace all leaves, each once, and are given in the order of their leaves. Empty if the root alone has more.
+/// `n_present`: pages that may be used, from the root on.
+std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
+                                      std::uint32_t n_present = kNoPage);
+
+/// What is wrong with a page, and in which of its fields; no fault: `what` is null.
+enum class PageField : std::uint8_t { count, level, parent, children, bounds, error };
+struct PageFault {
+  PageField field = PageField::count;
+  const char* what = nullptr;
+};
+/// Checks page `index` against the pages before it and its parent. A tree is sound if all its pages are.
+PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size);
+
+/// Checks all pages, and Page::first. `chunk_size`: leaves but the last are whole chunks. Errors: bad_value; `offset` is the
+/// page's index.
+Status check_pages(const std::vector<Page>& pages, std::uint32_t chunk_size);
+
+}  // namespace lod
+}  // namespace rgs

@@ -1,0 +1,145 @@
+// page.cpp - the tree of pages: what must hold of it, whoever made it.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/page.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <functional>
+
+namespace rgs::lod {
+namespace {
+
+bool is_box(const Box& box) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (!std::isfinite(box.min[k]) || !std::isfinite(box.max[k]) || box.min[k] > box.max[k]) return false;
+  }
+  return true;
+}
+
+bool contains(const Box& outer, const Box& inner) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (inner.min[k] < outer.min[k] || inner.max[k] > outer.max[k]) return false;
+  }
+  return true;
+}
+
+}  // namespace
+
+std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level) {
+  std::vector<std::uint32_t> of_level;
+  for (std::size_t i = 0; i < pages.size(); ++i) {
+    if (pages[i].level == level) of_level.push_back(static_cast<std::uint32_t>(i));
+  }
+  return of_level;
+}
+
+std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
+                                      std::uint32_t n_present) {
+  // From the root downwards, largest error first: each page gives way to its children. Those of one error do so together,
+  // as they would for any e.
+  std::vector<std::uint32_t> by_error;
+  for (std::size_t i = 0; i < pages.size(); ++i) {
+    if (pages[i].n_children != 0) by_error.push_back(static_cast<std::uint32_t>(i));
+  }
+  std::ranges::stable_sort(by_error, std::ranges::greater(), [&](std::uint32_t i) { return pages[i].error; });
+  float error = std::numeric_limits<float>::infinity();  // pages of at most so much are drawn
+  bool found = pages.front().count <= max_count && n_present > 0;
+  std::int64_t count = pages.front().count;
+  for (std::size_t i = 0; i < by_error.size();) {
+    const float split = pages[by_error[i]].error;
+    bool present = true;
+    for (; i < by_error.size() && pages[by_error[i]].error == split; ++i) {
+      const Page& page = pages[by_error[i]];
+      count -= page.count;
+      for (std::uint32_t child = page.first_child; child < page.first_child + page.n_children; ++child) {
+        count += pages[child].count;
+        present = present && child < n_present;
+      }
+    }
+    if (!present) break;
+    if (static_cast<std::uint64_t>(count) <= max_count) {
+      found = true;
+      error = std::nextafter(split, 0.f);  // less than this one's, and not less than that of any below
+    }
+  }
+  std::vector<std::uint32_t> cut;
+  if (!found) return cut;
+  std::vector<std::uint32_t> stack{0};
+  while (!stack.empty()) {
+    const std::uint32_t i = stack.back();
+    stack.pop_back();
+    const Page& page = pages[i];
+    if (page.n_children == 0 || page.error <= error) {
+      cut.push_back(i);
+      continue;
+    }
+    for (std::uint32_t child = page.first_child + page.n_children; child-- > page.first_child;) stack.push_back(child);
+  }
+  return cut;
+}
+
+PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size) {
+  const Page& page = pages[index];
+  const bool root = index == 0, leaf = page.level == 0;
+  if (page.count == 0) return {PageField::count, "a page has no Gaussians"};
+  const bool last = index + 1 == pages.size();
+  if (leaf && !last && page.count % chunk_size != 0) {
+    return {PageField::count, "a leaf page that is not the last is not whole chunks"};
+  }
+  if (page.level >= kMaxLevels) return {PageField::level, "a page's level is above 63"};
+  const Page* before = root ? nullptr : &pages[index - 1];
+  if (before != nullptr && page.level != before->level && page.level + 1 != before->level) {
+    return {PageField::level, "pages are not ordered by level, coarse to fine"};
+  }
+  if (root != (page.parent == kNoPage)) {
+    return {PageField::parent,
+            root ? "the first page has a parent: it must be the root" : "a second page has no parent"};
+  }
+  if (last && !leaf) return {PageField::level, "the last page is not a leaf"};
+  if (leaf && (page.n_children != 0 || page.first_child != 0)) return {PageField::children, "a leaf page has children"};
+  if (!leaf) {
+    if (page.n_children == 0 || page.n_children > kMaxChildren) {
+      return {PageField::children, "a page above the leaves has not 1 to 255 children"};
+    }
+    // The first page of the level below follows the last of this one.
+    const bool continues = before != nullptr && before->level == page.level;
+    if (page.first_child <= index || page.first_child >= pages.size() ||
+        page.n_children > pages.size() - page.first_child ||
+        (continues && page.first_child != before->first_child + before->n_children)) {
+      return {PageField::children, "the children of pages do not follow each other"};
+    }
+    for (std::size_t child = page.first_child; child < std::size_t{page.first_child} + page.n_children; ++child) {
+      if (pages[child].parent != index) return {PageField::children, "a page's child names another page as its parent"};
+    }
+  }
+  if (!is_box(page.bounds)) return {PageField::bounds, "a page's box is not finite or has min > max"};
+  if (!std::isfinite(page.error) || page.error < 0 || std::signbit(page.error) || (leaf && page.error != 0)) {
+    return {PageField::error, "a page's error is negative or not finite, or that of a leaf is not 0"};
+  }
+  if (root) return {};
+  if (page.parent >= index) return {PageField::parent, "a page's parent does not come before it"};
+  const Page& parent = pages[page.parent];
+  if (index < parent.first_child || index - parent.first_child >= parent.n_children || page.level + 1 != parent.level) {
+    return {PageField::parent, "a page is no child of the page that it names as its parent"};
+  }
+  if (!contains(parent.bounds, page.bounds)) return {PageField::bounds, "a page's box reaches out of its parent's"};
+  if (!(page.error < parent.error)) return {PageField::error, "a page's error is not less than its parent's"};
+  return {};
+}
+
+Status check_pages(const std::vector<Page>& pages, std::uint32_t chunk_size) {
+  if (pages.empty()) return make_error(Errc::bad_value, 0, "there are no pages");
+  std::uint64_t first = 0;
+  for (std::size_t i = 0; i < pages.size(); ++i) {
+    const PageFault fault = check_page(pages, i, chunk_size);
+    if (fault.what != nullptr) return make_error(Errc::bad_value, i, fault.what);
+    if (pages[i].first != first) {
+      return make_error(Errc::bad_value, i, "a page's Gaussians do not follow those of the page before", first,
+                        pages[i].first);
+    }
+    first += pages[i].count;
+  }
+  return {};
+}
+
+}  // namespace rgs::lod
