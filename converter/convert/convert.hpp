@@ -96,7 +96,8 @@ struct LoadedScene {
 /// Gaussians and, of an .rgs, the source that it names. `kept` are the positions in the file of the scene's Gaussians.
 /// encode.provenance is that of the file itself; encode.keep_permutation must be set already. False: positions are asked
 /// for and the .rgs has lost them: it is its own source then.
-bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file, std::span<const std::uint64_t> kept);
+bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file, std::span<const std::uint64_t> kept,
+                 bool edited = false);
 /// What of these declarations a file of that format cannot state: "anti-aliasing (mip-splatting)", ...
 std::vector<std::string> lost_declarations(SplatFormat format, const EncodeOptions& declared);
 

@@ -23,7 +23,7 @@ const char* name_of(AaMode mode) {
 // Whether the .rgs tells where its Gaussians were in its source.
 bool knows_positions(const SplatFile& file) {
   const Declarations& d = *file.declarations;
-  return !file.source_index.empty() || (d.order == Order::input && d.n_dropped == 0);
+  return file.finest && (!file.source_index.empty() || (d.order == Order::input && d.n_dropped == 0));
 }
 
 // Formats other than .rgs: damage is dealt with first, then the file is made in memory.
@@ -78,17 +78,20 @@ Result<ConvertSummary> write_scene(LoadedScene& scene, SplatFormat format, const
 
 }  // namespace
 
-bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file,
-                 std::span<const std::uint64_t> kept) {
+bool keep_source(EncodeOptions& encode, LoadedScene& scene, const SplatFile& file, std::span<const std::uint64_t> kept,
+                 bool edited) {
   const bool lost = file.declarations && encode.keep_permutation && scene.n_source != 0 && !knows_positions(file);
   if (file.declarations && !lost) {
     encode.n_source = file.declarations->n_source;
     encode.n_repaired = file.declarations->n_repaired;
     if (file.provenance && encode.provenance) {
-      const std::string through = " from " + encode.provenance->source_name;
+      // Leaving levels away changes nothing of the scene, and nothing of what made it.
+      const bool same = file.n_levels != 0 && file.finest && !edited && kept.size() == scene.n_source;
+      const std::string through = same ? "" : " from " + encode.provenance->source_name;
       scene.xxh3 = file.provenance->source_xxh3;
-      encode.provenance = Provenance{file.provenance->source_bytes, file.provenance->source_xxh3,
-                                     file.provenance->source_name, encode.provenance->tool + through};
+      encode.provenance =
+          Provenance{file.provenance->source_bytes, file.provenance->source_xxh3, file.provenance->source_name,
+                     (same ? file.provenance->tool : encode.provenance->tool) + through};
       encode.provenance->tool.resize(std::min<std::size_t>(encode.provenance->tool.size(), kMaxProvenanceText));
     } else {
       encode.provenance.reset();  // of a source without a name

@@ -38,10 +38,11 @@ const char* colour_name(ColourSpace space) {
   return space == ColourSpace::srgb_display ? "srgb" : space == ColourSpace::linear_display ? "linear" : "undeclared";
 }
 
-// Means of every profile have a codec of their own.
+// Means, or pages, of every profile have a codec of their own.
 const char* profile_name(const std::vector<SectionEntry>& sections) {
   for (const SectionEntry& section : sections) {
-    if (section.type != static_cast<std::uint32_t>(SectionType::means)) continue;
+    const auto type = static_cast<SectionType>(section.type);
+    if (type != SectionType::means && type != SectionType::pages) continue;
     const auto codec = static_cast<Codec>(section.codec);
     return codec == Codec::none ? "direct" : codec == Codec::planes ? "packed" : "archive";
   }

@@ -24,6 +24,7 @@
 #include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
 #include "sibling_program.hpp"
@@ -43,6 +44,7 @@ struct ArchiveChanges {
 struct Arguments {
   std::vector<std::string> files;  // inputs, then the output
   std::string cameras, axes = "3dgs", to_axes, crop, max_count;
+  std::optional<std::uint32_t> level_of_detail;
   std::vector<std::string> translate, rotate, scale;  // one for all inputs, or one for each
   SplatFormat from = SplatFormat::unknown, to = SplatFormat::unknown;
   rgs::ConvertOptions convert;
@@ -131,12 +133,7 @@ class Input {
     name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
     return name;
   }
-  rgs::Result<rgs::SplatFile> read(SplatFormat format, const rgs::DecodeLimits& limits,
-                                   bool skip_unknown_extensions) const {
-    rgs::ReadOptions options;
-    options.limits = limits;
-    options.format = format;
-    options.skip_unknown_extensions = skip_unknown_extensions;
+  rgs::Result<rgs::SplatFile> read(rgs::ReadOptions options) const {
     options.keep_axes = true;
     // The bytes that are hashed, unless others lie beside them: a SOG may be a folder.
     const bool folder = path_ != "-" && rgs::detect_format(bytes_) == SplatFormat::sog;
@@ -187,6 +184,29 @@ const std::string& of_input(const std::vector<std::string>& texts, std::size_t i
   return texts.empty() ? kNone : texts[texts.size() == 1 ? 0 : input];
 }
 
+bool moves(const Arguments& arguments) {
+  return arguments.to_axes_given || !arguments.translate.empty() || !arguments.rotate.empty() ||
+         !arguments.scale.empty();
+}
+
+// Whether Gaussians do not go through unchanged, so that they cannot be streamed.
+bool edits(const Arguments& arguments) {
+  return arguments.n_inputs() > 1 || !arguments.filter.keeps_all() || moves(arguments) || arguments.level_of_detail;
+}
+
+// What becomes of levels of detail: of one input, so many Gaussians are found among them first. Of several nobody knows whose
+// they shall be.
+rgs::ReadOptions read_options(const Arguments& arguments) {
+  rgs::ReadOptions options;
+  options.limits = arguments.limits;
+  options.format = arguments.from;
+  options.skip_unknown_extensions = arguments.skip_unknown_extensions;
+  options.level_of_detail = arguments.level_of_detail;
+  if (arguments.n_inputs() == 1 && !arguments.max_count.empty() && !arguments.level_of_detail)
+    options.max_count = arguments.filter.max_n;
+  return options;
+}
+
 // Reads, places and merges all inputs, then filters. Sets what the files declare and the options do not say.
 Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to,
                                      rgs::DeclaredLoss& loss) {
@@ -196,7 +216,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   std::vector<rgs::InputDeclarations> declared;
   rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto file = inputs[i].read(arguments.from, arguments.limits, arguments.skip_unknown_extensions);
+    auto file = inputs[i].read(read_options(arguments));
     if (!file) return failed(inputs[i].path(), file.error());
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
     if (i == 0) encode.axes = target_axes(arguments, *file, to);
@@ -226,23 +246,13 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     return failed(inputs.front().path(), s.error());
   const std::vector<std::uint64_t> kept = rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
   scene.xxh3 = hash.digest();
-  if (!rgs::keep_source(encode, scene, only, kept)) {
+  if (!rgs::keep_source(encode, scene, only, kept, moves(arguments))) {
     loss.notes.push_back("positions are those in " + inputs.front().name() +
                          ", which keeps none in its own source (--keep-permutation when it was made)");
   }
   if (to == SplatFormat::rgs && !only.source_index.empty() && !encode.keep_permutation)
     loss.lost.emplace_back("positions in the source (--keep-permutation keeps them)");
   return scene;
-}
-
-bool moves(const Arguments& arguments) {
-  return arguments.to_axes_given || !arguments.translate.empty() || !arguments.rotate.empty() ||
-         !arguments.scale.empty();
-}
-
-// Whether the Gaussians go through unchanged, so that they can be streamed.
-bool edits(const Arguments& arguments) {
-  return arguments.n_inputs() > 1 || !arguments.filter.keeps_all() || moves(arguments);
 }
 
 SplatFormat format_of_input(const Arguments& arguments, const Input& input) {
@@ -269,7 +279,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
     if (auto s = declare(rgs::declared_by(*ply, first.name())); !s) return failed(first.path(), s.error());
     return outcome(rgs::convert_to_rgs(*ply, arguments.output(), arguments.convert, observer));
   }
-  if (from == SplatFormat::rgs && to == SplatFormat::ply && !edits(arguments)) {
+  if (from == SplatFormat::rgs && to == SplatFormat::ply && !edits(arguments) && !rgs::has_levels(first.bytes())) {
     const auto view = rgs::FileView::open(first.bytes(), arguments.limits);
     if (!view) return failed(first.path(), view.error());
     const rgs::Axes& axes = view->declarations().axes;
@@ -573,7 +583,12 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--crop", a.crop, "Keep Gaussians with means between two corners x,y,z,X,Y,Z of the placed scene");
   app.add_option("--min-opacity", a.filter.min_opacity, "Keep Gaussians of at least this opacity")
       ->check(CLI::Range(0.0, 1.0));
-  app.add_option("--max-count", a.max_count, "Keep so many (200k, 1.5M) with the largest opacity times area");
+  app.add_option(
+      "--max-count", a.max_count,
+      "Keep so many (200k, 1.5M): of a file with levels of detail the finest cut through them that has no more, "
+      "of others those with the largest opacity times area");
+  app.add_option("--level-of-detail", a.level_of_detail,
+                 "Of .rgs files with levels of detail: this level, 0 (the default) being the scene's own Gaussians");
   app.add_option("--aa,--aa-mode", a.asked.aa_mode,
                  "Anti-aliasing that the scene was trained with [what the input states, else classic]")
       ->transform(tool::one_of(aa_modes))
@@ -595,8 +610,9 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary");
   app.footer(
       "Written are .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
-      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input; with --audit also those of "
-      "rgs-audit.");
+      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 the end of a file with levels "
+      "of "
+      "detail is missing, and with it what was asked for; with --audit also those of rgs-audit.");
   for (const char* name : kRgsOptions) app.get_option(name)->group("Options for .rgs output");
 }
 

@@ -17,6 +17,7 @@
 #include "ksplat.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/guard_memory.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_edit.hpp"
 #include "sog.hpp"
@@ -51,15 +52,19 @@ Result<SplatFile> decode_ply(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
+void declare_as(const Declarations& declarations, const std::optional<Provenance>& provenance, SplatFile& file) {
+  detail::stated_scene(declarations).copy_to(file);
+  file.declarations = declarations;
+  file.provenance = provenance;
+}
+
 Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   const auto view = FileView::open(bytes, limits);
   if (!view) return tl::unexpected(view.error());
   auto cloud = decode(bytes, limits);
   if (!cloud) return tl::unexpected(cloud.error());
   SplatFile file;
-  detail::stated_scene(view->declarations()).copy_to(file);
-  file.declarations = view->declarations();
-  file.provenance = view->provenance();
+  declare_as(view->declarations(), view->provenance(), file);
   if (view->find(SectionType::permutation) != nullptr && file.declarations->n_source >> 32 == 0) {
     file.source_index.resize(cloud->size());
     for (std::uint64_t i = 0; i < file.source_index.size(); ++i) {
@@ -70,10 +75,53 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
+Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOptions& options) {
+  const auto paged = PagedFile::open(bytes, options.limits);
+  if (!paged) return tl::unexpected(paged.error());
+  std::vector<std::uint32_t> pages;
+  if (options.level_of_detail) {
+    if (*options.level_of_detail >= paged->n_levels()) {
+      return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
+                        paged->n_levels(), *options.level_of_detail);
+    }
+    pages = lod::pages_of_level(paged->pages(), *options.level_of_detail);
+  } else if (options.max_count && *options.max_count < paged->head().header().n_gaussians) {
+    pages = lod::finest_cut(paged->pages(), *options.max_count, paged->n_present());
+    if (pages.empty()) {
+      return make_error(Errc::bad_argument, Error::kNone,
+                        "the coarsest level of the file has more Gaussians than that; write it (--level-of-detail) and "
+                        "leave some of them out",
+                        *options.max_count, paged->pages().front().count);
+    }
+  }
+  if (std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; })) {
+    // All that is checked of a file without levels is checked of the leaves.
+    const auto plain = leaves_as_file(*paged, {.validate = false});
+    if (!plain) return tl::unexpected(plain.error());
+    DecodeLimits limits = options.limits;
+    limits.max_file_bytes = plain->size();  // the file's own has been looked at
+    auto file = decode_rgs(*plain, limits);
+    if (file) file->n_levels = paged->n_levels();
+    return file;
+  }
+  auto cloud = read_pages(*paged, pages);
+  if (!cloud) return tl::unexpected(cloud.error());
+  SplatFile file;
+  declare_as(paged->head().declarations(), paged->head().provenance(), file);
+  file.n_levels = paged->n_levels();
+  file.finest = false;
+  file.cloud = std::move(*cloud);
+  return file;
+}
+
 Result<SplatFile> decode_format(std::span<const std::byte> bytes, SplatFormat format, const ReadOptions& options) {
   const DecodeLimits& limits = options.limits;
+  const bool levels = format == SplatFormat::rgs && has_levels(bytes);
+  if (options.level_of_detail && !levels) {
+    return make_error(Errc::bad_argument, Error::kNone, "the file has no levels of detail to take one of");
+  }
   switch (format) {
-    case SplatFormat::rgs: return decode_rgs(bytes, limits);
+    case SplatFormat::rgs: return levels ? decode_levels(bytes, options) : decode_rgs(bytes, limits);
     case SplatFormat::ply: return decode_ply(bytes, limits);
     case SplatFormat::compressed_ply: return detail::decode_compressed_ply(bytes, limits);
     case SplatFormat::spz: return detail::decode_spz(bytes, limits, options.skip_unknown_extensions);

@@ -141,22 +141,71 @@ Json sections(const InfoReport& report) {
            {"stored_bytes", s.stored_bytes},
            {"decoded_bytes", s.decoded_bytes},
            {"bytes_per_gaussian", bytes_per_gaussian(s.stored_bytes, report.view->header())},
-           {"share", static_cast<double>(s.stored_bytes) / static_cast<double>(report.file_bytes)},
+           {"share", static_cast<double>(s.stored_bytes) / static_cast<double>(report.view->header().file_bytes)},
            {"xxh3", hex(s.xxh3)}};
     const FrameTable& frames = report.view->frames(static_cast<SectionType>(s.type));
     if (frames.rows != 0) j["frames"] = {{"n", frames.frames.size()}, {"rows", frames.rows}};
-    if (!report.hashes.empty()) j["xxh3_found"] = hex(report.hashes[i]);
+    if (!is_present(report, s)) {
+      j["incomplete"] = true;
+    } else if (!report.hashes.empty()) {
+      j["xxh3_found"] = hex(report.hashes[i]);
+    }
     array.push_back(std::move(j));
   }
   return array;
 }
 
+const char* codec_of_pages(const PagedFile& file) {
+  return file.codec() == Codec::none ? "none" : file.codec() == Codec::planes ? "planes" : "archive";
+}
+
+Json levels(const InfoReport& report) {
+  const PagedFile& file = *report.paged;
+  Json array = Json::array();
+  for (std::size_t i = 0; i < report.levels.size(); ++i) {
+    const LevelReport& level = report.levels[i];
+    array.push_back({{"level", i},
+                     {"pages", level.n_pages},
+                     {"pages_present", level.n_present},
+                     {"gaussians", level.n_gaussians},
+                     {"stored_bytes", level.stored_bytes},
+                     {"min_error", number(level.min_error)},
+                     {"max_error", number(level.max_error)}});
+  }
+  return {
+      {"n_levels", file.n_levels()},       {"n_pages", file.n_pages()},
+      {"pages_present", file.n_present()}, {"complete", file.complete()},
+      {"page_chunks", file.page_chunks()}, {"n_gaussians", file.n_stored()},
+      {"codec", codec_of_pages(file)},     {"quality_db", file.quality_db() > 0 ? number(file.quality_db()) : Json()},
+      {"levels", std::move(array)}};
+}
+
+Json page(const PagedFile& file, std::uint32_t i) {
+  const lod::Page& p = file.pages()[i];
+  const StoredPage& stored = file.stored(i);
+  return {{"index", i},
+          {"level", p.level},
+          {"parent", p.parent == lod::kNoPage ? Json() : Json(p.parent)},
+          {"first_child", p.n_children == 0 ? Json() : Json(p.first_child)},
+          {"n_children", p.n_children},
+          {"n", p.count},
+          {"error", number(p.error)},
+          {"box", json(p.bounds)},
+          {"offset", stored.offset},
+          {"stored_bytes", stored.stored_bytes},
+          {"decoded_bytes", file.decoded_bytes(i)},
+          {"xxh3", hex(stored.xxh3)},
+          {"n_scale_sets", stored.n_step_sets},
+          {"scale_exponent", stored.scale_exponent},
+          {"present", i < file.n_present()}};
+}
+
 Json size(const InfoReport& report) {
   const Header& h = report.view->header();
   const std::uint64_t ply = ply_bytes(h);
-  return {{"bytes_per_gaussian", bytes_per_gaussian(report.file_bytes, h)},
+  return {{"bytes_per_gaussian", bytes_per_gaussian(h.file_bytes, h)},
           {"ply_bytes", ply},
-          {"ratio_to_ply", static_cast<double>(ply) / static_cast<double>(report.file_bytes)}};
+          {"ratio_to_ply", static_cast<double>(ply) / static_cast<double>(h.file_bytes)}};
 }
 
 Json json(const StepSpreads& steps, const Header& h) {
@@ -184,7 +233,8 @@ Json json(const ValueStatistics& v) {
           {"scale", json(v.scale)}, {"sh", sh}};
 }
 
-Json json(const ChunkReport& c, const FileView& view) {
+Json json(const ChunkReport& c, const InfoReport& report) {
+  const FileView& view = *report.view;
   const Header& h = view.header();
   Json steps = Json::array();
   for (std::size_t degree = 0; degree <= h.sh_degree; ++degree) steps.push_back(numbers(c.steps.step[degree]));
@@ -194,6 +244,18 @@ Json json(const ChunkReport& c, const FileView& view) {
     if (rows.frame) j["frame"] = *rows.frame;
     return j;
   };
+  Json stored;
+  if (report.paged) {
+    const std::uint32_t i = leaf_of_row(*report.paged, c.first);
+    const StoredPage& p = report.paged->stored(i);
+    stored["PAGE"] = {{"offset", p.offset}, {"bytes", p.stored_bytes}, {"page", i}};
+  } else {
+    stored = {{"CHNK", place(SectionType::chunks, c.index, 1, kChunkEntryBytes)},
+              {"SHSC", place(SectionType::sh_steps, c.entry.step_set, 1, kStepSetBytes)},
+              {"MEAN", place(SectionType::means, c.first, c.entry.count, kMeanBytes)},
+              {"GEOM", place(SectionType::geometry, c.first, c.entry.count, kGeometryBytes)},
+              {"SHI8", place(SectionType::sh, c.first, c.entry.count, sh_bytes(h.sh_degree))}};
+  }
   return {{"index", c.index},
           {"first", c.first},
           {"n", c.entry.count},
@@ -202,12 +264,7 @@ Json json(const ChunkReport& c, const FileView& view) {
           {"max_opacity", number(c.entry.max_opacity)},
           {"scale_set", c.entry.step_set},
           {"sh_steps", steps},
-          {"stored",
-           {{"CHNK", place(SectionType::chunks, c.index, 1, kChunkEntryBytes)},
-            {"SHSC", place(SectionType::sh_steps, c.entry.step_set, 1, kStepSetBytes)},
-            {"MEAN", place(SectionType::means, c.first, c.entry.count, kMeanBytes)},
-            {"GEOM", place(SectionType::geometry, c.first, c.entry.count, kGeometryBytes)},
-            {"SHI8", place(SectionType::sh, c.first, c.entry.count, sh_bytes(h.sh_degree))}}}};
+          {"stored", std::move(stored)}};
 }
 
 Json json(const Error& error) {
@@ -233,14 +290,18 @@ std::string info_json(const InfoReport& report) {
     j["declarations"] = json(view.declarations());
     j["provenance"] = view.provenance() ? json(*view.provenance()) : Json();
     j["sections"] = sections(report);
+    if (report.paged) j["levels"] = levels(report);
+    if (report.page_asked && report.paged && *report.page_asked < report.paged->n_pages()) {
+      j["page"] = page(*report.paged, static_cast<std::uint32_t>(*report.page_asked));
+    }
     if (view.archive() != nullptr) j["archive"] = json(*view.archive());
-    if (report.steps) j["sh_steps"] = json(*report.steps, view.header());
+    if (report.steps) j["sh_steps"] = json(*report.steps, report.leaves ? report.leaves->header() : view.header());
     if (report.chunks) {
       j["chunks"] = {{"diagonal", json(report.chunks->diagonal)},
                      {"radius", json(report.chunks->radius)},
                      {"max_opacity", json(report.chunks->max_opacity)}};
     }
-    if (report.chunk) j["chunk"] = json(*report.chunk, view);
+    if (report.chunk) j["chunk"] = json(*report.chunk, report);
     if (report.values) j["values"] = json(*report.values);
     if (!report.hashes.empty()) j["verified"] = report.verified;
   }

@@ -240,24 +240,72 @@ Result<ChunkReport> chunk_report(const FileView& view, std::uint64_t index) {
 }
 
 // Every section is hashed, so that the report names all that are damaged; values are checked only under good hashes.
-Status verify(const FileView& view, std::vector<std::uint64_t>& hashes) {
+Status verify(InfoReport& report) {
+  const FileView& view = *report.view;
+  std::vector<std::uint64_t>& hashes = report.hashes;
   const SectionEntry* damaged = nullptr;
   for (const SectionEntry& s : view.sections()) {
-    hashes.push_back(xxh3(view.stored(s)));
-    if (damaged == nullptr && hashes.back() != s.xxh3) damaged = &s;
+    const bool present = is_present(report, s);
+    hashes.push_back(present ? xxh3(view.stored(s)) : 0);
+    if (damaged == nullptr && present && hashes.back() != s.xxh3) damaged = &s;
   }
-  if (damaged == nullptr) return validate(view);
+  // Which page is damaged is worth more than that one is.
+  const bool pages = damaged != nullptr && damaged->type == static_cast<std::uint32_t>(SectionType::pages);
+  if (damaged == nullptr || pages) {
+    const Status status = report.paged ? validate(*report.paged) : validate(view);
+    if (!status || damaged == nullptr) return status;
+  }
   return make_error(Errc::checksum_mismatch, damaged->offset, "a section's checksum does not match", damaged->xxh3,
                     hashes[static_cast<std::size_t>(damaged - view.sections().data())]);
 }
 
+std::vector<LevelReport> level_reports(const PagedFile& file) {
+  std::vector<LevelReport> levels(file.n_levels());
+  const std::uint32_t n_present = file.n_present();
+  for (std::uint32_t i = 0; i < file.n_pages(); ++i) {
+    const lod::Page& page = file.pages()[i];
+    LevelReport& level = levels[page.level];
+    level.min_error = level.n_pages == 0 ? page.error : std::min(level.min_error, page.error);
+    level.max_error = std::max(level.max_error, page.error);
+    ++level.n_pages;
+    level.n_present += i < n_present ? 1 : 0;
+    level.n_gaussians += page.count;
+    level.stored_bytes += file.stored(i).stored_bytes;
+  }
+  return levels;
+}
+
+// Opens a file with levels. Its leaves are read where their values are wanted.
+Status open_levels(std::span<const std::byte> bytes, const InfoOptions& options, bool statistics, InfoReport& report) {
+  auto paged = PagedFile::open(bytes, options.limits);
+  if (!paged) return tl::unexpected(paged.error());
+  report.view = paged->head();
+  report.paged = *std::move(paged);
+  report.levels = level_reports(*report.paged);
+  if (!statistics || !report.paged->complete()) return {};
+  auto leaves = leaves_as_file(*report.paged, {.validate = false});
+  if (!leaves) return tl::unexpected(leaves.error());
+  report.leaf_bytes = std::make_shared<const std::vector<std::byte>>(*std::move(leaves));
+  DecodeLimits limits = options.limits;
+  limits.max_file_bytes = report.leaf_bytes->size();
+  auto view = FileView::open(*report.leaf_bytes, limits);
+  if (!view) return tl::unexpected(view.error());
+  report.leaves = *std::move(view);
+  return {};
+}
+
 }  // namespace
+
+bool is_present(const InfoReport& report, const SectionEntry& section) {
+  return section.offset <= report.file_bytes && section.stored_bytes <= report.file_bytes - section.offset;
+}
 
 InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, const InfoOptions& options) {
   InfoReport report;
   report.path = path;
   report.file_bytes = bytes.size();
   report.chunk_asked = options.chunk;
+  report.page_asked = options.page;
   const auto failed = [&report](const Error& error) {
     if (!report.error) report.error = error;
   };
@@ -269,16 +317,37 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
     }
   };
 
-  keep(FileView::open(bytes, options.limits), report.view);
+  const bool statistics =
+      options.statistics.value_or(options.chunk || (bytes.size() <= kStatisticsBytes && !options.page));
+  if (has_levels(bytes)) {
+    const Status opened = open_levels(bytes, options, statistics, report);
+    if (!opened) failed(opened.error());
+  } else {
+    keep(FileView::open(bytes, options.limits), report.view);
+  }
   if (!report.view) return report;
-  const FileView& view = *report.view;
-  const std::uint64_t n_chunks = view.header().n_chunks;
   if (options.verify) {
-    const Status status = verify(view, report.hashes);
+    const Status status = verify(report);
     report.verified = status.has_value();
     if (!status) failed(status.error());
   }
-  const bool statistics = options.statistics.value_or(options.chunk || bytes.size() <= kStatisticsBytes);
+  if (options.page) {
+    if (!report.paged || *options.page >= report.paged->n_pages()) {
+      failed({Errc::bad_argument, Error::kNone, "the file has no such page of levels of detail; --page counts from 0",
+              Error::kNone, *options.page});
+    }
+    return report;
+  }
+  if (report.paged && !report.paged->complete()) {
+    const std::uint32_t n = report.paged->n_present();
+    failed(n == 0 ? Error{Errc::truncated, bytes.size(), "the file ends inside its first page"}
+                  : Error{Errc::pages_missing, bytes.size(),
+                          "the end of the file is missing; the pages that are there are a whole scene in less detail",
+                          report.paged->n_pages(), n});
+  }
+  if (report.paged && !report.leaves) return report;
+  const FileView& view = report.leaves ? *report.leaves : *report.view;
+  const std::uint64_t n_chunks = view.header().n_chunks;
   if (options.chunk) {
     keep(chunk_report(view, *options.chunk), report.chunk);
     if (report.chunk && statistics) keep(value_statistics(view, *options.chunk, *options.chunk + 1), report.values);
@@ -296,6 +365,12 @@ StoredRows stored_rows(const FileView& view, SectionType type, std::uint64_t fir
   if (table.rows == 0) return {view.place(type, first), count * row_bytes, std::nullopt};
   const std::uint64_t frame = first / table.rows;
   return {table.frames[frame].offset, table.frames[frame].stored_bytes, frame};
+}
+
+std::uint32_t leaf_of_row(const PagedFile& file, std::uint64_t row) {
+  const std::uint64_t wanted = file.n_stored() - file.head().header().n_gaussians + row;
+  const auto after = std::ranges::upper_bound(file.pages(), wanted, {}, &lod::Page::first);
+  return static_cast<std::uint32_t>(after - file.pages().begin()) - 1;
 }
 
 std::uint64_t ply_bytes(const Header& header) {
@@ -431,6 +506,8 @@ const char* describe(SectionType type) {
     case SectionType::archive: return "archive: steps, tables";
     case SectionType::permutation: return "source positions";
     case SectionType::provenance: return "provenance";
+    case SectionType::levels: return "levels: tree of pages";
+    case SectionType::pages: return "pages of Gaussians";
   }
   return "";
 }

@@ -4,11 +4,13 @@
 
 #include <array>
 #include <cstdint>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
 #include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
 
 namespace rgs::tool {
 
@@ -21,6 +23,7 @@ struct InfoOptions {
   bool verify = false;                 ///< check every checksum and every value
   std::optional<bool> statistics;      ///< read the payload for ranges and histograms; absent: if the file is small
   std::optional<std::uint64_t> chunk;  ///< report this chunk instead of the file
+  std::optional<std::uint64_t> page;   ///< or this page of a file with levels of detail
   DecodeLimits limits;
 };
 
@@ -67,23 +70,39 @@ struct ChunkReport {
   ShStepSet steps;
 };
 
+/// One level of detail.
+struct LevelReport {
+  std::uint32_t n_pages = 0, n_present = 0;
+  std::uint64_t n_gaussians = 0, stored_bytes = 0;
+  float min_error = 0, max_error = 0;  ///< of its pages
+};
+
 using StepSpreads = std::array<std::array<Spread, 3>, 4>;  ///< by degree and channel
 
 struct InfoReport {
   std::string path;
   std::uint64_t file_bytes = 0;
   std::optional<FileView> view;  ///< absent if the head of the file is damaged
-  std::optional<std::uint64_t> chunk_asked;
+  /// Of a file with levels of detail, whose head `view` is: its pages, its levels from the finest on, and the finest as a file
+  /// without levels, absent if values are not read or the end of the file is missing.
+  std::optional<PagedFile> paged;
+  std::vector<LevelReport> levels;
+  std::shared_ptr<const std::vector<std::byte>> leaf_bytes;
+  std::optional<FileView> leaves;
+  std::optional<std::uint64_t> chunk_asked, page_asked;
   std::optional<StepSpreads> steps;
   std::optional<ChunkStatistics> chunks;
   std::optional<ValueStatistics> values;
   std::optional<ChunkReport> chunk;
-  std::vector<std::uint64_t> hashes;  ///< with verify: of the stored bytes of each section
+  std::vector<std::uint64_t> hashes;  ///< with verify: of the stored bytes of each section that is there, else 0
   bool verified = false;              ///< with verify: all of the file obeys the specification
   std::optional<Error> error;         ///< the first failure; what could be read in spite of it is there
 };
 
-/// Reads what `options` ask for; `bytes` must outlive the report. A chunk that does not exist is bad_argument.
+/// Whether all of a section is in the file: not if the end of a file with levels is missing.
+bool is_present(const InfoReport& report, const SectionEntry& section);
+/// Reads what `options` ask for; `bytes` must outlive the report. A chunk or page that does not exist is bad_argument. A file
+/// with levels whose end is missing gives pages_missing, after all else that may be wrong.
 /// Needs 16 bytes of memory a chunk; with verify what validate() needs.
 InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, const InfoOptions& options);
 
@@ -95,6 +114,9 @@ struct StoredRows {
 /// Of `count` rows of one chunk, from row `first` on.
 StoredRows stored_rows(const FileView& view, SectionType type, std::uint64_t first, std::uint64_t count,
                        std::uint64_t row_bytes);
+
+/// The page that holds row `row` of the leaves.
+std::uint32_t leaf_of_row(const PagedFile& file, std::uint64_t row);
 
 /// Size of the scene as rows of a 3DGS PLY of the same degree.
 std::uint64_t ply_bytes(const Header& header);

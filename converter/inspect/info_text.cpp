@@ -21,13 +21,18 @@ constexpr const char* kChannels[3] = {"red", "green", "blue"};
 class TextReport : private TextLines {
  public:
   TextReport(const InfoReport& report, bool ascii)
-      : report_(report), view_(*report.view), header_(view_.header()), ascii_(ascii) {}
+      : report_(report),
+        view_(*report.view),
+        scene_(report.leaves ? *report.leaves : view_),
+        header_(view_.header()),
+        ascii_(ascii) {}
 
   std::string file() {
     title("");
     summary();
     declarations();
     sections();
+    if (report_.paged) levels();
     if (view_.archive() != nullptr) archive(*view_.archive());
     if (report_.steps) steps();
     if (report_.chunks) chunks();
@@ -43,14 +48,34 @@ class TextReport : private TextLines {
     row("radius", fmt::format("{:.4g} (3 sigma of the largest scale)", c.entry.radius));
     row("largest opacity", fmt::format("{:.4g}", c.entry.max_opacity));
     line("");
-    line("{:<6}{:>16}{:>14}{:>10}", "bytes", "offset", "stored", view_.coded() ? "frame" : "");
-    bytes(SectionType::chunks, c.index, 1, kChunkEntryBytes);
-    bytes(SectionType::sh_steps, c.entry.step_set, 1, kStepSetBytes);
-    bytes(SectionType::means, c.first, c.entry.count, kMeanBytes);
-    bytes(SectionType::geometry, c.first, c.entry.count, kGeometryBytes);
-    bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
+    line("{:<6}{:>16}{:>14}{:>10}", "bytes", "offset", "stored", report_.paged ? "page" : view_.coded() ? "frame" : "");
+    if (report_.paged) {
+      page_of_chunk(c);
+    } else {
+      rows_of_chunk(c);
+    }
     step_table(fmt::format("SH steps, set {}", format_count(c.entry.step_set)), c.steps);
     values();
+    return take();
+  }
+
+  std::string page() {
+    const PagedFile& file = *report_.paged;
+    const auto i = static_cast<std::uint32_t>(*report_.page_asked);
+    const lod::Page& p = file.pages()[i];
+    const StoredPage& stored = file.stored(i);
+    title(fmt::format(", page {} of {}", format_count(i), format_count(file.n_pages())));
+    row("level", p.level == 0 ? "0, finest" : std::to_string(p.level));
+    row("Gaussians", format_count(p.count));
+    row("parent", p.parent == lod::kNoPage ? "none, the root" : format_count(p.parent));
+    if (p.n_children != 0) row("children", fmt::format("{} from {} on", p.n_children, format_count(p.first_child)));
+    row("error", fmt::format("{:.6g} world units a pixel", p.error));
+    box("box, 3 sigma", p.bounds);
+    row("stored", fmt::format("{} bytes from {} on, xxh3 {:016x}{}", format_count(stored.stored_bytes),
+                              format_count(stored.offset), stored.xxh3, i < file.n_present() ? "" : "; MISSING"));
+    row("decoded",
+        fmt::format("{} bytes; {} set{} of SH steps, scales times 2^{}", format_count(file.decoded_bytes(i)),
+                    format_count(stored.n_step_sets), stored.n_step_sets == 1 ? "" : "s", stored.scale_exponent));
     return take();
   }
 
@@ -76,7 +101,14 @@ class TextReport : private TextLines {
     row("chunks",
         fmt::format("{} of {}{}, {}", format_count(header_.n_chunks), format_count(header_.chunk_size),
                     rest == 0 ? "" : fmt::format(" (the last {})", rest), name_of(view_.declarations().order).words));
-    if (view_.coded()) {
+    if (report_.paged) {
+      const PagedFile& file = *report_.paged;
+      const std::string name = view_.archive() != nullptr    ? archive_name(*view_.archive())
+                               : file.codec() == Codec::none ? "direct"
+                                                             : "packed";
+      row("profile", fmt::format("{}, {} levels of detail in {} pages of at most {} chunks", name, file.n_levels(),
+                                 format_count(file.n_pages()), file.page_chunks()));
+    } else if (view_.coded()) {
       const FrameTable& frames = view_.frames(SectionType::sh);
       const std::string name = view_.archive() == nullptr ? "packed" : archive_name(*view_.archive());
       row("profile",
@@ -145,18 +177,42 @@ class TextReport : private TextLines {
       const char* content = describe(static_cast<SectionType>(s.type));
       const bool known = *content != '\0';  // else nobody knows what it decodes to
       decoded += known ? s.decoded_bytes : s.stored_bytes;
-      const char* check = report_.hashes.empty() ? "" : report_.hashes[i] == s.xxh3 ? "  OK" : "  DAMAGED";
+      const char* check = report_.hashes.empty()        ? ""
+                          : !is_present(report_, s)     ? "  INCOMPLETE"
+                          : report_.hashes[i] == s.xxh3 ? "  OK"
+                                                        : "  DAMAGED";
       line("  {:<8}{:<24}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%  {:016x}{}",
            escape_untrusted(four_characters(s.type), true), known ? content : "unknown, skipped",
            format_count(s.offset), format_count(s.stored_bytes), known ? format_count(s.decoded_bytes) : "?",
            codec_name(s), bytes_per_gaussian(s.stored_bytes, header_), share(s.stored_bytes), s.xxh3, check);
     }
-    const std::uint64_t rest = report_.file_bytes - stored;
+    const std::uint64_t rest = header_.file_bytes - stored;
     line("  {:<32}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%", "header, table, padding", "", format_count(rest),
          format_count(rest), "", bytes_per_gaussian(rest, header_), share(rest));
-    line("  {:<32}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%", "total", "", format_count(report_.file_bytes),
-         format_count(decoded + rest), "", bytes_per_gaussian(report_.file_bytes, header_), 100.0);
-    if (report_.verified) line("  verified: every checksum and every value obeys the specification");
+    line("  {:<32}{:>16}{:>16}{:>16}  {:<7}{:>7.2f}{:>8.2f}%", "total", "", format_count(header_.file_bytes),
+         format_count(decoded + rest), "", bytes_per_gaussian(header_.file_bytes, header_), 100.0);
+    if (!report_.verified) return;
+    if (!report_.paged) return line("  verified: every checksum and every value obeys the specification");
+    line(
+        "  verified: {} and every value obeys the specification; errors grow from page to parent, and each parent's "
+        "box "
+        "holds its children",
+        report_.paged->complete() ? "every checksum" : "of what is there every checksum");
+  }
+
+  void levels() {
+    const PagedFile& file = *report_.paged;
+    line("\n{:<12}{:>10}{:>10}{:>16}{:>16}{:>9}{:>24}", "levels", "pages", "there", "Gaussians", "stored", "B/Gauss",
+         "error, world units/px");
+    for (std::size_t i = report_.levels.size(); i-- > 0;) {
+      const LevelReport& level = report_.levels[i];
+      line("  {:<10}{:>10}{:>10}{:>16}{:>16}{:>9.2f}{:>24}", i == 0 ? "0, finest" : std::to_string(i),
+           format_count(level.n_pages), format_count(level.n_present), format_count(level.n_gaussians),
+           format_count(level.stored_bytes),
+           static_cast<double>(level.stored_bytes) / static_cast<double>(level.n_gaussians),
+           fmt::format("{:.4g} .. {:.4g}", level.min_error, level.max_error));
+    }
+    if (file.quality_db() > 0) row("quality", fmt::format("{:.4g} dB from a page's error on", file.quality_db()));
   }
 
   void archive(const ArchiveParameters& p) {
@@ -179,17 +235,18 @@ class TextReport : private TextLines {
   }
 
   double share(std::uint64_t part) const {
-    return 100 * static_cast<double>(part) / static_cast<double>(report_.file_bytes);
+    return 100 * static_cast<double>(part) / static_cast<double>(header_.file_bytes);
   }
 
   void steps() {
-    if (header_.n_step_sets == 0) return;
-    if (header_.n_step_sets == 1) {
-      step_table("SH steps, one set", view_.step_set(0).value());
+    const std::uint64_t n_sets = scene_.header().n_step_sets;
+    if (n_sets == 0) return;
+    if (n_sets == 1) {
+      step_table("SH steps, one set", scene_.step_set(0).value());
       return;
     }
-    line("\n{:<20}{:^30}{:^30}{:^30}", fmt::format("SH steps, {} sets", format_count(header_.n_step_sets)),
-         kChannels[0], kChannels[1], kChannels[2]);
+    line("\n{:<20}{:^30}{:^30}{:^30}", fmt::format("SH steps, {} sets", format_count(n_sets)), kChannels[0],
+         kChannels[1], kChannels[2]);
     line("{0:<20}{1:>10}{2:>10}{3:>10}{1:>10}{2:>10}{3:>10}{1:>10}{2:>10}{3:>10}", "", "min", "median", "max");
     for (std::size_t degree = 0; degree <= header_.sh_degree; ++degree) {
       std::string text;
@@ -272,6 +329,22 @@ class TextReport : private TextLines {
     return text + "|";
   }
 
+  void rows_of_chunk(const ChunkReport& c) {
+    bytes(SectionType::chunks, c.index, 1, kChunkEntryBytes);
+    bytes(SectionType::sh_steps, c.entry.step_set, 1, kStepSetBytes);
+    bytes(SectionType::means, c.first, c.entry.count, kMeanBytes);
+    bytes(SectionType::geometry, c.first, c.entry.count, kGeometryBytes);
+    bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
+  }
+
+  // A page is read as a whole.
+  void page_of_chunk(const ChunkReport& c) {
+    const std::uint32_t i = leaf_of_row(*report_.paged, c.first);
+    const StoredPage& stored = report_.paged->stored(i);
+    line("  {:<4}{:>16}{:>14}{:>10}", "PAGE", format_count(stored.offset), format_count(stored.stored_bytes),
+         format_count(i));
+  }
+
   void bytes(SectionType type, std::uint64_t first, std::uint64_t count, std::uint64_t row_bytes) {
     const StoredRows rows = stored_rows(view_, type, first, count, row_bytes);
     line("  {:<4}{:>16}{:>14}{:>10}", four_characters(static_cast<std::uint32_t>(type)), format_count(rows.offset),
@@ -280,6 +353,7 @@ class TextReport : private TextLines {
 
   const InfoReport& report_;
   const FileView& view_;
+  const FileView& scene_;  // the same without levels
   const Header& header_;
   bool ascii_;
 };
@@ -288,7 +362,10 @@ class TextReport : private TextLines {
 
 std::string info_text(const InfoReport& report, bool ascii) {
   if (!report.view || (report.chunk_asked && !report.chunk)) return "";
+  const bool page = report.page_asked && report.paged && *report.page_asked < report.paged->n_pages();
+  if (report.page_asked && !page) return "";
   TextReport text(report, ascii);
+  if (page) return text.page();
   return report.chunk ? text.chunk() : text.file();
 }
 

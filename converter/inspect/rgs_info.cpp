@@ -49,25 +49,34 @@ int info(const Arguments& arguments) {
 int body(int argc, char** argv) {
   Arguments arguments;
   bool stats = false, no_stats = false;
-  std::string chunk;
+  std::string chunk, page;
   CLI::App app("Prints what an .rgs file holds and declares, and checks it.", "rgs-info");
   app.set_version_flag("--version", "rgs-info " RGS_VERSION);
   app.add_option("FILE", arguments.path, "an .rgs file; rgs-convert makes one of other formats")->required();
   app.add_flag("--verify", arguments.options.verify, "check every checksum and every stored value");
   app.add_flag("--json", arguments.json, "one JSON document (schema rgs-info/1, docs/INFO_JSON.md)");
   app.add_option("--chunk", chunk, "report chunk N (from 0) instead of the file")->type_name("N");
+  app.add_option("--page", page, "report page N (from 0) of a file with levels of detail instead of the file")
+      ->type_name("N")
+      ->excludes("--chunk");
   auto* stats_flag = app.add_flag("--stats", stats, "read all values for ranges and histograms (default up to 1 GB)");
   app.add_flag("--no-stats", no_stats, "read head and tables only")->excludes(stats_flag);
   add_max_expansion(app, arguments.options.limits);
   app.add_flag("--ascii", arguments.ascii, "no characters beyond ASCII in the text");
-  app.footer("Exit codes: 0 fine, 1 internal, 2 usage, 3 input/output, 4 malformed or damaged file.");
+  app.footer(
+      "Exit codes: 0 fine, 1 internal, 2 usage, 3 input/output, 4 malformed or damaged file, 6 the end of a "
+      "file with levels of detail is missing (what is there is a whole scene, in less detail).");
   if (const auto code = parse(app, argc, argv)) return *code;
   if (stats || no_stats) arguments.options.statistics = stats;
-  if (!chunk.empty()) {
-    const auto index = parse_count(chunk);
-    if (!index) return report_usage("--chunk: " + describe(index.error()));
-    arguments.options.chunk = *index;
-  }
+  const auto read_index = [](const char* option, const std::string& text, std::optional<std::uint64_t>& index) {
+    if (text.empty()) return kSuccess;
+    const auto count = parse_count(text);
+    if (!count) return static_cast<ExitCode>(report_usage(option + (": " + describe(count.error()))));
+    index = *count;
+    return kSuccess;
+  };
+  if (const int code = read_index("--chunk", chunk, arguments.options.chunk); code != kSuccess) return code;
+  if (const int code = read_index("--page", page, arguments.options.page); code != kSuccess) return code;
   return info(arguments);
 }
 

@@ -18,7 +18,15 @@
 namespace rgs::tool {
 
 /// Exit codes of every program; a failure's code is its class, see Errc.
-enum ExitCode : int { kSuccess = 0, kInternal = 1, kUsage = 2, kInputOutput = 3, kMalformed = 4, kGate = 5 };
+enum ExitCode : int {
+  kSuccess = 0,
+  kInternal = 1,
+  kUsage = 2,
+  kInputOutput = 3,
+  kMalformed = 4,
+  kGate = 5,
+  kIncomplete = 6
+};
 
 /// `error` as one line: byte offset, what is wrong, expected and found, the system's reason.
 std::string describe(const Error& error);

@@ -9,10 +9,12 @@
 #include <bit>
 #include <cinttypes>
 #include <cstdio>
+#include <cstring>
 #include <string_view>
 #include <vector>
 
 #include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
 
 namespace {
 
@@ -130,6 +132,69 @@ Status put_payload(const FileView& view) {
   return {};
 }
 
+// Of a file with levels: the tree, then Gaussians, chunks and steps of all pages in their order.
+Status put_pages(const PagedFile& file) {
+  std::vector<std::uint64_t> integers;
+  std::vector<float> floats;
+  std::vector<ActivatedSplat> activated;
+  std::vector<Splat> trained;
+  std::vector<float> chunk_floats;
+  std::vector<std::uint64_t> chunk_integers;
+  std::vector<std::byte> steps, memory(file.largest_decoded_bytes());
+  PageDecoder decoder(file);
+  for (std::uint32_t i = 0; i < file.n_pages(); ++i) {
+    const lod::Page& page = file.pages()[i];
+    const StoredPage& stored = file.stored(i);
+    integers.insert(integers.end(), {stored.offset, stored.xxh3, stored.stored_bytes, page.count, page.parent,
+                                     page.first_child, page.level, page.n_children, stored.n_step_sets,
+                                     static_cast<std::uint64_t>(std::int64_t{stored.scale_exponent})});
+    integers.insert(integers.end(), stored.corner.begin(), stored.corner.end());
+    floats.push_back(page.error);
+    floats.insert(floats.end(), page.bounds.min.begin(), page.bounds.min.end());
+    floats.insert(floats.end(), page.bounds.max.begin(), page.bounds.max.end());
+    const auto rows = decoder.decode(i, file.bytes(i), std::span(memory).first(file.decoded_bytes(i)));
+    if (!rows) return tl::unexpected(rows.error());
+    const std::size_t first = activated.size();
+    activated.resize(first + rows->n);
+    trained.resize(first + rows->n);
+    if (auto ok = read_page(file, i, *rows, 0, std::span(activated).subspan(first)); !ok) return ok;
+    if (auto ok = read_page(file, i, *rows, 0, std::span(trained).subspan(first)); !ok) return ok;
+    for (std::size_t at = 0; at < rows->chunks.size(); at += kChunkEntryBytes) {
+      std::array<float, 8> box;  // min, radius, max, max_opacity
+      std::uint64_t step_set;
+      std::uint32_t count;
+      std::memcpy(box.data(), rows->chunks.data() + at, 32);
+      std::memcpy(&step_set, rows->chunks.data() + at + 32, 8);
+      std::memcpy(&count, rows->chunks.data() + at + 40, 4);
+      chunk_floats.insert(chunk_floats.end(), {box[0], box[1], box[2], box[4], box[5], box[6], box[3], box[7]});
+      chunk_integers.insert(chunk_integers.end(), {step_set, std::uint64_t{count}});
+    }
+    steps.insert(steps.end(), rows->steps.begin(), rows->steps.end());
+  }
+  put<std::uint64_t>("pages", "u8", 13, integers);
+  put<float>("page_floats", "f4", 7, floats);
+  put<float>("quality", "f4", 1, std::array{file.quality_db()});
+  put<ActivatedSplat>("activated", "f4", kSplatFloats, activated);
+  put<Splat>("trained", "f4", kSplatFloats, trained);
+  put<float>("chunk_floats", "f4", 8, chunk_floats);
+  put<std::uint64_t>("chunk_integers", "u8", 2, chunk_integers);
+  put<std::byte>("steps", "f4", 12, steps);
+  std::vector<std::uint64_t> source_index(file.head().header().n_gaussians);
+  for (std::uint64_t i = 0; i < source_index.size(); ++i) source_index[i] = file.source_index(i);
+  put<std::uint64_t>("source_index", "u8", 1, source_index);
+  return {};
+}
+
+int dump_levels(std::span<const std::byte> bytes) {
+  const auto file = PagedFile::open(bytes);
+  if (!file) return report(file.error());
+  if (auto ok = validate(*file); !ok) return report(ok.error());
+  if (!file->complete()) return report({Errc::pages_missing, bytes.size()});
+  put_head(file->head());
+  if (auto ok = put_pages(*file); !ok) return report(ok.error());
+  return 0;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -142,6 +207,7 @@ int main(int argc, char** argv) {
     std::fputs("rgs_dump_file: the file cannot be read\n", stderr);
     return 3;
   }
+  if (has_levels(bytes)) return dump_levels(bytes);
   const auto view = FileView::open(bytes);
   if (!view) return report(view.error());
   if (auto ok = validate(*view); !ok) return report(ok.error());

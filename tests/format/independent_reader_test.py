@@ -69,7 +69,7 @@ def close(name: str, library: NDArray[np.float32], reader: NDArray[np.float32], 
 
 def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
     h, d, p = scene.header, scene.declarations, scene.provenance
-    n, k = h["n_gaussians"], (h["sh_degree"] + 1) ** 2
+    n, k = len(scene.means), (h["sh_degree"] + 1) ** 2
     same_bits("header", library["header"], [[h[name] for name in (
         "version_major", "version_minor", "file_bytes", "n_gaussians", "n_scale_sets", "chunk_size", "sh_degree",
         "scale_exponent")]])
@@ -106,8 +106,17 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
               np.hstack([c["min"], c["max"], c["radius"][:, None], c["max_opacity"][:, None]]))
     same_bits("chunk_integers", library["chunk_integers"], np.stack([c["scale_set"], c["count"]], 1))
     same_bits("steps", library["steps"], scene.sh_steps)
-    index = np.arange(n) if scene.source_index is None else scene.source_index
+    index = np.arange(h["n_gaussians"]) if scene.source_index is None else scene.source_index
     same_bits("source_index", library["source_index"], index)
+    assert (scene.levels is None) == ("pages" not in library), "levels"
+    if scene.levels:
+        integers = ("offset", "xxh3", "stored_bytes", "n", "parent", "first_child", "level", "n_children", "n_step_sets")
+        pages = [[*(p[name] for name in integers), p["scale_exponent"] % 2**64, *p["corner"]]
+                 for p in scene.levels["pages"]]
+        same_bits("pages", library["pages"], np.array(pages, np.uint64))
+        same_bits("page_floats", library["page_floats"],
+                  [[p["error"], *p["min"], *p["max"]] for p in scene.levels["pages"]])
+        same_bits("quality", library["quality"], [[scene.levels["quality_db"]]])
 
 
 def robust_box(means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,10 +137,10 @@ def check_robust(scene: rgs_reader.Scene) -> None:
     """Golden files obey the writers' rules of the robust box."""
     if scene.header["n_gaussians"] == 0:
         return
-    d = scene.declarations
-    low, high = robust_box(scene.means)
+    d, means = scene.declarations, scene.means[-scene.header["n_gaussians"]:]
+    low, high = robust_box(means)
     assert (np.float32(d["robust_min"]) == low).all() and (np.float32(d["robust_max"]) == high).all(), "robust box"
-    inside = ((scene.means >= low) & (scene.means <= high)).mean(0).astype(np.float32)
+    inside = ((means >= low) & (means <= high)).mean(0).astype(np.float32)
     assert (inside >= d["robust_fraction"]).all(), "robust fraction"
 
 
@@ -144,7 +153,7 @@ def check_order(scene: rgs_reader.Scene) -> None:
     if d["order"] == 2:
         low, high = np.array(d["robust_min"]), np.array(d["robust_max"])
         flat = high == low
-        t = (scene.means - (low + high) / 2) * np.where(flat, 1, 2 / np.where(flat, 1, high - low))
+        t = (scene.means[-n:] - (low + high) / 2) * np.where(flat, 1, 2 / np.where(flat, 1, high - low))
         s = np.where(np.abs(t) <= 1, np.abs(t) / 2, 1 - 1 / (2 * np.maximum(np.abs(t), 1)))
         cell = np.minimum(2.0**21 * (0.5 + np.sign(t) * s / 2), 2**21 - 1).astype(np.uint64)
         for bit in range(21):

@@ -174,9 +174,11 @@ def decode_points(frame: bytes, rows: int, mean_bits: int) -> NDArray[np.int64]:
     return np.array(points, np.int64).reshape(rows, 3)
 
 
-def decode_means(frame: bytes, rows: int, arch: dict[str, Any]) -> bytes:
-    m = arch["mean_cells"]
-    q = decode_points(frame, rows, arch["mean_bits"]) - (1 << arch["mean_bits"] - 1)
+def decode_means(frame: bytes, rows: int, arch: dict[str, Any], corner: tuple[int, ...] = (0, 0, 0)) -> bytes:
+    m, bits = arch["mean_cells"], arch["mean_bits"]
+    u = decode_points(frame, rows, bits) + np.array(corner, np.int64)
+    need((u < 1 << bits).all(), "a coordinate beyond the grid")
+    q = u - (1 << bits - 1)
     n = np.where(q >= 0, q, -1 - q)
     k, rest = np.divmod(n, 1 << m)
     cell = (rest + 0.5) / 2.0**m
@@ -287,8 +289,23 @@ def decode_geometry(frame: bytes, rows: int, arch: dict[str, Any], exponent: int
 def decode_sh(frame: bytes, rows: int, arch: dict[str, Any], classes: list[int],
               steps: NDArray[np.float32], row_bytes: int) -> bytes:
     """`steps` [rows, K, 3], of each row's chunk."""
+    return sh_codes(sh_values(frame, rows, arch, classes, 3 * (steps.shape[1] - 1)), steps, row_bytes)
+
+
+def step_for(largest: float) -> np.float32:
+    """The step that a chunk of a page takes for values of at most this magnitude."""
+    largest = np.float32(largest)
+    if not largest >= np.float32(127 * 2.0**-107):
+        return np.float32(0)
+    bits = (int((largest / np.float32(127)).view(np.uint32)) + 127) // 128 * 128
+    if np.uint32(bits).view(np.float32) * np.float32(127) < largest:
+        bits += 128
+    return np.uint32(bits).view(np.float32)
+
+
+def sh_values(frame: bytes, rows: int, arch: dict[str, Any], classes: list[int], q: int) -> NDArray[np.float32]:
+    """[rows, 3 + q] before they become codes."""
     tables, count = arch["tables"], arch["n_classes"]
-    q = 3 * (steps.shape[1] - 1)
     stream = Stream(frame, tables)
     context = n_contexts(count, q) - 8 * q * count - 24 * count
     codes = np.zeros((3 + q, rows), np.int64)
@@ -319,10 +336,15 @@ def decode_sh(frame: bytes, rows: int, arch: dict[str, Any], classes: list[int],
     sums = (tables.sh_matrix @ codes[3:]).astype(np.uint32).view(np.int32).astype(np.float32).T
     factor = of["sh_step"].astype(np.float32) * np.float32(2.0**-14)
     value[:, 3:] = sums * factor[:, None] + tables.sh_centre
+    return value
 
-    flat = steps.reshape(rows, 3 + q)
+
+def sh_codes(value: NDArray[np.float32], steps: NDArray[np.float32], row_bytes: int) -> bytes:
+    """Rows of SHI8; `steps` [rows, K, 3]"""
+    rows, width = value.shape
+    flat = steps.reshape(rows, width)
     with np.errstate(over="ignore"):
         ratio = np.divide(value, flat, out=np.zeros_like(value), where=flat != 0)
     out = np.zeros((rows, row_bytes), np.int8)
-    out[:, :3 + q] = np.rint(ratio.clip(-127, 127))
+    out[:, :width] = np.rint(ratio.clip(-127, 127))
     return out.tobytes()

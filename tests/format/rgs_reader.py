@@ -33,6 +33,9 @@ DEGREE = np.array([0] + [1] * 3 + [2] * 5 + [3] * 7)              # degree of SH
 KNOWN = ("DECL", "SHSC", "CHNK", "MEAN", "GEOM", "SHI8", "PERM", "PROV")
 REQUIRED = KNOWN[:6]
 ARCHIVED = ("MEAN", "GEOM", "SHI8")                               # what has codec 2 if anything has
+LEVELS = ("LODS", "PAGE")                                         # of a file with levels of detail
+IN_PAGES = REQUIRED[1:]                                           # what such a file must not have
+ROOT = 2**32 - 1
 CODED = ("SHSC", "CHNK", *ARCHIVED)
 PROV_HEAD = struct.Struct("<QQII")
 PROV_TEXT_MAX = 4096
@@ -64,12 +67,20 @@ ARCH = np.dtype([
 ARCH_CLASS = np.dtype([
     ("rotation_step", "<f4"), ("scale_step", "<u4"), ("scale_base", "<i4"), ("dc_step", "<u4"), ("sh_step", "<f4"),
     ("bound_rotation", "<f4"), ("bound_scale", "<f4"), ("bound_dc", "<f4"), ("bound_sh", "<f4")])
+LODS = np.dtype([
+    ("n_pages", "<u4"), ("n_levels", "<u4"), ("page_chunks", "<u4"), ("reserved", "<u4"), ("n_stored", "<u8"),
+    ("quality_db", "<f4"), ("reserved_tail", "u1", 36)])
+PAGE = np.dtype([
+    ("offset", "<u8"), ("xxh3", "<u8"), ("stored_bytes", "<u4"), ("n", "<u4"), ("parent", "<u4"), ("first_child", "<u4"),
+    ("level", "u1"), ("n_children", "u1"), ("scale_exponent", "<i2"), ("error", "<f4"), ("min", "<f4", 3),
+    ("max", "<f4", 3), ("corner", "<u4", 3), ("n_step_sets", "<u4"), ("reserved", "u1", 16)])
 ENUMERATORS = {"colour_space": (0, 1, 2), "sh_basis": (1,), "kernel": (1,), "aa_mode": (0, 1, 2), "sort_metric": (1,),
                "depth_mapping": (1, 2), "depth_source": (1, 2, 3), "order": (1, 2)}
 NOT_NEGATIVE = ("z_near", "z_far", "metres_per_unit", "cutoff_sigma", "alpha_threshold", "alpha_max", "low_pass_px2",
                 "transmittance_min")
 assert (HEADER.itemsize, ENTRY.itemsize, CHUNK.itemsize, DECL.itemsize) == (HEADER_BYTES, ENTRY_BYTES, 48, 256)
 assert (ARCH.itemsize, ARCH_CLASS.itemsize) == (128, 36)
+assert (LODS.itemsize, PAGE.itemsize) == (64, 96)
 
 Record = dict[str, Any]
 
@@ -84,7 +95,11 @@ class RgsError(ValueError):
 
 @dataclass
 class Scene:
-    """Everything a file says. N Gaussians, K = (sh_degree + 1)^2; values are float32 unless noted."""
+    """Everything a file says. N Gaussians, K = (sh_degree + 1)^2; values are float32 unless noted.
+
+    Of a file with levels of detail the arrays are those of all pages in their order, and chunks count step sets within
+    their page; only source_index is of the leaves, which are the last Gaussians.
+    """
 
     header: Record
     sections: list[Record]             # type (str), flags, codec, offset, stored_bytes, decoded_bytes, xxh3
@@ -101,10 +116,12 @@ class Scene:
     sh: NDArray[np.float32]            # [N, K, 3] coefficient, channel
     chunks: NDArray[np.void]           # [n_chunks] of CHUNK
     source_index: NDArray[np.uint64] | None  # [N] position in the source file
+    exponents: NDArray[np.int64]       # [N] scale_exponent of each Gaussian
+    levels: Record | None = None       # LODS, with pages: its records
 
     def log_scales(self) -> NDArray[np.float32]:
         """[N, 3] as a 3DGS PLY stores them, at most 60."""
-        exponent = -self.header["scale_exponent"]
+        exponent = -self.exponents[:, None]
         stored = np.where(self.scales_stored == 0, 2.0**-26, self.scales_stored.astype(np.float64))
         return np.log(np.ldexp(stored, exponent)).clip(None, 60).astype(np.float32)
 
@@ -126,12 +143,12 @@ def require(ok: Any, code: str, offset: int, text: str) -> None:
 
 
 def known(h: Record) -> tuple[str, ...]:
-    return KNOWN + (("ARCH",) if h["version_minor"] >= 2 else ())
+    return KNOWN + (("ARCH",) if h["version_minor"] >= 2 else ()) + (LEVELS if h["version_minor"] >= 4 else ())
 
 
 def codec_exists(h: Record, s: Record) -> bool:
-    versions = {0: s["type"] in known(h), 1: h["version_minor"] >= 1 and s["type"] in CODED,
-                2: h["version_minor"] >= 2 and s["type"] in ARCHIVED}
+    versions = {0: s["type"] in known(h), 1: h["version_minor"] >= 1 and s["type"] in (*CODED, "PAGE"),
+                2: h["version_minor"] >= 2 and s["type"] in (*ARCHIVED, "PAGE")}
     return versions.get(s["codec"], False)
 
 
@@ -179,7 +196,9 @@ def read_header(data: memoryview, max_file_bytes: int, max_gaussians: int) -> Re
     rule(-110 <= h["scale_exponent"] <= 110, "scale_exponent", "-110 to 110")
     rule(h["file_bytes"] <= max_file_bytes, "file_bytes", "larger than the caller allows", "limit_exceeded")
     rule(n <= max_gaussians, "n_gaussians", "more Gaussians than the caller allows", "limit_exceeded")
-    require(len(data) >= h["file_bytes"], "truncated", len(data), "shorter than file_bytes says")
+    # With levels of detail the end may be missing: read_table() sees whether it has them.
+    least = table_end(h) + HASH_BYTES if h["version_minor"] >= 4 else h["file_bytes"]
+    require(len(data) >= least, "truncated", len(data), "shorter than file_bytes says")
     require(len(data) <= h["file_bytes"], "trailing_bytes", h["file_bytes"], "longer than file_bytes says")
     return h
 
@@ -208,9 +227,16 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
         else:
             require(s["flags"] == 0, "unknown_required", s["at"], "an unknown section that must be understood")
         seen.add(s["type"])
-    for kind in REQUIRED:
+    levels = [s for s in entries if s["type"] in LEVELS and s["type"] in known(h)]
+    for kind in ("DECL", *LEVELS) if levels else REQUIRED:
         require(kind in seen, "missing_section", HEADER_BYTES, kind + " is required")
-    archived = [s for s in entries if s["type"] in ARCHIVED and s["codec"] == 2]
+    before = True
+    for s in entries if levels else ():
+        require(s["type"] not in IN_PAGES, "bad_section", s["at"], "a file with levels has its Gaussians in pages")
+        require(before or s["type"] not in ("DECL", "LODS", "ARCH"), "bad_section", s["at"], "it comes before PAGE")
+        before &= s["type"] != "PAGE"
+    require(levels or len(data) == h["file_bytes"], "truncated", len(data), "shorter than file_bytes says")
+    archived = [s for s in entries if s["type"] in (*ARCHIVED, *LEVELS) and s["codec"] == 2]
     for s in entries:
         if archived and s["type"] in ARCHIVED:
             require(s["codec"] == 2, "unsupported_codec", s["at"] + at["codec"], "codec 2 in all three or in none")
@@ -224,12 +250,12 @@ def read_table(data: memoryview, h: Record) -> list[Record]:
         require(begin % 256 == 0, "bad_section", where, "an offset is a multiple of 256")
         require(begin >= align256(end), "section_overlap", where, "it begins before the previous one has ended")
         require(begin <= align256(end), "section_gap", where, "it begins behind the next multiple of 256")
-        require(begin <= len(data) and s["stored_bytes"] <= len(data) - begin, "bad_section",
+        require(begin <= h["file_bytes"] and s["stored_bytes"] <= h["file_bytes"] - begin, "bad_section",
                 s["at"] + at["stored_bytes"], "the section leaves the file")
         nonzero = np.flatnonzero(np.frombuffer(data[end:begin], np.uint8))
         require(not nonzero.size, "section_gap", end + int(nonzero[:1].sum()), "bytes between sections are zero")
         end = begin + s["stored_bytes"]
-    require(end == len(data), "section_gap", end, "the last section ends the file")
+    require(end == h["file_bytes"], "section_gap", end, "the last section ends the file")
     return entries
 
 
@@ -243,6 +269,10 @@ def require_sizes(h: Record, sections: dict[str, Record], n_source: int | None =
     for s in filter(lambda s: s["type"] in sizes, sections.values()):
         require(s["decoded_bytes"] == sizes[s["type"]], "size_mismatch", s["at"] + ENTRY.fields["decoded_bytes"][1],
                 f"{s['type']} contradicts the counts of the header")
+
+
+def is_there(data: memoryview, s: Record) -> bool:
+    return s["offset"] <= len(data) and s["stored_bytes"] <= len(data) - s["offset"]
 
 
 def require_hash(data: memoryview, s: Record) -> None:
@@ -486,6 +516,286 @@ def decode_archive(data: memoryview, h: Record, sections: dict[str, Record], arc
     return {kind: b"".join(part) for kind, part in parts.items()}
 
 
+# ---- levels of detail ------------------------------------------------------------------------------------------------
+
+def align16(x: int) -> int:
+    return (x + 15) // 16 * 16
+
+
+def page_arrays(h: Record, p: Record) -> dict[str, tuple[int, int]]:
+    """Offset and size of each array of a decoded page, and the end of all ("")."""
+    n, at, arrays = p["n"], 0, {}
+    for kind, size in (("CHNK", 48 * -(-n // h["chunk_size"])), ("SHSC", 48 * p["n_step_sets"]), ("MEAN", 12 * n),
+                       ("GEOM", 16 * n), ("SHI8", h["sh_bytes"] * n)):
+        arrays[kind] = (at, size)
+        at = align16(at + size)
+    return arrays | {"": (at, 0)}
+
+
+def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_gaussians: int,
+                max_expansion: int) -> Record:
+    """LODS with its records as "pages"."""
+    s, pages = sections["LODS"], sections["PAGE"]
+    base, size = s["offset"], s["stored_bytes"]
+    require(is_there(data, s), "truncated", len(data), "the file ends before its first page")
+    require_hash(data, s)
+    decoded = ENTRY.fields["decoded_bytes"][1]
+    l = record(data, LODS, base) if size >= LODS.itemsize else {"n_pages": 0}
+    require(size >= LODS.itemsize and size == LODS.itemsize + PAGE.itemsize * l["n_pages"], "size_mismatch",
+            s["at"] + decoded, "64 bytes and 96 a page")
+
+    def rule(ok: Any, name: str, text: str, code: str = "bad_value") -> None:
+        require(ok, code, base + LODS.fields[name][1], text)
+
+    for name in ("reserved", "reserved_tail"):
+        begin = base + LODS.fields[name][1]
+        require_reserved(data, begin, begin + LODS[name].itemsize, "reserved bytes of LODS")
+    rule(1 <= l["n_pages"] < ROOT, "n_pages", "1 to 2^32 - 2 pages")
+    rule(1 <= l["n_levels"] <= 64, "n_levels", "1 to 64 levels")
+    rule(1 <= l["page_chunks"] <= 1024 and l["page_chunks"] * h["chunk_size"] <= 2**16, "page_chunks", "chunks a page")
+    rule(l["n_stored"] <= max_gaussians, "n_stored", "more Gaussians than the caller allows", "limit_exceeded")
+    rule(0 <= l["quality_db"] < np.inf, "quality_db", "finite, not negative")
+    archive = pages["codec"] == 2
+    records = []
+    for at in range(base + LODS.itemsize, base + size, PAGE.itemsize):
+        p = record(data, PAGE, at) | {"at": at}
+        require_reserved(data, at + 80, at + 96, "reserved bytes of a page's record")
+        chunks = -(-p["n"] // h["chunk_size"])
+        for name, ok in (("n", p["n"] <= l["page_chunks"] * h["chunk_size"]),
+                         ("n_step_sets", p["n_step_sets"] == chunks or p["n_step_sets"] == 1 and not archive),
+                         ("scale_exponent", -110 <= p["scale_exponent"] <= 110 and (
+                             p["level"] > 0 or p["scale_exponent"] == h["scale_exponent"]))):
+            require(ok, "bad_value", at + PAGE.fields[name][1], name + " of a page")
+        for axis, value in enumerate(p["corner"]):
+            require(value < 2**28 if archive else value == 0, "bad_value", at + 64 + 4 * axis, "a page's corner")
+        records.append(p)
+    l["pages"] = records
+
+    end, section_end = pages["offset"], pages["offset"] + pages["stored_bytes"]
+    for p in records:
+        start = end if pages["codec"] else align256(end)
+        require(p["offset"] >= start, "section_overlap", p["at"], "a page begins before the previous one has ended")
+        require(p["offset"] <= start, "section_gap", p["at"], "a page begins behind the end of the previous one")
+        fits = p["stored_bytes"] <= section_end - p["offset"]
+        if pages["codec"] == 0:
+            fits &= p["stored_bytes"] == page_arrays(h, p)[""][0]
+        require(fits, "size_mismatch", p["at"] + PAGE.fields["stored_bytes"][1], "a page fits its section and its counts")
+        end = p["offset"] + p["stored_bytes"]
+    require(end == section_end, "size_mismatch", end, "the last page ends the section")
+    check_tree(h, records)
+
+    rule(l["n_stored"] == sum(p["n"] for p in records), "n_stored", "the Gaussians of all pages")
+    rule(h["n_gaussians"] == sum(p["n"] for p in records if p["level"] == 0), "n_stored", "the leaves are the header's")
+    rule(l["n_levels"] == records[0]["level"] + 1, "n_levels", "the root's level and one")
+    if pages["codec"]:
+        total = sum(page_arrays(h, p)[""][0] for p in records)
+        require(pages["decoded_bytes"] == total, "size_mismatch", pages["at"] + decoded, "the sizes of decoded pages")
+        require(total <= max_expansion * h["file_bytes"] + 2**20, "limit_exceeded", pages["at"] + decoded, "too much")
+    return l
+
+
+def check_tree(h: Record, pages: list[Record]) -> None:
+    """Each page's own fields, then those against its parent."""
+    for i, p in enumerate(pages):
+        def rule(ok: Any, name: str, text: str) -> None:
+            require(ok, "bad_value", p["at"] + PAGE.fields[name][1], text)
+
+        leaf, last, above = p["level"] == 0, i == len(pages) - 1, pages[i - 1] if i else None
+        rule(p["n"] > 0 and (not leaf or last or p["n"] % h["chunk_size"] == 0), "n", "leaves are whole chunks")
+        rule(p["level"] < 64 and (above is None or above["level"] - p["level"] in (0, 1)), "level", "coarse to fine")
+        rule((p["parent"] == ROOT) == (i == 0), "parent", "page 0 is the root, and it alone")
+        rule(leaf or not last, "level", "the last page is a leaf")
+        children = range(p["first_child"], p["first_child"] + p["n_children"])
+        if leaf:
+            rule(len(children) == 0 and p["first_child"] == 0, "first_child", "a leaf has no children")
+        else:
+            follows = above is None or above["level"] != p["level"] or children.start == (
+                above["first_child"] + above["n_children"])
+            rule(len(children) > 0 and i < children.start and children.stop <= len(pages) and follows, "first_child",
+                 "children follow each other")
+            rule(all(pages[c]["parent"] == i for c in children), "first_child", "children name their parent")
+        rule(np.isfinite(p["min"] + p["max"]).all() and all(a <= b for a, b in zip(p["min"], p["max"])), "min", "a box")
+        rule(0 <= p["error"] < np.inf and not np.signbit(p["error"]) and (not leaf or p["error"] == 0), "error",
+             "finite, +0 in leaves")
+        if i == 0:
+            continue
+        rule(p["parent"] < i, "parent", "a parent comes before its children")
+        parent = pages[p["parent"]]
+        inside = parent["first_child"] <= i < parent["first_child"] + parent["n_children"]
+        rule(inside and parent["level"] == p["level"] + 1, "parent", "a child of its parent")
+        rule(all(a >= b for a, b in zip(p["min"] + parent["max"], parent["min"] + p["max"])), "min", "inside the parent's")
+        rule(p["error"] < parent["error"], "error", "less than the parent's")
+
+
+def decode_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record | None) -> dict[str, bytes]:
+    """The arrays of a page; CHNK only if it is stored."""
+    n, sets, size = p["n"], p["n_step_sets"], h["chunk_size"]
+    code = frame_bytes(data, (p["offset"], p["stored_bytes"], p["xxh3"]))
+    if codec == 0:
+        return {kind: bytes(code[at:at + length]) for kind, (at, length) in page_arrays(h, p).items() if kind}
+    if codec == 1:
+        c = 3 * (h["sh_degree"] + 1) ** 2
+        sizes = (48 * sets, 12 * n, 16 * n, c * (c + 1) // 2 + c * n)
+        content = np.frombuffer(unzip(code, p["offset"], sum(sizes)), np.uint8)
+        parts = np.split(content, np.cumsum(sizes)[:-1])
+        steps = decode_words(parts[0], sets)
+        by_chunk = check_steps(h, steps, p["offset"], 0)[np.zeros(-(-n // size), int) if sets == 1 else slice(None)]
+        return {"SHSC": steps, "MEAN": decode_words(parts[1], n), "GEOM": decode_geometry(parts[2], n),
+                "SHI8": decode_sh(parts[3], n, h, by_chunk)}
+    try:
+        rgs_archive.need(len(code) >= 8, "a page begins with two sizes")
+        m, g = struct.unpack("<II", code[:8])
+        rgs_archive.need(m + g <= len(code) - 8, "a page ends inside its streams")
+        means = rgs_archive.decode_means(bytes(code[8:8 + m]), n, arch, p["corner"])
+        geometry, classes = rgs_archive.decode_geometry(bytes(code[8 + m:8 + m + g]), n, arch, p["scale_exponent"])
+        k = (h["sh_degree"] + 1) ** 2
+        values = rgs_archive.sh_values(bytes(code[8 + m + g:]), n, arch, classes, 3 * k - 3)
+    except rgs_archive.Damaged as error:
+        raise RgsError("corrupt_data", p["offset"], str(error)) from error
+    steps = np.zeros((sets, 4, 3), np.float32)
+    by_value = np.abs(values).reshape(n, k, 3)
+    for chunk in range(sets):
+        for degree in range(h["sh_degree"] + 1):
+            for channel in range(3):
+                rows = by_value[chunk * size:(chunk + 1) * size, DEGREE[:k] == degree, channel]
+                steps[chunk, degree, channel] = rgs_archive.step_for(rows.max())
+    codes = rgs_archive.sh_codes(values, steps[np.arange(n) // size][:, DEGREE[:k]], h["sh_bytes"])
+    return {"SHSC": steps.tobytes(), "MEAN": means, "GEOM": geometry, "SHI8": codes}
+
+
+def check_steps(h: Record, steps: bytes, offset: int, each: int) -> NDArray[np.float32]:
+    """[sets, 4, 3]; `each`: bytes a step in the file, 0 where it is coded."""
+    array = np.frombuffer(steps, "<f4").reshape(-1, 4, 3)
+    ok = (array.view("<u4") == 0) | ((array >= 2.0**-107) & (array <= 2.0**93) & (array.view("<u4") % 128 == 0))
+    ok[:, h["sh_degree"] + 1:] &= array.view("<u4")[:, h["sh_degree"] + 1:] == 0
+    require_all(ok.ravel(), offset, each, 0, "a step is +0, or 2^-107 to 2^93 in 17 bits, up to degree D")
+    return array
+
+
+def implied_chunks(h: Record, p: Record, means: NDArray[np.float32], geom: NDArray[np.float16]) -> NDArray[np.void]:
+    first = np.arange(0, p["n"], h["chunk_size"])
+    chunks = np.zeros(len(first), CHUNK)
+    chunks["min"] = np.minimum.reduceat(means, first) + np.float32(0)
+    chunks["max"] = np.maximum.reduceat(means, first) + np.float32(0)
+    largest = np.maximum.reduceat(geom[:, 4:7].max(1).astype(np.float64), first)
+    chunks["radius"] = 3 * np.ldexp(largest, -p["scale_exponent"])
+    chunks["max_opacity"] = np.maximum.reduceat(geom[:, 7].astype(np.float32), first)
+    chunks["scale_set"] = np.arange(len(first)) if p["n_step_sets"] > 1 else 0
+    chunks["count"] = np.minimum(p["n"] - first, h["chunk_size"])
+    return chunks
+
+
+@dataclass
+class PageRows:
+    """A page's arrays, every value checked."""
+
+    means: NDArray[np.float32]
+    geom: NDArray[np.float16]
+    codes: NDArray[np.int8]            # [n, K, 3]
+    steps: NDArray[np.float32]         # [n_step_sets, 4, 3]
+    step: NDArray[np.float32]          # [n, K, 3]
+    chunks: NDArray[np.void]
+
+
+def read_page(data: memoryview, h: Record, p: Record, codec: int, arch: Record | None) -> PageRows:
+    decoded, n, k = decode_page(data, h, p, codec, arch), p["n"], (h["sh_degree"] + 1) ** 2
+    base = {kind: p["offset"] + (at if codec == 0 else 0) for kind, (at, _) in page_arrays(h, p).items()}
+
+    def rule(ok: NDArray[np.bool_], kind: str, row: int, column: int, text: str, byte: int = 0,
+             code: str = "bad_value") -> None:
+        each = (row, column) if codec == 0 else (0, 0)
+        require_all(ok, base[kind] + (byte if codec == 0 else 0), *each, text, code)
+
+    means = np.frombuffer(decoded["MEAN"], "<f4").reshape(n, 3)
+    geom = np.frombuffer(decoded["GEOM"], "<f2").reshape(n, 8)
+    rows = np.frombuffer(decoded["SHI8"], "i1").reshape(n, h["sh_bytes"])
+    if codec == 0:
+        stored = np.frombuffer(decoded["CHNK"], CHUNK)
+        rule(stored["reserved"] == 0, "CHNK", 48, 0, "reserved field of a chunk", 44, "reserved_bits")
+        sets = np.arange(len(stored)) if p["n_step_sets"] > 1 else np.zeros(len(stored), int)
+        count = np.minimum(n - np.arange(len(stored)) * h["chunk_size"], h["chunk_size"])
+        rule(stored["count"] == count, "CHNK", 48, 0, "whole chunks", 40)
+        rule(stored["scale_set"] == sets, "CHNK", 48, 0, "the steps of a chunk's place in the page", 32)
+    steps = check_steps(h, decoded["SHSC"], base["SHSC"], 4 if codec == 0 else 0)
+    rule(np.isfinite(means), "MEAN", 12, 4, "means are finite")
+    wide, clear = geom.astype(np.float64), ~np.signbit(geom)
+    norm2 = (wide[:, :4] ** 2).sum(1)
+    rule(np.abs(norm2 - 1) <= 2.0**-8, "GEOM", 16, 0, "the squared norm of a rotation is within 2^-8 of 1")
+    rule(clear[:, 0], "GEOM", 16, 0, "the sign bit of w is clear")
+    rule(np.isfinite(geom[:, 4:7]) & clear[:, 4:7], "GEOM", 16, 2, "a scale: finite, sign clear", 8)
+    rule((geom[:, 7] <= 1) & clear[:, 7], "GEOM", 16, 0, "opacity 0 to 1, sign clear", 14)
+    chunk = np.arange(n) // h["chunk_size"] if p["n_step_sets"] > 1 else np.zeros(n, int)
+    step, codes = steps[chunk][:, DEGREE[:k]], rows[:, :3 * k].reshape(n, k, 3)
+    rule(rows[:, :3 * k] != -128, "SHI8", h["sh_bytes"], 1, "code -128 is not used")
+    rule(((codes == 0) | (step != 0)).reshape(n, 3 * k), "SHI8", h["sh_bytes"], 1, "a code whose step is 0 is 0")
+    rule(rows[:, 3 * k:] == 0, "SHI8", h["sh_bytes"], 1, "padding of a row", 3 * k, "reserved_bits")
+    chunks = implied_chunks(h, p, means, geom)
+    if codec == 0:
+        for name, byte in (("min", 0), ("max", 0), ("radius", 12), ("max_opacity", 28)):
+            same = (stored[name] == chunks[name]).reshape(len(chunks), -1).all(1)
+            rule(same, "CHNK", 48, 0, name + " is that of the chunk's rows", byte)
+
+    w, x, y, z = (wide[:, :4] / np.sqrt(norm2)[:, None]).T
+    rotation = np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])
+    scales = np.ldexp(wide[:, 4:7], -p["scale_exponent"])
+    reach = 3 * np.sqrt(((rotation * scales.T) ** 2).sum(1)).T * (1 - 2.0**-10)
+    inside = (means - reach >= np.array(p["min"])) & (means + reach <= np.array(p["max"]))
+    rule(inside, "MEAN", 12, 4, "the page's box holds its Gaussians")
+    return PageRows(means, geom, codes, steps, step, chunks)
+
+
+def read_with_levels(data: memoryview, h: Record, entries: list[Record], max_gaussians: int, max_expansion: int) -> Scene:
+    """What read() does with a file that has levels of detail."""
+    sections = {s["type"]: s for s in entries if s["type"] in known(h)}
+    require_sizes(h, {kind: s for kind, s in sections.items() if kind == "DECL"})
+    require(is_there(data, sections["DECL"]), "truncated", len(data), "the file ends before its first page")
+    require_hash(data, sections["DECL"])
+    d = read_declarations(data, h, sections["DECL"]["offset"])
+    require_sizes(h, {kind: s for kind, s in sections.items() if kind == "PERM"}, d["n_source"])
+    has_provenance = "PROV" in sections and is_there(data, sections["PROV"])
+    provenance = read_provenance(data, sections["PROV"]) if has_provenance else None
+    arch = None
+    if "ARCH" in sections:
+        require(is_there(data, sections["ARCH"]), "truncated", len(data), "the file ends before its first page")
+        arch = read_arch(data, h, sections["ARCH"])
+    levels = read_levels(data, h, sections, max_gaussians, max_expansion)
+    for s in entries:
+        if s["type"] != "PAGE" and is_there(data, s):
+            require_hash(data, s)
+    codec, end, present = sections["PAGE"]["codec"], sections["PAGE"]["offset"], []
+    for p in levels["pages"]:
+        if p["offset"] + p["stored_bytes"] > len(data):
+            break
+        nonzero = np.flatnonzero(np.frombuffer(data[end:p["offset"]], np.uint8))
+        require(not nonzero.size, "section_gap", end + int(nonzero[:1].sum()), "bytes between pages are zero")
+        end = p["offset"] + p["stored_bytes"]
+        present.append(p)
+    pages = [read_page(data, h, p, codec, arch) for p in present]
+    require(len(data) == h["file_bytes"], "pages_missing", len(data), "the end of the file is missing")
+
+    means, geom, codes, steps, step = (np.concatenate([getattr(p, name) for p in pages]) for name in
+                                       ("means", "geom", "codes", "steps", "step"))
+    exponents = np.repeat([p["scale_exponent"] for p in present], [p["n"] for p in present])
+    wide = geom.astype(np.float64)
+    norm2 = (wide[:, :4] ** 2).sum(1)
+    opacities, n = geom[:, 7].astype(np.float32), h["n_gaussians"]
+    check_declarations(d, sections["DECL"]["offset"], means[-n:], geom[-n:, 4:7], opacities[-n:])
+    source_index = None
+    if "PERM" in sections:
+        item_bytes, base = 4 if d["n_source"] < 2**32 else 8, sections["PERM"]["offset"]
+        source_index = np.frombuffer(data[base:base + item_bytes * n], f"<u{item_bytes}").astype(np.uint64)
+        require_all(source_index < d["n_source"], base, item_bytes, 0, "a position below n_source")
+        require(np.unique(source_index).size == n, "bad_value", base, "positions are all different")
+    return Scene(header=h, sections=entries, declarations=d, provenance=provenance, means=means,
+                 rotations_stored=geom[:, :4].astype(np.float32),
+                 rotations=(wide[:, :4] / np.sqrt(norm2)[:, None]).astype(np.float32), scales_stored=geom[:, 4:7],
+                 scales=np.ldexp(wide[:, 4:7], -exponents[:, None]).astype(np.float32), opacities=opacities, sh_steps=steps,
+                 sh_codes=codes, sh=step * codes.astype(np.float32), chunks=np.concatenate([p.chunks for p in pages]),
+                 source_index=source_index, exponents=exponents, levels=levels)
+
+
 def check_declarations(d: Record, base: int, means: NDArray[np.float32], scales: NDArray[np.float16],
                        opacities: NDArray[np.float32]) -> None:
     def rule(ok: Any, name: str, text: str) -> None:
@@ -507,6 +817,8 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
     data = memoryview(data)
     h = read_header(data, max_file_bytes, max_gaussians)
     entries = read_table(data, h)
+    if any(s["type"] == "LODS" and s["type"] in known(h) for s in entries):
+        return read_with_levels(data, h, entries, max_gaussians, max_expansion)
     sections = {s["type"]: s for s in entries if s["type"] in known(h)}
     base = {kind: s["offset"] for kind, s in sections.items()}
     require_sizes(h, sections)
@@ -599,7 +911,8 @@ def read(data: bytes | mmap.mmap | memoryview, max_file_bytes: int = 2**40, max_
                  rotations_stored=geom[:, :4].astype(np.float32),
                  rotations=(wide[:, :4] / np.sqrt(norm2)[:, None]).astype(np.float32), scales_stored=geom[:, 4:7],
                  scales=exact_scales.astype(np.float32), opacities=opacities, sh_steps=steps, sh_codes=codes,
-                 sh=step * codes.astype(np.float32), chunks=chunks, source_index=source_index)
+                 sh=step * codes.astype(np.float32), chunks=chunks, source_index=source_index,
+                 exponents=np.full(n, h["scale_exponent"]))
 
 
 def read_file(path: str) -> Scene:

@@ -19,18 +19,20 @@ extern "C" std::size_t LLVMFuzzerCustomMutator(std::uint8_t* data, std::size_t s
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
   const auto bytes = std::as_bytes(std::span(data, size));
-  rgs::tool::InfoOptions all, one;
+  rgs::tool::InfoOptions all, one, of_levels;
   all.verify = true;
   all.statistics = true;
   one.chunk = size % 3;
-  const auto whole = rgs::tool::inspect("a", bytes, all), chunk = rgs::tool::inspect("a", bytes, one);
-  for (const auto* report : {&whole, &chunk}) {
+  of_levels.page = size % 5;
+  const auto whole = rgs::tool::inspect("a", bytes, all), chunk = rgs::tool::inspect("a", bytes, one),
+             page = rgs::tool::inspect("a", bytes, of_levels);
+  for (const auto* report : {&whole, &chunk, &page}) {
     const std::string text = rgs::tool::info_text(*report, true);  // empty for an error before the first line
     if (rgs::tool::info_json(*report).empty() || (text.empty() && !report->error)) std::abort();
   }
   const auto cloud = rgs::decode(bytes);
   // What is valid decodes, and every error says what it is.
-  if (whole.verified && !cloud) std::abort();
+  if (whole.verified && !whole.error && !cloud) std::abort();
   if (!cloud && cloud.error().what[0] == '\0') std::abort();
   return 0;
 }

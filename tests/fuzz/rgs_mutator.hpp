@@ -57,6 +57,7 @@ class RgsMutator {
       const auto content =
           bytes.subspan(offset, std::min<std::uint64_t>(get<std::uint64_t>(entry, 24), bytes.size() - offset));
       sections_.push_back({{entry.begin(), entry.end()}, {content.begin(), content.end()}});
+      if (is(sections_.back(), "PAGE")) pages_ = offset;
     }
     return true;
   }
@@ -76,8 +77,27 @@ class RgsMutator {
     }
     put(std::span(header_), 16, std::uint64_t{file.size()});
     std::ranges::copy(header_, file.begin());
+    move_pages(file);
+    if (below(16) == 0) file.resize(file.size() - below(file.size() / 2));  // the end is missing
     test::fix_hashes(file);
     return file;
+  }
+
+  static bool is(const Section& s, const char* type) { return std::memcmp(s.entry.data(), type, 4) == 0; }
+
+  // Pages lie where their section now is.
+  void move_pages(Bytes& file) {
+    const auto place = [&](const char* type) -> std::uint64_t {
+      const auto s = std::ranges::find_if(sections_, [type](const Section& section) { return is(section, type); });
+      return s == sections_.end() ? 0 : get<std::uint64_t>(s->entry, 16);
+    };
+    const std::uint64_t levels = place("LODS"), pages = place("PAGE");
+    if (levels == 0 || pages == 0 || pages == pages_) return;
+    const std::uint64_t n = file.size() - levels < 64 ? 0 : get<std::uint32_t>(file, levels);
+    for (std::uint64_t i = 0; i < n && 64 + 96 * (i + 1) <= file.size() - levels; ++i) {
+      const std::uint64_t at = levels + 64 + 96 * i;
+      put(std::span(file), at, get<std::uint64_t>(file, at) + pages - pages_);
+    }
   }
 
   void change() {
@@ -140,15 +160,15 @@ class RgsMutator {
     put(std::span(header_), 32, chunks);
     put(std::span(header_), 40, sets);
     for (Section& s : sections_) {
-      const auto is = [&s](const char* type) { return std::memcmp(s.entry.data(), type, 4) == 0; };
-      const std::uint64_t rows = is("CHNK") ? chunks : is("SHSC") ? sets : n;
-      const std::uint64_t each = is("CHNK") || is("SHSC") ? 48
-                                 : is("MEAN")             ? 12
-                                 : is("GEOM")             ? 16
-                                 : is("SHI8")             ? std::to_integer<std::uint64_t>(header_[57])
-                                 : is("PERM")             ? 4
-                                                          : 0;
-      if (is("DECL") && s.content.size() >= 112) put(std::span(s.content), 96, n + get<std::uint64_t>(s.content, 104));
+      const std::uint64_t rows = is(s, "CHNK") ? chunks : is(s, "SHSC") ? sets : n;
+      const std::uint64_t each = is(s, "CHNK") || is(s, "SHSC") ? 48
+                                 : is(s, "MEAN")                ? 12
+                                 : is(s, "GEOM")                ? 16
+                                 : is(s, "SHI8")                ? std::to_integer<std::uint64_t>(header_[57])
+                                 : is(s, "PERM")                ? 4
+                                                                : 0;
+      if (is(s, "DECL") && s.content.size() >= 112)
+        put(std::span(s.content), 96, n + get<std::uint64_t>(s.content, 104));
       if (each == 0) continue;
       put(std::span(s.entry), 32, rows * each);
       if (s.codec() == 0 && rows < 70000) s.content.resize(rows * each);
@@ -239,6 +259,7 @@ class RgsMutator {
   std::mt19937 random_;
   Bytes header_;
   std::vector<Section> sections_;
+  std::uint64_t pages_ = 0;  // where PAGE was
 };
 
 /// For LLVMFuzzerCustomMutator(): mostly by structure, now and then by bytes.

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 
+#include "golden_levels.hpp"
 #include "golden_scenes.hpp"
 #include "reject_cases.hpp"
 
@@ -27,6 +28,13 @@ int main(int argc, char** argv) {
     const auto bytes = rgs::encode(scene.cloud.view(), scene.options);
     if (!bytes || !write(folder / (scene.name + ".rgs"), *bytes)) {
       std::fprintf(stderr, "%s.rgs: %s\n", scene.name.c_str(), bytes ? "cannot be written" : bytes.error().what);
+      return 1;
+    }
+  }
+  for (const auto& scene : rgs::test::all_golden_levels()) {
+    const auto bytes = rgs::test::encode_levels(scene);
+    if (bytes.empty() || !write(folder / (scene.name + ".rgs"), bytes)) {
+      std::fprintf(stderr, "%s.rgs cannot be written\n", scene.name.c_str());
       return 1;
     }
   }

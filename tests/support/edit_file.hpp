@@ -74,10 +74,22 @@ inline void fix_frame_hashes(std::span<std::byte> section) {
   put(section, table, xxh3(section.first(table)));
 }
 
+/// Recomputes the hashes of pages in section LODS of a file with levels, as far as the file has them.
+inline void fix_page_hashes(std::span<std::byte> file, std::uint64_t levels, std::uint64_t levels_bytes) {
+  if (levels_bytes < 64) return;
+  const std::uint64_t n = get<std::uint32_t>(file, levels);
+  for (std::uint64_t i = 0; i < n && i < (levels_bytes - 64) / 96; ++i) {
+    const std::uint64_t record = levels + 64 + 96 * i;
+    const auto offset = get<std::uint64_t>(file, record), size = std::uint64_t{get<std::uint32_t>(file, record + 16)};
+    if (offset > file.size() || size > file.size() - offset) continue;
+    put(file, record + 8, xxh3(file.subspan(offset, size)));
+  }
+}
+
 enum class Hashes { all, but_frames };
 
-/// Recomputes the hash of each section, in coded ones those of their frames first, then that of the head, as far as the
-/// file has them. Safe on any bytes.
+/// Recomputes the hash of each section, in coded ones those of their frames and pages first, then that of the head, as far as
+/// the file has them. Safe on any bytes.
 inline void fix_hashes(std::span<std::byte> file, Hashes which = Hashes::all) {
   if (file.size() < 128) return;
   const std::uint64_t n = get<std::uint32_t>(file, 52);
@@ -86,7 +98,10 @@ inline void fix_hashes(std::span<std::byte> file, Hashes which = Hashes::all) {
     const auto offset = get<std::uint64_t>(file, entry_at(i) + 16), size = get<std::uint64_t>(file, entry_at(i) + 24);
     if (offset > file.size() || size > file.size() - offset) continue;
     const auto codec = get<std::uint32_t>(file, entry_at(i) + 8);
-    if (which == Hashes::all && (codec == 1 || codec == 2)) fix_frame_hashes(file.subspan(offset, size));
+    const bool levels = std::memcmp(file.data() + entry_at(i), "LODS", 4) == 0;
+    const bool pages = std::memcmp(file.data() + entry_at(i), "PAGE", 4) == 0;
+    if (which == Hashes::all && levels) fix_page_hashes(file, offset, size);
+    if (which == Hashes::all && !pages && (codec == 1 || codec == 2)) fix_frame_hashes(file.subspan(offset, size));
     put(file, entry_at(i) + 40, xxh3(file.subspan(offset, size)));
   }
   if (file.size() - entry_at(n) >= 8) put(file, entry_at(n), xxh3(file.first(entry_at(n))));

@@ -6,6 +6,7 @@
 
 #include "archive_reject_cases.hpp"
 #include "golden_scenes.hpp"
+#include "levels_reject_cases.hpp"
 #include "reject_maker.hpp"
 
 namespace rgs::test {
@@ -317,6 +318,7 @@ inline std::vector<RejectCase> reject_cases() {
   options.chunk_size = 64;
   detail::RejectMaker archive(cases, detail::sound(golden_cloud(150, 1, 20), options));
   detail::reject_archive(archive);
+  detail::reject_levels(cases);
   return cases;
 }
 

@@ -61,7 +61,8 @@ const ArchiveTables* archive_tables(const FileView& view);
 class FileView {
  public:
   /// Parses and checks the head of a file: everything but the payload of the large sections, which is not touched, so
-  /// that opening a mapped file costs a few pages. Safe on untrusted bytes. Errors: truncated, bad_magic,
+  /// that opening a mapped file costs a few pages. Safe on untrusted bytes. A file with levels of detail is
+  /// unsupported_feature: PagedFile opens such, see has_levels(). Errors: truncated, bad_magic,
   /// unsupported_version, reserved_bits, bad_header, bad_section, section_overlap, section_gap, trailing_bytes,
   /// checksum_mismatch, missing_section, duplicate_section, unknown_required, unsupported_codec, size_mismatch,
   /// limit_exceeded, bad_value; the offset says where.
@@ -111,9 +112,12 @@ class FileView {
   Status preload(const LoadOptions& options = {});
 
  private:
+  friend class PagedFile;
   friend const detail::ArchiveTables* detail::archive_tables(const FileView& view);
-  static Result<FileView> parse(std::span<const std::byte> bytes, const DecodeLimits& limits);
+  static Result<FileView> parse(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels);
   std::span<const std::byte> table(SectionType type) const;
+  bool has(const SectionEntry& entry) const;
+  Status parse_declarations();
   Status open_coded(const DecodeLimits& limits);
   Status open_archive();
 
@@ -209,7 +213,8 @@ class Validation {
   std::unique_ptr<detail::ValueTotals> totals_;
 };
 
-/// FileView::open(), validate() and all Gaussians in memory.
+/// FileView::open(), validate() and all Gaussians in memory; of a file with levels of detail PagedFile::open(), validate()
+/// and its leaves, with pages_missing if some of them are.
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
 }  // namespace rgs

@@ -18,9 +18,9 @@ namespace RGS_API rgs {
 
 inline constexpr std::array<unsigned char, 8> kMagic = {0x89, 'R', 'G', 'S', 0x0D, 0x0A, 0x1A, 0x0A};
 inline constexpr std::uint16_t kVersionMajor = 1;
-/// Newest that this library knows. A file states the lowest that describes it: 3 with an origin, 2 with Codec::archive, 1
-/// with Codec::planes, else 0.
-inline constexpr std::uint16_t kVersionMinor = 3;
+/// Newest that this library knows. A file states the lowest that describes it: 4 with levels of detail, 3 with an origin, 2
+/// with Codec::archive, 1 with Codec::planes, else 0.
+inline constexpr std::uint16_t kVersionMinor = 4;
 
 inline constexpr std::uint64_t kHeaderBytes = 128;
 inline constexpr std::uint64_t kSectionEntryBytes = 64;
@@ -33,6 +33,11 @@ inline constexpr std::uint64_t kGeometryBytes = 16;  ///< FP16 w, x, y, z, sx, s
 inline constexpr std::uint64_t kStepSetBytes = 48;   ///< FP32 [4, 3]: degree, channel
 inline constexpr std::uint64_t kChunkEntryBytes = 48;
 inline constexpr std::uint64_t kDeclarationBytes = 256;
+
+inline constexpr std::uint64_t kLevelsHeadBytes = 64;     ///< of LODS, before its records
+inline constexpr std::uint64_t kPageRecordBytes = 96;     ///< of LODS, one a page
+inline constexpr std::uint64_t kPageAlignment = 256;      ///< of pages that are stored as they are
+inline constexpr std::uint64_t kPageArrayAlignment = 16;  ///< of each array within a page, as decoded
 
 inline constexpr std::uint32_t kMinChunkSize = 32;
 inline constexpr std::uint32_t kMaxChunkSize = 1u << 16;
@@ -60,6 +65,8 @@ enum class SectionType : std::uint32_t {
   archive = four_cc("ARCH"),       ///< with Codec::archive: its parameters, docs/ARCHIVE.md
   permutation = four_cc("PERM"),   ///< optional: position in the source, u32 [n], u64 [n] above 2^32 source Gaussians
   provenance = four_cc("PROV"),    ///< optional: Provenance
+  levels = four_cc("LODS"),        ///< of a file with levels of detail: its tree of pages, see paged_file.hpp
+  pages = four_cc("PAGE"),         ///< of such a file: its Gaussians, instead of SHSC, CHNK, MEAN, GEOM and SHI8
 };
 
 enum class Codec : std::uint32_t {
@@ -74,7 +81,7 @@ constexpr bool coded_type(SectionType type) {
          type == SectionType::geometry || type == SectionType::sh;
 }
 
-/// Section types that have Codec::archive, all or none.
+/// Section types that have Codec::archive, all or none. The pages of a file with levels may have it too, and Codec::planes.
 constexpr bool archive_type(SectionType type) {
   return type == SectionType::means || type == SectionType::geometry || type == SectionType::sh;
 }

@@ -57,6 +57,15 @@ struct Levels {
   }
 };
 
+/// Pages of one level, in their order: all that is drawn where that level is. Level 0: the leaves.
+std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level);
+
+/// The finest cut of at most `max_count` Gaussians: pages whose error is at most some e, and whose parent's is more. They
+/// replace all leaves, each once, and are given in the order of their leaves. Empty if the root alone has more.
+/// `n_present`: pages that may be used, from the root on.
+std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
+                                      std::uint32_t n_present = kNoPage);
+
 /// What is wrong with a page, and in which of its fields; no fault: `what` is null.
 enum class PageField : std::uint8_t { count, level, parent, children, bounds, error };
 struct PageFault {

@@ -10,7 +10,7 @@
 namespace RGS_API rgs {
 
 /// Closed list of failures. The hundreds digit is the class, and the class is the exit code of every program:
-/// 1xx internal, 2xx usage, 3xx input/output, 4xx malformed or unsupported input, 5xx quality gate.
+/// 1xx internal, 2xx usage, 3xx input/output, 4xx malformed or unsupported input, 5xx quality gate, 6xx incomplete input.
 enum class Errc : std::uint16_t {
   internal = 100,  ///< a bug in this library
   cancelled,       ///< stopped by the caller
@@ -52,9 +52,12 @@ enum class Errc : std::uint16_t {
   corrupt_data,         ///< coded bytes that do not decode
 
   gate_failed = 500,  ///< a quality condition asked for by the caller does not hold
+
+  pages_missing = 600,  ///< the beginning of a file with levels of detail: a whole scene, but without its finest pages
 };
 
-/// Exit code class of an error: 1 internal, 2 usage, 3 input/output, 4 malformed input, 5 quality gate.
+/// Exit code class of an error: 1 internal, 2 usage, 3 input/output, 4 malformed input, 5 quality gate, 6
+/// incomplete input that can be used all the same.
 constexpr int exit_code(Errc code) {
   return static_cast<int>(code) / 100;
 }

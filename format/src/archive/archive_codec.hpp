@@ -122,8 +122,9 @@ void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, cons
 class ArchiveDecoder {
  public:
   explicit ArchiveDecoder(const ArchiveTables& tables) : tables_(tables), matrix_(paired_matrix(tables)) {}
-  /// Rows [n, 12] of MEAN.
-  Status means(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n, std::span<std::byte> out);
+  /// Rows [n, 12] of MEAN; coordinates are relative to `corner`.
+  Status means(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n, std::span<std::byte> out,
+               const GridPoint& corner = {});
   /// Codes of GEOM; needed by the others.
   Status geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n);
   /// Rows [n, 16] of GEOM.
@@ -132,6 +133,9 @@ class ArchiveDecoder {
   Status sh_codes(std::span<const std::byte> stored, std::uint64_t offset);
   /// Rows [n, sh_bytes] of SHI8; steps of each chunk of chunk_rows that the frame touches.
   void sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps, std::span<std::byte> out);
+
+  /// The same where chunks take the steps that their values need: those of the chunks, [n_chunks, 48] bytes, become `steps`.
+  void sh_and_steps(int sh_degree, std::uint32_t chunk_rows, std::span<std::byte> steps, std::span<std::byte> out);
 
   /// The same for codes that are there already.
   FrameCodes& codes() { return codes_; }
@@ -143,7 +147,9 @@ class ArchiveDecoder {
   CodeSizes sizes_;
   std::vector<GridPoint> points_;
   std::vector<std::int32_t> dc_;
-  ShBlock block_{};  // zeros: what a short block leaves there is computed with too
+  void store_block(std::size_t first, std::size_t count, std::size_t stride, std::span<std::byte> out);
+  std::vector<float> values_;  // of a chunk's blocks, one after the other
+  ShBlock block_{};            // zeros: what a short block leaves there is computed with too
 };
 
 }  // namespace rgs::detail

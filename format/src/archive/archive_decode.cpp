@@ -9,6 +9,7 @@
 #include <limits>
 
 #include "archive/archive_codec.hpp"
+#include "file/layout_io.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs::detail {
@@ -163,12 +164,18 @@ void sh_block(const ArchiveTables& t, std::span<const std::int16_t> matrix, cons
 // ---- frames --------------------------------------------------------------------------------------------------------
 
 Status ArchiveDecoder::means(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n,
-                             std::span<std::byte> out) {
+                             std::span<std::byte> out, const GridPoint& corner) {
   points_.resize(n);
   if (Status s = decode_points(stored, offset, tables_.parameters.mean_bits, points_); !s) return s;
   for (std::size_t i = 0; i < n; ++i) {
     float mean[3];
-    for (std::size_t k = 0; k < 3; ++k) mean[k] = grid_mean(tables_.parameters, k, points_[i][k]);
+    for (std::size_t k = 0; k < 3; ++k) {
+      const std::uint32_t coordinate = points_[i][k] + corner[k];  // both are below 2^28
+      if (coordinate >> tables_.parameters.mean_bits != 0) {
+        return make_error(Errc::corrupt_data, offset, "a mean lies outside the archive's grid");
+      }
+      mean[k] = grid_mean(tables_.parameters, k, coordinate);
+    }
     std::memcpy(out.data() + i * kMeanBytes, mean, sizeof mean);
   }
   return {};
@@ -220,9 +227,49 @@ void ArchiveDecoder::sh(int sh_degree, std::uint32_t chunk_rows, std::span<const
         }
       }
     }
-    codec_kernels().store(block_.lanes, static_cast<int>(n_values), static_cast<int>(count),
-                          reinterpret_cast<std::int8_t*>(out.data()) + first * stride, stride);
+    store_block(first, count, stride, out);
   }
+}
+
+void ArchiveDecoder::store_block(std::size_t first, std::size_t count, std::size_t stride, std::span<std::byte> out) {
+  codec_kernels().store(block_.lanes, static_cast<int>(3 + tables_.n_sh), static_cast<int>(count),
+                        reinterpret_cast<std::int8_t*>(out.data()) + first * stride, stride);
+}
+
+void ArchiveDecoder::sh_and_steps(int sh_degree, std::uint32_t chunk_rows, std::span<std::byte> steps,
+                                  std::span<std::byte> out) {
+  const std::size_t stride = sh_bytes(sh_degree), n_values = 3 + tables_.n_sh;
+  if (stride != n_values) std::memset(out.data(), 0, out.size());
+  dc_values(tables_, codes_, dc_);
+  ByteWriter sets;
+  for (std::size_t chunk = 0; chunk < codes_.n; chunk += chunk_rows) {
+    const std::size_t end = std::min(codes_.n, chunk + chunk_rows);
+    float largest[4][3] = {};
+    values_.clear();
+    for (std::size_t first = chunk; first < end; first += kShLanes) {
+      const std::size_t count = std::min<std::size_t>(kShLanes, end - first);
+      sh_block(tables_, matrix_, codes_, dc_, first, count, block_);
+      for (std::size_t k = 0; k < n_values; ++k) {
+        float& most = largest[sh_degree_of(static_cast<int>(k / 3))][k % 3];
+        for (std::size_t i = 0; i < count; ++i) most = std::max(most, std::fabs(block_.value[k][i]));
+        values_.insert(values_.end(), block_.value[k], block_.value[k] + kShLanes);
+      }
+    }
+    ShStepSet set;
+    for (std::size_t d = 0; d < 4; ++d) {
+      for (std::size_t c = 0; c < 3; ++c) set.step[d][c] = sh_step(largest[d][c]);
+    }
+    write_step_set(sets, set);
+    const float* value = values_.data();
+    for (std::size_t first = chunk; first < end; first += kShLanes) {
+      for (std::size_t k = 0; k < n_values; ++k, value += kShLanes) {
+        const float step = set.of_value(static_cast<int>(k));
+        for (std::size_t i = 0; i < kShLanes; ++i) block_.lanes.codes[k][i] = quantize_sh(value[i], step);
+      }
+      store_block(first, std::min<std::size_t>(kShLanes, end - first), stride, out);
+    }
+  }
+  std::ranges::copy(sets.bytes(), steps.begin());
 }
 
 }  // namespace rgs::detail

@@ -20,10 +20,12 @@
 #include "archive/archive_codec.hpp"
 #include "archive/archive_errors.hpp"
 #include "archive/archive_fit.hpp"
+#include "file/byte_writer.hpp"
 #include "file/chunk_summary.hpp"
 #include "file/encode_plan.hpp"
 #include "file/section_writer.hpp"
 #include "file/workers.hpp"
+#include "levels/levels_file.hpp"
 #include "packed/packed.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/quantize.hpp"
@@ -52,8 +54,13 @@ using namespace detail;
 constexpr float kClassOctaves = 2;     // finer classes cost more than their finer steps gain: docs/PROFILES.md
 constexpr float kLargestSh = 0x1p30f;  // one beyond would carry the centre of all away with it
 
+// Consecutive Gaussians that are coded together: of a page, where there are pages.
 struct Frame {
   std::uint64_t first = 0, count = 0;
+  std::uint32_t level = 0;
+  std::int16_t scale_exponent = 0;
+  GridPoint corner{};                          // of a page
+  Box extent;                                  // of a page
   std::vector<std::byte> means, geometry, sh;  // streams
   FrameCodes codes;
   std::int32_t min_octaves = std::numeric_limits<std::int32_t>::max();
@@ -91,10 +98,26 @@ std::uint32_t grid_coordinate(const ArchiveParameters& p, std::size_t axis, floa
 
 class Encoder {
  public:
-  Encoder(const EncodePlan& plan, const SplatView& splats)
-      : plan_(plan), splats_(splats), degree_(plan.header.sh_degree), order_(splats.n), means_(3 * splats.n) {
+  /// `pages`: of a file with levels, else null.
+  Encoder(const EncodePlan& plan, const SplatView& splats, const PageTable* pages)
+      : plan_(plan),
+        pages_(pages),
+        splats_(splats),
+        first_leaf_(splats.n - plan.header.n_gaussians),
+        degree_(plan.header.sh_degree),
+        order_(splats.n),
+        means_(3 * splats.n) {
     std::iota(order_.begin(), order_.end(), 0u);
     tables_.n_sh = archive_sh_count(degree_);
+    if (pages_ != nullptr) {
+      for (const lod::Page& page : pages_->pages) {
+        Frame& f = frames_.emplace_back();
+        f.first = page.first;
+        f.count = page.count;
+        f.level = page.level;
+      }
+      return;
+    }
     for (std::uint64_t first = 0; first < splats.n; first += plan.frame_rows()) {
       Frame& f = frames_.emplace_back();
       f.first = first;
@@ -106,20 +129,22 @@ class Encoder {
     if (const auto huge = std::ranges::find_if(splats_.sh, [](float x) { return !(std::abs(x) <= kLargestSh); });
         huge != splats_.sh.end()) {
       const auto value = static_cast<std::size_t>(huge - splats_.sh.begin());
-      return too_large(source_index[value / (3 + tables_.n_sh)]);
+      return too_large(name_in_source(source_index, value / (3 + tables_.n_sh)));
     }
     fit();
     if (Status s = each_frame([this](Frame& f) { return order_frame(f); }); !s) return tl::unexpected(s.error());
     if (Status s = each_frame([this](Frame& f) { return quantise(f); }); !s) {
-      s.error().found = source_index[s.error().found];
+      s.error().found = name_in_source(source_index, s.error().found);
       return tl::unexpected(s.error());
     }
     fit_tables();
     if (Status s = reconstruct(); !s) return tl::unexpected(s.error());
     std::vector<std::byte> bytes;
-    auto written = assemble(bytes, source_index);
+    auto written = pages_ != nullptr ? assemble_pages(bytes, source_index) : assemble(bytes, source_index);
     if (!written) return written;
-    if (Status s = verify_archive(bytes, splats_, order_, n_threads()); !s) {
+    const Status verified = pages_ != nullptr ? verify_archive_levels(bytes, splats_, order_, n_threads())
+                                              : verify_archive(bytes, splats_, order_, n_threads());
+    if (const Status& s = verified; !s) {
       if (s.error().code == Errc::host_out_of_memory || s.error().code == Errc::limit_exceeded)
         return tl::unexpected(s.error());
       // Whatever is wrong with it is this encoder's fault, and no place in the source.
@@ -133,6 +158,23 @@ class Encoder {
  private:
   unsigned n_threads() const { return plan_.options.archive.threads; }
 
+  // What an error names a Gaussian by: those above the leaves have no place in the source.
+  std::uint64_t name_in_source(std::span<const std::uint32_t> source_index, std::uint64_t i) const {
+    return i < first_leaf_ ? Error::kNone : source_index[i - first_leaf_];
+  }
+
+  // Rows of the leaves: all, where there are no levels.
+  SplatView leaves() const {
+    SplatView view = splats_;
+    view.n -= first_leaf_;
+    view.mean = view.mean.subspan(3 * first_leaf_);
+    view.log_scale = view.log_scale.subspan(3 * first_leaf_);
+    view.rotation = view.rotation.subspan(4 * first_leaf_);
+    view.opacity_logit = view.opacity_logit.subspan(first_leaf_);
+    view.sh = view.sh.subspan((3 + tables_.n_sh) * first_leaf_);
+    return view;
+  }
+
   template <class Job>
   Status each_frame(const Job& job) {
     return run_jobs(frames_.size(), n_threads(), [&](unsigned, std::uint64_t i) { return job(frames_[i]); });
@@ -140,11 +182,26 @@ class Encoder {
 
   void fit() {
     ArchiveParameters& p = tables_.parameters;
-    fit_grid(plan_.declarations.robust, plan_.declarations.full, p);
-    const std::vector<float> seen = importance(splats_, p);
+    Box full = plan_.declarations.full;  // of all levels
+    std::vector<float> farther;
+    if (pages_ != nullptr) {
+      for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
+        full.min[i % 3] = std::min(full.min[i % 3], splats_.mean[i]);
+        full.max[i % 3] = std::max(full.max[i % 3], splats_.mean[i]);
+      }
+      // A quarter of the Gaussians have four times the area, and are drawn where that is a quarter of the picture; half an
+      // octave more for what is but a likeness of the scene.
+      farther.resize(splats_.n);
+      for (const Frame& f : frames_) {
+        std::fill_n(farther.begin() + static_cast<std::ptrdiff_t>(f.first), f.count,
+                    2.5f * static_cast<float>(f.level));
+      }
+    }
+    fit_grid(plan_.declarations.robust, full, p);
+    const std::vector<float> seen = importance(splats_, p, farther, first_leaf_);
     classes_ = fit_classes(seen, kClassOctaves);
     fit_steps(plan_.options.archive, splats_, classes_, kClassOctaves, p);
-    fit_transforms(splats_, seen, tables_);
+    fit_transforms(leaves(), std::span(seen).subspan(first_leaf_), tables_);
     std::uint64_t largest = 0;
     for (std::size_t i = 0; i < splats_.mean.size(); ++i) {
       const std::int64_t cell = grid_cell(p, i % 3, splats_.mean[i]);
@@ -160,6 +217,15 @@ class Encoder {
     for (std::size_t i = 0; i < f.count; ++i) {
       for (std::size_t k = 0; k < 3; ++k) {
         points[i][k] = grid_coordinate(p, k, splats_.mean[3 * (f.first + i) + k]);
+      }
+    }
+    if (pages_ != nullptr) {
+      f.corner = points[0];
+      for (const GridPoint& point : points) {
+        for (std::size_t k = 0; k < 3; ++k) f.corner[k] = std::min(f.corner[k], point[k]);
+      }
+      for (GridPoint& point : points) {
+        for (std::size_t k = 0; k < 3; ++k) point[k] -= f.corner[k];
       }
     }
     auto stream = encode_points(points);
@@ -310,24 +376,33 @@ class Encoder {
 
   // ---- rows --------------------------------------------------------------------------------------------------------
 
-  void choose_exponent() {
-    std::int32_t low = frames_[0].min_octaves, high = frames_[0].max_octaves;
-    for (const Frame& f : frames_) {
-      low = std::min(low, f.min_octaves);
-      high = std::max(high, f.max_octaves);
-    }
+  void choose_exponents() {
     const auto scale = [](std::int32_t octaves) {
       const OctaveScale s = scale_of_octaves(octaves);
       return static_cast<float>(std::ldexp(static_cast<double>(s.significand), s.exponent));
     };
-    plan_.header.scale_exponent = static_cast<std::int16_t>(choose_scale_exponent(scale(low), scale(high)));
+    const auto exponent = [&scale](std::int32_t low, std::int32_t high) {
+      return static_cast<std::int16_t>(choose_scale_exponent(scale(low), scale(high)));
+    };
+    std::int32_t low = std::numeric_limits<std::int32_t>::max(), high = std::numeric_limits<std::int32_t>::min();
+    for (const Frame& f : frames_) {
+      if (f.level != 0) continue;
+      low = std::min(low, f.min_octaves);
+      high = std::max(high, f.max_octaves);
+    }
+    plan_.header.scale_exponent = exponent(low, high);
+    for (Frame& f : frames_) {
+      f.scale_exponent = f.level == 0 ? plan_.header.scale_exponent : exponent(f.min_octaves, f.max_octaves);
+    }
   }
 
   Status reconstruct() {
-    choose_exponent();
+    choose_exponents();
     const std::size_t n_classes = tables_.parameters.classes.size();
-    scene_.chunks.resize(plan_.header.n_chunks);
-    scene_.steps.resize(plan_.header.n_chunks);
+    if (pages_ == nullptr) {
+      scene_.chunks.resize(plan_.header.n_chunks);
+      scene_.steps.resize(plan_.header.n_chunks);
+    }
     const unsigned n_workers = worker_count(frames_.size(), n_threads());
     std::vector<ErrorMaxima> errors(n_workers, ErrorMaxima(n_classes));
     std::vector<Totals> totals(n_workers);
@@ -386,6 +461,7 @@ class Encoder {
     dc_values(tables_, f.codes, dc);
     const auto block = std::make_unique<ShBlock>();
     std::vector<StoredSplat> stored(plan_.header.chunk_size);
+    ExtentBox extent;
     for (std::uint64_t at = 0; at < f.count; at += plan_.header.chunk_size) {
       const std::uint64_t count = std::min<std::uint64_t>(plan_.header.chunk_size, f.count - at);
       for (std::size_t first = 0; first < count; first += kShLanes) {
@@ -397,15 +473,22 @@ class Encoder {
       }
       for (std::size_t i = 0; i < count; ++i) {
         for (std::size_t k = 0; k < 3; ++k) {
-          stored[i].mean[k] = grid_mean(tables_.parameters, k, points[at + i][k]);
+          stored[i].mean[k] = grid_mean(tables_.parameters, k, points[at + i][k] + f.corner[k]);
           means_[3 * (f.first + at + i) + k] = stored[i].mean[k];
         }
-        geometry_row(tables_.parameters, f.codes, at + i, plan_.header.scale_exponent, stored[i].geometry);
-        errors.add(f.codes.classes[at + i], splat_errors(tables_.parameters, plan_.header.scale_exponent, degree_,
+        geometry_row(tables_.parameters, f.codes, at + i, f.scale_exponent, stored[i].geometry);
+        errors.add(f.codes.classes[at + i], splat_errors(tables_.parameters, f.scale_exponent, degree_,
                                                          splats_.splat(order_[f.first + at + i]), stored[i]));
+        if (pages_ == nullptr) continue;
+        extent.add(extent_of(reinterpret_cast<const std::byte*>(stored[i].mean),
+                             reinterpret_cast<const std::byte*>(stored[i].geometry), f.scale_exponent));
+        if (f.level == 0) totals.counts.add(stored[i].geometry);
       }
-      describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), totals);
+      if (pages_ == nullptr) {
+        describe_chunk((f.first + at) / plan_.header.chunk_size, std::span(stored).first(count), totals);
+      }
     }
+    if (pages_ != nullptr) f.extent = extent.box();
     return {};
   }
 
@@ -425,7 +508,7 @@ class Encoder {
   // Boxes of the decoded means.
   void describe_scene() {
     SceneScan scan(0);
-    for (std::uint64_t i = 0; i < splats_.n; ++i) {
+    for (std::uint64_t i = first_leaf_; i < splats_.n; ++i) {
       Splat splat;
       std::copy_n(&means_[3 * i], 3, splat.mean);
       scan.add(splat);
@@ -461,8 +544,33 @@ class Encoder {
     return finish_file(file, plan_, scene_);
   }
 
+  // Pages, of which the tables outside hold all that readers cannot compute from the decoded rows.
+  Result<WrittenScene> assemble_pages(std::vector<std::byte>& bytes, std::span<const std::uint32_t> source_index) {
+    describe_scene();
+    LevelsFile file(bytes, plan_, *pages_, write_archive_tables(tables_));
+    for (const Frame& f : frames_) {
+      ByteWriter head;
+      head.u32(static_cast<std::uint32_t>(f.means.size()));
+      head.u32(static_cast<std::uint32_t>(f.geometry.size()));
+      std::vector<std::byte> page = head.take();
+      for (const auto* stream : {&f.means, &f.geometry, &f.sh}) page.insert(page.end(), stream->begin(), stream->end());
+      const auto n_sets = static_cast<std::uint32_t>(chunks_of(f.count, plan_.header.chunk_size));
+      if (Status s = file.add({page, xxh3(page), n_sets, f.scale_exponent, f.corner, f.extent}); !s)
+        return tl::unexpected(s.error());
+    }
+    Declarations d = plan_.declarations;
+    scene_.counts.declare(d);
+    std::vector<std::uint32_t> permutation(order_.size() - first_leaf_);
+    for (std::size_t i = 0; i < permutation.size(); ++i) {
+      permutation[i] = source_index[order_[first_leaf_ + i] - first_leaf_];
+    }
+    return file.finish(d, positions_in_source(permutation, plan_.options));
+  }
+
   EncodePlan plan_;
+  const PageTable* pages_;
   const SplatView& splats_;
+  std::uint64_t first_leaf_;
   int degree_;
   ArchiveTables tables_;
   Classes classes_;
@@ -483,7 +591,7 @@ Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const Spla
   // Equal Gaussians may shrink to so little that no reader would take the file for what it is: smaller frames are larger.
   EncodePlan smaller = plan;
   for (;; smaller.archive_rows /= 8) {
-    auto written = Encoder(smaller, splats).run(sink, source_index);
+    auto written = Encoder(smaller, splats, nullptr).run(sink, source_index);
     if (written || written.error().code != Errc::limit_exceeded) return written;
     if (smaller.frame_rows() == plan.header.chunk_size) {
       return make_error(Errc::limit_exceeded, Error::kNone,
@@ -491,6 +599,12 @@ Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const Spla
                         "to: use smaller chunks or profile packed");
     }
   }
+}
+
+Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats, PageTable table,
+                                          std::span<const std::uint32_t> source_index) {
+  assert(plan.options.profile == Profile::archive && source_index.size() == plan.header.n_gaussians);
+  return Encoder(plan, splats, &table).run(sink, source_index);
 }
 
 }  // namespace detail

@@ -7,6 +7,7 @@
 #include <span>
 
 #include "file/encode_plan.hpp"
+#include "levels/page_table.hpp"
 #include "rgs/result.hpp"
 #include "rgs/scene_writer.hpp"
 #include "rgs/splat_cloud.hpp"
@@ -21,10 +22,18 @@ namespace rgs::detail {
 Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const SplatView& splats,
                                    std::span<const std::uint32_t> source_index);
 
+/// The same for a file with levels: `splats` are those of all pages of `table` in their order, of which the leaves are the
+/// plan's and `source_index` [n leaves] says where these were.
+Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats, PageTable table,
+                                          std::span<const std::uint32_t> source_index);
+
 /// Opens and decodes `file`, a file of Profile::archive, and compares Gaussian i with Gaussian order[i] of `splats`
 /// against the bounds that the file states. Errors: internal (a bound does not hold; the offset is the Gaussian's index
 /// in the file), those of FileView::open() and load_direct().
 Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
                       unsigned threads = 0);
+/// The same for a file with levels.
+Status verify_archive_levels(std::span<const std::byte> file, const SplatView& splats,
+                             std::span<const std::uint32_t> order, unsigned threads = 0);
 
 }  // namespace rgs::detail

@@ -235,7 +235,8 @@ void fit_grid(const Box& robust, const Box& full, ArchiveParameters& p) {
   }
 }
 
-std::vector<float> importance(const SplatView& splats, const ArchiveParameters& p) {
+std::vector<float> importance(const SplatView& splats, const ArchiveParameters& p, std::span<const float> farther,
+                              std::uint64_t first_median) {
   std::vector<double> squared(splats.n);
   for (std::size_t i = 0; i < splats.n; ++i) {
     for (std::size_t k = 0; k < 3; ++k) {
@@ -243,15 +244,19 @@ std::vector<float> importance(const SplatView& splats, const ArchiveParameters& 
       squared[i] += d * d;
     }
   }
-  const double near = std::max(median(squared), 1e-60);
+  const auto middle_of = [first_median](const std::vector<double>& all) {
+    return median({all.begin() + static_cast<std::ptrdiff_t>(first_median), all.end()});
+  };
+  const double near = std::max(middle_of(squared), 1e-60);
   std::vector<double> values(splats.n);
   for (std::size_t i = 0; i < splats.n; ++i) {
     const float* s = &splats.log_scale[3 * i];
     const double area = static_cast<double>(s[0] + s[1] + s[2] - std::min({s[0], s[1], s[2]})) / std::log(2.0);
     const double opacity = std::max(1.0 / (1.0 + std::exp(-static_cast<double>(splats.opacity_logit[i]))), 1e-30);
     values[i] = 2 * std::log2(opacity) + area - std::log2(std::max(squared[i], near));
+    if (!farther.empty()) values[i] -= static_cast<double>(farther[i]);
   }
-  const double middle = median(values);
+  const double middle = middle_of(values);
   std::vector<float> result(splats.n);
   for (std::size_t i = 0; i < splats.n; ++i) {
     result[i] = static_cast<float>(std::clamp(values[i] - middle, -kMaxOctaves, kMaxOctaves));

@@ -17,8 +17,10 @@ namespace rgs::detail {
 void fit_grid(const Box& robust, const Box& full, ArchiveParameters& parameters);
 
 /// log2 of opacity^2 s1 s2 / max(d, d50)^2, relative to its median: s1, s2 the two larger scales, d the distance to the
-/// grid's centre, d50 its median. How much a Gaussian is seen on average, up to a factor.
-std::vector<float> importance(const SplatView& splats, const ArchiveParameters& parameters);
+/// grid's centre, d50 its median. How much a Gaussian is seen on average, up to a factor. Limited to +-8. `farther` [n], or
+/// empty: octaves that its area counts less, since it is drawn from farther away than others. Medians are those of row first_median and all behind it.
+std::vector<float> importance(const SplatView& splats, const ArchiveParameters& parameters,
+                              std::span<const float> farther = {}, std::uint64_t first_median = 0);
 
 /// Classes of `octaves` of importance each, limited to +-8 octaves, and the middle one.
 struct Classes {

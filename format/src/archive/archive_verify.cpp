@@ -10,8 +10,10 @@
 
 #include "archive/archive_codec.hpp"
 #include "archive/archive_errors.hpp"
+#include "file/layout_io.hpp"
 #include "file/workers.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs::detail {
@@ -113,6 +115,26 @@ bool within_bounds(const ArchiveParameters& p, std::size_t class_index, const Sp
 
 namespace {
 
+// Half a step, rounding of the value that was coded, and values too small for any step.
+float sh_slack(float step) {
+  return step * (0.5f + 0x1p-16f) + kShFlush;
+}
+
+// Decoded row `row`, with the steps of its chunk.
+StoredSplat stored_splat(std::span<const std::byte> means, std::span<const std::byte> geometry,
+                         std::span<const std::byte> sh, std::uint64_t row, int sh_degree, const float step[48]) {
+  StoredSplat stored{};
+  std::memcpy(stored.mean, means.data() + row * kMeanBytes, kMeanBytes);
+  std::memcpy(stored.geometry, geometry.data() + row * kGeometryBytes, kGeometryBytes);
+  const auto* codes = reinterpret_cast<const std::int8_t*>(sh.data() + row * sh_bytes(sh_degree));
+  for (int k = 0; k < 3 * sh_coefficients(sh_degree); ++k) stored.sh[k] = dequantize_sh(codes[k], step[k]);
+  return stored;
+}
+
+Status outside(std::uint64_t index) {
+  return make_error(Errc::internal, index, "a decoded Gaussian is outside the bounds that its archive states");
+}
+
 // Frame `index` of `data`, the whole file.
 Status verify_frame(const DirectData& data, const SplatView& splats, std::span<const std::uint32_t> order,
                     std::uint64_t index, ArchiveDecoder& decoder) {
@@ -132,25 +154,73 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
       if (!steps) return tl::unexpected(steps.error());
       for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) {
         step[k] = steps->of_value(k);
-        // Half a step, rounding of the value that was coded, and values too small for any step.
-        slack[k] = step[k] * (0.5f + 0x1p-16f) + kShFlush;
+        slack[k] = sh_slack(step[k]);
       }
     }
-    StoredSplat stored{};
-    std::memcpy(stored.mean, data.means().data() + i * kMeanBytes, kMeanBytes);
-    std::memcpy(stored.geometry, data.geometry().data() + i * kGeometryBytes, kGeometryBytes);
-    const auto* codes = reinterpret_cast<const std::int8_t*>(data.sh().data() + i * sh_bytes(h.sh_degree));
-    for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) stored.sh[k] = dequantize_sh(codes[k], step[k]);
+    const StoredSplat stored = stored_splat(data.means(), data.geometry(), data.sh(), i, h.sh_degree, step);
     const Splat source = splats.splat(order[i]);
     const auto errors = splat_errors(*view.archive(), h.scale_exponent, h.sh_degree, source, stored, slack);
     if (!within_bounds(*view.archive(), decoder.codes().classes[i - first], errors)) {
-      return make_error(Errc::internal, i, "a decoded Gaussian is outside the bounds that its archive states");
+      return outside(i);
     }
   }
   return {};
 }
 
+// Page `page`, decoded into `memory`.
+Status verify_page(const PagedFile& file, const SplatView& splats, std::span<const std::uint32_t> order,
+                   std::uint32_t page, PageDecoder& pages, ArchiveDecoder& decoder, std::vector<std::byte>& memory) {
+  const FileView& head = file.head();
+  const Header& h = head.header();
+  const auto stored_bytes = file.bytes(page);
+  memory.resize(file.decoded_bytes(page));
+  const auto rows = pages.decode(page, stored_bytes, memory);
+  if (!rows) return tl::unexpected(rows.error());
+  if (Status s = check_page_values(file, page, *rows); !s) return s;
+  ByteReader in(stored_bytes);
+  const std::uint32_t mean_bytes = in.u32(), geometry_bytes = in.u32();
+  if (Status s = decoder.geometry_codes(stored_bytes.subspan(8 + mean_bytes, geometry_bytes), 0, rows->n); !s) return s;
+  float step[48] = {}, slack[48] = {};
+  for (std::uint32_t i = 0; i < rows->n; ++i) {
+    if (i % h.chunk_size == 0) {
+      const ShStepSet steps = parse_step_set(rows->steps.subspan(i / h.chunk_size * kStepSetBytes, kStepSetBytes));
+      for (int k = 0; k < 3 * sh_coefficients(h.sh_degree); ++k) {
+        step[k] = steps.of_value(k);
+        slack[k] = sh_slack(step[k]);
+      }
+    }
+    const StoredSplat stored = stored_splat(rows->means, rows->geometry, rows->sh, i, h.sh_degree, step);
+    const std::uint64_t index = file.pages()[page].first + i;
+    const auto errors =
+        splat_errors(*head.archive(), rows->scale_exponent, h.sh_degree, splats.splat(order[index]), stored, slack);
+    if (!within_bounds(*head.archive(), decoder.codes().classes[i], errors)) return outside(index);
+  }
+  return {};
+}
+
 }  // namespace
+
+Status verify_archive_levels(std::span<const std::byte> bytes, const SplatView& splats,
+                             std::span<const std::uint32_t> order, unsigned threads) {
+  assert(order.size() == splats.n);
+  const auto file = PagedFile::open(bytes);
+  if (!file) return tl::unexpected(file.error());
+  if (file->head().archive() == nullptr || file->n_stored() != splats.n) {
+    return make_error(Errc::internal, Error::kNone, "not an archive of these Gaussians");
+  }
+  std::vector<ArchiveDecoder> decoders;
+  std::vector<PageDecoder> pages;
+  const unsigned n_workers = worker_count(file->n_pages(), threads);
+  for (unsigned i = 0; i < n_workers; ++i) {
+    decoders.emplace_back(*archive_tables(file->head()));
+    pages.emplace_back(*file);
+  }
+  std::vector<std::vector<std::byte>> memory(n_workers);
+  return run_jobs(file->n_pages(), threads, [&](unsigned worker, std::uint64_t page) {
+    return verify_page(*file, splats, order, static_cast<std::uint32_t>(page), pages[worker], decoders[worker],
+                       memory[worker]);
+  });
+}
 
 Status verify_archive(std::span<const std::byte> file, const SplatView& splats, std::span<const std::uint32_t> order,
                       unsigned threads) {

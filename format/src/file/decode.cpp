@@ -9,46 +9,61 @@
 #include <cstring>
 
 #include "file/layout_io.hpp"
+#include "file/read_rows.hpp"
+#include "file/value_checks.hpp"
 #include "rgs/guard_memory.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
-namespace {
 
-// The codes of one Gaussian, aligned, with its chunk's steps.
-struct Codes {
-  float mean[3];
-  std::uint16_t geometry[8];
-  std::int8_t sh[48];
-  float step[48];  // per coefficient and channel
-  int floats;      // SH values in use
-  int scale_exponent;
-};
+namespace detail {
 
-void read_sh(const Codes& codes, float* sh) {
-  for (int i = 0; i < codes.floats; ++i) sh[i] = dequantize_sh(codes.sh[i], codes.step[i]);
-  std::fill(sh + codes.floats, sh + 48, 0.f);
+RowReader::RowReader(int sh_degree, int scale_exponent, const RowArrays& arrays)
+    : arrays_(arrays),
+      stride_(sh_bytes(sh_degree)),
+      floats_(3 * sh_coefficients(sh_degree)),
+      scale_exponent_(scale_exponent) {}
+
+void RowReader::use(const ShStepSet& steps) {
+  for (int i = 0; i < floats_; ++i) step_[i] = steps.of_value(i);
 }
 
-void convert(const Codes& codes, Splat& s) {
-  std::ranges::copy(codes.mean, s.mean);
+void RowReader::load(std::uint64_t row) {
+  std::memcpy(mean_, arrays_.means.data() + row * kMeanBytes, kMeanBytes);
+  std::memcpy(geometry_, arrays_.geometry.data() + row * kGeometryBytes, kGeometryBytes);
+  std::memcpy(sh_, arrays_.sh.data() + row * stride_, static_cast<std::size_t>(floats_));
+}
+
+void RowReader::read_sh(float* sh) const {
+  for (int i = 0; i < floats_; ++i) sh[i] = dequantize_sh(sh_[i], step_[i]);
+  std::fill(sh + floats_, sh + 48, 0.f);
+}
+
+void RowReader::read(std::uint64_t row, Splat& s) {
+  load(row);
+  std::ranges::copy(mean_, s.mean);
   // As stored, not normalised again: see kUnitNormTolerance.
-  for (int i = 0; i < 4; ++i) s.rotation[i] = float_from_half(codes.geometry[i]);
+  for (int i = 0; i < 4; ++i) s.rotation[i] = float_from_half(geometry_[i]);
   for (int i = 0; i < 3; ++i) {
-    s.log_scale[i] =
-        log_from_scale(dequantize_scale(codes.geometry[4 + i], codes.scale_exponent), codes.scale_exponent);
+    s.log_scale[i] = log_from_scale(dequantize_scale(geometry_[4 + i], scale_exponent_), scale_exponent_);
   }
-  s.opacity_logit = logit_from_opacity(float_from_half(codes.geometry[7]));
-  read_sh(codes, s.sh);
+  s.opacity_logit = logit_from_opacity(float_from_half(geometry_[7]));
+  read_sh(s.sh);
 }
 
-void convert(const Codes& codes, ActivatedSplat& s) {
-  std::ranges::copy(codes.mean, s.mean);
-  dequantize_rotation(codes.geometry, s.rotation);
-  for (int i = 0; i < 3; ++i) s.scale[i] = dequantize_scale(codes.geometry[4 + i], codes.scale_exponent);
-  s.opacity = float_from_half(codes.geometry[7]);
-  read_sh(codes, s.sh);
+void RowReader::read(std::uint64_t row, ActivatedSplat& s) {
+  load(row);
+  std::ranges::copy(mean_, s.mean);
+  dequantize_rotation(geometry_, s.rotation);
+  for (int i = 0; i < 3; ++i) s.scale[i] = dequantize_scale(geometry_[4 + i], scale_exponent_);
+  s.opacity = float_from_half(geometry_[7]);
+  read_sh(s.sh);
 }
+
+}  // namespace detail
+
+namespace {
 
 // Decoded rows of the Gaussians first .. first + n - 1.
 struct Rows {
@@ -60,23 +75,17 @@ template <class T>
 Status read_rows(const FileView& view, const Rows& rows, std::uint64_t first, std::span<T> out) {
   assert(first >= rows.first && first - rows.first <= rows.n && out.size() <= rows.n - (first - rows.first));
   const Header& h = view.header();
-  const std::uint64_t stride = sh_bytes(h.sh_degree);
-  Codes codes{};
-  codes.floats = 3 * sh_coefficients(h.sh_degree);
-  codes.scale_exponent = h.scale_exponent;
-  std::uint64_t loaded = ~std::uint64_t{0};  // chunk whose steps are in `codes`
+  detail::RowReader reader(h.sh_degree, h.scale_exponent, {rows.means, rows.geometry, rows.sh});
+  std::uint64_t loaded = ~std::uint64_t{0};  // chunk whose steps are in use
   for (std::size_t k = 0; k < out.size(); ++k) {
-    const std::uint64_t i = first + k, row = i - rows.first;
+    const std::uint64_t i = first + k;
     if (i / h.chunk_size != loaded) {
       loaded = i / h.chunk_size;
       const auto steps = view.chunk_steps(loaded);
       if (!steps) return tl::unexpected(steps.error());
-      for (int j = 0; j < codes.floats; ++j) codes.step[j] = steps->of_value(j);
+      reader.use(*steps);
     }
-    std::memcpy(codes.mean, rows.means.data() + row * kMeanBytes, kMeanBytes);
-    std::memcpy(codes.geometry, rows.geometry.data() + row * kGeometryBytes, kGeometryBytes);
-    std::memcpy(codes.sh, rows.sh.data() + row * stride, static_cast<std::size_t>(codes.floats));
-    convert(codes, out[k]);
+    reader.read(i - rows.first, out[k]);
   }
   return {};
 }
@@ -118,23 +127,30 @@ Result<ChunkEntry> FileView::chunk(std::uint64_t i) const {
   return entry;
 }
 
-Result<ShStepSet> FileView::step_set(std::uint64_t i) const {
-  assert(i < header_.n_step_sets);
-  const ShStepSet set = detail::parse_step_set(step_table().subspan(i * kStepSetBytes, kStepSetBytes));
+Status detail::check_step_set(const ShStepSet& set, int sh_degree, std::uint64_t offset, bool coded) {
   for (std::size_t degree = 0; degree < 4; ++degree) {
     for (std::size_t c = 0; c < 3; ++c) {
       const float step = set.step[degree][c];
-      const bool used = degree <= header_.sh_degree;
+      const bool used = static_cast<int>(degree) <= sh_degree;
       const bool legal = step == 0
                              ? !std::signbit(step)
                              : used && step >= kShStepMin && step <= kShStepMax && (detail::bits_of(step) & 0x7Fu) == 0;
       if (!legal) {
         return make_error(
-            Errc::bad_value, place(SectionType::sh_steps, i, (degree * 3 + c) * 4),
+            Errc::bad_value, offset + (coded ? 0 : (degree * 3 + c) * 4),
             "an SH step is out of range, has more than 17 significant bits, or belongs to an absent degree");
       }
     }
   }
+  return {};
+}
+
+Result<ShStepSet> FileView::step_set(std::uint64_t i) const {
+  assert(i < header_.n_step_sets);
+  const ShStepSet set = detail::parse_step_set(step_table().subspan(i * kStepSetBytes, kStepSetBytes));
+  const bool coded = frames(SectionType::sh_steps).rows != 0;
+  const Status legal = detail::check_step_set(set, header_.sh_degree, place(SectionType::sh_steps, i), coded);
+  if (!legal) return tl::unexpected(legal.error());
   return set;
 }
 
@@ -176,8 +192,21 @@ Status DirectData::read(std::uint64_t first, std::span<ActivatedSplat> out) cons
   return read_rows(view_, {first_, n_, means_, geometry_, sh_}, first, out);
 }
 
+// All that validate() checks, and the leaves.
+static Result<SplatCloud> decode_levels(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  const auto file = PagedFile::open(bytes, limits);
+  if (!file) return tl::unexpected(file.error());
+  if (const Status s = validate(*file); !s) return tl::unexpected(s.error());
+  if (!file->complete()) {
+    return make_error(Errc::pages_missing, bytes.size(),
+                      "the end of the file is missing, and with it some of the scene's own Gaussians");
+  }
+  return read_pages(*file, lod::pages_of_level(file->pages(), 0), {.validate = false});
+}
+
 Result<SplatCloud> decode(std::span<const std::byte> bytes, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<SplatCloud> {
+    if (has_levels(bytes)) return decode_levels(bytes, limits);
     const auto view = FileView::open(bytes, limits);
     if (!view) return tl::unexpected(view.error());
     const auto data = load_direct(*view);

@@ -220,9 +220,7 @@ Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options
   return plan;
 }
 
-// Positions in the source of Gaussians that are named by their position among those given; none if they are not kept.
-static std::vector<std::uint32_t> positions_in_source(std::span<const std::uint32_t> given,
-                                                      const EncodeOptions& options) {
+std::vector<std::uint32_t> positions_in_source(std::span<const std::uint32_t> given, const EncodeOptions& options) {
   if (!options.keep_permutation) return {};
   std::vector<std::uint32_t> positions(given.begin(), given.end());
   if (!options.source_index.empty())
@@ -265,6 +263,8 @@ Result<WrittenScene> finish_file(SectionWriter& file, const EncodePlan& plan, co
       case SectionType::archive: s = file.place(type, tables.archive); break;
       case SectionType::permutation: s = file.place(type, std::as_bytes(std::span(positions))); break;
       case SectionType::provenance: s = file.place(type, write_provenance(*plan.options.provenance)); break;
+      case SectionType::levels:
+      case SectionType::pages: break;  // LevelsWriter's
     }
     if (!s) return tl::unexpected(s.error());
   }

@@ -33,6 +33,9 @@ struct EncodePlan {
 /// Errors: check_encodable()'s.
 Result<EncodePlan> make_plan(const SceneScan& scan, const EncodeOptions& options);
 
+/// Positions in the source of Gaussians that are named by their position among those given; none if they are not kept.
+std::vector<std::uint32_t> positions_in_source(std::span<const std::uint32_t> given, const EncodeOptions& options);
+
 /// What is in a file beside the rows or frames of its Gaussians.
 struct SceneTables {
   std::vector<ChunkEntry> chunks;  ///< in file order

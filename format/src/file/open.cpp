@@ -17,25 +17,35 @@ constexpr std::array kKnown = {SectionType::declarations, SectionType::sh_steps,
                                SectionType::means,        SectionType::geometry,  SectionType::sh,
                                SectionType::permutation,  SectionType::provenance};
 constexpr std::size_t kRequired = 6;  // the first six of kKnown
+// What a file with levels of detail must have, and what it must not.
+constexpr std::array kRequiredWithLevels = {SectionType::declarations, SectionType::levels, SectionType::pages};
+constexpr std::array kInPages = {SectionType::sh_steps, SectionType::chunks, SectionType::means, SectionType::geometry,
+                                 SectionType::sh};
+
+bool of_levels(SectionType type) {
+  return type == SectionType::levels || type == SectionType::pages;
+}
 
 bool known(std::uint32_t type, std::uint16_t minor) {
   return std::ranges::find(kKnown, static_cast<SectionType>(type)) != kKnown.end() ||
-         (minor >= 2 && type == static_cast<std::uint32_t>(SectionType::archive));
+         (minor >= 2 && type == static_cast<std::uint32_t>(SectionType::archive)) ||
+         (minor >= 4 && of_levels(static_cast<SectionType>(type)));
 }
 
 bool known_codec(const SectionEntry& s, std::uint16_t minor) {
   const auto type = static_cast<SectionType>(s.type);
   switch (static_cast<Codec>(s.codec)) {
     case Codec::none: return true;
-    case Codec::planes: return minor >= 1 && coded_type(type);
-    case Codec::archive: return minor >= 2 && archive_type(type);
+    case Codec::planes: return minor >= 1 && (coded_type(type) || type == SectionType::pages);
+    case Codec::archive: return minor >= 2 && (archive_type(type) || type == SectionType::pages);
   }
   return false;
 }
 
-// Sections lie in table order, each at the next multiple of 256, zeros between, the last one up to the end of the file.
-Status check_placement(std::span<const std::byte> bytes, std::span<const SectionEntry> sections,
-                       std::uint64_t head_bytes) {
+// Sections lie in table order, each at the next multiple of 256, zeros between, the last one up to the end of the file,
+// of which `bytes` may be the beginning.
+Status check_placement(std::span<const std::byte> bytes, std::uint64_t file_bytes,
+                       std::span<const SectionEntry> sections, std::uint64_t head_bytes) {
   std::uint64_t end = head_bytes;
   for (std::size_t i = 0; i < sections.size(); ++i) {
     const SectionEntry& s = sections[i];
@@ -50,19 +60,63 @@ Status check_placement(std::span<const std::byte> bytes, std::span<const Section
     if (s.offset > start) {
       return make_error(Errc::section_gap, at + 16, "bytes before a section belong to nothing", start, s.offset);
     }
-    if (s.offset > bytes.size() || s.stored_bytes > bytes.size() - s.offset) {
-      return make_error(Errc::bad_section, at + 24, "a section reaches beyond the end of the file", bytes.size(),
+    if (s.offset > file_bytes || s.stored_bytes > file_bytes - s.offset) {
+      return make_error(Errc::bad_section, at + 24, "a section reaches beyond the end of the file", file_bytes,
                         s.stored_bytes);
     }
-    for (std::uint64_t p = end; p < s.offset; ++p) {
+    for (std::uint64_t p = end; p < std::min<std::uint64_t>(s.offset, bytes.size()); ++p) {
       if (bytes[p] != std::byte{0}) return make_error(Errc::section_gap, p, "padding before a section is not zero");
     }
     end = s.offset + s.stored_bytes;
   }
-  if (end != bytes.size()) {
-    return make_error(Errc::section_gap, end, "bytes after the last section belong to nothing", bytes.size(), end);
+  if (end != file_bytes) {
+    return make_error(Errc::section_gap, end, "bytes after the last section belong to nothing", file_bytes, end);
   }
   return {};
+}
+
+Status missing(SectionType type) {
+  return make_error(Errc::missing_section, kHeaderBytes, "a required section is missing",
+                    static_cast<std::uint64_t>(type));
+}
+
+// All required sections, by whether the file has levels of detail. Then what a reader needs before it can use a page comes
+// before the pages: a file is of use from its beginning on.
+Status check_required(std::span<const SectionEntry> sections, bool levels) {
+  const auto count = [&](SectionType type) {
+    return std::ranges::count(sections, static_cast<std::uint32_t>(type), &SectionEntry::type);
+  };
+  if (!levels) {
+    for (const SectionType type : std::span(kKnown).first(kRequired)) {
+      if (count(type) == 0) return missing(type);
+    }
+    return {};
+  }
+  for (const SectionType type : kRequiredWithLevels) {
+    if (count(type) == 0) return missing(type);
+  }
+  bool after_pages = false;
+  for (std::size_t i = 0; i < sections.size(); ++i) {
+    const auto type = static_cast<SectionType>(sections[i].type);
+    const std::uint64_t at = detail::section_entry_offset(i);
+    if (std::ranges::find(kInPages, type) != kInPages.end()) {
+      return make_error(Errc::bad_section, at, "a file with levels of detail has its Gaussians in pages, not sections",
+                        Error::kNone, sections[i].type);
+    }
+    const bool needed =
+        type == SectionType::declarations || type == SectionType::levels || type == SectionType::archive;
+    if (after_pages && needed) {
+      return make_error(Errc::bad_section, at, "DECL, LODS and ARCH come before PAGE", Error::kNone, sections[i].type);
+    }
+    after_pages = after_pages || type == SectionType::pages;
+  }
+  return {};
+}
+
+// Sections of a file with levels, by the table alone.
+bool names_levels(std::span<const SectionEntry> sections, std::uint16_t minor) {
+  return minor >= 4 && std::ranges::any_of(
+                           sections, [](const SectionEntry& s) { return of_levels(static_cast<SectionType>(s.type)); });
 }
 
 Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) {
@@ -88,21 +142,22 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
                         s.stored_bytes, s.decoded_bytes);
     }
   }
-  for (std::size_t k = 0; k < kRequired; ++k) {
-    if (std::ranges::count(sections, static_cast<std::uint32_t>(kKnown[k]), &SectionEntry::type) == 0) {
-      return make_error(Errc::missing_section, kHeaderBytes, "a required section is missing",
-                        static_cast<std::uint64_t>(kKnown[k]));
-    }
-  }
-  return {};
+  return check_required(sections, names_levels(sections, minor));
 }
 
-// Codec::archive is that of MEAN, GEOM and SHI8 together, with ARCH, or of none.
+// Where the entry of LODS is.
+std::uint64_t levels_entry(std::span<const SectionEntry> sections) {
+  const auto entry = std::ranges::find(sections, static_cast<std::uint32_t>(SectionType::levels), &SectionEntry::type);
+  return detail::section_entry_offset(static_cast<std::size_t>(entry - sections.begin()));
+}
+
+// Codec::archive is that of MEAN, GEOM and SHI8 together or of PAGE, with ARCH, or of none.
 Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor) {
   constexpr auto kArchive = static_cast<std::uint32_t>(Codec::archive);
   // The codec of an unknown type is not looked at.
-  const bool archive = std::ranges::any_of(sections, [](const SectionEntry& s) {
-    return s.codec == kArchive && archive_type(static_cast<SectionType>(s.type));
+  const bool archive = std::ranges::any_of(sections, [minor](const SectionEntry& s) {
+    const auto type = static_cast<SectionType>(s.type);
+    return s.codec == kArchive && (archive_type(type) || (type == SectionType::pages && minor >= 4));
   });
   bool tables = false;
   for (std::size_t i = 0; i < sections.size(); ++i) {
@@ -116,10 +171,7 @@ Status check_archive(std::span<const SectionEntry> sections, std::uint16_t minor
     tables = true;
     if (!archive) return make_error(Errc::bad_section, at, "section ARCH belongs to no section of its codec");
   }
-  if (archive && !tables) {
-    return make_error(Errc::missing_section, kHeaderBytes, "a required section is missing",
-                      static_cast<std::uint64_t>(SectionType::archive));
-  }
+  if (archive && !tables) return missing(SectionType::archive);
   return {};
 }
 
@@ -164,6 +216,11 @@ Status check_hash(const FileView& view, const SectionEntry& s) {
   return {};
 }
 
+Status too_short(const FileView& view) {
+  return make_error(Errc::truncated, view.bytes().size(), "the file ends before its first page",
+                    view.header().file_bytes, view.bytes().size());
+}
+
 }  // namespace
 
 const SectionEntry* FileView::find(SectionType type) const {
@@ -179,10 +236,32 @@ std::span<const std::byte> FileView::stored(SectionType type) const {
 }
 
 Result<FileView> FileView::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  return detail::guard_memory([&] { return parse(bytes, limits); });
+  return detail::guard_memory([&] { return parse(bytes, limits, false); });
 }
 
-Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+// Whether the section is there: bytes may be missing at the end of a file with levels.
+bool FileView::has(const SectionEntry& entry) const {
+  return entry.offset <= bytes_.size() && entry.stored_bytes <= bytes_.size() - entry.offset;
+}
+
+Status FileView::parse_declarations() {
+  const SectionEntry& entry = *find(SectionType::declarations);
+  if (!has(entry)) return too_short(*this);
+  if (const Status s = check_hash(*this, entry); !s) return s;
+  const auto declarations = detail::parse_declarations(stored(entry), entry.offset, header_.version_minor);
+  if (!declarations) return tl::unexpected(declarations.error());
+  declarations_ = *declarations;
+  if (declarations_.n_dropped > declarations_.n_source ||
+      declarations_.n_source - declarations_.n_dropped != header_.n_gaussians) {
+    return make_error(Errc::bad_value, entry.offset + 96,
+                      "source count less dropped count is not the number of Gaussians", header_.n_gaussians,
+                      declarations_.n_source);
+  }
+  return {};
+}
+
+// With `levels` of a file that may have levels of detail, and then of its beginning.
+Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels) {
   const auto header = detail::parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->file_bytes > limits.max_file_bytes) {
@@ -193,7 +272,9 @@ Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeL
     return make_error(Errc::limit_exceeded, 24, "more Gaussians than the caller allows", limits.max_gaussians,
                       header->n_gaussians);
   }
-  if (bytes.size() < header->file_bytes) {
+  const std::uint64_t table_end = detail::section_entry_offset(header->n_sections);
+  const std::uint64_t head_bytes = table_end + kHeadChecksumBytes;
+  if (bytes.size() < (levels ? head_bytes : header->file_bytes)) {
     return make_error(Errc::truncated, bytes.size(), "the file is shorter than its header says", header->file_bytes,
                       bytes.size());
   }
@@ -201,8 +282,6 @@ Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeL
     return make_error(Errc::trailing_bytes, header->file_bytes, "the file is longer than its header says",
                       header->file_bytes, bytes.size());
   }
-  const std::uint64_t table_end = detail::section_entry_offset(header->n_sections);
-  const std::uint64_t head_bytes = table_end + kHeadChecksumBytes;
   const std::uint64_t stored_hash = detail::ByteReader(bytes.subspan(table_end)).u64();
   const std::uint64_t hash = xxh3(bytes.first(table_end));
   if (stored_hash != hash) {
@@ -222,32 +301,38 @@ Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeL
   }
   if (const Status s = check_types(view.sections_, header->version_minor); !s) return tl::unexpected(s.error());
   if (const Status s = check_archive(view.sections_, header->version_minor); !s) return tl::unexpected(s.error());
-  if (const Status s = check_placement(bytes, view.sections_, head_bytes); !s) return tl::unexpected(s.error());
+  const bool named = names_levels(view.sections_, header->version_minor);
+  if (named && !levels) {
+    return make_error(Errc::unsupported_feature, levels_entry(view.sections_),
+                      "the file has levels of detail, which this program does not read: rgs-convert writes its finest "
+                      "level, or another one, as a file without");
+  }
+  if (!named && bytes.size() < header->file_bytes) {
+    return make_error(Errc::truncated, bytes.size(), "the file is shorter than its header says", header->file_bytes,
+                      bytes.size());
+  }
+  if (const Status s = check_placement(bytes, header->file_bytes, view.sections_, head_bytes); !s)
+    return tl::unexpected(s.error());
 
   if (const Status s = check_sizes(view); !s) return tl::unexpected(s.error());
-  const SectionEntry& declarations_entry = *view.find(SectionType::declarations);
-  if (const Status s = check_hash(view, declarations_entry); !s) return tl::unexpected(s.error());
-  const auto declarations =
-      detail::parse_declarations(view.stored(declarations_entry), declarations_entry.offset, header->version_minor);
-  if (!declarations) return tl::unexpected(declarations.error());
-  view.declarations_ = *declarations;
-  if (declarations->n_dropped > declarations->n_source ||
-      declarations->n_source - declarations->n_dropped != header->n_gaussians) {
-    return make_error(Errc::bad_value, declarations_entry.offset + 96,
-                      "source count less dropped count is not the number of Gaussians", header->n_gaussians,
-                      declarations->n_source);
-  }
+  if (const Status s = view.parse_declarations(); !s) return tl::unexpected(s.error());
   if (const SectionEntry* entry = view.find(SectionType::permutation)) {
     const auto index = static_cast<std::size_t>(entry - view.sections_.data());
-    const std::uint64_t index_bytes = (declarations->n_source >> 32) != 0 ? 8 : 4;
+    const std::uint64_t index_bytes = (view.declarations_.n_source >> 32) != 0 ? 8 : 4;
     if (const Status s = check_size(view, index, header->n_gaussians, index_bytes); !s)
       return tl::unexpected(s.error());
   }
-  if (const SectionEntry* entry = view.find(SectionType::provenance)) {
+  if (const SectionEntry* entry = view.find(SectionType::provenance); entry != nullptr && view.has(*entry)) {
     if (const Status s = check_hash(view, *entry); !s) return tl::unexpected(s.error());
     auto provenance = detail::parse_provenance(view.stored(*entry), entry->offset);
     if (!provenance) return tl::unexpected(provenance.error());
     view.provenance_ = std::move(*provenance);
+  }
+  if (named) {
+    const SectionEntry* tables = view.find(SectionType::archive);
+    if (tables != nullptr && !view.has(*tables)) return tl::unexpected(too_short(view).error());
+    if (const Status s = view.open_archive(); !s) return tl::unexpected(s.error());
+    return view;
   }
   if (const Status s = view.open_coded(limits); !s) return tl::unexpected(s.error());
   return view;

@@ -42,6 +42,7 @@ const char* errc_name(Errc code) {
     case Errc::too_many_bad: return "too_many_bad";
     case Errc::corrupt_data: return "corrupt_data";
     case Errc::gate_failed: return "gate_failed";
+    case Errc::pages_missing: return "pages_missing";
   }
   return "unknown";
 }

@@ -13,6 +13,7 @@
 #include "archive/archive_encode.hpp"
 #include "file/chunk_summary.hpp"
 #include "file/encode_plan.hpp"
+#include "file/encode_rows.hpp"
 #include "file/section_writer.hpp"
 #include "packed/frame_codec.hpp"
 #include "rgs/checksum.hpp"
@@ -24,43 +25,6 @@ namespace {
 
 constexpr std::uint64_t kDirectRows = 8192;  // Gaussians a batch, or one chunk if larger
 constexpr std::array kLarge = {SectionType::means, SectionType::geometry, SectionType::sh};
-
-template <class T>
-void store(std::byte*& out, const T& value) {
-  std::memcpy(out, &value, sizeof value);
-  out += sizeof value;
-}
-
-// Rows of a chunk's Gaussians: means [n * 12], geometry [n * 16], sh [n * sh_bytes(degree)].
-ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, const ShStepSet& steps, std::byte* means,
-                       std::byte* geometry, std::byte* sh, ValueCounts& counts) {
-  const auto floats = static_cast<std::size_t>(3 * sh_coefficients(header.sh_degree));
-  const std::size_t stride = sh_bytes(header.sh_degree);
-  float step[48];  // per coefficient and channel, so that the loop below has no look-up
-  for (std::size_t i = 0; i < floats; ++i) step[i] = steps.of_value(static_cast<int>(i));
-  detail::ChunkSummary summary;
-  auto* codes = reinterpret_cast<std::int8_t*>(sh);
-  for (const Splat& s : splats) {
-    std::uint16_t row[8];
-    quantize_rotation(s.rotation, row);
-    for (std::size_t i = 0; i < 3; ++i) {
-      row[4 + i] = quantize_scale(scale_from_log(s.log_scale[i]), header.scale_exponent);
-    }
-    row[7] = half_from_float(opacity_from_logit(s.opacity_logit));
-    store(means, s.mean);
-    store(geometry, row);
-    for (std::size_t i = 0; i < floats; ++i) codes[i] = quantize_sh(s.sh[i], step[i]);
-    for (std::size_t i = floats; i < stride; ++i) codes[i] = 0;
-    codes += stride;
-    summary.add(s.mean, row, counts);
-  }
-  return summary.entry(header.scale_exponent);
-}
-
-Status source_changed() {
-  return make_error(Errc::read_failed, Error::kNone,
-                    "a Gaussian is not what the first pass saw: the source changed while it was read");
-}
 
 // Whether the chunks' boxes add up to `full`.
 bool same_box(std::span<const ChunkEntry> chunks, const Box& full) {
@@ -165,7 +129,7 @@ Result<WrittenScene> SceneWriter::finish() {
       return detail::write_archive(state_->sink, state_->plan, state_->scene.view(), state_->tables.source_index);
     }
     if (!same_box(state_->tables.chunks, state_->plan.declarations.full))
-      return tl::unexpected(source_changed().error());
+      return tl::unexpected(detail::source_changed().error());
     return detail::finish_file(state_->file, state_->plan, state_->tables);
   });
 }
@@ -224,7 +188,7 @@ void SceneWriter::Batch::encode_chunk() {
     // opens, or is not even a number that can be quantised.
     for (Splat& s : chunk) {
       const std::uint32_t defects = find_defects(s, degree);
-      if (defects != 0 && !(plan.mends && repair(s, defects))) return source_changed();
+      if (defects != 0 && !(plan.mends && repair(s, defects))) return detail::source_changed();
     }
     if (plan.options.profile == Profile::archive) {
       for (Splat& s : chunk) {
@@ -239,11 +203,11 @@ void SceneWriter::Batch::encode_chunk() {
       for (const Splat& s : chunk) magnitudes.add(s.sh, degree);
       b.steps.back() = magnitudes.steps();
     }
-    b.chunks.push_back(encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
-                                   &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)],
-                                   b.counts));
+    b.chunks.push_back(detail::encode_rows(chunk, plan.header, b.steps.back(), &b.rows[0][b.done * kMeanBytes],
+                                           &b.rows[1][b.done * kGeometryBytes], &b.rows[2][b.done * sh_bytes(degree)],
+                                           b.counts));
     // A scale above all that the scan has seen overflows FP16.
-    if (!std::isfinite(b.chunks.back().radius)) return source_changed();
+    if (!std::isfinite(b.chunks.back().radius)) return detail::source_changed();
     b.done += chunk.size();
     if (!complete() || !b.encoder) return {};
     b.frames = {b.encoder->words(b.rows[0], kMeanBytes), b.encoder->geometry(b.rows[1]),

@@ -15,26 +15,6 @@
 #include "rgs/stored_values.hpp"
 
 namespace rgs {
-namespace detail {
-
-// What the declarations state about all Gaussians, summed up in any order.
-struct ValueTotals {
-  ValueCounts counts;
-  Box full;
-  bool empty = true;
-
-  void add(const ValueTotals& other) {
-    counts.add(other.counts);
-    for (std::size_t k = 0; k < 3 && !other.empty; ++k) {
-      full.min[k] = empty ? other.full.min[k] : std::min(full.min[k], other.full.min[k]);
-      full.max[k] = empty ? other.full.max[k] : std::max(full.max[k], other.full.max[k]);
-    }
-    empty = empty && other.empty;
-  }
-};
-
-}  // namespace detail
-
 namespace {
 
 using detail::run_jobs;
@@ -103,50 +83,64 @@ Status explain_sh(const std::int8_t* codes, const Place& place, const ShStepSet&
   return {};
 }
 
+}  // namespace
+
+Status detail::check_chunk_rows(const ChunkRows& rows, const ChunkEntry& entry, const ShStepSet& steps,
+                                ValueTotals& totals) {
+  const ShMask mask = legal_bits(steps, rows.sh_degree);
+  const std::uint64_t stride = sh_bytes(rows.sh_degree);
+  Box box;
+  std::uint16_t largest_scale = 0, largest_opacity = 0;
+  for (std::uint64_t i = 0; i < entry.count; ++i) {
+    float mean[3];
+    std::memcpy(mean, rows.means + i * kMeanBytes, kMeanBytes);
+    for (std::size_t k = 0; k < 3; ++k) {
+      if (!is_finite(mean[k])) {
+        return make_error(Errc::bad_value, rows.place(SectionType::means, i, 4 * k), "a mean is not finite");
+      }
+      box.min[k] = i == 0 ? mean[k] : std::min(box.min[k], mean[k]);
+      box.max[k] = i == 0 ? mean[k] : std::max(box.max[k], mean[k]);
+    }
+    std::uint16_t codes[8];
+    std::memcpy(codes, rows.geometry + i * kGeometryBytes, kGeometryBytes);
+    const auto* sh = reinterpret_cast<const std::int8_t*>(rows.sh + i * stride);
+    const auto geometry_at = [&](std::uint64_t byte) { return rows.place(SectionType::geometry, i, byte); };
+    const auto sh_at = [&](std::uint64_t byte) { return rows.place(SectionType::sh, i, byte); };
+    if (Status s = check_geometry(codes, geometry_at, totals.counts, largest_scale, largest_opacity); !s) return s;
+    if (!legal_row(sh, mask, stride)) return explain_sh(sh, sh_at, steps, rows.sh_degree);
+  }
+
+  const auto at = [&](std::uint64_t byte) { return rows.place(SectionType::chunks, 0, byte); };
+  if (box.min != entry.means.min || box.max != entry.means.max) {
+    return make_error(Errc::bad_value, at(0), "a chunk's box is not that of its means");
+  }
+  if (entry.radius != 3.f * dequantize_scale(largest_scale, rows.scale_exponent)) {
+    return make_error(Errc::bad_value, at(12), "a chunk's radius is not three times its largest scale");
+  }
+  if (entry.max_opacity != float_from_half(largest_opacity)) {
+    return make_error(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
+  }
+  totals.add({{}, box, false});
+  return {};
+}
+
+namespace {
+
 Status check_chunk(const DirectData& data, std::uint64_t index, Totals& totals) {
   const FileView& view = data.file();
   const auto entry = view.chunk(index);
   if (!entry) return tl::unexpected(entry.error());
   const auto steps = view.step_set(entry->step_set);
   if (!steps) return tl::unexpected(steps.error());
-
   const Header& h = view.header();
-  const std::uint64_t first = index * h.chunk_size;
-  const ShMask mask = legal_bits(*steps, h.sh_degree);
-  Box box;
-  std::uint16_t largest_scale = 0, largest_opacity = 0;
-  for (std::uint64_t i = first; i < first + entry->count; ++i) {
-    const std::uint64_t row = i - data.first();
-    float mean[3];
-    std::memcpy(mean, data.means().data() + row * kMeanBytes, kMeanBytes);
-    for (std::size_t k = 0; k < 3; ++k) {
-      if (!is_finite(mean[k])) {
-        return make_error(Errc::bad_value, view.place(SectionType::means, i, 4 * k), "a mean is not finite");
-      }
-      box.min[k] = i == first ? mean[k] : std::min(box.min[k], mean[k]);
-      box.max[k] = i == first ? mean[k] : std::max(box.max[k], mean[k]);
-    }
-    std::uint16_t codes[8];
-    std::memcpy(codes, data.geometry().data() + row * kGeometryBytes, kGeometryBytes);
-    const auto* sh = reinterpret_cast<const std::int8_t*>(data.sh().data() + row * sh_bytes(h.sh_degree));
-    const auto geometry_at = [&](std::uint64_t byte) { return view.place(SectionType::geometry, i, byte); };
-    const auto sh_at = [&](std::uint64_t byte) { return view.place(SectionType::sh, i, byte); };
-    if (Status s = check_geometry(codes, geometry_at, totals.counts, largest_scale, largest_opacity); !s) return s;
-    if (!legal_row(sh, mask, sh_bytes(h.sh_degree))) return explain_sh(sh, sh_at, *steps, h.sh_degree);
-  }
-
-  const auto at = [&](std::uint64_t byte) { return view.place(SectionType::chunks, index, byte); };
-  if (box.min != entry->means.min || box.max != entry->means.max) {
-    return make_error(Errc::bad_value, at(0), "a chunk's box is not that of its means");
-  }
-  if (entry->radius != 3.f * dequantize_scale(largest_scale, h.scale_exponent)) {
-    return make_error(Errc::bad_value, at(12), "a chunk's radius is not three times its largest scale");
-  }
-  if (entry->max_opacity != float_from_half(largest_opacity)) {
-    return make_error(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
-  }
-  totals.add({{}, box, false});
-  return {};
+  const std::uint64_t first = index * h.chunk_size, row = first - data.first();
+  const auto place = [&](SectionType type, std::uint64_t i, std::uint64_t byte) {
+    return view.place(type, type == SectionType::chunks ? index : first + i, byte);
+  };
+  return detail::check_chunk_rows(
+      {data.means().data() + row * kMeanBytes, data.geometry().data() + row * kGeometryBytes,
+       data.sh().data() + row * sh_bytes(h.sh_degree), h.sh_degree, h.scale_exponent, place},
+      *entry, *steps, totals);
 }
 
 // Every value of the range, a few thousand Gaussians at a time.
@@ -173,7 +167,9 @@ Status check_step_sets(const FileView& view) {
   return {};
 }
 
-Status check_declarations(const FileView& view, const Totals& totals) {
+}  // namespace
+
+Status detail::check_declarations(const FileView& view, const ValueTotals& totals) {
   const Declarations& d = view.declarations();
   const std::uint64_t at = view.find(SectionType::declarations)->offset;
   if (d.full.min != totals.full.min || d.full.max != totals.full.max) {
@@ -196,7 +192,7 @@ Status check_declarations(const FileView& view, const Totals& totals) {
   return {};
 }
 
-Status check_permutation(const FileView& view) {
+Status detail::check_permutation(const FileView& view) {
   const SectionEntry* entry = view.find(SectionType::permutation);
   if (entry == nullptr) return {};
   const std::uint64_t n = view.header().n_gaussians;
@@ -216,6 +212,8 @@ Status check_permutation(const FileView& view) {
   }
   return {};
 }
+
+namespace {
 
 // Hashes of sections; of coded ones only if `coded`.
 Status check_sections(const FileView& view, unsigned threads, bool coded) {
@@ -269,8 +267,8 @@ Status Validation::check(const DirectData& next) {
 
 Status Validation::finish() const {
   return detail::guard_memory([&] {
-    if (Status s = check_declarations(*view_, *totals_); !s) return s;
-    return check_permutation(*view_);
+    if (Status s = detail::check_declarations(*view_, *totals_); !s) return s;
+    return detail::check_permutation(*view_);
   });
 }
 
@@ -286,7 +284,7 @@ Status validate_tables(const FileView& view, unsigned threads) {
     for (std::uint64_t i = 0; i < view.header().n_chunks; ++i) {
       if (const auto entry = view.chunk(i); !entry) return tl::unexpected(entry.error());
     }
-    return check_permutation(view);
+    return detail::check_permutation(view);
   });
 }
 
@@ -298,7 +296,7 @@ Status validate_declarations(const FileView& view, const ValueCounts& counts) {
     if (!entry) return tl::unexpected(entry.error());
     totals.add({{}, entry->means, false});
   }
-  return check_declarations(view, totals);
+  return detail::check_declarations(view, totals);
 }
 
 Status validate(const FileView& view) {

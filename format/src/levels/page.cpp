@@ -2,7 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/page.hpp"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 
 namespace rgs::lod {
 namespace {
@@ -22,6 +24,59 @@ bool contains(const Box& outer, const Box& inner) {
 }
 
 }  // namespace
+
+std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level) {
+  std::vector<std::uint32_t> of_level;
+  for (std::size_t i = 0; i < pages.size(); ++i) {
+    if (pages[i].level == level) of_level.push_back(static_cast<std::uint32_t>(i));
+  }
+  return of_level;
+}
+
+std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
+                                      std::uint32_t n_present) {
+  // From the root downwards, largest error first: each page gives way to its children. Those of one error do so together,
+  // as they would for any e.
+  std::vector<std::uint32_t> by_error;
+  for (std::size_t i = 0; i < pages.size(); ++i) {
+    if (pages[i].n_children != 0) by_error.push_back(static_cast<std::uint32_t>(i));
+  }
+  std::ranges::stable_sort(by_error, std::ranges::greater(), [&](std::uint32_t i) { return pages[i].error; });
+  float error = std::numeric_limits<float>::infinity();  // pages of at most so much are drawn
+  bool found = pages.front().count <= max_count && n_present > 0;
+  std::int64_t count = pages.front().count;
+  for (std::size_t i = 0; i < by_error.size();) {
+    const float split = pages[by_error[i]].error;
+    bool present = true;
+    for (; i < by_error.size() && pages[by_error[i]].error == split; ++i) {
+      const Page& page = pages[by_error[i]];
+      count -= page.count;
+      for (std::uint32_t child = page.first_child; child < page.first_child + page.n_children; ++child) {
+        count += pages[child].count;
+        present = present && child < n_present;
+      }
+    }
+    if (!present) break;
+    if (static_cast<std::uint64_t>(count) <= max_count) {
+      found = true;
+      error = std::nextafter(split, 0.f);  // less than this one's, and not less than that of any below
+    }
+  }
+  std::vector<std::uint32_t> cut;
+  if (!found) return cut;
+  std::vector<std::uint32_t> stack{0};
+  while (!stack.empty()) {
+    const std::uint32_t i = stack.back();
+    stack.pop_back();
+    const Page& page = pages[i];
+    if (page.n_children == 0 || page.error <= error) {
+      cut.push_back(i);
+      continue;
+    }
+    for (std::uint32_t child = page.first_child + page.n_children; child-- > page.first_child;) stack.push_back(child);
+  }
+  return cut;
+}
 
 PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size) {
   const Page& page = pages[index];

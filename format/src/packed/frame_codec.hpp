@@ -46,6 +46,11 @@ class FrameDecoder {
   Status sh(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows, const ShFrame& frame,
             std::span<std::byte> out);
 
+  /// Contents of frames that hold more than one kind of rows. The result is valid until the next call.
+  Result<std::span<const std::uint8_t>> content(std::span<const std::byte> stored, std::uint64_t offset,
+                                                std::size_t bytes);
+  ShLanes& lanes() { return *lanes_; }
+
  private:
   Status inflate(std::span<const std::byte> stored, std::uint64_t offset, std::size_t content_bytes);
   Inflater inflater_;
@@ -66,6 +71,9 @@ class FrameEncoder {
   std::vector<std::byte> words(std::span<const std::byte> rows, std::uint64_t row_bytes);
   std::vector<std::byte> geometry(std::span<const std::byte> rows);
   std::vector<std::byte> sh(std::span<const std::byte> rows, const ShFrame& frame);
+  /// A page of a file with levels: all its rows in one frame. `steps` [n_sets, 48], the others as above.
+  std::vector<std::byte> page(std::span<const std::byte> steps, std::span<const std::byte> means,
+                              std::span<const std::byte> geometry, std::span<const std::byte> sh, const ShFrame& frame);
 
  private:
   std::vector<std::byte> deflate(std::span<const std::size_t> plane_ends, std::size_t decoded_bytes);
@@ -78,6 +86,11 @@ class FrameEncoder {
   std::vector<std::uint8_t> content_;
   int level_;
 };
+
+/// Planes of a content to rows: of 32-bit words, of GEOM.
+void decode_word_planes(std::span<const std::uint8_t> content, std::uint32_t n_rows, std::uint64_t row_bytes,
+                        std::span<std::byte> out);
+void decode_geometry_planes(std::span<const std::uint8_t> content, std::uint32_t n_rows, std::span<std::byte> out);
 
 // ---- the SH predictor (codec_sh.cpp) ------------------------------------------------------------------------------
 

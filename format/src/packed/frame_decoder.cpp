@@ -44,16 +44,21 @@ Status FrameDecoder::inflate(std::span<const std::byte> stored, std::uint64_t of
   return inflater_.inflate(stored, offset, std::as_writable_bytes(std::span(content_).first(content_bytes)));
 }
 
+Result<std::span<const std::uint8_t>> FrameDecoder::content(std::span<const std::byte> stored, std::uint64_t offset,
+                                                            std::size_t bytes) {
+  if (Status s = inflate(stored, offset, bytes); !s) return tl::unexpected(s.error());
+  return std::span<const std::uint8_t>(content_).first(bytes);
+}
+
 // ---- words ---------------------------------------------------------------------------------------------------------
 
-Status FrameDecoder::words(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
-                           std::uint64_t row_bytes, std::span<std::byte> out) {
-  assert(out.size() == n_rows * row_bytes && row_bytes % 4 == 0);
-  if (Status s = inflate(stored, offset, out.size()); !s) return s;
+void decode_word_planes(std::span<const std::uint8_t> content, std::uint32_t n_rows, std::uint64_t row_bytes,
+                        std::span<std::byte> out) {
+  assert(out.size() == n_rows * row_bytes && content.size() == out.size() && row_bytes % 4 == 0);
   std::array<std::uint32_t, kBlock> differences;
   const std::size_t n = n_rows, n_words = row_bytes / 4;
   for (std::size_t word = 0; word < n_words; ++word) {
-    const std::uint8_t* plane = content_.data() + 4 * word * n;
+    const std::uint8_t* plane = content.data() + 4 * word * n;
     std::byte* to = out.data() + 4 * word;
     std::uint32_t key = 0;
     for (std::size_t first = 0; first < n; first += kBlock) {
@@ -71,20 +76,24 @@ Status FrameDecoder::words(std::span<const std::byte> stored, std::uint64_t offs
       }
     }
   }
+}
+
+Status FrameDecoder::words(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
+                           std::uint64_t row_bytes, std::span<std::byte> out) {
+  if (Status s = inflate(stored, offset, out.size()); !s) return s;
+  decode_word_planes(std::span(content_).first(out.size()), n_rows, row_bytes, out);
   return {};
 }
 
 // ---- geometry ------------------------------------------------------------------------------------------------------
 
-Status FrameDecoder::geometry(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
-                              std::span<std::byte> out) {
-  assert(out.size() == n_rows * kGeometryBytes);
-  if (Status s = inflate(stored, offset, out.size()); !s) return s;
+void decode_geometry_planes(std::span<const std::uint8_t> content, std::uint32_t n_rows, std::span<std::byte> out) {
+  assert(out.size() == n_rows * kGeometryBytes && content.size() == out.size());
   const std::size_t n = n_rows;
   std::array<std::uint16_t, kBlock> w;
   for (std::size_t first = 0; first < n; first += kBlock) {
     const std::size_t count = std::min(kBlock, n - first);
-    const std::uint8_t* block = content_.data() + first;
+    const std::uint8_t* block = content.data() + first;
     codec_kernels().unit_w(block + 2 * n, n, static_cast<int>(count), w.data());
     for (std::size_t i = 0; i < count; ++i) {
       std::uint16_t row[kHalves];
@@ -96,6 +105,12 @@ Status FrameDecoder::geometry(std::span<const std::byte> stored, std::uint64_t o
       std::memcpy(out.data() + (first + i) * kGeometryBytes, row, sizeof row);
     }
   }
+}
+
+Status FrameDecoder::geometry(std::span<const std::byte> stored, std::uint64_t offset, std::uint32_t n_rows,
+                              std::span<std::byte> out) {
+  if (Status s = inflate(stored, offset, out.size()); !s) return s;
+  decode_geometry_planes(std::span(content_).first(out.size()), n_rows, out);
   return {};
 }
 

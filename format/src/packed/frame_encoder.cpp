@@ -78,12 +78,14 @@ std::vector<std::byte> FrameEncoder::deflate(std::span<const std::size_t> plane_
   return deflate(ends, false);
 }
 
-std::vector<std::byte> FrameEncoder::words(std::span<const std::byte> rows, std::uint64_t row_bytes) {
+namespace {
+
+// Rows of 32-bit words as planes at `content`, and where each of them ends.
+void encode_word_planes(std::span<const std::byte> rows, std::uint64_t row_bytes, std::uint8_t* content,
+                        std::size_t begin, std::vector<std::size_t>& ends) {
   const std::size_t n = rows.size() / row_bytes, n_words = row_bytes / 4;
-  content_.resize(rows.size());
-  std::vector<std::size_t> ends;
   for (std::size_t word = 0; word < n_words; ++word) {
-    std::uint8_t* plane = content_.data() + 4 * word * n;
+    std::uint8_t* plane = content + begin + 4 * word * n;
     std::uint32_t before = 0;
     for (std::size_t i = 0; i < n; ++i) {
       std::uint32_t bits;
@@ -92,23 +94,23 @@ std::vector<std::byte> FrameEncoder::words(std::span<const std::byte> rows, std:
       before = key;
       for (std::size_t k = 0; k < 4; ++k) plane[i + k * n] = static_cast<std::uint8_t>(folded >> (8 * k));
     }
-    for (std::size_t k = 1; k <= 4; ++k) ends.push_back((4 * word + k) * n);
+    for (std::size_t k = 1; k <= 4; ++k) ends.push_back(begin + (4 * word + k) * n);
   }
-  return deflate(ends, rows.size());
 }
 
-std::vector<std::byte> FrameEncoder::geometry(std::span<const std::byte> rows) {
+void encode_geometry_planes(std::span<const std::byte> rows, std::uint8_t* content, std::size_t begin,
+                            std::vector<std::size_t>& ends) {
   const std::size_t n = rows.size() / kGeometryBytes;
-  content_.resize(rows.size());
+  std::uint8_t* planes = content + begin;
   for (std::size_t i = 0; i < n; ++i) {
     for (std::size_t k = 0; k < kGeometryBytes; ++k) {
-      content_[k * n + i] = static_cast<std::uint8_t>(rows[i * kGeometryBytes + k]);
+      planes[k * n + i] = static_cast<std::uint8_t>(rows[i * kGeometryBytes + k]);
     }
   }
   std::array<std::uint16_t, kBlock> w;
   for (std::size_t first = 0; first < n; first += kBlock) {
     const std::size_t count = std::min(kBlock, n - first);
-    std::uint8_t* block = content_.data() + first;
+    std::uint8_t* block = planes + first;
     codec_kernels().unit_w(block + 2 * n, n, static_cast<int>(count), w.data());
     for (std::size_t i = 0; i < count; ++i) {
       const std::uint16_t folded = fold16(static_cast<std::uint16_t>((block[i] | block[i + n] << 8) - w[i]));
@@ -116,8 +118,22 @@ std::vector<std::byte> FrameEncoder::geometry(std::span<const std::byte> rows) {
       block[i + n] = static_cast<std::uint8_t>(folded >> 8);
     }
   }
-  std::array<std::size_t, kGeometryBytes> ends;
-  for (std::size_t k = 0; k < ends.size(); ++k) ends[k] = (k + 1) * n;
+  for (std::size_t k = 1; k <= kGeometryBytes; ++k) ends.push_back(begin + k * n);
+}
+
+}  // namespace
+
+std::vector<std::byte> FrameEncoder::words(std::span<const std::byte> rows, std::uint64_t row_bytes) {
+  content_.resize(rows.size());
+  std::vector<std::size_t> ends;
+  encode_word_planes(rows, row_bytes, content_.data(), 0, ends);
+  return deflate(ends, rows.size());
+}
+
+std::vector<std::byte> FrameEncoder::geometry(std::span<const std::byte> rows) {
+  content_.resize(rows.size());
+  std::vector<std::size_t> ends;
+  encode_geometry_planes(rows, content_.data(), 0, ends);
   return deflate(ends, rows.size());
 }
 
@@ -130,6 +146,26 @@ std::vector<std::byte> FrameEncoder::sh(std::span<const std::byte> rows, const S
   std::vector<std::size_t> ends{weights};
   for (int i = 0; i < n_codes; ++i) ends.push_back(ends.back() + n);
   return deflate(ends, rows.size());
+}
+
+std::vector<std::byte> FrameEncoder::page(std::span<const std::byte> steps, std::span<const std::byte> means,
+                                          std::span<const std::byte> geometry, std::span<const std::byte> sh,
+                                          const ShFrame& frame) {
+  const int n_codes = 3 * sh_coefficients(frame.degree);
+  const std::size_t n = means.size() / kMeanBytes, weights = sh_weight_bytes(n_codes);
+  const std::size_t at_means = steps.size(), at_geometry = at_means + means.size(),
+                    at_sh = at_geometry + geometry.size();
+  content_.resize(at_sh + weights + static_cast<std::size_t>(n_codes) * n);
+  std::vector<std::size_t> ends;
+  encode_word_planes(steps, kStepSetBytes, content_.data(), 0, ends);
+  encode_word_planes(means, kMeanBytes, content_.data(), at_means, ends);
+  encode_geometry_planes(geometry, content_.data(), at_geometry, ends);
+  const auto codes = std::span(content_).subspan(at_sh);
+  fit_sh_weights(*lanes_, sh, frame, codes.first(weights));
+  encode_sh_planes(*lanes_, sh, frame, codes);
+  ends.push_back(at_sh + weights);
+  for (int i = 0; i < n_codes; ++i) ends.push_back(ends.back() + n);
+  return deflate(ends, steps.size() + means.size() + geometry.size() + sh.size());
 }
 
 }  // namespace rgs::detail

@@ -132,7 +132,7 @@ const ArchiveTables* archive_tables(const FileView& view) {
 Status FileView::open_archive() {
   const SectionEntry* entry = find(SectionType::archive);
   if (entry == nullptr || header_.version_minor < 2) return {};
-  const std::uint32_t rows = frames(SectionType::means).rows;
+  const std::uint32_t rows = frames(SectionType::means).rows;  // 0 where the Gaussians are in pages
   for (const SectionType type : {SectionType::geometry, SectionType::sh}) {
     if (frames(type).rows != rows) {
       return make_error(Errc::bad_value, find(type)->offset, "frames of MEAN, GEOM and SHI8 differ in rows", rows,

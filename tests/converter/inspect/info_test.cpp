@@ -9,6 +9,7 @@
 #include <random>
 
 #include "edit_file.hpp"
+#include "golden_levels.hpp"
 #include "rgs/rgs.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
@@ -400,4 +401,87 @@ TEST_CASE_FIXTURE(Fixture, "a closed or full standard output") {
   const ProgramResult closed = run_shell("{ ( sleep 0.1; '" RGS_INFO "' '" + path + "'; echo $? >&3 ) | true; } 3>&1");
   CHECK(closed.out == "0\n");
   CHECK(run(path, ">/dev/full").exit_code == 3);
+}
+
+TEST_CASE("levels of detail are listed, page by page if asked") {
+  Fixture f;
+  for (const test::GoldenLevels& scene : test::all_golden_levels()) {
+    CAPTURE(scene.name);
+    const std::vector<std::byte> bytes = test::encode_levels(scene);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    const std::string path = f.write(bytes);
+    const nlohmann::json j = f.json(path + " --verify");
+    CHECK(j["verified"] == true);
+    CHECK(j["header"]["n_gaussians"] == scene.leaves.size());
+    const nlohmann::json& levels = j["levels"];
+    CHECK(levels["n_levels"] == file->n_levels());
+    CHECK(levels["n_pages"] == file->n_pages());
+    CHECK(levels["pages_present"] == file->n_pages());
+    CHECK(levels["complete"] == true);
+    CHECK(levels["n_gaussians"] == file->n_stored());
+    CHECK((levels["quality_db"].is_null() || levels["quality_db"] == 40.0));
+    REQUIRE(levels["levels"].size() == file->n_levels());
+    std::uint64_t n = 0, stored = 0;
+    for (const auto& level : levels["levels"]) {
+      n += level["gaussians"].get<std::uint64_t>();
+      stored += level["stored_bytes"].get<std::uint64_t>();
+    }
+    CHECK(n == file->n_stored());
+    CHECK(stored <= file->head().find(SectionType::pages)->stored_bytes);
+    // Values are those of the leaves.
+    CHECK(j["values"]["n"] == scene.leaves.size());
+    const ProgramResult text = f.run(path + " --verify --ascii");
+    CHECK(text.exit_code == 0);
+    CHECK(has(text.out, "verified: every checksum and every value"));
+    CHECK(has(text.out, "0, finest"));
+    for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
+      const nlohmann::json page = f.json(path + " --page " + std::to_string(i))["page"];
+      CHECK(page["level"] == file->pages()[i].level);
+      CHECK(page["n"] == file->pages()[i].count);
+      CHECK(page["offset"] == file->stored(i).offset);
+      CHECK(page["parent"].is_null() == (i == 0));
+      CHECK(f.run(path + " --page " + std::to_string(i)).exit_code == 0);
+    }
+    CHECK(f.run(path + " --page " + std::to_string(file->n_pages())).exit_code == 2);
+    const nlohmann::json chunk = f.json(path + " --chunk 1")["chunk"];
+    CHECK(chunk["first"] == 32);
+    CHECK(chunk["stored"]["PAGE"]["page"] == lod::pages_of_level(file->pages(), 0)[0]);
+    CHECK(f.run(path + " --chunk 1").exit_code == 0);
+  }
+  CHECK(f.run(f.write(encoded(10, 0)) + " --page 0").exit_code == 2);
+}
+
+TEST_CASE("a missing end of a file with levels is a warning with an exit code of its own, damage is not") {
+  Fixture f;
+  const test::GoldenLevels scene = test::golden_levels("", Profile::packed, 300, 1, 60);
+  std::vector<std::byte> bytes = test::encode_levels(scene);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  std::vector<std::byte> part(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(file->stored(4).offset));
+  for (const char* options : {"", " --verify", " --no-stats", " --stats"}) {
+    CAPTURE(options);
+    const ProgramResult r = f.run(f.write(part) + options);
+    CHECK(r.exit_code == 6);
+    CHECK(has(r.err, "the end of the file is missing"));
+    CHECK(has(r.out, "levels"));
+    CHECK_FALSE(has(r.out, "DAMAGED"));
+  }
+  const nlohmann::json j = f.json(f.write(part) + " --verify", 6);
+  CHECK(j["levels"]["complete"] == false);
+  CHECK(j["levels"]["pages_present"] == 4);
+  CHECK(j["error"]["code"] == "pages_missing");
+  CHECK(j["error"]["exit_code"] == 6);
+  CHECK(j["error"]["offset"] == part.size());
+  // What is there is checked all the same.
+  part[file->stored(2).offset + 30] ^= std::byte{1};
+  const nlohmann::json damaged = f.json(f.write(part) + " --verify", 4);
+  CHECK(damaged["error"]["code"] == "checksum_mismatch");
+  CHECK(damaged["error"]["offset"] == file->stored(2).offset);
+  bytes[file->stored(5).offset + 30] ^= std::byte{1};
+  const nlohmann::json whole = f.json(f.write(bytes) + " --verify", 4);
+  CHECK(whole["error"]["offset"] == file->stored(5).offset);
+  // Not even a root.
+  part.resize(file->stored(0).offset + 10);
+  CHECK(f.run(f.write(part)).exit_code == 4);
 }

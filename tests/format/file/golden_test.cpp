@@ -1,4 +1,4 @@
-// golden_test.cpp - files committed for formats 1.0 to 1.3: exact bytes from the encoder, expected values from the
+// golden_test.cpp - files committed for formats 1.0 to 1.4: exact bytes from the encoder, expected values from the
 // decoder, and files with one defect. SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <draco/core/draco_version.h>
@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "edit_file.hpp"
+#include "golden_levels.hpp"
 #include "golden_scenes.hpp"
 #include "reject_cases.hpp"
 #include "rgs/decode.hpp"
@@ -68,8 +69,19 @@ TEST_CASE("the encoder gives the bytes of every archived golden file") {
   check_bytes(Profile::archive);
 }
 
+TEST_CASE("the writer gives the bytes of every golden file with levels") {
+  for (const GoldenLevels& scene : all_golden_levels()) {
+    if (!same_libraries(scene.options.profile)) continue;
+    CAPTURE(scene.name);
+    const Bytes bytes = encode_levels(scene), expected = golden(scene.name);
+    REQUIRE(bytes.size() == expected.size());
+    CHECK(bytes == expected);
+  }
+}
+
 TEST_CASE("every golden file has the scene that it was written from") {
   std::set<std::string> names;
+  for (const GoldenLevels& scene : all_golden_levels()) names.insert(scene.name + ".rgs");
   for (const GoldenScene& scene : golden_scenes()) names.insert(scene.name + ".rgs");
   for (const auto& entry : fs::directory_iterator(kGolden)) {
     if (entry.path().extension() == ".rgs") CHECK(names.count(entry.path().filename()) == 1);

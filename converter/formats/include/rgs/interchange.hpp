@@ -61,6 +61,9 @@ struct SplatFile {
   std::optional<Declarations> declarations = std::nullopt;
   std::optional<Provenance> provenance = std::nullopt;
   std::vector<std::uint32_t> source_index = {};
+  /// Of an .rgs with levels of detail: how many it has, and whether `cloud` is the finest, the scene's own Gaussians.
+  std::uint32_t n_levels = 0;
+  bool finest = true;
   /// What the file holds besides, one phrase each, and SplatCloud has no place for: extensions of SPZ that do not
   /// change its Gaussians.
   std::vector<std::string> unused = {};
@@ -79,11 +82,17 @@ struct ReadOptions {
   /// SPZ: read past extensions of unknown type, which are unsupported_feature otherwise. They may change what the
   /// Gaussians mean; SplatFile::unused names them.
   bool skip_unknown_extensions = false;
+  /// Of an .rgs with levels of detail: this level (0: the finest); or the finest cut through the levels of at most so many
+  /// Gaussians, see lod::finest_cut(). Neither: the finest level. A level of a file without levels is bad_argument; files
+  /// without levels are read as a whole whatever max_count is.
+  std::optional<std::uint32_t> level_of_detail = std::nullopt;
+  std::optional<std::uint64_t> max_count = std::nullopt;
 };
 
 /// Reads a whole file of any format. Memory: a constant times the size of the file (decompressed sizes are checked
 /// against it before they are allocated, see docs/INTERCHANGE.md). Values are passed on as they are stored, NaN too.
-/// Errors: read_failed (also if the file is written to meanwhile); those of PlyFile::open and FileView::open(); for the other formats bad_magic, unsupported_version,
+/// Errors: read_failed (also if the file is written to meanwhile); bad_argument (no such level, or none of so few Gaussians); pages_missing (the
+/// end of an .rgs with levels is missing, and with it some of what is asked for); those of PlyFile::open, FileView::open() and PagedFile::open(); for the other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
 /// or in meta.json).

@@ -1,0 +1,82 @@
+// levels_writer.hpp - a scene with its levels of detail to one .rgs file.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "rgs/encode.hpp"
+#include "rgs/page.hpp"
+#include "rgs/result.hpp"
+#include "rgs/scene_scan.hpp"
+#include "rgs/scene_writer.hpp"
+#include "rgs/splat_cloud.hpp"
+
+namespace RGS_API rgs {
+
+/// Writes one file, pages coarse to fine, of which none needs to be in memory before it is its turn. The steps:
+///   1. SceneScan::add() for every Gaussian of the source.
+///   2. The tree of pages: counts, errors and who replaces whom. Leaves are the source's Gaussians in the order in which a
+///      file without levels would hold them (EncodeOptions::order), in whole chunks.
+///   3. create().
+///   4. Page 0, 1, ...: encoded by a LevelsWriter::Encoder on a thread of its own if one likes, and add()ed in order.
+///   5. finish().
+/// write_levels() is this for levels in memory. The bytes do not depend on threads. Memory: 170 bytes a page, and encoders;
+/// Profile::archive takes all Gaussians as a whole, with about 300 bytes of each on top, as SceneWriter does.
+class LevelsWriter {
+ public:
+  class Encoder;
+
+  /// `leaves`: the scan of the source. `pages`: see lod::check_pages(); boxes may be smaller than they must be, those that
+  /// are written hold what is stored. With EncodeOptions::keep_permutation options.source_index [n leaves] (or none: 0, 1,
+  /// 2, ...) says where each leaf was, in the order of the leaves. quality_db: see lod::Levels.
+  /// Errors: check_encodable()'s, bad_argument (no Gaussians; pages that are no tree, have other leaves than the scan, or are
+  /// larger than lod::kMaxPageRows; one set of SH steps for the file with Profile::archive).
+  static Result<LevelsWriter> create(Sink sink, const SceneScan& leaves, const EncodeOptions& options,
+                                     std::vector<lod::Page> pages, float quality_db = 0);
+  LevelsWriter(LevelsWriter&& other) noexcept;
+  ~LevelsWriter();
+
+  const std::vector<lod::Page>& pages() const;
+  /// Writes an encoded page: 0, then 1, ... Errors: those of Encoder::encode(), Sink::write_at(), bad_argument (another page
+  /// is next). After an error the file is of no use: later calls give the same one.
+  Status add(const Encoder& page);
+  /// Tables, head and end of the file, once all pages are there. Errors: as SceneWriter::finish().
+  Result<WrittenScene> finish();
+
+ private:
+  struct State;
+  explicit LevelsWriter(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
+};
+
+/// One page being encoded; keeps its memory for the next. Encoders of one writer may be used side by side.
+class LevelsWriter::Encoder {
+ public:
+  /// The writer must outlive it, but may be moved.
+  explicit Encoder(LevelsWriter& writer);
+  Encoder(Encoder&& other) noexcept;
+  ~Encoder();
+
+  /// `splats`: the Gaussians of page `page`. Errors: bad_argument (not as many as the page has), bad_value (one above the
+  /// leaves is damaged, see find_defects(); offset is its index in the page), read_failed (a leaf is damaged: the source
+  /// changed), host_out_of_memory.
+  Status encode(std::uint32_t page, const SplatView& splats);
+
+ private:
+  friend class LevelsWriter;
+  struct State;
+  LevelsWriter::State* writer_;
+  std::unique_ptr<State> state_;
+  Status status_;
+};
+
+/// The file for `levels`, whose leaves are sound (see find_defects()) and in the order of options.order, on `threads`
+/// threads (0: as many as the machine runs at once). What was dropped or mended before is stated by options.n_source and
+/// n_repaired. Errors: LevelsWriter's.
+Result<WrittenScene> write_levels(const lod::Levels& levels, const EncodeOptions& options, Sink sink,
+                                  unsigned threads = 0);
+
+}  // namespace rgs

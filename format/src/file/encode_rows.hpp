@@ -1,0 +1,23 @@
+// encode_rows.hpp - Gaussians to rows of MEAN, GEOM and SHI8.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <span>
+
+#include "rgs/layout.hpp"
+#include "rgs/result.hpp"
+#include "rgs/splat_cloud.hpp"
+#include "rgs/stored_values.hpp"
+
+namespace rgs::detail {
+
+/// Rows of a chunk's Gaussians, with the degree and scale exponent of `header`: means [n * 12], geometry [n * 16], sh
+/// [n * sh_bytes(degree)]. Returns the chunk's entry, but for its step_set.
+ChunkEntry encode_rows(std::span<const Splat> splats, const Header& header, const ShStepSet& steps, std::byte* means,
+                       std::byte* geometry, std::byte* sh, ValueCounts& counts);
+
+/// read_failed: a second look at the source shows what the first cannot have seen.
+Status source_changed();
+
+}  // namespace rgs::detail

@@ -1,0 +1,289 @@
+// levels_writer.cpp - pages of Gaussians to a file with levels.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/levels_writer.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cassert>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <numeric>
+#include <optional>
+#include <utility>
+
+#include "archive/archive_encode.hpp"
+#include "file/encode_rows.hpp"
+#include "file/layout_io.hpp"
+#include "file/value_checks.hpp"
+#include "file/workers.hpp"
+#include "levels/levels_file.hpp"
+#include "packed/frame_codec.hpp"
+#include "rgs/guard_memory.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs {
+
+using namespace detail;
+
+namespace {
+
+// Means of a page that stands for others need not be finer than what is seen of it: its error is a pixel, wherever it is
+// drawn. A 512th of that at most is lost, and in packed the bytes below it cost nothing.
+void round_means(std::span<Splat> splats, float error) {
+  int exponent = 0;
+  std::frexp(error, &exponent);  // error < 2^exponent
+  const double step = std::ldexp(1.0, exponent - 1 - 8);
+  for (Splat& s : splats) {
+    for (float& x : s.mean) x = static_cast<float>(std::nearbyint(static_cast<double>(x) / step) * step);
+  }
+}
+
+}  // namespace
+
+struct LevelsWriter::State {
+  Sink sink;
+  EncodePlan plan;
+  PageTable table;                 // Profile::archive, until it is written
+  std::optional<LevelsFile> file;  // the others
+  SplatCloud scene;                // Profile::archive
+  ValueTotals leaves;
+  std::size_t n_added = 0;
+  Status status;  // of the first add() that failed
+
+  const std::vector<lod::Page>& pages() const { return file ? file->pages() : table.pages; }
+  bool archive() const { return plan.options.profile == Profile::archive; }
+};
+
+struct LevelsWriter::Encoder::State {
+  std::uint32_t page = lod::kNoPage;
+  std::vector<Splat> splats;
+  std::vector<std::byte> rows, frame;  // decoded, and coded
+  EncodedPage encoded;
+  ValueTotals totals;
+  std::optional<FrameEncoder> encoder;
+};
+
+LevelsWriter::LevelsWriter(std::unique_ptr<State> state) : state_(std::move(state)) {}
+LevelsWriter::LevelsWriter(LevelsWriter&& other) noexcept = default;
+LevelsWriter::~LevelsWriter() = default;
+
+Result<LevelsWriter> LevelsWriter::create(Sink sink, const SceneScan& leaves, const EncodeOptions& options,
+                                          std::vector<lod::Page> pages, float quality_db) {
+  return guard_memory([&]() -> Result<LevelsWriter> {
+    const auto bad = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
+    if (leaves.n_kept() == 0) return bad("a scene without Gaussians has no levels: write it as a file without");
+    auto plan = make_plan(leaves, options);
+    if (!plan) return tl::unexpected(plan.error());
+    if (plan->options.profile == Profile::archive && !options.chunk_step_sets) {
+      return bad("archive with levels has a set of SH steps for each chunk: leave the file's out");
+    }
+    std::uint64_t first = 0, n_leaves = 0;
+    for (lod::Page& page : pages) {
+      if (chunks_of(page.count, options.chunk_size) * options.chunk_size > lod::kMaxPageRows) {
+        return bad("a page has more than 65,536 Gaussians");
+      }
+      page.first = first;
+      first += page.count;
+      n_leaves += page.level == 0 ? page.count : 0;
+    }
+    if (const Status s = lod::check_pages(pages, options.chunk_size); !s) {
+      return make_error(Errc::bad_argument, s.error().offset, s.error().what);
+    }
+    if (n_leaves != leaves.n_kept()) {
+      return make_error(Errc::bad_argument, Error::kNone, "the leaves' Gaussians are not those of the scan",
+                        leaves.n_kept(), n_leaves);
+    }
+    if (!(quality_db >= 0 && std::isfinite(quality_db))) return bad("the quality of pages is negative or not finite");
+    auto state = std::make_unique<State>(State{sink, *std::move(plan), {}, {}, {}, {}, 0, {}});
+    PageTable table;
+    table.pages = std::move(pages);
+    table.quality_db = quality_db;
+    table.page_chunks = most_chunks(table.pages, options.chunk_size);
+    if (state->archive()) {
+      state->scene.resize(first, state->plan.header.sh_degree);
+      state->table = std::move(table);
+    } else {
+      state->file.emplace(sink, state->plan, std::move(table), std::span<const std::byte>());
+    }
+    return LevelsWriter(std::move(state));
+  });
+}
+
+const std::vector<lod::Page>& LevelsWriter::pages() const {
+  return state_->pages();
+}
+
+Status LevelsWriter::add(const Encoder& page) {
+  State& s = *state_;
+  if (!s.status) return s.status;
+  if (!page.status_) return s.status = page.status_;
+  if (!page.state_ || page.writer_ != state_.get() || page.state_->page != s.n_added) {
+    return s.status = make_error(Errc::bad_argument, Error::kNone, "not the next page of this writer");
+  }
+  ++s.n_added;
+  if (s.archive()) return {};
+  if (s.pages()[page.state_->page].level == 0) s.leaves.add(page.state_->totals);
+  return s.status = guard_memory([&] { return s.file->add(page.state_->encoded); });
+}
+
+Result<WrittenScene> LevelsWriter::finish() {
+  State& s = *state_;
+  if (!s.status) return tl::unexpected(s.status.error());
+  if (s.n_added != s.pages().size()) {
+    return make_error(Errc::bad_argument, Error::kNone, "pages are missing", s.pages().size(), s.n_added);
+  }
+  return guard_memory([&]() -> Result<WrittenScene> {
+    std::vector<std::uint32_t> given(s.plan.header.n_gaussians);
+    std::iota(given.begin(), given.end(), 0u);
+    if (s.archive()) return write_archive_levels(s.sink, s.plan, s.scene.view(), std::move(s.table), given);
+    Declarations d = s.plan.declarations;
+    if (s.leaves.full.min != d.full.min || s.leaves.full.max != d.full.max) {
+      return tl::unexpected(source_changed().error());
+    }
+    s.leaves.counts.declare(d);
+    return s.file->finish(d, positions_in_source(given, s.plan.options));
+  });
+}
+
+LevelsWriter::Encoder::Encoder(LevelsWriter& writer) : writer_(writer.state_.get()) {}
+LevelsWriter::Encoder::Encoder(Encoder&& other) noexcept = default;
+LevelsWriter::Encoder::~Encoder() = default;
+
+Status LevelsWriter::Encoder::encode(std::uint32_t page, const SplatView& splats) {
+  return status_ = guard_memory([&]() -> Status {
+           const EncodePlan& plan = writer_->plan;
+           if (page >= writer_->pages().size() || splats.n != writer_->pages()[page].count || !splats.consistent() ||
+               splats.sh_degree < plan.header.sh_degree) {
+             return make_error(Errc::bad_argument, Error::kNone, "these are not the Gaussians of this page");
+           }
+           if (!state_) state_ = std::make_unique<State>();
+           State& b = *state_;
+           const lod::Page& p = writer_->pages()[page];
+           const bool leaf = p.level == 0;
+           const int degree = plan.header.sh_degree;
+           b.page = page;
+           b.splats.resize(splats.n);
+           float smallest = std::numeric_limits<float>::infinity(), largest = -smallest;
+           for (std::uint64_t i = 0; i < splats.n; ++i) {
+             Splat& s = b.splats[i] = splats.splat(i);
+             const std::uint32_t defects = find_defects(s, degree);
+             if (defects != 0 && !(leaf && plan.mends && repair(s, defects))) {
+               return leaf ? source_changed() : make_error(Errc::bad_value, i, "a Gaussian of a page cannot be drawn");
+             }
+             for (const float value : s.log_scale) {
+               smallest = std::min(smallest, value);
+               largest = std::max(largest, value);
+             }
+           }
+           if (writer_->archive()) {
+             for (std::uint64_t i = 0; i < splats.n; ++i) {
+               for (float& value : b.splats[i].log_scale) value = std::max(value, -kMaxLogScale);
+               writer_->scene.set(p.first + i, b.splats[i]);
+             }
+             return {};
+           }
+           Header header = plan.header;
+           if (!leaf) {
+             round_means(b.splats, p.error);
+             header.scale_exponent =
+                 static_cast<std::int16_t>(choose_scale_exponent(scale_from_log(smallest), scale_from_log(largest)));
+           }
+           const auto n = static_cast<std::uint32_t>(splats.n);
+           const std::uint64_t n_chunks = chunks_of(n, header.chunk_size);
+           const std::uint64_t n_sets = plan.options.chunk_step_sets ? n_chunks : 1;
+           const PageLayout l = page_layout(n, header.chunk_size, n_sets, degree);
+           b.rows.assign(l.bytes, std::byte{0});
+           std::vector<ShStepSet> sets(n_chunks);
+           ShMagnitudes of_page;
+           if (!plan.options.chunk_step_sets) {
+             for (const Splat& s : b.splats) of_page.add(s.sh, degree);
+           }
+           b.totals = {};
+           ByteWriter entries, steps;
+           for (std::uint64_t chunk = 0; chunk < n_chunks; ++chunk) {
+             const std::uint64_t first = chunk * header.chunk_size;
+             const auto part =
+                 std::span(b.splats).subspan(first, std::min<std::uint64_t>(header.chunk_size, n - first));
+             if (plan.options.chunk_step_sets) {
+               ShMagnitudes magnitudes;
+               for (const Splat& s : part) magnitudes.add(s.sh, degree);
+               sets[chunk] = magnitudes.steps();
+             } else {
+               sets[chunk] = leaf ? plan.file_steps : of_page.steps();
+             }
+             if (chunk < n_sets) write_step_set(steps, sets[chunk]);
+             ChunkEntry entry = encode_rows(part, header, sets[chunk], &b.rows[l.means + first * kMeanBytes],
+                                            &b.rows[l.geometry + first * kGeometryBytes],
+                                            &b.rows[l.sh + first * sh_bytes(degree)], b.totals.counts);
+             if (!std::isfinite(entry.radius)) return source_changed();
+             entry.step_set = n_sets == 1 ? 0 : chunk;
+             write_chunk_entry(entries, entry);
+             b.totals.add({{}, entry.means, false});
+           }
+           std::ranges::copy(entries.bytes(), b.rows.begin() + static_cast<std::ptrdiff_t>(l.chunks));
+           std::ranges::copy(steps.bytes(), b.rows.begin() + static_cast<std::ptrdiff_t>(l.steps));
+           const PageRows rows = page_rows(b.rows, l, n, header.scale_exponent, degree);
+           ExtentBox extent;
+           for (std::uint64_t i = 0; i < n; ++i) {
+             extent.add(extent_of(rows.means.data() + i * kMeanBytes, rows.geometry.data() + i * kGeometryBytes,
+                                  header.scale_exponent));
+           }
+           b.encoded = {b.rows, 0, static_cast<std::uint32_t>(n_sets), header.scale_exponent, {}, extent.box()};
+           if (plan.options.profile == Profile::packed) {
+             if (!b.encoder) b.encoder.emplace(plan.options.level);
+             b.frame =
+                 b.encoder->page(rows.steps, rows.means, rows.geometry, rows.sh, {degree, header.chunk_size, sets});
+             b.encoded.bytes = b.frame;
+           }
+           b.encoded.xxh3 = xxh3(b.encoded.bytes);
+           return {};
+         });
+}
+
+Result<WrittenScene> write_levels(const lod::Levels& levels, const EncodeOptions& options, Sink sink,
+                                  unsigned threads) {
+  return guard_memory([&]() -> Result<WrittenScene> {
+    const SplatView all = levels.splats.view();
+    const auto view = [&all](std::uint64_t first, std::uint64_t count) {
+      const auto values = static_cast<std::uint64_t>(3 * sh_coefficients(all.sh_degree));
+      return SplatView{count,
+                       all.sh_degree,
+                       all.mean.subspan(3 * first, 3 * count),
+                       all.log_scale.subspan(3 * first, 3 * count),
+                       all.rotation.subspan(4 * first, 4 * count),
+                       all.opacity_logit.subspan(first, count),
+                       all.sh.subspan(values * first, values * count)};
+    };
+    std::uint64_t n = 0;
+    for (const lod::Page& page : levels.pages) n += page.count;
+    if (n != all.n || !all.consistent()) {
+      return make_error(Errc::bad_argument, Error::kNone, "the pages' Gaussians are not those of the levels", all.n, n);
+    }
+    SceneScan scan(std::min(all.sh_degree, options.sh_degree), BadPolicy::refuse);
+    for (std::uint64_t i = all.n - levels.n_leaves(); i < all.n; ++i) {
+      Splat s = all.splat(i);
+      scan.add(s);
+    }
+    auto writer = LevelsWriter::create(sink, scan, options, levels.pages, levels.quality_db);
+    if (!writer) return tl::unexpected(writer.error());
+    // A group at a time: its pages are encoded side by side, then written in order.
+    const std::uint64_t group = 8 * std::uint64_t{worker_count(levels.pages.size(), threads)};
+    std::vector<LevelsWriter::Encoder> encoders;
+    for (std::uint64_t i = 0; i < group; ++i) encoders.emplace_back(*writer);
+    for (std::uint64_t first = 0; first < levels.pages.size(); first += group) {
+      const std::uint64_t count = std::min<std::uint64_t>(group, levels.pages.size() - first);
+      const Status encoded = run_jobs(count, threads, [&](unsigned, std::uint64_t i) {
+        const lod::Page& page = writer->pages()[first + i];
+        return encoders[i].encode(static_cast<std::uint32_t>(first + i), view(page.first, page.count));
+      });
+      if (!encoded) return tl::unexpected(encoded.error());
+      for (std::uint64_t i = 0; i < count; ++i) {
+        if (const Status s = writer->add(encoders[i]); !s) return tl::unexpected(s.error());
+      }
+    }
+    return writer->finish();
+  });
+}
+
+}  // namespace rgs

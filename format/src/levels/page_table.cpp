@@ -1,0 +1,310 @@
+// page_table.cpp - section LODS. The order of its checks is that of docs/FORMAT.md "Reading levels safely".
+// SPDX-License-Identifier: Apache-2.0
+#include "levels/page_table.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "file/byte_reader.hpp"
+#include "file/byte_writer.hpp"
+#include "file/chunk_summary.hpp"
+#include "file/layout_io.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+namespace {
+
+// Places of fields in a record.
+constexpr std::uint64_t kOffsetField = 0, kStoredField = 16, kCountField = 20, kParentField = 24, kChildrenField = 28,
+                        kLevelField = 32, kExponentField = 34, kErrorField = 36, kBoundsField = 40, kCornerField = 64,
+                        kStepSetsField = 76, kReservedField = 80;
+
+std::uint64_t field_of(lod::PageField field) {
+  switch (field) {
+    case lod::PageField::count: return kCountField;
+    case lod::PageField::level: return kLevelField;
+    case lod::PageField::parent: return kParentField;
+    case lod::PageField::children: return kChildrenField;
+    case lod::PageField::bounds: return kBoundsField;
+    case lod::PageField::error: break;
+  }
+  return kErrorField;
+}
+
+constexpr std::uint64_t record_at(std::uint64_t section, std::uint64_t page) {
+  return section + kLevelsHeadBytes + page * kPageRecordBytes;
+}
+
+// Everything of a record but where it lies and what it says of other pages.
+Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t page_chunks, lod::Page& page,
+                    StoredPage& stored) {
+  const std::uint64_t at = in.offset();
+  const auto bad = [at](std::uint64_t field, const char* what, std::uint64_t found) {
+    return make_error(Errc::bad_value, at + field, what, Error::kNone, found);
+  };
+  const bool archive = context.pages.codec == static_cast<std::uint32_t>(Codec::archive);
+  stored.offset = in.u64();
+  stored.xxh3 = in.u64();
+  stored.stored_bytes = in.u32();
+  page.count = in.u32();
+  page.parent = in.u32();
+  page.first_child = in.u32();
+  page.level = in.u8();
+  page.n_children = in.u8();
+  stored.scale_exponent = in.i16();
+  page.error = in.f32();
+  for (float& value : page.bounds.min) value = in.f32();
+  for (float& value : page.bounds.max) value = in.f32();
+  for (std::uint32_t& value : stored.corner) value = in.u32();
+  stored.n_step_sets = in.u32();
+  if (!in.zeros(kPageRecordBytes - kReservedField)) {
+    return make_error(Errc::reserved_bits, at + kReservedField, "reserved bytes of a page's record are not zero");
+  }
+  const std::uint64_t most = std::uint64_t{page_chunks} * context.header.chunk_size;
+  if (page.count > most) {
+    return make_error(Errc::bad_value, at + kCountField, "a page has more Gaussians than LODS allows", most,
+                      page.count);
+  }
+  const std::uint64_t n_chunks = chunks_of(page.count, context.header.chunk_size);
+  const bool own_sets = stored.n_step_sets == n_chunks || (stored.n_step_sets == 1 && !archive);
+  if (!own_sets) {
+    return bad(kStepSetsField, "a page has neither one set of SH steps nor one a chunk", stored.n_step_sets);
+  }
+  const int exponent = stored.scale_exponent;
+  const bool leaf_exponent = page.level != 0 || exponent == context.header.scale_exponent;
+  if (exponent < -kMaxScaleExponent || exponent > kMaxScaleExponent || !leaf_exponent) {
+    return make_error(Errc::bad_value, at + kExponentField,
+                      "a page's scale exponent is not between -110 and 110, or a leaf's is not the header's");
+  }
+  for (std::size_t k = 0; k < 3; ++k) {
+    if (stored.corner[k] >= (archive ? 1u << 28 : 1u)) {
+      return bad(kCornerField + 4 * k, "a page's corner is beyond any grid, or its codec has none", stored.corner[k]);
+    }
+  }
+  return {};
+}
+
+// Pages lie one behind the other, and fill their section.
+Status check_places(const PageContext& context, const PageTable& table) {
+  const bool direct = context.pages.codec == static_cast<std::uint32_t>(Codec::none);
+  const std::uint64_t section_end = context.pages.offset + context.pages.stored_bytes;
+  std::uint64_t end = context.pages.offset;
+  for (std::size_t i = 0; i < table.stored.size(); ++i) {
+    const StoredPage& page = table.stored[i];
+    const std::uint64_t at = record_at(context.levels.offset, i);
+    const std::uint64_t start = direct ? align_up(end, kPageAlignment) : end;
+    if (page.offset < start) {
+      return make_error(Errc::section_overlap, at + kOffsetField, "a page overlaps what is before it", start,
+                        page.offset);
+    }
+    if (page.offset > start) {
+      return make_error(Errc::section_gap, at + kOffsetField, "bytes before a page belong to nothing", start,
+                        page.offset);
+    }
+    if (direct) {
+      const std::uint64_t bytes =
+          page_layout(table.pages[i].count, context.header.chunk_size, page.n_step_sets, context.header.sh_degree)
+              .bytes;
+      if (page.stored_bytes != bytes) {
+        return make_error(Errc::size_mismatch, at + kStoredField, "a page's size contradicts its counts", bytes,
+                          page.stored_bytes);
+      }
+    }
+    if (page.offset > section_end || page.stored_bytes > section_end - page.offset) {
+      return make_error(Errc::size_mismatch, at + kStoredField, "a page reaches beyond its section", section_end,
+                        page.stored_bytes);
+    }
+    end = page.offset + page.stored_bytes;
+  }
+  if (end != section_end) {
+    return make_error(Errc::size_mismatch, end, "bytes after the last page", section_end, end);
+  }
+  return {};
+}
+
+Status check_tree(const PageContext& context, PageTable& table) {
+  std::uint64_t first = 0, leaves = 0;
+  for (std::size_t i = 0; i < table.pages.size(); ++i) {
+    lod::Page& page = table.pages[i];
+    const lod::PageFault fault = lod::check_page(table.pages, i, context.header.chunk_size);
+    if (fault.what != nullptr) {
+      return make_error(Errc::bad_value, record_at(context.levels.offset, i) + field_of(fault.field), fault.what);
+    }
+    page.first = first;
+    first += page.count;
+    if (page.level == 0) leaves += page.count;
+  }
+  if (first != table.n_stored) {
+    return make_error(Errc::bad_value, context.levels.offset + 16,
+                      "the pages' Gaussians do not add up to those of LODS", table.n_stored, first);
+  }
+  if (leaves != context.header.n_gaussians) {
+    return make_error(Errc::bad_value, context.levels.offset + 16, "the leaves' Gaussians are not those of the header",
+                      context.header.n_gaussians, leaves);
+  }
+  return {};
+}
+
+}  // namespace
+
+std::vector<std::byte> write_page_table(const PageTable& table) {
+  ByteWriter out;
+  out.u32(static_cast<std::uint32_t>(table.pages.size()));
+  out.u32(table.pages.front().level + 1);
+  out.u32(table.page_chunks);
+  out.u32(0);
+  out.u64(table.n_stored);
+  out.f32(table.quality_db);
+  out.pad_to(kLevelsHeadBytes);
+  for (std::size_t i = 0; i < table.pages.size(); ++i) {
+    const lod::Page& page = table.pages[i];
+    const StoredPage& stored = table.stored[i];
+    out.u64(stored.offset);
+    out.u64(stored.xxh3);
+    out.u32(stored.stored_bytes);
+    out.u32(page.count);
+    out.u32(page.parent);
+    out.u32(page.first_child);
+    out.u8(static_cast<std::uint8_t>(page.level));
+    out.u8(static_cast<std::uint8_t>(page.n_children));
+    out.i16(stored.scale_exponent);
+    out.f32(page.error);
+    for (const float value : page.bounds.min) out.f32(value);
+    for (const float value : page.bounds.max) out.f32(value);
+    for (const std::uint32_t value : stored.corner) out.u32(value);
+    out.u32(stored.n_step_sets);
+    out.zeros(kPageRecordBytes - kReservedField);
+  }
+  return out.take();
+}
+
+Result<PageTable> parse_page_table(std::span<const std::byte> bytes, const PageContext& context,
+                                   const DecodeLimits& limits, std::uint64_t file_bytes) {
+  const std::uint64_t at = context.levels.offset;
+  const Header& h = context.header;
+  ByteReader in(bytes, at);
+  PageTable table;
+  const std::uint32_t n_pages = in.u32(), n_levels = in.u32();
+  table.page_chunks = in.u32();
+  const std::uint32_t reserved = in.u32();
+  table.n_stored = in.u64();
+  table.quality_db = in.f32();
+  const bool zeros = in.zeros(kLevelsHeadBytes - 28);
+  if (!in.ok() || bytes.size() != kLevelsHeadBytes + n_pages * kPageRecordBytes) {
+    return make_error(Errc::size_mismatch, context.levels_entry + 32,
+                      "the size of LODS contradicts its number of pages", kLevelsHeadBytes + n_pages * kPageRecordBytes,
+                      bytes.size());
+  }
+  if (reserved != 0) return make_error(Errc::reserved_bits, at + 12, "a reserved field of LODS is set");
+  if (!zeros) return make_error(Errc::reserved_bits, at + 28, "reserved bytes of LODS are not zero");
+  if (n_pages == 0 || n_pages == lod::kNoPage) {
+    return make_error(Errc::bad_value, at, "the number of pages is not between 1 and 2^32 - 2", Error::kNone, n_pages);
+  }
+  if (n_levels == 0 || n_levels > lod::kMaxLevels) {
+    return make_error(Errc::bad_value, at + 4, "the number of levels is not between 1 and 64", Error::kNone, n_levels);
+  }
+  if (table.page_chunks == 0 || table.page_chunks > lod::kMaxPageChunks ||
+      std::uint64_t{table.page_chunks} * h.chunk_size > lod::kMaxPageRows) {
+    return make_error(Errc::bad_value, at + 8, "pages may have no chunks, or more than 1,024, or than 2^16 Gaussians",
+                      Error::kNone, table.page_chunks);
+  }
+  if (table.n_stored > limits.max_gaussians) {
+    return make_error(Errc::limit_exceeded, at + 16, "more Gaussians than the caller allows", limits.max_gaussians,
+                      table.n_stored);
+  }
+  if (!(table.quality_db >= 0 && std::isfinite(table.quality_db))) {
+    return make_error(Errc::bad_value, at + 24, "the quality that pages promise is negative or not finite");
+  }
+  table.pages.resize(n_pages);
+  table.stored.resize(n_pages);
+  for (std::uint32_t i = 0; i < n_pages; ++i) {
+    if (Status s = parse_record(in, context, table.page_chunks, table.pages[i], table.stored[i]); !s)
+      return tl::unexpected(s.error());
+  }
+  if (Status s = check_places(context, table); !s) return tl::unexpected(s.error());
+  if (Status s = check_tree(context, table); !s) return tl::unexpected(s.error());
+  if (table.pages.front().level + 1 != n_levels) {
+    return make_error(Errc::bad_value, at + 4, "the number of levels is not that of the pages",
+                      table.pages.front().level + 1, n_levels);
+  }
+  if (context.pages.codec != static_cast<std::uint32_t>(Codec::none)) {
+    std::uint64_t decoded = 0;  // at most 2^32 pages of at most 2^24 bytes
+    for (std::uint32_t i = 0; i < n_pages; ++i) {
+      decoded += page_layout(table.pages[i].count, h.chunk_size, table.stored[i].n_step_sets, h.sh_degree).bytes;
+    }
+    if (context.pages.decoded_bytes != decoded) {
+      return make_error(Errc::size_mismatch, context.pages_entry + 32, "a section's size contradicts its pages' counts",
+                        decoded, context.pages.decoded_bytes);
+    }
+    if (decoded > limits.decoded_bytes(file_bytes)) {
+      return make_error(Errc::limit_exceeded, context.pages_entry + 32,
+                        "pages decode to more than the caller allows for a file of this size (max_expansion)",
+                        limits.decoded_bytes(file_bytes), decoded);
+    }
+  }
+  return table;
+}
+
+PageRows page_rows(std::span<const std::byte> out, const PageLayout& l, std::uint32_t n, int scale_exponent,
+                   int sh_degree) {
+  PageRows rows;
+  rows.n = n;
+  rows.scale_exponent = scale_exponent;
+  rows.chunks = out.subspan(l.chunks, l.steps - l.chunks);
+  rows.steps = out.subspan(l.steps, l.means - l.steps);
+  rows.means = out.subspan(l.means, n * kMeanBytes);
+  rows.geometry = out.subspan(l.geometry, n * kGeometryBytes);
+  rows.sh = out.subspan(l.sh, n * sh_bytes(sh_degree));
+  return rows;
+}
+
+void derive_chunks(std::span<std::byte> decoded, const PageLayout& l, std::uint32_t n, std::uint32_t chunk_size,
+                   std::uint64_t n_step_sets, int scale_exponent) {
+  ByteWriter out;
+  ValueCounts counts;
+  for (std::uint64_t first = 0, chunk = 0; first < n; first += chunk_size, ++chunk) {
+    ChunkSummary summary;
+    for (std::uint64_t i = first; i < std::min<std::uint64_t>(n, first + chunk_size); ++i) {
+      float mean[3];
+      std::uint16_t row[8];
+      std::memcpy(mean, decoded.data() + l.means + i * kMeanBytes, sizeof mean);
+      std::memcpy(row, decoded.data() + l.geometry + i * kGeometryBytes, sizeof row);
+      summary.add(mean, row, counts);
+    }
+    ChunkEntry entry = summary.entry(scale_exponent);
+    entry.step_set = n_step_sets == 1 ? 0 : chunk;
+    write_chunk_entry(out, entry);
+  }
+  std::ranges::copy(out.bytes(), decoded.begin() + static_cast<std::ptrdiff_t>(l.chunks));
+}
+
+Extent extent_of(const std::byte* mean, const std::byte* geometry, int scale_exponent) {
+  float position[3];
+  std::uint16_t row[8];
+  std::memcpy(position, mean, sizeof position);
+  std::memcpy(row, geometry, sizeof row);
+  double q[4], squared = 0;
+  for (std::size_t i = 0; i < 4; ++i) {
+    q[i] = static_cast<double>(float_from_half(row[i]));
+    squared += q[i] * q[i];
+  }
+  for (double& value : q) value /= std::sqrt(squared);
+  const double w = q[0], x = q[1], y = q[2], z = q[3];
+  const double r[3][3] = {{1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)},
+                          {2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)},
+                          {2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)}};
+  Extent extent;
+  for (std::size_t k = 0; k < 3; ++k) {
+    double variance = 0;
+    for (std::size_t j = 0; j < 3; ++j) {
+      const double side = r[k][j] * static_cast<double>(dequantize_scale(row[4 + j], scale_exponent));
+      variance += side * side;
+    }
+    extent.mean[k] = static_cast<double>(position[k]);
+    extent.reach[k] = 3 * std::sqrt(variance);
+  }
+  return extent;
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,75 @@
+// page_table.hpp - section LODS: the tree of pages and where they lie, to bytes and back; and how a page lies in memory.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "file/checked.hpp"
+#include "rgs/layout.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::detail {
+
+/// Content of LODS.
+struct PageTable {
+  std::uint32_t page_chunks = 0;
+  std::uint64_t n_stored = 0;
+  float quality_db = 0;
+  std::vector<lod::Page> pages;
+  std::vector<StoredPage> stored;
+};
+
+/// What a page's record is checked against.
+struct PageContext {
+  const Header& header;
+  const SectionEntry& levels;               ///< entry of LODS,
+  const SectionEntry& pages;                ///< and of PAGE
+  std::uint64_t levels_entry, pages_entry;  ///< where these entries are
+};
+
+std::vector<std::byte> write_page_table(const PageTable& table);
+/// `bytes`: the section. Errors: size_mismatch, reserved_bits, bad_value, section_overlap, section_gap, limit_exceeded.
+Result<PageTable> parse_page_table(std::span<const std::byte> bytes, const PageContext& context,
+                                   const DecodeLimits& limits, std::uint64_t file_bytes);
+
+constexpr std::uint64_t chunks_of(std::uint64_t rows, std::uint32_t chunk_size) {
+  return (rows + chunk_size - 1) / chunk_size;
+}
+
+/// Arrays of a decoded page, each at a multiple of 16.
+struct PageLayout {
+  std::uint64_t chunks = 0, steps = 0, means = 0, geometry = 0, sh = 0;  ///< offsets
+  std::uint64_t bytes = 0;
+};
+constexpr PageLayout page_layout(std::uint64_t n, std::uint32_t chunk_size, std::uint64_t n_step_sets, int sh_degree) {
+  const auto next = [](std::uint64_t end) { return align_up(end, kPageArrayAlignment); };
+  PageLayout l;
+  l.steps = chunks_of(n, chunk_size) * kChunkEntryBytes;
+  l.means = l.steps + n_step_sets * kStepSetBytes;
+  l.geometry = next(l.means + n * kMeanBytes);
+  l.sh = l.geometry + n * kGeometryBytes;
+  l.bytes = next(l.sh + n * sh_bytes(sh_degree));
+  return l;
+}
+static_assert(kChunkEntryBytes % kPageArrayAlignment == 0 && kStepSetBytes % kPageArrayAlignment == 0);
+
+/// `out` has the layout's size.
+PageRows page_rows(std::span<const std::byte> out, const PageLayout& layout, std::uint32_t n, int scale_exponent,
+                   int sh_degree);
+
+/// Fills the chunk entries of a coded page, which has none of its own, from its rows of MEAN and GEOM.
+void derive_chunks(std::span<std::byte> decoded, const PageLayout& layout, std::uint32_t n, std::uint32_t chunk_size,
+                   std::uint64_t n_step_sets, int scale_exponent);
+
+/// Bounds of a Gaussian's mean and of its extent of 3 standard deviations on each axis, in binary64, from stored rows.
+struct Extent {
+  double mean[3], reach[3];
+};
+Extent extent_of(const std::byte* mean, const std::byte* geometry, int scale_exponent);
+
+}  // namespace rgs::detail

@@ -1,0 +1,170 @@
+// convert_levels_test.cpp - rgs-convert of files with levels of detail: leaves, a level, a cut, a missing end.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <array>
+#include <filesystem>
+#include <fstream>
+
+#include "convert_scenes.hpp"
+#include "edit_file.hpp"
+#include "interchange_samples.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
+#include "run_program.hpp"
+#include "temporary_folder.hpp"
+#include "trivial_levels.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+ProgramResult rgs_convert(std::vector<std::string> arguments) {
+  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync", "--overwrite"});
+  return run_program(arguments);
+}
+
+std::string write_file(const std::string& path, const Bytes& bytes) {
+  std::ofstream(path, std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+  return path;
+}
+
+// What was converted to `plain`, with levels.
+Bytes with_levels(const std::string& plain, Profile profile) {
+  const Bytes bytes = read_bytes(plain);
+  const auto view = FileView::open(bytes);
+  REQUIRE(view);
+  EncodeOptions options = keep_declarations({}, view->declarations());
+  options.provenance = view->provenance();
+  options.profile = profile;
+  options.chunk_size = view->header().chunk_size;
+  std::vector<std::uint32_t> positions;
+  if (view->find(SectionType::permutation) != nullptr) {
+    for (std::uint64_t i = 0; i < view->header().n_gaussians; ++i) {
+      positions.push_back(static_cast<std::uint32_t>(view->source_index(i)));
+    }
+    options.keep_permutation = true;
+    options.source_index = positions;
+  }
+  Bytes levels;
+  const lod::Levels tree =
+      trivial_levels(decode(bytes).value(), {.chunk_size = view->header().chunk_size, .page_chunks = 2});
+  REQUIRE(write_levels(tree, options, levels));
+  return levels;
+}
+
+std::uint64_t size_of(const std::string& path) {
+  const auto file = read_splats(path);
+  REQUIRE(file);
+  return file->cloud.size();
+}
+
+}  // namespace
+
+TEST_CASE("leaving levels away gives the bytes of the conversion without them") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(3000, 3, 1);
+  cloud.opacity_logit[5] = std::numeric_limits<float>::quiet_NaN();  // is dropped
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), plain = folder.file("plain.rgs"),
+                    back = folder.file("back.rgs");
+  for (const auto& [name, profile] : {std::pair("direct", Profile::direct), std::pair("packed", Profile::packed)}) {
+    for (const bool positions : {false, true}) {
+      CAPTURE(name);
+      CAPTURE(positions);
+      std::vector<std::string> options{"--profile", name, "--chunk-size", "64"};
+      if (positions) options.emplace_back("--keep-permutation");
+      const auto convert = [&](const std::string& from, const std::string& to) {
+        std::vector<std::string> arguments = options;
+        arguments.insert(arguments.end(), {from, to});
+        return rgs_convert(arguments);
+      };
+      REQUIRE(convert(ply, plain).exit_code == 0);
+      const std::string levels = write_file(folder.file("levels.rgs"), with_levels(plain, profile));
+      const ProgramResult run = convert(levels, back);
+      CAPTURE(run.err);
+      REQUIRE(run.exit_code == 0);
+      CHECK(read_bytes(back) == read_bytes(plain));
+      // The same asked for by its number, and another format.
+      REQUIRE(rgs_convert({"--level-of-detail", "0", levels, folder.file("levels.ply")}).exit_code == 0);
+      REQUIRE(rgs_convert({plain, folder.file("plain.ply")}).exit_code == 0);
+      CHECK(read_bytes(folder.file("levels.ply")) == read_bytes(folder.file("plain.ply")));
+      // What changes the scene is told.
+      REQUIRE(convert(plain, folder.file("again.rgs")).exit_code == 0);
+      std::vector<std::string> moved = options;
+      moved.insert(moved.end(), {"--translate", "1,0,0", levels, back});
+      REQUIRE(rgs_convert(moved).exit_code == 0);
+      const Bytes bytes = read_bytes(back);
+      CHECK(FileView::open(bytes)->provenance()->tool.find(" from levels.rgs") != std::string::npos);
+    }
+  }
+}
+
+TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any format") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 2)),
+                    plain = folder.file("plain.rgs");
+  REQUIRE(rgs_convert({"--profile", "direct", "--chunk-size", "64", ply, plain}).exit_code == 0);
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    const Bytes bytes = with_levels(plain, profile);
+    const std::string levels = write_file(folder.file("levels.rgs"), bytes);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    REQUIRE(file->n_levels() == 4);
+    for (std::uint32_t level = 0; level < file->n_levels(); ++level) {
+      CAPTURE(level);
+      std::uint64_t expected = 0;
+      for (const lod::Page& page : file->pages()) expected += page.level == level ? page.count : 0;
+      for (const char* ending : {"ply", "rgs", "splat", "spz"}) {
+        const std::string out = folder.file(std::string("out.") + ending);
+        const ProgramResult run = rgs_convert({"--level-of-detail", std::to_string(level), levels, out});
+        CAPTURE(run.err);
+        REQUIRE(run.exit_code == 0);
+        CHECK(size_of(out) == expected);
+      }
+    }
+    const std::string out = folder.file("cut.ply");
+    std::uint64_t before = 0;
+    for (const std::uint64_t count : {60u, 200u, 1000u, 2999u, 3000u, 100000u}) {
+      REQUIRE(rgs_convert({"--max-count", std::to_string(count), levels, out}).exit_code == 0);
+      const std::uint64_t n = size_of(out);
+      CHECK(n <= count);
+      CHECK(n >= before);
+      before = n;
+    }
+    CHECK(before == 3000);
+    const ProgramResult none = rgs_convert({"--max-count", "10", levels, out});
+    CHECK(none.exit_code == 2);
+    CHECK(none.err.find("coarsest level") != std::string::npos);
+    CHECK(rgs_convert({"--level-of-detail", "4", levels, out}).exit_code == 2);
+  }
+  CHECK(rgs_convert({"--level-of-detail", "0", plain, folder.file("no.ply")}).exit_code == 2);
+  CHECK(rgs_convert({"--level-of-detail", "1", ply, folder.file("no.rgs")}).exit_code == 2);
+  CHECK_FALSE(std::filesystem::exists(folder.file("no.ply")));
+}
+
+TEST_CASE("of a file whose end is missing only levels that are there are converted") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 3)),
+                    plain = folder.file("plain.rgs"), out = folder.file("out.ply");
+  REQUIRE(rgs_convert({"--profile", "direct", "--chunk-size", "64", ply, plain}).exit_code == 0);
+  Bytes bytes = with_levels(plain, Profile::packed);
+  const auto whole = PagedFile::open(bytes);
+  REQUIRE(whole);
+  const std::uint32_t first_leaf = lod::pages_of_level(whole->pages(), 0).front();
+  const Bytes beginning(bytes.begin(),
+                        bytes.begin() + static_cast<std::ptrdiff_t>(whole->stored(first_leaf).offset + 1));
+  const std::string part = write_file(folder.file("part.rgs"), beginning);
+  const ProgramResult leaves = rgs_convert({part, out});
+  CHECK(leaves.exit_code == 6);
+  CHECK(leaves.err.find("pages_missing") != std::string::npos);
+  CHECK_FALSE(std::filesystem::exists(out));
+  REQUIRE(rgs_convert({"--level-of-detail", "1", part, out}).exit_code == 0);
+  // A cut takes what is there.
+  REQUIRE(rgs_convert({"--max-count", "2000", part, out}).exit_code == 0);
+  CHECK(size_of(out) <= 2000);
+  bytes.resize(300);
+  const ProgramResult head = rgs_convert({write_file(folder.file("head.rgs"), bytes), out});
+  CHECK(head.exit_code == 4);
+}

@@ -1,0 +1,500 @@
+// levels_test.cpp - files with levels of detail: written, read a page at a time, cut, incomplete and damaged.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <set>
+
+#include "edit_file.hpp"
+#include "golden_levels.hpp"
+#include "random_cloud.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+Result<PageRows> decode_page(const PagedFile& file, std::uint32_t page, Bytes& memory) {
+  memory.assign(file.decoded_bytes(page), std::byte{0xA5});
+  return PageDecoder(file).decode(page, file.bytes(page), memory);
+}
+
+std::vector<Splat> splats_of(const PagedFile& file, std::uint32_t page) {
+  Bytes memory;
+  const auto rows = decode_page(file, page, memory);
+  REQUIRE(rows);
+  std::vector<Splat> splats(rows->n);
+  REQUIRE(read_page(file, page, *rows, 0, splats));
+  return splats;
+}
+
+SplatView part(const SplatView& all, std::uint64_t first, std::uint64_t n) {
+  const auto values = static_cast<std::uint64_t>(3 * sh_coefficients(all.sh_degree));
+  return {n,
+          all.sh_degree,
+          all.mean.subspan(3 * first, 3 * n),
+          all.log_scale.subspan(3 * first, 3 * n),
+          all.rotation.subspan(4 * first, 4 * n),
+          all.opacity_logit.subspan(first, n),
+          all.sh.subspan(values * first, values * n)};
+}
+
+// Every leaf has exactly one page of the cut on its way to the root.
+void check_replaces_leaves(const std::vector<lod::Page>& pages, const std::vector<std::uint32_t>& cut) {
+  const std::set<std::uint32_t> drawn(cut.begin(), cut.end());
+  REQUIRE(drawn.size() == cut.size());
+  for (std::uint32_t i = 0; i < pages.size(); ++i) {
+    if (pages[i].level != 0) continue;
+    int found = 0;
+    for (std::uint32_t p = i; p != lod::kNoPage; p = pages[p].parent) found += drawn.count(p) == 1 ? 1 : 0;
+    CHECK(found == 1);
+  }
+}
+
+std::uint64_t count_of(const std::vector<lod::Page>& pages, const std::vector<std::uint32_t>& cut) {
+  std::uint64_t n = 0;
+  for (const std::uint32_t i : cut) n += pages[i].count;
+  return n;
+}
+
+}  // namespace
+
+TEST_CASE("leaves of a file with levels are the file without, byte for byte") {
+  for (const GoldenLevels& scene : all_golden_levels()) {
+    if (scene.options.profile == Profile::archive || !scene.options.chunk_step_sets) continue;
+    CAPTURE(scene.name);
+    const Bytes bytes = encode_levels(scene);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    const auto plain = leaves_as_file(*file);
+    REQUIRE(plain);
+    EncodeOptions direct = scene.options;
+    direct.profile = Profile::direct;
+    CHECK(*plain == encode(scene.leaves.view(), direct).value());
+    const auto cloud = decode(bytes), again = decode(*plain);
+    REQUIRE(cloud);
+    REQUIRE(again);
+    CHECK(cloud->mean == again->mean);
+    CHECK(cloud->log_scale == again->log_scale);
+    CHECK(cloud->rotation == again->rotation);
+    CHECK(cloud->opacity_logit == again->opacity_logit);
+    CHECK(cloud->sh == again->sh);
+  }
+}
+
+TEST_CASE("leaves that share one set of steps decode to the values of the file without levels") {
+  GoldenLevels scene = golden_levels("", Profile::packed, 200, 2, 40);
+  scene.options.chunk_step_sets = false;
+  const Bytes bytes = encode_levels(scene);
+  const auto levels = decode(bytes), plain = decode(encode(scene.leaves.view(), scene.options).value());
+  REQUIRE(levels);
+  REQUIRE(plain);
+  CHECK(levels->sh == plain->sh);
+  CHECK(levels->log_scale == plain->log_scale);
+}
+
+TEST_CASE("every page holds the Gaussians that it was written from, as finely as they are stored") {
+  for (const GoldenLevels& scene : all_golden_levels()) {
+    if (scene.options.profile == Profile::archive) continue;
+    CAPTURE(scene.name);
+    const Bytes bytes = encode_levels(scene);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    REQUIRE(validate(*file));
+    REQUIRE(file->n_pages() == scene.levels.pages.size());
+    CHECK(file->n_stored() == scene.levels.splats.size());
+    CHECK(file->quality_db() == scene.levels.quality_db);
+    for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
+      CAPTURE(i);
+      const lod::Page& page = file->pages()[i];
+      CHECK(page.error == scene.levels.pages[i].error);
+      CHECK(page.first == scene.levels.pages[i].first);
+      const std::vector<Splat> splats = splats_of(*file, i);
+      REQUIRE(splats.size() == page.count);
+      for (std::size_t k = 0; k < splats.size(); ++k) {
+        const Splat source = scene.levels.splats.view().splat(page.first + k);
+        for (int j = 0; j < 3; ++j) {
+          CHECK(std::abs(splats[k].mean[j] - source.mean[j]) <= page.error / 512);
+          CHECK(std::abs(splats[k].log_scale[j] - source.log_scale[j]) <= 0x1p-10);
+        }
+        // Golden values are at most 2, so that a step is at most 2 / 127.
+        for (int j = 0; j < 3 * sh_coefficients(scene.leaves.sh_degree); ++j) {
+          CHECK(std::abs(splats[k].sh[j] - source.sh[j]) <= 1.0001f / 127);
+        }
+      }
+    }
+  }
+}
+
+TEST_CASE("pages of an archive keep the bounds that it states, on all levels") {
+  const GoldenLevels scene = golden_levels("", Profile::archive, 700, 3, 41, 3);
+  const Bytes bytes = encode_levels(scene);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  REQUIRE(validate(*file));
+  REQUIRE(file->head().archive() != nullptr);
+  const ArchiveParameters& p = *file->head().archive();
+  CHECK(file->n_levels() == 3);
+  for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
+    const lod::Page& page = file->pages()[i];
+    const std::vector<Splat> splats = splats_of(*file, i);
+    // Draco orders within a page: each decoded mean is found among the sources by the grid.
+    std::multiset<std::array<float, 3>> expected, found;
+    for (std::uint64_t k = page.first; k < page.first + page.count; ++k) {
+      expected.insert(archive_mean(p, scene.levels.splats.view().splat(k).mean));
+    }
+    for (const Splat& s : splats) found.insert({s.mean[0], s.mean[1], s.mean[2]});
+    CHECK(found == expected);
+  }
+  // Positions are those of the leaves.
+  const SplatView leaves = scene.leaves.view();
+  const std::vector<std::uint32_t> pages = lod::pages_of_level(file->pages(), 0);
+  const auto cloud = read_pages(*file, pages);
+  REQUIRE(cloud);
+  for (std::uint64_t i = 0; i < leaves.n; ++i) {
+    const Splat source = leaves.splat(file->source_index(i)), stored = cloud->view().splat(i);
+    const auto mean = archive_mean(p, source.mean);
+    CHECK(std::ranges::equal(mean, stored.mean));
+  }
+}
+
+TEST_CASE("the bytes do not depend on threads") {
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    GoldenLevels scene = golden_levels("", profile, 3000, 2, 42);
+    Bytes one, two;
+    scene.options.archive.threads = 1;
+    REQUIRE(write_levels(scene.levels, scene.options, one, 1));
+    scene.options.archive.threads = 2;
+    REQUIRE(write_levels(scene.levels, scene.options, two, 2));
+    CHECK(one == two);
+  }
+}
+
+TEST_CASE("whatever is sound can be written with levels, and is valid") {
+  for (std::uint64_t seed = 0; seed < 60; ++seed) {
+    CAPTURE(seed);
+    SplitMix random(seed);
+    const SplatCloud cloud = random_cloud(1 + random.below(500), static_cast<int>(random.below(4)), random);
+    const lod::Levels levels = trivial_levels(cloud, {.chunk_size = 32, .page_chunks = 2});
+    for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+      EncodeOptions options;
+      options.profile = profile;
+      options.chunk_size = 32;
+      options.order = profile == Profile::archive ? Order::morton : Order::input;
+      options.chunk_step_sets = profile == Profile::archive || seed % 2 == 0;
+      Bytes bytes;
+      const auto written = write_levels(levels, options, bytes);
+      if (!written) {  // values that archive has no codes for
+        CHECK(profile == Profile::archive);
+        CHECK(written.error().code == Errc::bad_value);
+        continue;
+      }
+      const auto file = PagedFile::open(bytes);
+      REQUIRE(file);
+      const Status valid = validate(*file);
+      CHECK_MESSAGE(valid, (valid ? "" : valid.error().what));
+    }
+  }
+}
+
+TEST_CASE("packed pages cost little more than a packed file of the same Gaussians") {
+  // Noise compresses to nothing that pages could lose: what is left is what a page costs by itself.
+  const SplatCloud cloud = golden_cloud(40000, 3, 5);
+  EncodeOptions options;
+  options.profile = Profile::packed;
+  options.order = Order::input;
+  const auto plain = encode(cloud.view(), options);
+  REQUIRE(plain);
+  Bytes levels;
+  const lod::Levels tree = trivial_levels(cloud);
+  REQUIRE(write_levels(tree, options, levels));
+  const double share = static_cast<double>(tree.splats.size()) / static_cast<double>(cloud.size());
+  CHECK(static_cast<double>(levels.size()) < 1.02 * share * static_cast<double>(plain->size()));
+}
+
+TEST_CASE("every beginning of a file that holds its root is a scene, and says what is missing") {
+  for (const GoldenLevels& scene : all_golden_levels()) {
+    CAPTURE(scene.name);
+    const Bytes whole = encode_levels(scene);
+    const std::uint64_t first_page = section_of(whole, "PAGE");
+    const auto complete = PagedFile::open(whole);
+    REQUIRE(complete);
+    CHECK(complete->complete());
+    CHECK(complete->finest_present() == 0);
+    std::uint32_t before = 0;
+    for (std::uint64_t size = 0; size < whole.size(); size += size < first_page + 64 ? 1 : 37) {
+      const Bytes bytes(whole.begin(), whole.begin() + static_cast<std::ptrdiff_t>(size));  // of exact size
+      CAPTURE(size);
+      const auto file = PagedFile::open(bytes);
+      REQUIRE_FALSE(FileView::open(bytes));
+      if (!file) {
+        CHECK(file.error().code == Errc::truncated);
+        CHECK(file.error().offset == size);
+        CHECK(size < first_page);
+        continue;
+      }
+      CHECK_FALSE(file->complete());
+      REQUIRE(validate(*file));
+      const std::uint32_t n = file->n_present();
+      CHECK(n >= before);
+      before = n;
+      for (std::uint32_t i = 0; i < n; ++i) {
+        CHECK(file->stored(i).offset + file->stored(i).stored_bytes <= size);
+      }
+      if (n < file->n_pages()) CHECK(file->stored(n).offset + file->stored(n).stored_bytes > size);
+      const std::uint32_t finest = file->finest_present();
+      CHECK((finest < file->n_levels()) == (n != 0));
+      if (finest < file->n_levels()) CHECK(read_pages(*file, lod::pages_of_level(file->pages(), finest)));
+      if (finest > 0) {
+        const auto missing = read_pages(*file, lod::pages_of_level(file->pages(), finest - 1));
+        REQUIRE_FALSE(missing);
+        CHECK(missing.error().code == Errc::pages_missing);
+        CHECK(missing.error().offset == size);
+      }
+      for (const auto& refused : {leaves_as_file(*file)}) {
+        REQUIRE_FALSE(refused);
+        CHECK(refused.error().code == Errc::pages_missing);
+      }
+      CHECK(decode(bytes).error().code == Errc::pages_missing);
+    }
+    CHECK(before == complete->n_pages());
+  }
+}
+
+TEST_CASE("every single-byte change of a file with levels is an error or a valid decode") {
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    const GoldenLevels scene = golden_levels("", profile, 70, 0, 43, 1);
+    const Bytes sound = encode_levels(scene);
+    std::size_t n_errors = 0, n_valid = 0;
+    for (std::size_t i = 0; i < sound.size(); ++i) {
+      for (const unsigned flip : {1u, 0x80u}) {
+        Bytes bytes = sound;
+        bytes[i] ^= static_cast<std::byte>(flip);
+        const auto as_it_is = decode(bytes);
+        CHECK_FALSE(as_it_is);
+        fix_hashes(bytes);
+        if (const auto fixed = decode(bytes)) {
+          ++n_valid;
+          CHECK(fixed->view().consistent());
+        } else {
+          ++n_errors;
+          CHECK(fixed.error().offset <= bytes.size());
+        }
+      }
+    }
+    CHECK(n_errors > 200);
+    CHECK(n_valid > 100);
+  }
+}
+
+TEST_CASE("a page is decoded from bytes that come from anywhere, and from no others") {
+  const GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 44);
+  const Bytes bytes = encode_levels(scene);
+  // A client that has fetched the head alone.
+  const Bytes head(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(section_of(bytes, "PAGE")));
+  const auto file = PagedFile::open(head);
+  REQUIRE(file);
+  CHECK(file->n_present() == 0);
+  PageDecoder decoder(*file);
+  Bytes memory(file->largest_decoded_bytes());
+  const auto stored = [&](std::uint32_t page) {
+    return std::span<const std::byte>(bytes).subspan(file->stored(page).offset, file->stored(page).stored_bytes);
+  };
+  for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
+    const auto out = std::span(memory).first(file->decoded_bytes(i));
+    const auto rows = decoder.decode(i, stored(i), out);
+    REQUIRE(rows);
+    CHECK(check_page_values(*file, i, *rows));
+  }
+  const auto out = std::span(memory).first(file->decoded_bytes(1));
+  CHECK(decoder.decode(1, stored(2), out).error().offset == file->stored(1).offset);
+  CHECK(decoder.decode(1, stored(1).first(stored(1).size() - 1), out).error().code == Errc::size_mismatch);
+  Bytes damaged(stored(1).begin(), stored(1).end());
+  damaged[damaged.size() / 2] ^= std::byte{1};
+  const auto refused = decoder.decode(1, damaged, out);
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::checksum_mismatch);
+  CHECK(refused.error().offset == file->stored(1).offset);
+}
+
+TEST_CASE("boxes of pages hold what is stored below them, whatever the tree said") {
+  for (const Profile profile : {Profile::direct, Profile::archive}) {
+    GoldenLevels scene = golden_levels("", profile, 300, 1, 45);
+    const Bytes bytes = encode_levels(scene);  // whose boxes hold means alone
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    REQUIRE(validate(*file));
+    for (std::uint32_t i = 0; i < file->n_pages(); ++i) {
+      const lod::Page& page = file->pages()[i];
+      for (const Splat& s : splats_of(*file, i)) {
+        for (std::uint32_t p = i; p != lod::kNoPage; p = file->pages()[p].parent) {
+          for (std::size_t k = 0; k < 3; ++k) {
+            CHECK(s.mean[k] > file->pages()[p].bounds.min[k]);
+            CHECK(s.mean[k] < file->pages()[p].bounds.max[k]);
+          }
+        }
+      }
+      for (std::size_t k = 0; k < 3; ++k) {
+        CHECK(page.bounds.max[k] - page.bounds.min[k] >
+              scene.levels.pages[i].bounds.max[k] - scene.levels.pages[i].bounds.min[k]);
+      }
+    }
+  }
+}
+
+TEST_CASE("cuts replace every leaf once, and the finest is the finest") {
+  const SplatCloud cloud = golden_cloud(5000, 0, 6);
+  lod::Levels levels = trivial_levels(cloud, {.chunk_size = 32, .page_chunks = 2});
+  // Errors that differ from page to page, so that cuts run through the levels.
+  SplitMix random(7);
+  for (std::size_t i = levels.pages.size(); i-- > 1;) {
+    lod::Page& parent = levels.pages[levels.pages[i].parent];
+    parent.error = std::max(parent.error, levels.pages[i].error + random.dyadic(1, 3));
+  }
+  REQUIRE(lod::check_pages(levels.pages, 32));
+  for (std::uint32_t level = 0; level < levels.pages[0].level + 1; ++level) {
+    check_replaces_leaves(levels.pages, lod::pages_of_level(levels.pages, level));
+  }
+  const std::uint64_t root = levels.pages[0].count;
+  for (const std::uint64_t max : {root, root + 1, std::uint64_t{200}, std::uint64_t{500}, std::uint64_t{1300},
+                                  std::uint64_t{4999}, std::uint64_t{5000}, std::uint64_t{1} << 40}) {
+    CAPTURE(max);
+    const std::vector<std::uint32_t> cut = lod::finest_cut(levels.pages, max);
+    check_replaces_leaves(levels.pages, cut);
+    CHECK(count_of(levels.pages, cut) <= max);
+    // Of all thresholds of error: none below gives a cut that fits.
+    float largest = 0;
+    for (const std::uint32_t i : cut) largest = std::max(largest, levels.pages[i].error);
+    for (const lod::Page& p : levels.pages) {
+      if (p.error >= largest) continue;
+      std::vector<std::uint32_t> finer;
+      for (std::uint32_t i = 0; i < levels.pages.size(); ++i) {
+        const lod::Page& page = levels.pages[i];
+        const bool shown = page.parent == lod::kNoPage || levels.pages[page.parent].error > p.error;
+        if (page.error <= p.error && shown) finer.push_back(i);
+      }
+      CHECK(count_of(levels.pages, finer) > max);
+    }
+    // In the order of the leaves.
+    std::uint64_t leaf = 0;
+    for (const std::uint32_t i : cut) {
+      std::uint32_t first = i;
+      while (levels.pages[first].n_children != 0) first = levels.pages[first].first_child;
+      CHECK(levels.pages[first].first >= leaf);
+      leaf = levels.pages[first].first;
+    }
+  }
+  CHECK(lod::finest_cut(levels.pages, root - 1).empty());
+  CHECK(lod::finest_cut(levels.pages, ~std::uint64_t{0}, 1) == std::vector<std::uint32_t>{0});
+  const auto first_two = lod::finest_cut(levels.pages, ~std::uint64_t{0}, levels.pages[0].n_children + 1);
+  CHECK(first_two.size() == levels.pages[0].n_children);
+}
+
+TEST_CASE("the writer refuses what is no tree, and pages that are not the next") {
+  const GoldenLevels scene = golden_levels("", Profile::direct, 300, 1, 46);
+  const auto refused = [&](auto change, const EncodeOptions& options) {
+    lod::Levels levels = scene.levels;
+    change(levels);
+    Bytes bytes;
+    const auto written = write_levels(levels, options, bytes);
+    return written ? Errc::internal : written.error().code;
+  };
+  const auto nothing = [](lod::Levels&) {};
+  const EncodeOptions& options = scene.options;
+  CHECK(refused([](lod::Levels& l) { l.pages[1].error = l.pages[0].error; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.pages[3].error = 1e-9f; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.pages[2].parent = 1; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.pages[1].bounds.max[0] = 1e9f; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.pages.pop_back(); }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.pages[3].count -= 1, l.pages[4].count += 1; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.quality_db = -1; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l = {}; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.splats.mean[1] = std::numeric_limits<float>::quiet_NaN(); }, options) ==
+        Errc::bad_value);
+  EncodeOptions archive = options;
+  archive.profile = Profile::archive;
+  archive.order = Order::morton;
+  archive.chunk_step_sets = false;
+  CHECK(refused(nothing, archive) == Errc::bad_argument);
+
+  SceneScan scan(1);
+  for (std::uint64_t i = 0; i < scene.leaves.size(); ++i) {
+    Splat s = scene.leaves.view().splat(i);
+    scan.add(s);
+  }
+  Bytes bytes;
+  const SplatView all = scene.levels.splats.view();
+  const auto page_of = [&](std::uint32_t i) {
+    return part(all, scene.levels.pages[i].first, scene.levels.pages[i].count);
+  };
+  {
+    auto writer = LevelsWriter::create(bytes, scan, options, scene.levels.pages);
+    REQUIRE(writer);
+    LevelsWriter::Encoder encoder(*writer);
+    CHECK(encoder.encode(1, page_of(0)).error().code == Errc::bad_argument);
+    REQUIRE(encoder.encode(1, page_of(1)));
+    CHECK(writer->add(encoder).error().code == Errc::bad_argument);  // page 0 is next
+    REQUIRE(encoder.encode(0, page_of(0)));
+    CHECK(writer->add(encoder).error().code == Errc::bad_argument);  // nothing follows an error
+    CHECK(writer->finish().error().code == Errc::bad_argument);
+  }
+  {
+    auto writer = LevelsWriter::create(bytes, scan, options, scene.levels.pages);
+    REQUIRE(writer);
+    LevelsWriter::Encoder encoder(*writer);
+    for (std::uint32_t i = 0; i + 1 < scene.levels.pages.size(); ++i) {
+      REQUIRE(encoder.encode(i, page_of(i)));
+      REQUIRE(writer->add(encoder));
+    }
+    CHECK(writer->finish().error().code == Errc::bad_argument);  // one page is missing
+  }
+  {
+    auto writer = LevelsWriter::create(bytes, scan, options, scene.levels.pages);
+    REQUIRE(writer);
+    LevelsWriter::Encoder encoder(*writer);
+    SplatCloud moved = scene.levels.splats;
+    for (float& x : moved.mean) x += 1;
+    for (std::uint32_t i = 0; i < scene.levels.pages.size(); ++i) {
+      REQUIRE(encoder.encode(i, part(moved.view(), scene.levels.pages[i].first, scene.levels.pages[i].count)));
+      REQUIRE(writer->add(encoder));
+    }
+    CHECK(writer->finish().error().code == Errc::read_failed);  // not the leaves that were scanned
+  }
+}
+
+TEST_CASE("limits count the Gaussians of all levels, and what pages decode to") {
+  const GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 47);
+  const Bytes bytes = encode_levels(scene);
+  DecodeLimits limits;
+  limits.max_gaussians = scene.levels.splats.size();
+  CHECK(PagedFile::open(bytes, limits));
+  --limits.max_gaussians;
+  CHECK(PagedFile::open(bytes, limits).error().code == Errc::limit_exceeded);
+  limits = {};
+  limits.max_decoded_bytes = 10'000;
+  const auto refused = PagedFile::open(bytes, limits);
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::limit_exceeded);
+  CHECK(refused.error().offset == entry_of(bytes, "PAGE") + 32);
+}
+
+TEST_CASE("readers of one kind of file say what the other is") {
+  const GoldenLevels scene = golden_levels("", Profile::direct, 100, 1, 48);
+  const Bytes levels = encode_levels(scene), plain = encode(scene.leaves.view(), scene.options).value();
+  CHECK(has_levels(levels));
+  CHECK_FALSE(has_levels(plain));
+  CHECK_FALSE(has_levels({}));
+  CHECK_FALSE(has_levels(std::span(levels).first(130)));
+  const auto view = FileView::open(levels);
+  REQUIRE_FALSE(view);
+  CHECK(view.error().code == Errc::unsupported_feature);
+  CHECK(view.error().offset == entry_of(levels, "LODS"));
+  const auto file = PagedFile::open(plain);
+  REQUIRE_FALSE(file);
+  CHECK(file.error().code == Errc::missing_section);
+}

@@ -1,0 +1,64 @@
+// golden_levels.hpp - the golden files with levels of detail.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "golden_scenes.hpp"
+#include "rgs/levels_writer.hpp"
+#include "trivial_levels.hpp"
+
+namespace rgs::test {
+
+struct GoldenLevels {
+  std::string name;   ///< tests/golden/NAME.rgs
+  SplatCloud leaves;  ///< in the order of the file
+  lod::Levels levels;
+  EncodeOptions options;
+};
+
+/// Pages of a few chunks of 32, so that few Gaussians have three levels.
+inline GoldenLevels golden_levels(const std::string& name, Profile profile, std::uint64_t n, int sh_degree,
+                                  std::uint64_t seed, std::uint32_t page_chunks = 2) {
+  GoldenLevels scene{name, golden_cloud(n, sh_degree, seed), {}, golden_options()};
+  scene.levels = trivial_levels(scene.leaves, {.chunk_size = 32, .page_chunks = page_chunks});
+  scene.options.profile = profile;
+  scene.options.chunk_size = 32;
+  scene.options.order = profile == Profile::archive ? Order::morton : Order::input;
+  scene.options.keep_permutation = true;
+  scene.options.provenance = Provenance{1234, 0x0123456789ABCDEFu, "garden.ply", "golden 1"};
+  scene.options.archive.mean_cells = 12;
+  scene.options.archive.sh_step = 0.0625f;
+  scene.options.archive.dc_step = 0.125f;
+  scene.options.archive.rotation_step = 0.03125f;
+  scene.options.archive.scale_step = 0.125f;
+  scene.options.archive.opacity_levels = 50;
+  scene.options.archive.slope = 0.5f;
+  return scene;
+}
+
+inline std::vector<GoldenLevels> all_golden_levels() {
+  std::vector<GoldenLevels> scenes;
+  scenes.push_back(golden_levels("levels_direct", Profile::direct, 300, 1, 31));
+  scenes.back().levels.quality_db = 40.f;
+  scenes.push_back(
+      golden_levels("levels_shared", Profile::direct, 40, 0, 32));  // one page, one set of steps for the file
+  scenes.back().options.chunk_step_sets = false;
+  scenes.back().options.origin = {4e6, 1e5, -0.1};
+  scenes.push_back(golden_levels("levels_packed", Profile::packed, 300, 2, 33));
+  scenes.push_back(golden_levels("levels_archive", Profile::archive, 300, 1, 34));
+  return scenes;
+}
+
+/// The scene's bytes; none if it cannot be written.
+inline std::vector<std::byte> encode_levels(const GoldenLevels& scene) {
+  std::vector<std::byte> bytes;
+  const auto written = write_levels(scene.levels, scene.options, bytes, 1);
+  if (!written) bytes.clear();
+  return bytes;
+}
+
+}  // namespace rgs::test
