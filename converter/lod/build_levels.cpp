@@ -1,0 +1,267 @@
+// build_levels.cpp - the tree of pages: leaves cut from the order, groups of neighbours simplified, level by level.
+// SPDX-License-Identifier: Apache-2.0
+#include "build_levels.hpp"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+#include <tbb/partitioner.h>
+
+#include <algorithm>
+#include <cassert>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "gaussians.hpp"
+#include "rgs/math/covariance.hpp"
+
+namespace rgs::lod {
+namespace {
+
+// Stored scales and rotations are rounded to FP16 after this; bounds hold them too.
+constexpr float kRoundingMargin = 1.004F;
+constexpr float kBoundSigmas = 3;
+// A page's error over the largest of its children.
+constexpr float kErrorGrowth = 1.01F;
+constexpr float kMostError = 1e30F;
+// A run of boxes has a gap where the box around it is longer than this many of their lengths together.
+constexpr float kGap = 2;
+// A box of so many times the length of another is not in its company: floaters.
+constexpr float kUnlike = 12;
+
+Box empty_box() {
+  constexpr float kMost = std::numeric_limits<float>::max();
+  return {{kMost, kMost, kMost}, {-kMost, -kMost, -kMost}};
+}
+
+void add(Box& box, const Box& other) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    box.min[k] = std::min(box.min[k], other.min[k]);
+    box.max[k] = std::max(box.max[k], other.max[k]);
+  }
+}
+
+float length(const Box& box) {
+  float total = 0;
+  for (std::size_t k = 0; k < 3; ++k) total += (box.max[k] - box.min[k]) * (box.max[k] - box.min[k]);
+  return std::sqrt(total);
+}
+
+Box bounds_of(const SplatView& splats, std::uint64_t first, std::uint64_t n, float sigmas) {
+  Box box = empty_box();
+  for (std::uint64_t i = first; i < first + n; ++i) {
+    float scale[3] = {0, 0, 0}, r[9] = {};
+    if (sigmas > 0) {
+      const float* const q = &splats.rotation[4 * i];
+      const float norm = std::sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]);
+      const float factor = norm > 0 ? 1 / norm : 0;
+      math::rotation_matrix(
+          math::Quaternion<float>{norm > 0 ? q[0] * factor : 1, q[1] * factor, q[2] * factor, q[3] * factor}, r);
+      for (std::size_t k = 0; k < 3; ++k) scale[k] = sigmas * kRoundingMargin * std::exp(splats.log_scale[3 * i + k]);
+    }
+    for (std::size_t k = 0; k < 3; ++k) {
+      float reach = 0;
+      for (std::size_t l = 0; l < 3; ++l) reach += r[3 * k + l] * r[3 * k + l] * scale[l] * scale[l];
+      reach = std::sqrt(reach);
+      box.min[k] = std::min(box.min[k], splats.mean[3 * i + k] - reach);
+      box.max[k] = std::max(box.max[k], splats.mean[3 * i + k] + reach);
+    }
+  }
+  return box;
+}
+
+// Boxes one after the other, as long as they are neighbours of like size.
+class Run {
+ public:
+  bool takes(const Box& next) const {
+    if (n_ == 0) return true;
+    Box around = box_;
+    add(around, next);
+    const float size = length(next);
+    if (size > kUnlike * longest_ || longest_ > kUnlike * size) return longest_ == 0 || size == 0;
+    return length(around) <= kGap * (lengths_ + size);
+  }
+  void take(const Box& next) {
+    n_ == 0 ? void(box_ = next) : add(box_, next);
+    lengths_ += length(next);
+    longest_ = std::max(longest_, length(next));
+    ++n_;
+  }
+
+ private:
+  std::uint32_t n_ = 0;
+  Box box_;
+  float lengths_ = 0, longest_ = 0;
+};
+
+template <class F>
+void each_in_parallel(std::size_t n, const F& f) {
+  tbb::parallel_for(
+      tbb::blocked_range<std::size_t>(0, n, 1),
+      [&f](const tbb::blocked_range<std::size_t>& range) {
+        for (std::size_t i = range.begin(); i < range.end(); ++i) f(i);
+      },
+      tbb::simple_partitioner());
+}
+
+void append(SplatCloud& to, const SplatCloud& from) {
+  const auto insert = [](std::vector<float>& a, const std::vector<float>& b) { a.insert(a.end(), b.begin(), b.end()); };
+  to.sh_degree = from.sh_degree;
+  insert(to.mean, from.mean);
+  insert(to.log_scale, from.log_scale);
+  insert(to.rotation, from.rotation);
+  insert(to.opacity_logit, from.opacity_logit);
+  insert(to.sh, from.sh);
+}
+
+void append(SplatCloud& to, const SplatView& from) {
+  const auto insert = [](std::vector<float>& a, std::span<const float> b) { a.insert(a.end(), b.begin(), b.end()); };
+  to.sh_degree = from.sh_degree;
+  insert(to.mean, from.mean);
+  insert(to.log_scale, from.log_scale);
+  insert(to.rotation, from.rotation);
+  insert(to.opacity_logit, from.opacity_logit);
+  insert(to.sh, from.sh);
+}
+
+}  // namespace
+
+FitOptions fit_options(Quality quality) {
+  return quality == Quality::best ? FitOptions{200, 64} : FitOptions{12, 12};
+}
+
+std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options) {
+  const std::uint64_t n_chunks = (leaves.n + options.chunk_size - 1) / options.chunk_size;
+  const auto begin_of = [&](std::uint64_t chunk) { return std::min(leaves.n, chunk * options.chunk_size); };
+  std::vector<Box> means(n_chunks), bounds(n_chunks);
+  each_in_parallel(n_chunks, [&](std::size_t i) {
+    means[i] = bounds_of(leaves, begin_of(i), begin_of(i + 1) - begin_of(i), 0);
+    bounds[i] = bounds_of(leaves, begin_of(i), begin_of(i + 1) - begin_of(i), kBoundSigmas);
+  });
+  std::vector<Page> pages;
+  for (std::uint64_t chunk = 0; chunk < n_chunks;) {
+    Page page;
+    page.first = begin_of(chunk);
+    page.bounds = bounds[chunk];
+    Run run;
+    std::uint64_t end = chunk;
+    while (end < n_chunks && end < chunk + options.page_chunks && run.takes(means[end])) {
+      run.take(means[end]);
+      add(page.bounds, bounds[end++]);
+    }
+    page.count = static_cast<std::uint32_t>(begin_of(end) - page.first);
+    pages.push_back(page);
+    chunk = end;
+  }
+  return pages;
+}
+
+std::vector<std::uint32_t> group_pages(std::span<const Page> pages, const BuildOptions& options) {
+  const auto n = static_cast<std::uint32_t>(pages.size());
+  const auto group = [&](bool by_place) {
+    std::vector<std::uint32_t> begins;
+    for (std::uint32_t i = 0; i < n;) {
+      begins.push_back(i);
+      Run run;
+      std::uint32_t end = i;
+      while (end < n && end < i + options.children && (!by_place || run.takes(pages[end].bounds))) {
+        run.take(pages[end++].bounds);
+      }
+      i = end;
+    }
+    begins.push_back(n);
+    return begins;
+  };
+  std::vector<std::uint32_t> begins = group(true);
+  // The tree must become narrower: pages that are all unlike each other are grouped by order alone.
+  if (begins.size() - 1 > std::max<std::size_t>(1, n / 2)) begins = group(false);
+  return begins;
+}
+
+Page build_page(const SplatView& splats, std::span<const Page> below, std::uint32_t first, std::uint32_t last,
+                const BuildOptions& options, SplatCloud& out) {
+  assert(first < last && last <= below.size());
+  Page page;
+  page.level = below[first].level + 1;
+  page.first_child = first;
+  page.n_children = last - first;
+  page.bounds = empty_box();
+  std::uint64_t n = 0;
+  float child_error = 0;
+  for (std::uint32_t i = first; i < last; ++i) {
+    n += below[i].count;
+    child_error = std::max(child_error, below[i].error);
+    add(page.bounds, below[i].bounds);
+  }
+  const std::uint64_t from = below[first].first;
+  const float* const mean = &splats.mean[3 * from];
+  const float centre[3] = {mean[0], mean[1], mean[2]};
+  const Gaussians group = activate(splats, from, n, centre);
+  const std::uint64_t most = static_cast<std::uint64_t>(options.chunk_size) * options.page_chunks;
+  const std::uint64_t wanted = std::min(most, (n + options.children - 1) / options.children);
+  const std::size_t before = out.size();
+  float error = 0;
+  if (wanted < n) {
+    const Simplified simple = simplify(group, wanted, fit_options(options.quality));
+    append(simple.gaussians, centre, out);
+    error = simple.error;
+  } else {
+    append(group, centre, out);
+  }
+  if (!(error < kMostError)) error = kMostError;
+  page.error = std::max({error, kErrorGrowth * child_error, std::numeric_limits<float>::min()});
+  page.count = static_cast<std::uint32_t>(out.size() - before);
+  add(page.bounds, bounds_of(out.view(), before, page.count, kBoundSigmas));
+  return page;
+}
+
+Level build_level(const SplatView& splats, std::span<const Page> below, const BuildOptions& options) {
+  const std::vector<std::uint32_t> begins = group_pages(below, options);
+  std::vector<SplatCloud> parts(begins.size() - 1);
+  Level out;
+  out.pages.resize(parts.size());
+  each_in_parallel(parts.size(), [&](std::size_t i) {
+    out.pages[i] = build_page(splats, below, begins[i], begins[i + 1], options, parts[i]);
+  });
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    out.pages[i].first = out.splats.size();
+    append(out.splats, parts[i]);
+    parts[i] = {};
+  }
+  return out;
+}
+
+Levels build_levels(const SplatView& leaves, const BuildOptions& options) {
+  assert(leaves.n > 0 && leaves.consistent());
+  std::vector<Level> levels(1);
+  levels[0].pages = cut_leaves(leaves, options);
+  while (levels.back().pages.size() > 1) {
+    const Level& below = levels.back();
+    Level above = build_level(levels.size() == 1 ? leaves : below.splats.view(), below.pages, options);
+    levels.push_back(std::move(above));
+  }
+  Levels out;
+  out.splats.sh_degree = leaves.sh_degree;
+  out.quality_db = static_cast<float>(-10 * std::log10(kAllowedSquared));
+  std::uint32_t first_page = 0;
+  for (std::size_t i = levels.size(); i-- > 0;) {
+    Level& level = levels[i];
+    const auto next_page = first_page + static_cast<std::uint32_t>(level.pages.size());
+    const std::uint64_t first = out.splats.size();
+    for (Page& page : level.pages) {
+      page.first += first;
+      if (page.level > 0) page.first_child += next_page;
+      out.pages.push_back(page);
+    }
+    i == 0 ? append(out.splats, leaves) : append(out.splats, level.splats);
+    level = {};
+    first_page = next_page;
+  }
+  for (std::uint32_t i = 0; i < out.pages.size(); ++i) {
+    const Page page = out.pages[i];
+    for (std::uint32_t k = 0; k < page.n_children; ++k) out.pages[page.first_child + k].parent = i;
+  }
+  return out;
+}
+
+}  // namespace rgs::lod

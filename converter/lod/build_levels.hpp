@@ -1,0 +1,54 @@
+// build_levels.hpp - levels of detail: from a scene's Gaussians to a tree of pages. docs/LEVELS.md says how and how well.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "rgs/page.hpp"
+#include "rgs/splat_cloud.hpp"
+#include "simplify.hpp"
+
+namespace rgs::lod {
+
+enum class Quality : std::uint8_t {
+  fast,  ///< a start in closed form and a few steps of optimisation
+  best,  ///< many steps: about a quarter of the speed
+};
+
+struct BuildOptions {
+  Quality quality = Quality::fast;
+  std::uint32_t chunk_size = 256;           ///< of the file: leaf pages are whole chunks
+  std::uint32_t page_chunks = kPageChunks;  ///< most chunks of a page
+  std::uint32_t children = 4;               ///< most pages that become one, of a quarter as many Gaussians
+};
+FitOptions fit_options(Quality quality);
+
+/// Pages of one level, in order, and their Gaussians one page after the other. Page::first counts within the level;
+/// `parent` is not set, `first_child` counts within the level below.
+struct Level {
+  SplatCloud splats;
+  std::vector<Page> pages;
+};
+
+/// The stages of build_levels(), for callers that build a range at a time or in several processes. Pages know nothing of
+/// their neighbours but through group_pages(): whoever groups the same pages gets the same bytes.
+
+/// Leaf pages of Gaussians in the order of a file without levels; runs of at most page_chunks chunks, shorter before a gap.
+/// All chunks but the last are whole.
+std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options);
+/// Where groups of consecutive pages begin, and as last element where the last one ends.
+std::vector<std::uint32_t> group_pages(std::span<const Page> pages, const BuildOptions& options);
+/// One page for pages first .. last - 1 of `below`, whose Gaussians are `splats` (rows as Page::first says). Its Gaussians
+/// are appended to `out`. Memory: about 4 KiB a Gaussian of the group.
+Page build_page(const SplatView& splats, std::span<const Page> below, std::uint32_t first, std::uint32_t last,
+                const BuildOptions& options, SplatCloud& out);
+/// All pages of the level above, on the threads of the current arena.
+Level build_level(const SplatView& splats, std::span<const Page> below, const BuildOptions& options);
+
+/// All levels of a scene, up to one page. `leaves`: consistent, finite, at least one Gaussian, in the order of a file without
+/// levels; what is drawn of them is kept. Same bytes for any number of threads. Memory: 1.4 times the leaves' and groups'.
+Levels build_levels(const SplatView& leaves, const BuildOptions& options = {});
+
+}  // namespace rgs::lod

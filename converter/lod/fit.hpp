@@ -1,0 +1,28 @@
+// fit.hpp - Gaussians moved, turned, sized and coloured until their pictures are those of a group.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include "gaussians.hpp"
+#include "pictures.hpp"
+
+namespace rgs::lod {
+
+/// How levels are drawn: docs/LEVELS.md.
+inline constexpr Filter kDrawn{0.1F, true};
+inline constexpr int kSupersampling = 4;  ///< of what counts as the truth
+
+/// What a group looks like through `frame`: drawn at kSupersampling times the size, and averaged.
+void true_picture(const Gaussians& gaussians, const Frame& frame, Projection& projection, Picture& fine, Picture& out);
+
+/// Integral over pixels of the squared difference of two pictures, the mean over the three colours and over all backgrounds
+/// from black to white; and what the first covers. In pixels.
+struct Difference {
+  double squared = 0, covered = 0;
+};
+Difference difference(const Picture& truth, const Picture& drawn);
+
+/// Draws `gaussians` from `n_directions` sides, one a step, and moves them downhill (Adam) towards what `group` looks like
+/// in pixels of `pixel`. Those that reach beyond a picture's edge stay as they are there.
+void fit(const Gaussians& group, Gaussians& gaussians, float pixel, int n_steps, int n_directions);
+
+}  // namespace rgs::lod

@@ -1,0 +1,70 @@
+// gaussians.cpp - between the parameters of training and activated arrays.
+// SPDX-License-Identifier: Apache-2.0
+#include "gaussians.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+namespace rgs::lod {
+
+void Gaussians::resize(std::size_t n, int sh_degree) {
+  n_ = n;
+  stride_ = (n + 7) / 8 * 8;
+  sh_degree_ = sh_degree;
+  values_.assign(stride_ * static_cast<std::size_t>(n_values()), 0.F);
+  for (std::size_t i = n; i < stride_; ++i) {
+    of(kRotation)[i] = 1;
+    for (int k = 0; k < 3; ++k) of(kScale + k)[i] = 1;
+  }
+}
+
+void Gaussians::copy(std::size_t to, const Gaussians& other, std::size_t from) {
+  for (int v = 0; v < n_values(); ++v) of(v)[to] = other.of(v)[from];
+}
+
+Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]) {
+  Gaussians out(n, splats.sh_degree);
+  const auto n_sh = static_cast<std::size_t>(3 * sh_coefficients(splats.sh_degree));
+  for (std::size_t i = 0; i < n; ++i) {
+    const std::size_t j = first + i;
+    double norm = 0;
+    for (std::size_t k = 0; k < 4; ++k) {
+      const auto q = static_cast<double>(splats.rotation[4 * j + k]);
+      norm += q * q;
+    }
+    const double factor = norm > 0 ? 1 / std::sqrt(norm) : 0;
+    for (int k = 0; k < 4; ++k) {
+      const auto q = static_cast<double>(splats.rotation[4 * j + static_cast<std::size_t>(k)]);
+      out.of(kRotation + k)[i] = norm > 0 ? static_cast<float>(q * factor) : k == 0 ? 1.F : 0.F;
+    }
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t at = 3 * j + static_cast<std::size_t>(k);
+      out.of(kMean + k)[i] = splats.mean[at] - centre[k];
+      out.of(kScale + k)[i] = std::exp(splats.log_scale[at]);
+    }
+    out.of(kOpacity)[i] = 1 / (1 + std::exp(-splats.opacity_logit[j]));
+    for (std::size_t k = 0; k < n_sh; ++k) out.of(kSh + static_cast<int>(k))[i] = splats.sh[n_sh * j + k];
+  }
+  return out;
+}
+
+void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out) {
+  const std::size_t before = out.size();
+  out.resize(before + gaussians.size(), gaussians.sh_degree());
+  const auto n_sh = static_cast<std::size_t>(3 * sh_coefficients(gaussians.sh_degree()));
+  for (std::size_t i = 0; i < gaussians.size(); ++i) {
+    const std::size_t j = before + i;
+    for (int k = 0; k < 3; ++k) {
+      const std::size_t at = 3 * j + static_cast<std::size_t>(k);
+      out.mean[at] = gaussians.of(kMean + k)[i] + centre[k];
+      out.log_scale[at] = std::log(std::max(gaussians.of(kScale + k)[i], 1e-30F));
+    }
+    for (int k = 0; k < 4; ++k) out.rotation[4 * j + static_cast<std::size_t>(k)] = gaussians.of(kRotation + k)[i];
+    // Finite logits and logarithms, as read() gives them of a file.
+    const float opacity = std::clamp(gaussians.of(kOpacity)[i], 1e-7F, 1 - 1e-7F);
+    out.opacity_logit[j] = std::log(opacity / (1 - opacity));
+    for (std::size_t k = 0; k < n_sh; ++k) out.sh[n_sh * j + k] = gaussians.of(kSh + static_cast<int>(k))[i];
+  }
+}
+
+}  // namespace rgs::lod

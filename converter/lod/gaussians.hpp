@@ -1,0 +1,45 @@
+// gaussians.hpp - some activated Gaussians, an array for each number, as the builder of levels computes with them.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "rgs/splat_cloud.hpp"
+
+namespace rgs::lod {
+
+/// What an array is of. Harmonics follow from kSh, coefficients before channels.
+enum Value : int { kMean = 0, kScale = 3, kRotation = 6, kOpacity = 10, kSh = 11 };
+
+/// n Gaussians: arrays [n] of 11 numbers and 3 (degree + 1)^2 harmonics. Scales and opacity are activated, rotations unit
+/// quaternions w, x, y, z. Each array is padded to a multiple of 8 with Gaussians that do not show.
+class Gaussians {
+ public:
+  Gaussians() = default;
+  Gaussians(std::size_t n, int sh_degree) { resize(n, sh_degree); }
+  void resize(std::size_t n, int sh_degree);
+
+  std::size_t size() const { return n_; }
+  std::size_t padded() const { return stride_; }
+  int sh_degree() const { return sh_degree_; }
+  int n_values() const { return kSh + 3 * sh_coefficients(sh_degree_); }
+  float* of(int value) { return &values_[static_cast<std::size_t>(value) * stride_]; }
+  const float* of(int value) const { return &values_[static_cast<std::size_t>(value) * stride_]; }
+
+  /// Gaussian `from` of `other`, of the same degree, as Gaussian `to` of this.
+  void copy(std::size_t to, const Gaussians& other, std::size_t from);
+
+ private:
+  std::size_t n_ = 0, stride_ = 0;
+  int sh_degree_ = 0;
+  std::vector<float> values_;
+};
+
+/// Gaussians in the parameters of training, with `centre` taken from their means; back again, appended.
+Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]);
+void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out);
+
+}  // namespace rgs::lod

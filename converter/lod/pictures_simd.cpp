@@ -1,0 +1,395 @@
+// pictures_simd.cpp - pictures of groups, compiled for each instruction set and chosen at run time.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Eight pixels of a row are one vector whatever the machine has (the compiler cuts it where registers are shorter), so that
+// sums have the same bits everywhere. Gaussians are the outer loop: most cover a few pixels, and a picture stays in the
+// second-level cache.
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "pictures_simd.cpp"  // NOLINT
+// x86 gets AVX-512, AVX2 and the portable fallback for machines from before 2013, others what they have.
+#define HWY_DISABLED_TARGETS (HWY_SSSE3 | HWY_SSE4)
+#include <hwy/foreach_target.h>
+//
+#include <hwy/highway.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "pictures.hpp"
+#include "rgs/math/constants.hpp"
+#include "rgs/math/covariance.hpp"
+#include "rgs/math/sh.hpp"
+
+#ifndef RGS_LOD_DOT_SUMS
+#define RGS_LOD_DOT_SUMS
+namespace rgs::lod {
+// Of a dot, over pixels: the gradient by the logarithm of alpha, times powers of the pixel's distance from the mean.
+struct DotSums {
+  float h, hx, hy, hxx, hxy, hyy, color[3];
+};
+}  // namespace rgs::lod
+#endif
+
+HWY_BEFORE_NAMESPACE();
+namespace rgs::lod {
+namespace HWY_NAMESPACE {
+
+using V = float __attribute__((vector_size(32)));
+using I = std::int32_t __attribute__((vector_size(32)));
+constexpr int kLanes = 8;
+
+#define RGS_LOD_INLINE inline __attribute__((always_inline))
+
+RGS_LOD_INLINE V set(float x) { return V{x, x, x, x, x, x, x, x}; }
+RGS_LOD_INLINE V load(const float* p) {
+  V v;
+  std::memcpy(&v, p, sizeof v);
+  return v;
+}
+RGS_LOD_INLINE void store(float* p, V v) { std::memcpy(p, &v, sizeof v); }
+RGS_LOD_INLINE V select(I mask, V a, V b) { return mask ? a : b; }
+RGS_LOD_INLINE float sum(V v) { return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7])); }
+
+// 2^p for p in [-126, 1]: as in the renderer's rows.
+RGS_LOD_INLINE V exp2(V p) {
+  const V magic = set(12582912.F);
+  const V n = (p + magic) - magic;
+  const V f = p - n;
+  V e = set(1.327647199e-03F);
+  e = e * f + set(9.675541334e-03F);
+  e = e * f + set(5.550713273e-02F);
+  e = e * f + set(2.402211972e-01F);
+  e = e * f + set(6.931469671e-01F);
+  e = e * f + set(1.000000072F);
+  I bits;
+  std::memcpy(&bits, &e, sizeof bits);
+  bits += __builtin_convertvector(n, I) << 23;
+  V r;
+  std::memcpy(&r, &bits, sizeof r);
+  return r;
+}
+
+RGS_LOD_INLINE V alpha_of(V dx, V linear, V constant, float aa, float opacity) {
+  V p = (set(aa) * dx + linear) * dx + constant;
+  p = select(p < set(-30.F), set(-30.F), p);
+  p = select(p > set(0.F), set(0.F), p);
+  V alpha = set(opacity) * exp2(p);
+  alpha = select(alpha > set(math::kAlphaMax), set(math::kAlphaMax), alpha);
+  return select(alpha < set(math::kAlphaMin), set(0.F), alpha);
+}
+
+// Calls f(offset into planes, alpha, dx, dy) for each vector of pixels of a dot.
+template <class F>
+RGS_LOD_INLINE void each_vector(const Dot& dot, std::size_t stride, const F& f) {
+  const float half = -0.5F * math::kLog2E;
+  const float aa = half * dot.a, cc = half * dot.c, ab = -math::kLog2E * dot.b;
+  const V iota{0, 1, 2, 3, 4, 5, 6, 7};
+  for (int y = dot.y0; y < dot.y1; ++y) {
+    const float dy = static_cast<float>(y) + 0.5F - dot.v;
+    const V linear = set(ab * dy), constant = set(cc * dy * dy);
+    for (int x = dot.x0; x < dot.x1; x += kLanes) {
+      const V dx = iota + set(static_cast<float>(x) + 0.5F - dot.u);
+      const V alpha = alpha_of(dx, linear, constant, aa, dot.opacity);
+      f(static_cast<std::size_t>(y) * stride + static_cast<std::size_t>(x), alpha, dx, dy);
+    }
+  }
+}
+
+void draw(std::span<const Dot> dots, Picture& picture) {
+  float* const r = picture.plane(0);
+  float* const g = picture.plane(1);
+  float* const b = picture.plane(2);
+  float* const t = picture.plane(3);
+  std::fill(r, t, 0.F);
+  std::fill(t, t + picture.plane_size(), 1.F);
+  for (const Dot& dot : dots) {
+    const V red = set(dot.color[0]), green = set(dot.color[1]), blue = set(dot.color[2]);
+    each_vector(dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
+      const V before = load(t + at), w = alpha * before;
+      store(t + at, before - w);
+      store(r + at, load(r + at) + w * red);
+      store(g + at, load(g + at) + w * green);
+      store(b + at, load(b + at) + w * blue);
+    });
+  }
+}
+
+void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums) {
+  float* const t = picture.plane(3);
+  std::fill(t, t + picture.plane_size(), 1.F);
+  for (const Dot& dot : dots) {
+    V total = set(0);
+    each_vector(dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
+      const V before = load(t + at), w = alpha * before;
+      store(t + at, before - w);
+      total += w;
+    });
+    sums[dot.index] += sum(total);
+  }
+}
+
+// Columns 0..: u, v, z, xx, xy, yy, r, g, b.
+void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16], float* out) {
+  const std::size_t n = g.padded();
+  const float s = 1 / frame.pixel;
+  float du[3], dv[3];
+  for (int k = 0; k < 3; ++k) du[k] = frame.axes.right[k] * s, dv[k] = frame.axes.down[k] * s;
+  const float* const fw = frame.axes.forward;
+  const float left = frame.left * s, top = frame.top * s;
+  const int n_coefficients = sh_coefficients(g.sh_degree());
+  for (std::size_t i = 0; i < n; i += kLanes) {
+    const auto in = [&](int value) __attribute__((always_inline)) { return load(g.of(value) + i); };
+    const auto put = [&](int column, V x) __attribute__((always_inline)) {
+      store(out + static_cast<std::size_t>(column) * n + i, x);
+    };
+    const V x = in(kMean), y = in(kMean + 1), z = in(kMean + 2);
+    put(0, set(du[0]) * x + set(du[1]) * y + set(du[2]) * z - set(left));
+    put(1, set(dv[0]) * x + set(dv[1]) * y + set(dv[2]) * z - set(top));
+    put(2, set(fw[0]) * x + set(fw[1]) * y + set(fw[2]) * z);
+    const V qw = in(kRotation), qx = in(kRotation + 1), qy = in(kRotation + 2), qz = in(kRotation + 3);
+    const V two = set(2), one = set(1);
+    const V m[3][3] = {{one - two * (qy * qy + qz * qz), two * (qx * qy + qw * qz), two * (qx * qz - qw * qy)},
+                       {two * (qx * qy - qw * qz), one - two * (qx * qx + qz * qz), two * (qy * qz + qw * qx)},
+                       {two * (qx * qz + qw * qy), two * (qy * qz - qw * qx), one - two * (qx * qx + qy * qy)}};
+    V xx = set(0), xy = set(0), yy = set(0);
+    for (int k = 0; k < 3; ++k) {
+      const V scale = in(kScale + k);
+      const V mu = scale * (set(du[0]) * m[k][0] + set(du[1]) * m[k][1] + set(du[2]) * m[k][2]);
+      const V mv = scale * (set(dv[0]) * m[k][0] + set(dv[1]) * m[k][1] + set(dv[2]) * m[k][2]);
+      xx += mu * mu;
+      xy += mu * mv;
+      yy += mv * mv;
+    }
+    put(3, xx);
+    put(4, xy);
+    put(5, yy);
+    for (int channel = 0; channel < 3; ++channel) {
+      V c = set(0.5F);
+      for (int k = 0; k < n_coefficients; ++k) c += set(basis[k]) * in(kSh + 3 * k + channel);
+      put(6 + channel, c);
+    }
+  }
+}
+
+void dot_gradients(std::span<const Dot> dots, const Picture& by, Picture& scratch, DotSums* out) {
+  // scratch: 0 what remains of sum g.c behind, 3 transmittance
+  float* const rest = scratch.plane(0);
+  float* const t = scratch.plane(3);
+  const float* const gr = by.plane(0);
+  const float* const gg = by.plane(1);
+  const float* const gb = by.plane(2);
+  const float* const ga = by.plane(3);
+  const std::size_t stride = by.stride();
+  for (std::size_t i = 0; i < dots.size(); ++i) {
+    const Dot& dot = dots[i];
+    const V red = set(dot.color[0]), green = set(dot.color[1]), blue = set(dot.color[2]);
+    V h = set(0), hx = h, hxx = h, hy = h, hxy = h, hyy = h, cr = h, cg = h, cb = h;
+    each_vector(dot, stride, [&](std::size_t at, V alpha, V dx, float dy) __attribute__((always_inline)) {
+      const V before = load(t + at), w = alpha * before;
+      store(t + at, before - w);
+      const V r = load(gr + at), g = load(gg + at), b = load(gb + at);
+      const V value = r * red + g * green + b * blue + load(ga + at);
+      const V behind = load(rest + at) - w * value;
+      store(rest + at, behind);
+      cr += w * r;
+      cg += w * g;
+      cb += w * b;
+      V by_log = alpha * (before * value - behind / (set(1) - alpha));
+      by_log = select(alpha < set(math::kAlphaMax), by_log, set(0));
+      const V x = by_log * dx;
+      h += by_log;
+      hx += x;
+      hxx += x * dx;
+      hy += by_log * set(dy);
+      hxy += x * set(dy);
+      hyy += by_log * set(dy * dy);
+    });
+    out[i] = {sum(h), sum(hx), sum(hy), sum(hxx), sum(hxy), sum(hyy), {sum(cr), sum(cg), sum(cb)}};
+  }
+}
+
+}  // namespace HWY_NAMESPACE
+}  // namespace rgs::lod
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace rgs::lod {
+
+HWY_EXPORT(draw);
+HWY_EXPORT(contributions);
+HWY_EXPORT(project_all);
+HWY_EXPORT(dot_gradients);
+
+namespace {
+
+// Stable, by the upper 32 bits, which hold a float's bits.
+void sort_by_depth(std::vector<std::uint64_t>& keys, std::vector<std::uint64_t>& spare) {
+  spare.resize(keys.size());
+  std::uint32_t counts[3][2048] = {};
+  for (const std::uint64_t key : keys) {
+    for (int pass = 0; pass < 3; ++pass) ++counts[pass][key >> (32 + 11 * pass) & 2047];
+  }
+  for (int pass = 0; pass < 3; ++pass) {
+    std::uint32_t first = 0;
+    for (std::uint32_t& count : counts[pass]) {
+      const std::uint32_t n = count;
+      count = first;
+      first += n;
+    }
+    for (const std::uint64_t key : keys) spare[counts[pass][key >> (32 + 11 * pass) & 2047]++] = key;
+    keys.swap(spare);
+  }
+}
+
+std::uint32_t ordered_bits(float value) {
+  std::uint32_t bits;
+  value += 0.F;  // -0 is 0
+  std::memcpy(&bits, &value, sizeof bits);
+  return (bits >> 31) != 0 ? ~bits : bits | 0x80000000U;
+}
+
+}  // namespace
+
+void Picture::reset(int width, int height) {
+  width_ = width;
+  height_ = height;
+  stride_ = static_cast<std::size_t>((width + 7) / 8 * 8 + 8);
+  plane_ = stride_ * static_cast<std::size_t>(height) + 8;
+  values_.assign(4 * plane_, 0.F);
+}
+
+void project(const Gaussians& g, const Frame& frame, const Filter& filter, Projection& out) {
+  const std::size_t n = g.padded();
+  out.values.resize(9 * n);
+  float* const column = out.values.data();
+  const math::Vec3<float> d{frame.axes.forward[0], frame.axes.forward[1], frame.axes.forward[2]};
+  const auto basis = math::sh_basis(g.sh_degree(), d);
+  HWY_DYNAMIC_DISPATCH(project_all)(g, frame, basis.y, column);
+  const auto at = [&](int k, std::size_t i) { return column[static_cast<std::size_t>(k) * n + i]; };
+  out.keys.clear();
+  for (std::size_t i = 0; i < g.size(); ++i) out.keys.push_back(std::uint64_t{ordered_bits(at(2, i))} << 32 | i);
+  sort_by_depth(out.keys, out.spare);
+  out.dots.clear();
+  const float* const opacities = g.of(kOpacity);
+  for (const std::uint64_t key : out.keys) {
+    const auto i = static_cast<std::uint32_t>(key);
+    Dot dot;
+    dot.xx = at(3, i), dot.xy = at(4, i), dot.yy = at(5, i);
+    const float xx = dot.xx + filter.low_pass, yy = dot.yy + filter.low_pass;
+    const float det = xx * yy - dot.xy * dot.xy;
+    dot.opacity = opacities[i];
+    if (filter.compensated) {
+      const float before = dot.xx * dot.yy - dot.xy * dot.xy;
+      dot.opacity *= std::sqrt(std::max(math::kMipRatioMin, before / det));
+    }
+    if (!(dot.opacity >= math::kAlphaMin) || !(det > 0)) continue;
+    dot.u = at(0, i), dot.v = at(1, i);
+    dot.a = yy / det, dot.b = -dot.xy / det, dot.c = xx / det;
+    const float reach = std::sqrt(2 * std::log(dot.opacity * 255.F) + 1e-4F);
+    const float rx = reach * std::sqrt(xx), ry = reach * std::sqrt(yy);
+    const auto pixel = [](float x, int most) {
+      return static_cast<std::int16_t>(std::clamp(x, 0.F, static_cast<float>(most)));
+    };
+    dot.x0 = pixel(std::ceil(dot.u - rx - 0.5F), frame.width), dot.x1 = pixel(std::floor(dot.u + rx + 0.5F), frame.width);
+    dot.y0 = pixel(std::ceil(dot.v - ry - 0.5F), frame.height), dot.y1 = pixel(std::floor(dot.v + ry + 0.5F), frame.height);
+    if (dot.x0 >= dot.x1 || dot.y0 >= dot.y1) continue;
+    for (int k = 0; k < 3; ++k) dot.color[k] = std::max(at(6 + k, i), 0.F);
+    dot.index = i;
+    out.dots.push_back(dot);
+  }
+}
+
+void draw(std::span<const Dot> dots, Picture& picture) { HWY_DYNAMIC_DISPATCH(draw)(dots, picture); }
+
+void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums) {
+  HWY_DYNAMIC_DISPATCH(contributions)(dots, picture, sums);
+}
+
+void gradients(const Gaussians& g, const Frame& frame, const Filter& filter, std::span<const Dot> dots,
+               const Picture& by, const Picture& drawn, Picture& scratch, std::vector<float>& out) {
+  const std::size_t n = g.padded();
+  out.assign(static_cast<std::size_t>(kGradients) * n, 0.F);
+  scratch.reset(by.width(), by.height());
+  {
+    float* const rest = scratch.plane(0);
+    float* const t = scratch.plane(3);
+    for (std::size_t i = 0; i < by.plane_size(); ++i) {
+      rest[i] = by.plane(0)[i] * drawn.plane(0)[i] + by.plane(1)[i] * drawn.plane(1)[i] +
+                by.plane(2)[i] * drawn.plane(2)[i] + by.plane(3)[i] * (1 - drawn.plane(3)[i]);
+      t[i] = 1;
+    }
+  }
+  std::vector<DotSums> sums(dots.size());
+  HWY_DYNAMIC_DISPATCH(dot_gradients)(dots, by, scratch, sums.data());
+  const float scale = 1 / frame.pixel;
+  float du[3], dv[3];
+  for (int k = 0; k < 3; ++k) du[k] = frame.axes.right[k] * scale, dv[k] = frame.axes.down[k] * scale;
+  for (std::size_t j = 0; j < dots.size(); ++j) {
+    const Dot& dot = dots[j];
+    const DotSums& s = sums[j];
+    if (dot.x0 == 0 || dot.y0 == 0 || dot.x1 == frame.width || dot.y1 == frame.height) continue;
+    const std::size_t i = dot.index;
+    const auto put = [&](int gradient, float value) { out[static_cast<std::size_t>(gradient) * n + i] = value; };
+    const float by_u = dot.a * s.hx + dot.b * s.hy, by_v = dot.b * s.hx + dot.c * s.hy;
+    for (int k = 0; k < 3; ++k) put(kByMean + k, by_u * du[k] + by_v * dv[k]);
+    put(kByLogOpacity, s.h);
+    for (int k = 0; k < 3; ++k) put(kByColor + k, dot.color[k] > 0 ? s.color[k] : 0);
+    // By the covariance: exponent -x^T C x / 2 with C the conic, so that -C G C with G = -sums / 2.
+    float p = 0.5F * (dot.a * (dot.a * s.hxx + dot.b * s.hxy) + dot.b * (dot.a * s.hxy + dot.b * s.hyy));
+    float q = 0.5F * (dot.a * (dot.b * s.hxx + dot.c * s.hxy) + dot.b * (dot.b * s.hxy + dot.c * s.hyy));
+    float r = 0.5F * (dot.b * (dot.b * s.hxx + dot.c * s.hxy) + dot.c * (dot.b * s.hxy + dot.c * s.hyy));
+    if (filter.compensated) {  // log opacity += (log det before - log det after) / 2
+      const float before = dot.xx * dot.yy - dot.xy * dot.xy;
+      const float after = (dot.xx + filter.low_pass) * (dot.yy + filter.low_pass) - dot.xy * dot.xy;
+      if (before > 1e-4F * after) {
+        const float half = 0.5F * s.h, inverse = half / before;
+        p += dot.yy * inverse - half * dot.a;
+        q += -dot.xy * inverse - half * dot.b;
+        r += dot.xx * inverse - half * dot.c;
+      }
+    }
+    const float qw = g.of(kRotation)[i], qx = g.of(kRotation + 1)[i], qy = g.of(kRotation + 2)[i],
+                qz = g.of(kRotation + 3)[i];
+    float m[9];
+    math::rotation_matrix(math::Quaternion<float>{qw, qx, qy, qz}, m);
+    float turn[3] = {0, 0, 0};
+    for (int k = 0; k < 3; ++k) {
+      const float axis[3] = {m[k], m[3 + k], m[6 + k]};
+      const float size = g.of(kScale + k)[i];
+      const float mu = size * (du[0] * axis[0] + du[1] * axis[1] + du[2] * axis[2]);
+      const float mv = size * (dv[0] * axis[0] + dv[1] * axis[1] + dv[2] * axis[2]);
+      const float by_mu = 2 * (p * mu + q * mv), by_mv = 2 * (q * mu + r * mv);
+      put(kByLogScale + k, mu * by_mu + mv * by_mv);
+      float by_axis[3];
+      for (int l = 0; l < 3; ++l) by_axis[l] = size * (du[l] * by_mu + dv[l] * by_mv);
+      turn[0] += axis[1] * by_axis[2] - axis[2] * by_axis[1];
+      turn[1] += axis[2] * by_axis[0] - axis[0] * by_axis[2];
+      turn[2] += axis[0] * by_axis[1] - axis[1] * by_axis[0];
+    }
+    for (int k = 0; k < 3; ++k) put(kByTurn + k, turn[k]);
+  }
+}
+
+void box_filter(const Picture& fine, int factor, Picture& out) {
+  const int width = fine.width() / factor, height = fine.height() / factor;
+  out.reset(width, height);
+  const float share = 1 / static_cast<float>(factor * factor);
+  for (int channel = 0; channel < 4; ++channel) {
+    const float* const from = fine.plane(channel);
+    float* const to = out.plane(channel);
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        float total = 0;
+        for (int j = 0; j < factor; ++j) {
+          const float* const row = from + static_cast<std::size_t>(y * factor + j) * fine.stride() + x * factor;
+          for (int k = 0; k < factor; ++k) total += row[k];
+        }
+        to[static_cast<std::size_t>(y) * out.stride() + static_cast<std::size_t>(x)] = total * share;
+      }
+    }
+  }
+}
+
+}  // namespace rgs::lod
+#endif

@@ -1,0 +1,262 @@
+// simplify.cpp - the steps from a group to its replacement: what shows, clusters, moments, coverage, fit, error.
+// SPDX-License-Identifier: Apache-2.0
+#include "simplify.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <numeric>
+#include <span>
+#include <vector>
+
+#include "clusters.hpp"
+#include "fit.hpp"
+#include "views.hpp"
+
+namespace rgs::lod {
+namespace {
+
+constexpr int kViews = 6;           // that say what is seen of a Gaussian
+constexpr int kMostPixels = 512;    // of their sides
+constexpr float kPieceLength = 100;  // pixels: pictures of pieces stay in the cache
+constexpr float kCoarseness = 2;    // pixels a Gaussian: see footprint_of()
+constexpr float kLarge = 3.5F;      // pixels of the longest standard deviation from which on a Gaussian stays alone
+constexpr float kMostKept = 0.7F;   // of the result
+constexpr int kCoverageRounds = 5;
+constexpr float kMostOpacity = 0.98F, kLeastOpacity = 0.005F;
+constexpr int kErrorViews = 5;
+constexpr int kFootprints = 4;  // at which the error is measured, each twice the one before
+constexpr int kClasses = 12;    // of size, each four times the one before
+
+float longest(const Gaussians& gaussians, std::size_t i) {
+  return std::max({gaussians.of(kScale)[i], gaussians.of(kScale + 1)[i], gaussians.of(kScale + 2)[i]});
+}
+
+std::vector<std::uint32_t> all_of(const Gaussians& gaussians) {
+  std::vector<std::uint32_t> out(gaussians.size());
+  std::iota(out.begin(), out.end(), 0U);
+  return out;
+}
+
+Gaussians subset(const Gaussians& gaussians, std::span<const std::uint32_t> items) {
+  Gaussians out(items.size(), gaussians.sh_degree());
+  for (int v = 0; v < gaussians.n_values(); ++v) {
+    const float* const from = gaussians.of(v);
+    float* const to = out.of(v);
+    for (std::size_t i = 0; i < items.size(); ++i) to[i] = from[items[i]];
+  }
+  return out;
+}
+
+bool is_cut(const Dot& dot, const Frame& frame) {
+  return dot.x0 == 0 || dot.y0 == 0 || dot.x1 == frame.width || dot.y1 == frame.height;
+}
+
+// What is seen of each Gaussian of the group alone, the mean over directions, world units squared. Pictures are as fine as
+// the Gaussians are small; large ones, which do not fit on them, are taken to be half hidden.
+std::vector<float> visible_areas(const Gaussians& group) {
+  std::vector<float> unhidden(group.size()), out(group.size()), sums;
+  double total = 0;
+  for (std::size_t i = 0; i < group.size(); ++i) {
+    unhidden[i] = group.of(kOpacity)[i] * mean_cross_section(covariance(group, i));
+    total += static_cast<double>(unhidden[i]);
+  }
+  const float pixel = 0.7F * static_cast<float>(std::sqrt(total / static_cast<double>(group.size())));
+  if (!(pixel > 0) || !std::isfinite(pixel)) return out;
+  Projection projection;
+  Picture picture;
+  for (const auto& piece : cut_by_place(group, all_of(group), static_cast<float>(kMostPixels / 2) * pixel)) {
+    const Gaussians part = subset(group, piece);
+    sums.assign(part.padded(), 0.F);
+    for (int view = 0; view < kViews; ++view) {
+      const Frame frame = frame_around(part, direction(view, kViews), pixel, kMostPixels);
+      project(part, frame, kDrawn, projection);
+      picture.reset(frame.width, frame.height);
+      contributions(projection.dots, picture, sums);
+    }
+    for (std::size_t i = 0; i < piece.size(); ++i) out[piece[i]] = sums[i] * pixel * pixel / static_cast<float>(kViews);
+  }
+  for (std::size_t i = 0; i < group.size(); ++i) {
+    if (longest(group, i) > 20 * pixel) out[i] = std::max(out[i], 0.5F * unhidden[i]);
+  }
+  return out;
+}
+
+// Side of a pixel at which `n` Gaussians are right for what shows: each stands for kCoarseness^2 times its share of a pixel
+// fewer, and one that shows more than a pixel stands for itself.
+float footprint_of(std::span<const float> visible, std::size_t n) {
+  double below = 0, above = 0;
+  for (const float area : visible) above += static_cast<double>(area);
+  above = std::sqrt(above);
+  for (int k = 0; k < 40; ++k) {
+    const double middle = (below + above) / 2;
+    double count = 0;
+    for (const float area : visible) count += std::min(1.0, static_cast<double>(area) / (middle * middle));
+    (count > static_cast<double>(n) ? below : above) = middle;
+  }
+  return std::max(kCoarseness * static_cast<float>(above), 1e-18F);
+}
+
+// The Gaussians that stay alone: those that would be told apart, but no more than there is room for.
+std::vector<char> kept_alone(const Gaussians& group, std::span<const float> visible, std::size_t n, float pixel) {
+  std::vector<std::uint32_t> large;
+  for (std::uint32_t i = 0; i < group.size(); ++i) {
+    if (longest(group, i) > kLarge * pixel) large.push_back(i);
+  }
+  std::sort(large.begin(), large.end(), [&](std::uint32_t a, std::uint32_t b) {
+    return visible[a] != visible[b] ? visible[a] > visible[b] : a < b;
+  });
+  large.resize(std::min(large.size(), static_cast<std::size_t>(kMostKept * static_cast<float>(n))));
+  std::vector<char> out(group.size(), 0);
+  for (const std::uint32_t i : large) out[i] = 1;
+  return out;
+}
+
+// Moments of a cluster as a Gaussian, harmonics as they are seen; one member is kept as it is.
+void set(Gaussians& out, std::size_t i, const Gaussians& group, const Clusters& clusters, std::span<const float> visible,
+         float pixel) {
+  const Cluster& cluster = clusters.all[i];
+  if (clusters.is_single(cluster)) return out.copy(i, group, cluster.first);
+  float scale[3], rotation[4];
+  principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
+  for (int k = 0; k < 3; ++k) {
+    out.of(kMean + k)[i] = cluster.mean[k];
+    out.of(kScale + k)[i] = scale[k];
+  }
+  for (int k = 0; k < 4; ++k) out.of(kRotation + k)[i] = rotation[k];
+  const float section = std::max(mean_cross_section(cluster.covariance), 1e-30F);
+  out.of(kOpacity)[i] = std::clamp(cluster.weight / section, kLeastOpacity, kMostOpacity);
+  const int n_sh = 3 * sh_coefficients(group.sh_degree());
+  float total = 0;
+  const float least = 1e-6F * pixel * pixel;
+  clusters.each_member(cluster, [&](std::uint32_t member) {
+    const float weight = visible[member] + least;
+    total += weight;
+    for (int k = 0; k < n_sh; ++k) out.of(kSh + k)[i] += weight * group.of(kSh + k)[member];
+  });
+  for (int k = 0; k < n_sh; ++k) out.of(kSh + k)[i] /= total;
+}
+
+// Opacities, until as much is seen of each Gaussian as was seen of what it stands for; sizes where opacity does not suffice.
+// `wanted`: world units squared; below 0 for those that stay as they are.
+void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float pixel) {
+  Projection projection;
+  Picture picture;
+  std::vector<float> seen;
+  std::vector<char> incomplete(gaussians.size(), 0);
+  const float fine = pixel / 2;
+  for (int round = 0; round < kCoverageRounds; ++round) {
+    seen.assign(gaussians.padded(), 0.F);
+    for (int view = 0; view < kViews; ++view) {
+      const Frame frame = frame_around(gaussians, direction(view, kViews), fine, kMostPixels);
+      project(gaussians, frame, kDrawn, projection);
+      picture.reset(frame.width, frame.height);
+      contributions(projection.dots, picture, seen);
+      for (const Dot& dot : projection.dots) {
+        if (is_cut(dot, frame)) incomplete[dot.index] = 1;
+      }
+    }
+    for (std::size_t i = 0; i < gaussians.size(); ++i) {
+      const float area = seen[i] * fine * fine / static_cast<float>(kViews);
+      if (wanted[i] < 0 || incomplete[i] != 0 || area < 0.02F * wanted[i]) continue;
+      float& opacity = gaussians.of(kOpacity)[i];
+      const float better = opacity * std::clamp(wanted[i] / std::max(area, 1e-5F * pixel * pixel), 0.5F, 2.F);
+      if (better > kMostOpacity) {
+        const float growth = std::min(std::sqrt(better / kMostOpacity), 1.15F);
+        for (int k = 0; k < 3; ++k) gaussians.of(kScale + k)[i] *= growth;
+      }
+      opacity = std::clamp(better, kLeastOpacity, kMostOpacity);
+    }
+  }
+}
+
+// Squared differences from the supersampled pictures at footprints pixel * 2^k, world units squared.
+struct Measured {
+  double of_group[kFootprints] = {}, of_result[kFootprints] = {}, covered[kFootprints] = {};
+};
+
+// A piece's share of it. Directions are others than those that were fitted.
+void measure(const Gaussians& group, const Gaussians& result, float pixel, float least_pixel, Measured& out) {
+  Projection projection;
+  Picture fine, truth, drawn;
+  for (int k = 0; k < kFootprints; ++k) {
+    const float p = std::max(pixel * static_cast<float>(1 << k), least_pixel);
+    const double area = static_cast<double>(p) * static_cast<double>(p) / kErrorViews;
+    for (int view = 0; view < kErrorViews; ++view) {
+      const Frame frame = frame_around(group, direction(view, kErrorViews), p, kMostPixels / 2);
+      true_picture(group, frame, projection, fine, truth);
+      const auto compare = [&](const Gaussians& gaussians) {
+        project(gaussians, frame, kDrawn, projection);
+        drawn.reset(frame.width, frame.height);
+        draw(projection.dots, drawn);
+        return difference(truth, drawn);
+      };
+      const Difference of_group = compare(group), of_result = compare(result);
+      out.of_group[k] += area * of_group.squared;
+      out.of_result[k] += area * of_result.squared;
+      out.covered[k] += area * of_group.covered;
+    }
+  }
+}
+
+// Smallest footprint at which the result is good enough, between those measured on a straight line of logarithms.
+float error_of(const Measured& m, float pixel) {
+  double ratio[kFootprints];
+  for (int k = 0; k < kFootprints; ++k) {
+    const double allowed = std::max(kAllowed * m.of_group[k], kAllowedSquared * m.covered[k]);
+    ratio[k] = m.of_result[k] <= 0 ? 0 : m.of_result[k] / std::max(allowed, 1e-300);
+  }
+  int k = kFootprints;  // good from there on
+  while (k > 0 && ratio[k - 1] <= 1) --k;
+  if (k == 0) return pixel * static_cast<float>(std::sqrt(std::max(ratio[0], 0.0625)));
+  if (k == kFootprints) {
+    return pixel * static_cast<float>(1 << (kFootprints - 1)) * static_cast<float>(std::sqrt(ratio[kFootprints - 1]));
+  }
+  const double from = std::log(ratio[k - 1]), to = std::log(std::max(ratio[k], 1e-6));
+  return pixel * static_cast<float>(std::exp2(k - 1 + from / (from - to)));
+}
+
+}  // namespace
+
+Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options) {
+  const std::vector<float> visible = visible_areas(group);
+  const float pixel = footprint_of(visible, n);
+  const Clusters clusters = merge_neighbours(group, visible, kept_alone(group, visible, n, pixel), n, pixel);
+  Simplified out;
+  out.gaussians.resize(clusters.all.size(), group.sh_degree());
+  for (std::size_t i = 0; i < clusters.all.size(); ++i) set(out.gaussians, i, group, clusters, visible, pixel);
+
+  // Pieces of Gaussians of like size, looked at in pixels that suit them.
+  std::vector<std::vector<std::uint32_t>> classes(kClasses);
+  for (std::uint32_t i = 0; i < out.gaussians.size(); ++i) {
+    const float size = longest(out.gaussians, i) / (kLarge * pixel);
+    const int of_size = size > 1 ? 1 + static_cast<int>(std::log2(std::min(size, 1e9F)) / 2) : 0;
+    classes[static_cast<std::size_t>(std::min(of_size, kClasses - 1))].push_back(i);
+  }
+  Measured measured;
+  std::vector<float> wanted;
+  std::vector<std::uint32_t> members;
+  for (int c = 0; c < kClasses; ++c) {
+    const float p = pixel * static_cast<float>(std::int64_t{1} << (2 * std::max(c - 1, 0)));
+    for (const auto& piece : cut_by_place(out.gaussians, classes[static_cast<std::size_t>(c)], kPieceLength * p)) {
+      wanted.clear();
+      members.clear();
+      for (const std::uint32_t i : piece) {
+        const Cluster& cluster = clusters.all[i];
+        wanted.push_back(clusters.is_single(cluster) ? -1 : cluster.weight);
+        clusters.each_member(cluster, [&](std::uint32_t member) { members.push_back(member); });
+      }
+      if (members.size() == piece.size()) continue;  // nothing was merged
+      Gaussians part = subset(out.gaussians, piece);
+      const Gaussians below = subset(group, members);
+      restore_coverage(part, wanted, p);
+      if (options.n_steps > 0 && c == 0) fit(below, part, p, options.n_steps, options.n_directions);
+      measure(below, part, pixel, p, measured);
+      for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.copy(piece[i], part, i);
+    }
+  }
+  out.error = error_of(measured, pixel);
+  return out;
+}
+
+}  // namespace rgs::lod
