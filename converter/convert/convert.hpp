@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "build_levels.hpp"
 #include "rgs/camera.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
@@ -35,6 +36,8 @@ struct ConvertOptions {
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
   int spz_version = WriteOptions{}.spz_version;
+  /// Levels of detail beside the Gaussians of an .rgs (docs/LEVELS.md); takes the scene into memory.
+  std::optional<lod::Quality> levels;
   bool strict =
       false;  ///< bad_value, and nothing is written, if values would be clamped or flushed to the output's range
   AtomicFile::Options output;
@@ -53,6 +56,8 @@ struct ConvertSummary {
   std::vector<std::string> lost;   ///< of what the source declares, what the output cannot state
   std::vector<std::string> notes;  ///< where inputs disagree, and the like
   Header header;
+  std::uint32_t n_levels = 0, n_pages = 0;  ///< of an .rgs with levels of detail
+  std::uint64_t n_stored = 0;               ///< Gaussians of all its pages
   std::vector<SectionEntry> sections;
   float min_scale = 0, max_scale = 0, min_opacity = 0, max_opacity = 0;
   std::vector<std::pair<const char*, double>> seconds;  ///< by stage, in order

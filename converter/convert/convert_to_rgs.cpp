@@ -16,6 +16,7 @@
 
 #include "convert.hpp"
 #include "depth_range.hpp"
+#include "rgs/levels_writer.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/scene_writer.hpp"
 #include "rgs/spatial_order.hpp"
@@ -152,6 +153,56 @@ Status encode_batches(const SplatSource& source, SceneWriter& writer, const Stag
   return status;
 }
 
+Result<WrittenScene> write_plain(const SplatSource& source, AtomicFile& file, const SceneScan& scan,
+                                 const EncodeOptions& encode, std::span<const std::uint32_t> indices, StageClock& clock,
+                                 const StageObserver& observer) {
+  // How long Profile::archive takes once all Gaussians are there, nobody can tell.
+  clock.begin("encode", encode.profile == Profile::archive ? 0 : scan.n_kept(), "Gaussians");
+  auto writer = SceneWriter::create(file, scan, encode, indices);
+  if (!writer) return tl::unexpected(writer.error());
+  if (const Status s = encode_batches(source, *writer, observer); !s) return tl::unexpected(s.error());
+  return writer->finish();
+}
+
+// The kept rows in their order, with what makes levels of them: the scene in memory.
+Result<WrittenScene> write_with_levels(const SplatSource& source, AtomicFile& file, const SceneScan& scan,
+                                       EncodeOptions encode, lod::Quality quality,
+                                       std::span<const std::uint32_t> indices, ConvertSummary& summary,
+                                       StageClock& clock, const StageObserver& observer) {
+  if (indices.empty()) {
+    return make_error(Errc::bad_argument, Error::kNone, "a scene without Gaussians has no levels of detail");
+  }
+  constexpr std::uint64_t kRows = 1024;
+  SplatCloud leaves;
+  leaves.resize(indices.size(), scan.sh_degree());
+  clock.begin("gather", indices.size(), "Gaussians");
+  tbb::parallel_for(std::uint64_t{0}, (indices.size() + kRows - 1) / kRows, [&](std::uint64_t block) {
+    std::vector<Splat> rows(std::min<std::uint64_t>(kRows, indices.size() - block * kRows));
+    source.gather(indices.subspan(block * kRows, rows.size()), rows);
+    SceneScan mender(scan.sh_degree(), encode.on_bad);  // mends a row that it keeps, as the first pass has done
+    for (std::size_t k = 0; k < rows.size(); ++k) {
+      mender.add(rows[k]);
+      leaves.set(block * kRows + k, rows[k]);
+    }
+    observer.advance(rows.size());
+  });
+  clock.begin("levels", 0, "");
+  const lod::Levels levels = lod::build_levels(leaves.view(), {.quality = quality, .chunk_size = encode.chunk_size});
+  leaves = {};
+  std::vector<std::uint32_t> positions(indices.begin(), indices.end());
+  if (!encode.source_index.empty()) {
+    for (std::uint32_t& i : positions) i = encode.source_index[i];
+  }
+  if (encode.keep_permutation) encode.source_index = positions;
+  encode.n_source = std::max(encode.n_source, scan.n_source());
+  encode.n_repaired += scan.n_repaired();
+  clock.begin("encode", 0, "");
+  summary.n_levels = levels.pages.front().level + 1;
+  summary.n_pages = static_cast<std::uint32_t>(levels.pages.size());
+  summary.n_stored = levels.splats.size();
+  return write_levels(levels, encode, file, static_cast<unsigned>(tbb::this_task_arena::max_concurrency()));
+}
+
 }  // namespace
 
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
@@ -193,12 +244,9 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   hashing.wait();
   if (encode.provenance) encode.provenance->source_xxh3 = source_xxh3;
 
-  // How long Profile::archive takes once all Gaussians are there, nobody can tell.
-  clock.begin("encode", encode.profile == Profile::archive ? 0 : scanned.scan.n_kept(), "Gaussians");
-  auto writer = SceneWriter::create(*file, scanned.scan, encode, indices);
-  if (!writer) return tl::unexpected(writer.error());
-  if (const Status s = encode_batches(source, *writer, observer); !s) return tl::unexpected(s.error());
-  auto written = writer->finish();
+  auto written = options.levels ? write_with_levels(source, *file, scanned.scan, encode, *options.levels, indices,
+                                                    summary, clock, observer)
+                                : write_plain(source, *file, scanned.scan, encode, indices, clock, observer);
   if (!written) {
     Error error = written.error();
     if (error.code == Errc::bad_value && error.found != Error::kNone) error.offset = source.row_offset(error.found);

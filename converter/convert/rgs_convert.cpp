@@ -45,6 +45,8 @@ struct Arguments {
   std::vector<std::string> files;  // inputs, then the output
   std::string cameras, axes = "3dgs", to_axes, crop, max_count;
   std::optional<std::uint32_t> level_of_detail;
+  std::optional<rgs::lod::Quality> lod_quality;
+  bool lod = false;
   std::vector<std::string> translate, rotate, scale;  // one for all inputs, or one for each
   SplatFormat from = SplatFormat::unknown, to = SplatFormat::unknown;
   rgs::ConvertOptions convert;
@@ -69,6 +71,8 @@ constexpr const char* kRgsOptions[] = {"--profile",
                                        "--keep-permutation",
                                        "--chunk-size",
                                        "--file-scales",
+                                       "--lod",
+                                       "--lod-quality",
                                        "--cameras",
                                        "--near",
                                        "--far",
@@ -314,6 +318,8 @@ std::optional<std::string> check_arguments(Arguments& a) {
     if (axes->empty()) continue;
     if (const auto parsed = rgs::parse_axes(*axes); !parsed) return text(parsed.error());
   }
+  if (a.lod_quality && !a.lod) return "--lod-quality is of --lod";
+  if (a.lod) a.convert.levels = a.lod_quality.value_or(rgs::lod::Quality::fast);
   if (a.n_inputs() > 1 && !a.merge) return "several inputs make one output only with --merge";
   for (const auto* texts : {&a.translate, &a.rotate, &a.scale}) {
     if (texts->size() > 1 && texts->size() != a.n_inputs()) {
@@ -552,6 +558,10 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
   app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
   app.add_flag("--file-scales", a.file_scales, "One set of SH scales for the file instead of one per chunk");
+  app.add_flag("--lod", a.lod, "Levels of detail beside the Gaussians (docs/LEVELS.md); takes the scene into memory");
+  app.add_option("--lod-quality", a.lod_quality, "How long levels are fitted [fast]")
+      ->transform(tool::one_of(std::map<std::string, rgs::lod::Quality>{{"fast", rgs::lod::Quality::fast},
+                                                                        {"best", rgs::lod::Quality::best}}));
   app.add_option("--sh-degree", e.sh_degree, "Strip SH above this degree")->check(CLI::Range(0, 3));
   app.add_option("--on-bad", e.on_bad, "Damaged Gaussians; by default they are dropped if at most 1 % are damaged")
       ->transform(tool::one_of(policies))

@@ -4,7 +4,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <glm/matrix.hpp>
 #include <limits>
+
+#include "rgs/paged_file.hpp"
 
 namespace rgs {
 
@@ -25,6 +28,33 @@ RenderOptions with_declarations(RenderOptions options, const std::optional<Decla
   if (!options.paper.depth_mapping) options.paper.depth_mapping = d.depth_mapping;
   if (!options.paper.depth_range) options.paper.depth_range = {d.z_near, d.z_far};
   return options;
+}
+
+Result<float> drawn_detail(const RenderOptions& options, const Scene& scene) {
+  const float detail = options.detail_px.value_or(options.pipeline == Pipeline::baseline ? 0 : kDefaultDetailPx);
+  if (!(detail >= 0 && std::isfinite(detail))) {
+    return make_error(Errc::bad_argument, Error::kNone, "the detail is negative or not finite");
+  }
+  if (scene.levels() == nullptr) return 0.0F;
+  if (detail > 0 && options.pipeline == Pipeline::baseline) {
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "baseline draws the leaves alone: detail 0, or another pipeline");
+  }
+  return detail;
+}
+
+Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera& camera, float detail_px) {
+  const PagedFile* const file = scene.levels();
+  if (file == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the scene has no levels of detail");
+  const glm::dmat4 camera_to_world = glm::inverse(camera.world_to_camera);
+  const Origin& origin = scene.origin();
+  lod::Eye eye;
+  for (int k = 0; k < 3; ++k) {
+    eye.position[static_cast<std::size_t>(k)] = camera_to_world[3][k] - origin[static_cast<std::size_t>(k)];
+  }
+  eye.focal_px = std::max(camera.fx, camera.fy);
+  eye.z_near = static_cast<double>(scene.declarations()->z_near);
+  return lod::drawn_pages(file->pages(), eye, detail_px, file->n_present());
 }
 
 PaperSteps steps_of(const RenderOptions& options, Backend backend) {

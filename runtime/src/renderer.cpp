@@ -5,6 +5,7 @@
 #include <optional>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include "cpu/reference_renderer.hpp"
 #include "cuda/cuda_backend.hpp"
@@ -17,6 +18,15 @@ struct Renderer::Impl {
   std::optional<detail::ReferenceRenderer> reference;  // one of the two
   std::optional<detail::CudaBackend> cuda;
   std::string name;
+  // Pages of a scene with levels of detail, as the last frame drew them: kept while they stay the same.
+  struct Cut {
+    std::uint64_t of = 0;  // Scene::identity()
+    std::vector<std::uint32_t> pages = {};
+    Scene scene = {};
+  } cut;
+
+  Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                            const RenderOptions& options);
 };
 
 Renderer::Renderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -53,21 +63,50 @@ Status Renderer::prepare(const Scene& scene) {
 Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                     const RenderOptions& options) {
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
-  const auto settings = detail::resolve(options, scene.declarations(), backend());
+  RenderOptions drawn = options;
+  if (!drawn.detail_px && !target.contributions.empty()) drawn.detail_px = 0;
+  const auto detail = drawn_detail(drawn, scene);
+  if (!detail) return tl::unexpected(detail.error());
+  if (*detail == 0) return impl_->render(scene, camera, target, drawn);
+  if (!target.contributions.empty()) {
+    return make_error(Errc::bad_argument, Error::kNone, "contributions are counted of the leaves alone: detail 0");
+  }
+  return detail::guard_memory([&]() -> Result<FrameStats> {
+    auto pages = drawn_pages(scene, camera, *detail);
+    if (!pages) return tl::unexpected(pages.error());
+    Impl::Cut& cut = impl_->cut;
+    if (cut.of != scene.identity() || cut.pages != *pages) {
+      cut = {};
+      auto chosen = scene.pages(*pages);
+      if (!chosen) return tl::unexpected(chosen.error());
+      cut = {scene.identity(), *std::move(pages), *std::move(chosen)};
+    }
+    if (!drawn.anti_aliasing) {
+      drawn.anti_aliasing = math::AntiAliasing::mip_splatting;
+      if (!drawn.low_pass) drawn.low_pass = default_low_pass_px2(AaMode::mip_splatting);
+    }
+    auto stats = impl_->render(cut.scene, camera, target, drawn);
+    if (stats) stats->pages = cut.pages.size();
+    return stats;
+  });
+}
+
+// A scene without levels, or the leaves of one with them.
+Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                                          const RenderOptions& options) {
+  const Backend backend = cuda ? Backend::cuda : Backend::cpu;
+  const auto settings = detail::resolve(options, scene.declarations(), backend);
   if (!settings) return tl::unexpected(settings.error());
   if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
   if (!target.contributions.empty()) {
-    if (impl_->cuda)
-      return make_error(Errc::bad_argument, Error::kNone, "contributions are counted by the CPU renderer only");
+    if (cuda) return make_error(Errc::bad_argument, Error::kNone, "contributions are counted by the CPU renderer only");
     if (target.contributions.size() != scene.size())
       return make_error(Errc::bad_argument, Error::kNone, "the contributions' size is not that of the scene",
                         scene.size(), target.contributions.size());
   }
-  auto stats = impl_->cuda
-                   ? impl_->cuda->render(scene, camera, target, with_declarations(options, scene.declarations()))
-                   : scene.view().and_then([&](const SceneView& view) {
-                       return impl_->reference->render(view, camera, target, *settings);
-                     });
+  auto stats = cuda ? cuda->render(scene, camera, target, with_declarations(options, scene.declarations()))
+                    : scene.view().and_then(
+                          [&](const SceneView& view) { return reference->render(view, camera, target, *settings); });
   // Here also for CUDA, where a scene of FP32 arrays no longer knows what it declares.
   if (stats) {
     stats->depth_resolution = detail::depth_resolution(*settings, stats->depth_bits, camera, scene.declarations());

@@ -10,6 +10,7 @@
 #include <cassert>
 #include <cmath>
 #include <limits>
+#include <memory>
 #include <mutex>
 #include <utility>
 #include <vector>
@@ -17,6 +18,7 @@
 #include "parallel.hpp"
 #include "rgs/file.hpp"
 #include "rgs/guard_memory.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -100,6 +102,51 @@ void activate(SplatCloud& s) {
   });
 }
 
+// Not cleared: the threads that fill it touch its pages first.
+std::unique_ptr<float[]> memory_of(std::uint64_t n, int sh_degree) {
+  return std::make_unique_for_overwrite<float[]>(n * static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree)));
+}
+
+// The FP32 arrays of n Gaussians, one after the other.
+struct Arrays {
+  std::uint64_t sh_floats;
+  float *mean, *rotation, *scale, *opacity, *sh;
+
+  Arrays(float* memory, std::uint64_t n, int sh_degree)
+      : sh_floats(static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree))),
+        mean(memory),
+        rotation(mean + 3 * n),
+        scale(rotation + 4 * n),
+        opacity(scale + 3 * n),
+        sh(opacity + n) {}
+  void set(std::uint64_t i, const ActivatedSplat& s) const {
+    std::copy_n(s.mean, 3, &mean[3 * i]);
+    std::copy_n(s.rotation, 4, &rotation[4 * i]);
+    std::copy_n(s.scale, 3, &scale[3 * i]);
+    opacity[i] = s.opacity;
+    std::copy_n(s.sh, sh_floats, &sh[sh_floats * i]);
+  }
+  // Rows of these pages, one page after the other.
+  void gather(const Arrays& from, const std::vector<lod::Page>& pages, std::span<const std::uint32_t> chosen) const {
+    std::vector<std::uint64_t> first;
+    std::uint64_t end = 0;
+    for (const std::uint32_t page : chosen) first.push_back(std::exchange(end, end + pages[page].count));
+    detail::parallel_ranges(chosen.size(), 16, [&](std::uint64_t begin, std::uint64_t last) {
+      for (std::uint64_t k = begin; k < last; ++k) {
+        const std::uint64_t at = pages[chosen[k]].first, count = pages[chosen[k]].count, i = first[k];
+        std::copy_n(&from.mean[3 * at], 3 * count, &mean[3 * i]);
+        std::copy_n(&from.rotation[4 * at], 4 * count, &rotation[4 * i]);
+        std::copy_n(&from.scale[3 * at], 3 * count, &scale[3 * i]);
+        std::copy_n(&from.opacity[at], count, &opacity[i]);
+        std::copy_n(&from.sh[sh_floats * at], sh_floats * count, &sh[sh_floats * i]);
+      }
+    });
+  }
+  SceneView view(std::uint64_t n, int sh_degree, const Origin& origin) const {
+    return {n, sh_degree, {mean, 3 * n}, {rotation, 4 * n}, {scale, 3 * n}, {opacity, n}, {sh, sh_floats * n}, origin};
+  }
+};
+
 }  // namespace
 
 struct Scene::Storage {
@@ -108,7 +155,12 @@ struct Scene::Storage {
   int sh_degree = 0;
   std::optional<Declarations> declarations;
   MappedFile file;  // empty if none is kept
-  FileView opened;  // `file`
+  FileView opened;  // `file`, or `leaves`
+
+  // Of a file with levels of detail. Its bytes are `file` or `copy`.
+  std::vector<std::byte> copy;
+  std::optional<PagedFile> levels;
+  std::vector<std::byte> leaves;  // as a file without levels; empty if pages are missing
 
   mutable std::mutex mutex;                   // of all below
   mutable bool is_validated = false;          // `file`, on the host
@@ -116,6 +168,8 @@ struct Scene::Storage {
   mutable std::optional<SceneView> arrays;    // of `activated` or `expanded`
   SplatCloud activated;                       // training parameters, activated
   mutable std::unique_ptr<float[]> expanded;  // of a file
+  mutable std::unique_ptr<float[]> paged;     // of all pages of `levels` that are there, one array after the other
+  mutable std::uint64_t n_paged = 0;
 
   Status describe(const FileView& view);
   Status decode(const FileView& view);
@@ -123,6 +177,8 @@ struct Scene::Storage {
   // The caller holds the mutex, or is the only one who knows the scene.
   Result<DirectData> take_direct() const;
   Status expand() const;
+  Status expand_pages() const;
+  Status open_levels(const DecodeLimits& limits, std::span<const std::byte> bytes);
 };
 
 // What the head says.
@@ -162,36 +218,90 @@ Status Scene::Storage::expand() const {
   if (arrays) return {};
   const auto data = take_direct();
   if (!data) return tl::unexpected(data.error());
-  const auto sh_floats = static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree));
-  // Not cleared: the threads that fill it touch its pages first.
-  auto memory = std::make_unique_for_overwrite<float[]>(n * (11 + sh_floats));
-  float* const mean = memory.get();
-  float* const rotation = mean + 3 * n;
-  float* const scale = rotation + 4 * n;
-  float* const opacity = scale + 3 * n;
-  float* const sh = opacity + n;
+  auto memory = memory_of(n, sh_degree);
+  const Arrays to(memory.get(), n, sh_degree);
   const auto fill = [&](std::uint64_t begin, std::uint64_t end) {
     std::array<ActivatedSplat, 64> buffer;
     for (std::uint64_t first = begin; first < end; first += buffer.size()) {
       const auto part = std::span(buffer).first(std::min<std::uint64_t>(buffer.size(), end - first));
       [[maybe_unused]] const Status read = data->read(first, part);
       assert(read.has_value());  // the file is valid
-      for (std::uint64_t k = 0; k < part.size(); ++k) {
-        const ActivatedSplat& s = part[k];
-        const std::uint64_t i = first + k;
-        std::copy_n(s.mean, 3, &mean[3 * i]);
-        std::copy_n(s.rotation, 4, &rotation[4 * i]);
-        std::copy_n(s.scale, 3, &scale[3 * i]);
-        opacity[i] = s.opacity;
-        std::copy_n(s.sh, sh_floats, &sh[sh_floats * i]);
-      }
+      for (std::uint64_t k = 0; k < part.size(); ++k) to.set(first + k, part[k]);
     }
   };
   // Isolated: a task of the caller's that this thread took up while it waits might want the mutex.
   tbb::this_task_arena::isolate([&] { detail::parallel_ranges(n, kGrain, fill); });
   expanded = std::move(memory);
-  arrays = SceneView{
-      n, sh_degree, {mean, 3 * n}, {rotation, 4 * n}, {scale, 3 * n}, {opacity, n}, {sh, sh_floats * n}, origin()};
+  arrays = to.view(n, sh_degree, origin());
+  return {};
+}
+
+// Of a file with levels of detail, or its beginning.
+Status Scene::Storage::open_levels(const DecodeLimits& limits, std::span<const std::byte> bytes) {
+  auto paged_file = PagedFile::open(bytes, limits);
+  if (!paged_file) return tl::unexpected(paged_file.error());
+  levels = *std::move(paged_file);
+  if (const auto ok = describe(levels->head()); !ok) return ok;
+  if (levels->n_present() == levels->n_pages()) {
+    auto file_of_leaves = leaves_as_file(*levels);
+    if (!file_of_leaves) return tl::unexpected(file_of_leaves.error());
+    leaves = *std::move(file_of_leaves);
+    auto view = FileView::open(leaves, {.max_file_bytes = leaves.size(), .max_gaussians = n});
+    if (!view) return tl::unexpected(view.error());
+    opened = *std::move(view);
+    return {};
+  }
+  if (levels->n_present() == 0) {
+    return make_error(Errc::pages_missing, bytes.size(), "the end of the file is missing, and with it all pages");
+  }
+  // What is there at its finest stands for the leaves.
+  if (const auto ok = expand_pages(); !ok) return ok;
+  const auto finest = lod::drawn_pages(levels->pages(), {}, 0, levels->n_present());
+  n = 0;
+  for (const std::uint32_t page : finest) n += levels->pages()[page].count;
+  expanded = memory_of(n, sh_degree);
+  const Arrays to(expanded.get(), n, sh_degree);
+  to.gather(Arrays(paged.get(), n_paged, sh_degree), levels->pages(), finest);
+  arrays = to.view(n, sh_degree, origin());
+  return {};
+}
+
+Status Scene::Storage::expand_pages() const {
+  if (paged) return {};
+  const std::uint32_t n_present = levels->n_present();
+  std::uint64_t rows = 0;
+  for (std::uint32_t page = 0; page < n_present; ++page) rows += levels->pages()[page].count;
+  auto memory = memory_of(rows, sh_degree);
+  const Arrays to(memory.get(), rows, sh_degree);
+  std::mutex failing;
+  Status status;
+  const auto decode = [&](std::uint64_t begin, std::uint64_t end) {
+    PageDecoder decoder(*levels);
+    std::vector<std::byte> bytes(levels->largest_decoded_bytes() + 16);
+    std::array<ActivatedSplat, 64> buffer;
+    for (auto page = static_cast<std::uint32_t>(begin); page < end; ++page) {
+      void* aligned = bytes.data();
+      std::size_t room = bytes.size();
+      std::align(16, levels->decoded_bytes(page), aligned, room);
+      const auto page_rows =
+          decoder.decode(page, levels->bytes(page), {static_cast<std::byte*>(aligned), levels->decoded_bytes(page)});
+      Status ok = page_rows ? check_page_values(*levels, page, *page_rows) : Status(tl::unexpected(page_rows.error()));
+      const lod::Page& at = levels->pages()[page];
+      for (std::uint32_t first = 0; ok && first < at.count; first += static_cast<std::uint32_t>(buffer.size())) {
+        const auto part = std::span(buffer).first(std::min<std::size_t>(buffer.size(), at.count - first));
+        ok = read_page(*levels, page, *page_rows, first, part);
+        for (std::uint64_t k = 0; ok && k < part.size(); ++k) to.set(at.first + first + k, part[k]);
+      }
+      if (ok) continue;
+      const std::scoped_lock lock(failing);
+      if (status) status = ok;
+      return;
+    }
+  };
+  tbb::this_task_arena::isolate([&] { detail::parallel_ranges(n_present, 4, decode); });
+  if (!status) return status;
+  paged = std::move(memory);
+  n_paged = rows;
   return {};
 }
 
@@ -244,6 +354,16 @@ Result<Scene> Scene::load(const FileView& file) {
 }
 
 Result<Scene> Scene::load(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  if (has_levels(bytes)) {
+    return detail::guard_memory([&]() -> Result<Scene> {
+      auto storage = std::make_shared<Storage>();
+      storage->copy.assign(bytes.begin(), bytes.end());
+      if (const auto ok = storage->open_levels(limits, storage->copy); !ok) return tl::unexpected(ok.error());
+      Scene scene;
+      scene.storage_ = std::move(storage);
+      return scene;
+    });
+  }
   const auto file = FileView::open(bytes, limits);
   if (!file) return tl::unexpected(file.error());
   return load(*file);
@@ -255,8 +375,18 @@ Result<Scene> Scene::load(const std::string& path, const DecodeLimits& limits) {
   return load(*std::move(file), limits);
 }
 
+Result<Scene> Scene::load_levels(MappedFile&& file, const DecodeLimits& limits) {
+  auto storage = std::make_shared<Storage>();
+  storage->file = std::move(file);
+  if (const auto ok = storage->open_levels(limits, storage->file.bytes()); !ok) return tl::unexpected(ok.error());
+  Scene scene;
+  scene.storage_ = std::move(storage);
+  return scene;
+}
+
 Result<Scene> Scene::load(MappedFile&& file, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<Scene> {
+    if (has_levels(file.bytes())) return load_levels(std::move(file), limits);
     auto opened = FileView::open(file.bytes(), limits);
     if (!opened) return tl::unexpected(opened.error());
     auto storage = std::make_shared<Storage>();
@@ -277,6 +407,7 @@ Result<Scene> Scene::open(const std::string& path, const DecodeLimits& limits) {
 
 Result<Scene> Scene::open(MappedFile&& file, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<Scene> {
+    if (has_levels(file.bytes())) return load_levels(std::move(file), limits);
     auto opened = FileView::open(file.bytes(), limits);
     if (!opened) return tl::unexpected(opened.error());
     auto storage = std::make_shared<Storage>();
@@ -306,7 +437,44 @@ std::uint64_t Scene::identity() const {
   return storage_ ? storage_->identity : 0;
 }
 bool Scene::has_file() const {
-  return storage_ && !storage_->file.bytes().empty();
+  if (!storage_) return false;
+  return storage_->levels ? !storage_->leaves.empty() : !storage_->file.bytes().empty();
+}
+
+const PagedFile* Scene::levels() const {
+  return storage_ && storage_->levels ? &*storage_->levels : nullptr;
+}
+
+Result<Scene> Scene::pages(std::span<const std::uint32_t> pages) const {
+  return detail::guard_memory([&]() -> Result<Scene> {
+    if (levels() == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the scene has no levels of detail");
+    const std::vector<lod::Page>& all = levels()->pages();
+    std::uint64_t n = 0;
+    for (const std::uint32_t page : pages) {
+      if (page >= levels()->n_present())
+        return make_error(Errc::bad_argument, Error::kNone, "the scene has no such page", levels()->n_present(), page);
+      n += all[page].count;
+    }
+    if (n >= kMaxGaussians) {
+      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers",
+                        kMaxGaussians - 1, n);
+    }
+    auto storage = std::make_shared<Storage>();
+    {
+      const std::scoped_lock lock(storage_->mutex);
+      if (const auto ok = storage_->expand_pages(); !ok) return tl::unexpected(ok.error());
+    }
+    storage->n = n;
+    storage->sh_degree = sh_degree();
+    storage->declarations = declarations();
+    storage->expanded = memory_of(n, sh_degree());
+    const Arrays to(storage->expanded.get(), n, sh_degree());
+    to.gather(Arrays(storage_->paged.get(), storage_->n_paged, sh_degree()), all, pages);
+    storage->arrays = to.view(n, sh_degree(), origin());
+    Scene scene;
+    scene.storage_ = std::move(storage);
+    return scene;
+  });
 }
 
 const FileView* Scene::file() const {
@@ -330,6 +498,8 @@ std::uint64_t Scene::bytes() const {
   if (const auto& a = storage_->arrays) {
     for (const auto& array : {a->mean, a->rotation, a->scale, a->opacity, a->sh}) total += array.size_bytes();
   }
+  total += storage_->leaves.size() + storage_->copy.size() +
+           storage_->n_paged * sizeof(float) * static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree()));
   if (const auto& d = storage_->decoded) {
     const FileView& file = d->file();
     if (file.frames(SectionType::means).rows > 0) total += d->means().size();  // 0: not coded, and so not decoded

@@ -5,6 +5,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <limits>
@@ -65,6 +66,20 @@ std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::u
 /// `n_present`: pages that may be used, from the root on.
 std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
                                       std::uint32_t n_present = kNoPage);
+
+/// Where a scene is looked at from, for what a pixel covers there.
+struct Eye {
+  std::array<double, 3> position;  ///< relative to the scene's origin, world units
+  double focal_px = 1;             ///< focal length, the larger of both
+  double z_near = 0;               ///< no page counts as nearer, world units
+};
+/// World units that a pixel covers where the box is nearest to the eye.
+double footprint(const Box& bounds, const Eye& eye);
+/// The pages that a view draws at a detail of `detail_px` >= 0, in the order of their leaves: those whose error is at most
+/// detail_px times their footprint, while their parent's is more. 0: the leaves. They replace all leaves, each once. A page whose
+/// children are not all among the first `n_present` is drawn in their place.
+std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
+                                       std::uint32_t n_present = kNoPage);
 
 /// What is wrong with a page, and in which of its fields; no fault: `what` is null.
 enum class PageField : std::uint8_t { count, level, parent, children, bounds, error };

@@ -23,6 +23,23 @@ bool contains(const Box& outer, const Box& inner) {
   return true;
 }
 
+// Pages from the root down to those that are drawn, or have no children: in the order of their leaves.
+template <class IsDrawn>
+std::vector<std::uint32_t> pages_until(const std::vector<Page>& pages, const IsDrawn& is_drawn) {
+  std::vector<std::uint32_t> drawn, stack{0};
+  while (!stack.empty()) {
+    const std::uint32_t i = stack.back();
+    stack.pop_back();
+    const Page& page = pages[i];
+    if (page.n_children == 0 || is_drawn(page)) {
+      drawn.push_back(i);
+      continue;
+    }
+    for (std::uint32_t child = page.first_child + page.n_children; child-- > page.first_child;) stack.push_back(child);
+  }
+  return drawn;
+}
+
 }  // namespace
 
 std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level) {
@@ -62,20 +79,28 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
       error = std::nextafter(split, 0.f);  // less than this one's, and not less than that of any below
     }
   }
-  std::vector<std::uint32_t> cut;
-  if (!found) return cut;
-  std::vector<std::uint32_t> stack{0};
-  while (!stack.empty()) {
-    const std::uint32_t i = stack.back();
-    stack.pop_back();
-    const Page& page = pages[i];
-    if (page.n_children == 0 || page.error <= error) {
-      cut.push_back(i);
-      continue;
-    }
-    for (std::uint32_t child = page.first_child + page.n_children; child-- > page.first_child;) stack.push_back(child);
+  if (!found) return {};
+  return pages_until(pages, [&](const Page& page) { return page.error <= error; });
+}
+
+double footprint(const Box& bounds, const Eye& eye) {
+  double squared = 0;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double outside = std::max({static_cast<double>(bounds.min[k]) - eye.position[k],
+                                     eye.position[k] - static_cast<double>(bounds.max[k]), 0.0});
+    squared += outside * outside;
   }
-  return cut;
+  return std::max(std::sqrt(squared), eye.z_near) / eye.focal_px;
+}
+
+std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
+                                       std::uint32_t n_present) {
+  if (n_present == 0) return {};
+  return pages_until(pages, [&](const Page& page) {
+    const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_present;
+    return !has_children ||
+           static_cast<double>(page.error) <= static_cast<double>(detail_px) * footprint(page.bounds, eye);
+  });
 }
 
 PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size) {

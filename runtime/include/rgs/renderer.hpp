@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "rgs/camera.hpp"
 #include "rgs/image.hpp"
@@ -81,6 +82,9 @@ struct MeasureOptions {
   bool count_pairs = false;  ///< wait for the frame and count evaluated and blended pairs, at a cost in time
 };
 
+/// RenderOptions::detail_px of scenes with levels of detail: docs/LEVELS.md has what it costs and saves.
+inline constexpr float kDefaultDetailPx = 1;
+
 /// What a frame shows, and how it is made.
 struct RenderOptions {
   std::array<float, 3> background = {0, 0, 0};
@@ -91,6 +95,11 @@ struct RenderOptions {
   /// anti-aliasing is asked for than it declares.
   std::optional<float> low_pass = std::nullopt;
   std::optional<math::AntiAliasing> anti_aliasing = std::nullopt;  ///< absent: as the scene declares, else classic
+  /// Of a scene with levels of detail, px: pages are drawn whose error is at most so many pixels (docs/FORMAT.md, "Error and cut"),
+  /// with Mip-Splatting's opacities and a low-pass of 0.1 px^2, by which they were fitted, unless these options say otherwise.
+  /// 0: its leaves, as a file without levels is drawn. Absent: kDefaultDetailPx; 0 for Pipeline::baseline, which draws leaves alone, and
+  /// where contributions are counted. Other scenes ignore it.
+  std::optional<float> detail_px = std::nullopt;
   Pipeline pipeline = Pipeline::automatic;
   PaperSteps paper = {};
   TurboOptions turbo = {};
@@ -101,6 +110,12 @@ struct RenderOptions {
 /// if it declares none), low-pass, range and mapping of the paper's key. Renderers do this themselves with
 /// Scene::declarations(); it is for drawing other scenes as this one.
 RenderOptions with_declarations(RenderOptions options, const std::optional<Declarations>& declared);
+
+/// The detail at which `scene` is drawn with `options`: 0 without levels, and where its leaves are. Errors: bad_argument (negative, not
+/// finite, or baseline with another than 0).
+Result<float> drawn_detail(const RenderOptions& options, const Scene& scene);
+/// Pages of scene.levels() that a camera sees at a detail, in the order of their leaves. Errors: bad_argument without levels.
+Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera& camera, float detail_px);
 
 /// The settings that options.pipeline stands for on a backend (not automatic), as steps: of baseline, where an ablation
 /// starts; of turbo, its arithmetic.
@@ -119,7 +134,8 @@ struct FrameStats {
   /// Pixels; of turbo also what its long lists take longer, which are ordered and blended beside the others.
   double blend_ms = 0;
   double total_ms = 0;
-  std::uint64_t gaussians = 0;  ///< in the scene
+  std::uint64_t gaussians = 0;  ///< in the scene, or in the pages that are drawn
+  std::uint64_t pages = 0;      ///< of a scene with levels of detail that are drawn; 0 where it is drawn without
   std::uint64_t visible = 0;    ///< listed in at least one tile
   std::uint64_t instances = 0;  ///< (tile, Gaussian) pairs
   std::uint64_t evaluated = 0;  ///< (pixel, Gaussian) pairs that pixels went through before they stopped

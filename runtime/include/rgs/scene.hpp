@@ -16,6 +16,7 @@
 namespace RGS_API rgs {
 
 class MappedFile;
+class PagedFile;
 
 /// Read-only view of N activated Gaussians, structure of arrays, in the scene's axes.
 struct SceneView {
@@ -29,7 +30,8 @@ struct SceneView {
   Origin origin = kNoOrigin;        ///< in the world
 };
 
-/// Gaussians to be drawn, which never change. Copies share them; reading is thread-safe. The CPU draws FP32 arrays of
+/// Gaussians to be drawn, which never change. Of a file with levels of detail (docs/FORMAT.md) they are the leaves, or, if its end
+/// is missing, the finest that is there. Copies share them; reading is thread-safe. The CPU draws FP32 arrays of
 /// activated attributes, the GPU an .rgs file's attributes as they lie in it: each is made when it is first asked for.
 class Scene {
  public:
@@ -84,6 +86,13 @@ class Scene {
   bool is_validated() const;
   /// Whether what load() has decoded of a coded file waits for the first view() or direct().
   bool is_decoded() const;
+  /// The tree of pages, where the scene came from a file with levels of detail; null otherwise. It lives as long as the scene.
+  /// The file that the scene keeps is then that of its leaves, in memory.
+  const PagedFile* levels() const;
+  /// The Gaussians of these pages of levels(), one page after the other, as a scene of their own with the same declarations. The
+  /// first call decodes and validates all pages on all threads, and keeps them: 236 bytes a Gaussian at SH degree 3.
+  /// Errors: bad_argument (no levels, or no such page), those of read_pages().
+  Result<Scene> pages(std::span<const std::uint32_t> pages) const;
   /// The attributes as they lie in the kept file, where there is one (has_file()); they must not outlive the scene. The
   /// first call gives away what load() decoded, others decode it again: nobody holds what nobody uses. Errors: those of
   /// load_direct(), which validates if that has not been done; bad_argument without a file.
@@ -91,6 +100,7 @@ class Scene {
 
  private:
   struct Storage;
+  static Result<Scene> load_levels(MappedFile&& file, const DecodeLimits& limits);
   static Scene adopt(SplatCloud splats, const std::optional<Declarations>& declared);
 
   std::shared_ptr<const Storage> storage_;
