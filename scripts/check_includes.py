@@ -19,6 +19,7 @@ ROOMS = {
     "converter/inspect": "inspect",
     "converter/audit": "audit",
     "converter/prune": "prune",
+    "converter/lod": "lod",
     "converter/tool": "tool",
 }
 # Whom a room builds on. What those build on may be included too.
@@ -33,6 +34,7 @@ BUILDS_ON = {
     "inspect": ["formats"],
     "audit": ["inspect", "formats", "runtime"],
     "prune": ["convert", "runtime"],
+    "lod": ["math"],
     "tool": ["formats", "runtime"],
 }
 # Rooms with programs; they may use what programs share, but not what that builds on.
@@ -47,7 +49,8 @@ PRIVATE = {
     "converter/formats": ["tests/converter/formats"],
 }
 # Further include folders. A header outside all of them has its own folder's.
-SHARED = ["converter/convert", "converter/inspect", "converter/audit", "converter/prune", "converter/tool"]
+SHARED = ["converter/convert", "converter/inspect", "converter/audit", "converter/prune", "converter/lod",
+          "converter/tool"]
 OUTSIDERS = ["samples/minimal", "samples/consumer"]
 
 CUDA = r"cuda|cub/|thrust/|cooperative_groups|curand|mma\.h|nv/|device_|vector_types|.*\.cuh?$"

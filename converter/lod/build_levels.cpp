@@ -60,9 +60,12 @@ Box bounds_of(const SplatView& splats, std::uint64_t first, std::uint64_t n, flo
       for (std::size_t k = 0; k < 3; ++k) scale[k] = sigmas * kRoundingMargin * std::exp(splats.log_scale[3 * i + k]);
     }
     for (std::size_t k = 0; k < 3; ++k) {
-      float reach = 0;
-      for (std::size_t l = 0; l < 3; ++l) reach += r[3 * k + l] * r[3 * k + l] * scale[l] * scale[l];
-      reach = std::sqrt(reach);
+      double squared = 0;  // FP32 would lose the squares of the smallest
+      for (std::size_t l = 0; l < 3; ++l) {
+        const double along = static_cast<double>(r[3 * k + l]) * static_cast<double>(scale[l]);
+        squared += along * along;
+      }
+      const auto reach = static_cast<float>(std::sqrt(squared));
       box.min[k] = std::min(box.min[k], splats.mean[3 * i + k] - reach);
       box.max[k] = std::max(box.max[k], splats.mean[3 * i + k] + reach);
     }
@@ -127,7 +130,7 @@ void append(SplatCloud& to, const SplatView& from) {
 }  // namespace
 
 FitOptions fit_options(Quality quality) {
-  return quality == Quality::best ? FitOptions{200, 64} : FitOptions{12, 12};
+  return quality == Quality::best ? FitOptions{400, 64} : FitOptions{12, 12};
 }
 
 std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options) {

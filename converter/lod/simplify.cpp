@@ -20,8 +20,8 @@ constexpr int kViews = 6;           // that say what is seen of a Gaussian
 constexpr int kMostPixels = 512;    // of their sides
 constexpr float kPieceLength = 100;  // pixels: pictures of pieces stay in the cache
 constexpr float kCoarseness = 2;    // pixels a Gaussian: see footprint_of()
-constexpr float kLarge = 3.5F;      // pixels of the longest standard deviation from which on a Gaussian stays alone
-constexpr float kMostKept = 0.7F;   // of the result
+constexpr float kLarge = 2.5F;      // pixels of the longest standard deviation from which on a Gaussian stays alone
+constexpr float kMostKept = 0.6F;   // of the result
 constexpr int kCoverageRounds = 5;
 constexpr float kMostOpacity = 0.98F, kLeastOpacity = 0.005F;
 constexpr int kErrorViews = 5;

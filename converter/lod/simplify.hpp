@@ -21,8 +21,8 @@ struct Simplified {
   float error = 0;
 };
 
-inline constexpr double kAllowed = 1.3;            // 1.1 dB
-inline constexpr double kAllowedSquared = 3.2e-5;  // 45 dB
+inline constexpr double kAllowed = 5;             // 7 dB
+inline constexpr double kAllowedSquared = 1e-5;  // 50 dB
 
 /// At most `n` < group.size() Gaussians for those of `group`. Deterministic.
 Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options);

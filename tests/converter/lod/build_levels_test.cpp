@@ -1,0 +1,141 @@
+// build_levels_test.cpp - the tree of pages: what must hold of it for scenes of all sizes and kinds.
+// SPDX-License-Identifier: Apache-2.0
+#include "build_levels.hpp"
+
+#include <doctest/doctest.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "complexity.hpp"
+#include "lod_scenes.hpp"
+#include "plausible_cloud.hpp"
+
+namespace {
+
+using namespace rgs::lod;
+
+BuildOptions small_pages() {
+  BuildOptions options;
+  options.chunk_size = 64;
+  options.page_chunks = 4;
+  return options;
+}
+
+void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const BuildOptions& options) {
+  const auto checked = check_pages(levels.pages, options.chunk_size);
+  const char* const why = checked ? "" : checked.error().what;
+  INFO(why);
+  REQUIRE(checked.has_value());
+  REQUIRE(levels.n_leaves() == leaves.size());
+  REQUIRE(levels.splats.view().consistent());
+  // Leaves come last, as they are.
+  const auto tail = [](const std::vector<float>& all, const std::vector<float>& part) {
+    return std::equal(part.begin(), part.end(), all.end() - static_cast<std::ptrdiff_t>(part.size()));
+  };
+  CHECK(tail(levels.splats.mean, leaves.mean));
+  CHECK(tail(levels.splats.log_scale, leaves.log_scale));
+  CHECK(tail(levels.splats.rotation, leaves.rotation));
+  CHECK(tail(levels.splats.opacity_logit, leaves.opacity_logit));
+  CHECK(tail(levels.splats.sh, leaves.sh));
+  for (const Page& page : levels.pages) {
+    CHECK(page.count <= options.chunk_size * options.page_chunks);
+    if (page.level == 0) continue;
+    std::uint64_t below = 0;
+    for (std::uint32_t k = 0; k < page.n_children; ++k) below += levels.pages[page.first_child + k].count;
+    CHECK(page.count <= (below + options.children - 1) / options.children);
+  }
+  // Bounds hold three standard deviations of what is in the page, along each axis of the Gaussian.
+  for (const Page& page : levels.pages) {
+    for (std::uint64_t i = page.first; i < page.first + page.count; ++i) {
+      for (std::size_t k = 0; k < 3; ++k) {
+        const float mean = levels.splats.mean[3 * i + k];
+        float least = 1e30F;  // a ball inside the ellipsoid
+        for (std::size_t l = 0; l < 3; ++l) least = std::min(least, 3 * std::exp(levels.splats.log_scale[3 * i + l]));
+        REQUIRE(page.bounds.min[k] <= mean - least);
+        REQUIRE(page.bounds.max[k] >= mean + least);
+      }
+    }
+  }
+  for (const float x : levels.splats.log_scale) REQUIRE(std::isfinite(x));
+  for (const float x : levels.splats.opacity_logit) REQUIRE(std::isfinite(x));
+}
+
+}  // namespace
+
+TEST_CASE("levels of scenes of all sizes and degrees form a tree with the leaves as they are") {
+  for (const std::uint64_t n : {1U, 2U, 63U, 64U, 65U, 256U, 257U, 1024U, 1025U, 5000U}) {
+    for (const int degree : {0, 3}) {
+      rgs::test::SplitMix random(n + static_cast<std::uint64_t>(degree));
+      const rgs::SplatCloud cloud = rgs::test::plausible_cloud(n, degree, random);
+      INFO("n ", n, " degree ", degree);
+      const Levels levels = build_levels(cloud.view(), small_pages());
+      check_levels(levels, cloud, small_pages());
+      CHECK(levels.splats.size() <= n + n / 2 + 16);
+    }
+  }
+}
+
+TEST_CASE("levels are the same bytes on one thread and on two, and page by page") {
+  rgs::test::SplitMix random(5);
+  const rgs::SplatCloud cloud = rgs::test::wall(96, 1, random);
+  const BuildOptions options = small_pages();
+  Levels one, two;
+  tbb::task_arena(1).execute([&] { one = build_levels(cloud.view(), options); });
+  tbb::task_arena(2).execute([&] { two = build_levels(cloud.view(), options); });
+  CHECK(one.splats.mean == two.splats.mean);
+  CHECK(one.splats.log_scale == two.splats.log_scale);
+  CHECK(one.splats.rotation == two.splats.rotation);
+  CHECK(one.splats.opacity_logit == two.splats.opacity_logit);
+  CHECK(one.splats.sh == two.splats.sh);
+  // A page by itself, as another process would build it.
+  const std::vector<Page> leaves = cut_leaves(cloud.view(), options);
+  const std::vector<std::uint32_t> begins = group_pages(leaves, options);
+  REQUIRE(begins.size() > 3);
+  rgs::SplatCloud alone;
+  const Page page = build_page(cloud.view(), leaves, begins[2], begins[3], options, alone);
+  const Level level = build_level(cloud.view(), leaves, options);
+  REQUIRE(level.pages[2].count == page.count);
+  CHECK(level.pages[2].error == page.error);
+  CHECK(std::equal(alone.mean.begin(), alone.mean.end(),
+                   level.splats.mean.begin() + static_cast<std::ptrdiff_t>(3 * level.pages[2].first)));
+}
+
+TEST_CASE("a floater far away gets a page of its own") {
+  rgs::test::SplitMix random(6);
+  rgs::SplatCloud cloud = rgs::test::wall(64, 0, random);
+  const BuildOptions options = small_pages();
+  // The last chunk is scattered over a thousand times the wall.
+  for (std::uint64_t i = cloud.size() - options.chunk_size; i < cloud.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) cloud.mean[3 * i + k] = random.dyadic(-500, 500);
+  }
+  const std::vector<Page> pages = cut_leaves(cloud.view(), options);
+  CHECK(pages.back().count == options.chunk_size);
+  CHECK(pages[pages.size() - 2].bounds.max[0] < 2);
+  check_levels(build_levels(cloud.view(), options), cloud, options);
+}
+
+TEST_CASE("equal Gaussians, and those that do not show, become levels") {
+  const BuildOptions options = small_pages();
+  rgs::SplatCloud cloud;
+  cloud.resize(2000, 0);
+  cloud.rotation.assign(cloud.rotation.size(), 0.5F);
+  check_levels(build_levels(cloud.view(), options), cloud, options);
+  cloud.opacity_logit.assign(cloud.opacity_logit.size(), -20);
+  check_levels(build_levels(cloud.view(), options), cloud, options);
+  cloud.log_scale.assign(cloud.log_scale.size(), -60);
+  check_levels(build_levels(cloud.view(), options), cloud, options);
+}
+
+TEST_CASE("building levels takes time in proportion to the Gaussians") {
+  const double growth = rgs::test::growth(
+      1024,
+      [](std::uint64_t n) {
+        rgs::test::SplitMix random(8);
+        return rgs::test::wall(static_cast<std::uint64_t>(std::lround(std::sqrt(static_cast<double>(n)))), 0, random);
+      },
+      [](const rgs::SplatCloud& cloud) { build_levels(cloud.view(), small_pages()); });
+  CHECK(growth < 48);
+}

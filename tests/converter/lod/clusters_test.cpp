@@ -1,0 +1,95 @@
+// clusters_test.cpp - which Gaussians become one, and their moments.
+// SPDX-License-Identifier: Apache-2.0
+#include "clusters.hpp"
+
+#include <doctest/doctest.h>
+
+#include <cmath>
+#include <vector>
+
+#include "lod_scenes.hpp"
+
+namespace {
+
+using namespace rgs::lod;
+
+constexpr float kCentre[3] = {0, 0, 0};
+
+}  // namespace
+
+TEST_CASE("principal axes give the covariance back") {
+  rgs::test::SplitMix random(1);
+  for (int round = 0; round < 200; ++round) {
+    Gaussians one(1, 0), two(1, 0);
+    float norm = 0;
+    for (int k = 0; k < 4; ++k) {
+      one.of(kRotation + k)[0] = random.dyadic(-1, 1) + 0x1p-13F;
+      norm += one.of(kRotation + k)[0] * one.of(kRotation + k)[0];
+    }
+    for (int k = 0; k < 4; ++k) one.of(kRotation + k)[0] /= std::sqrt(norm);
+    for (int k = 0; k < 3; ++k) one.of(kScale + k)[0] = std::exp(random.dyadic(-3, 3));
+    const Covariance c = covariance(one, 0);
+    float scale[3], rotation[4];
+    principal_axes(c, 0, scale, rotation);
+    for (int k = 0; k < 3; ++k) two.of(kScale + k)[0] = scale[k];
+    for (int k = 0; k < 4; ++k) two.of(kRotation + k)[0] = rotation[k];
+    const Covariance d = covariance(two, 0);
+    const float size = c.of[0] + c.of[3] + c.of[5];
+    for (int k = 0; k < 6; ++k) CHECK(std::abs(c.of[k] - d.of[k]) <= 1e-5F * size);
+  }
+}
+
+TEST_CASE("the mean cross-section of a ball is that of its disc") {
+  Gaussians ball(1, 0);
+  ball.of(kRotation)[0] = 1;
+  for (int k = 0; k < 3; ++k) ball.of(kScale + k)[0] = 0.5F;
+  CHECK(mean_cross_section(covariance(ball, 0)) == doctest::Approx(2 * 3.14159265 * 0.25));
+}
+
+TEST_CASE("clusters: every Gaussian in one, as many as asked for, and kept ones alone") {
+  rgs::test::SplitMix random(2);
+  const rgs::SplatCloud cloud = rgs::test::wall(32, 1, random);
+  const Gaussians gaussians = activate(cloud.view(), 0, cloud.size(), kCentre);
+  const std::vector<float> weight(gaussians.size(), 1e-3F);
+  std::vector<char> kept(gaussians.size(), 0);
+  kept[5] = kept[700] = 1;
+  for (const std::size_t n : {1000U, 256U, 3U}) {
+    const Clusters clusters = merge_neighbours(gaussians, weight, kept, n, 0.05F);
+    CHECK(clusters.all.size() == n);
+    std::vector<int> found(gaussians.size(), 0);
+    double mass = 0;
+    for (const Cluster& c : clusters.all) {
+      clusters.each_member(c, [&](std::uint32_t i) {
+        ++found[i];
+        if (kept[i] != 0) CHECK(clusters.is_single(c));
+      });
+      mass += static_cast<double>(c.weight);
+    }
+    for (const int count : found) CHECK(count == 1);
+    CHECK(mass == doctest::Approx(1e-3 * static_cast<double>(gaussians.size())).epsilon(1e-3));
+  }
+}
+
+TEST_CASE("neighbours of one colour are merged before those of two") {
+  // Pairs at equal distances; within a pair both have one colour, red or green, or one each.
+  constexpr std::size_t kPairs = 60;
+  Gaussians gaussians(2 * kPairs, 0);
+  for (std::size_t i = 0; i < 2 * kPairs; ++i) {
+    gaussians.of(kMean)[i] = static_cast<float>(i / 2) * 10 + static_cast<float>(i % 2);
+    gaussians.of(kRotation)[i] = 1;
+    gaussians.of(kOpacity)[i] = 0.8F;
+    for (int k = 0; k < 3; ++k) gaussians.of(kScale + k)[i] = 0.5F;
+    const bool mixed = i / 2 % 2 == 0;
+    const bool red = mixed ? i % 2 == 0 : i / 2 % 4 == 1;
+    gaussians.of(kSh)[i] = red ? 1.5F : -1.5F;
+    gaussians.of(kSh + 1)[i] = red ? -1.5F : 1.5F;
+  }
+  const std::vector<float> weight(gaussians.size(), 1.F);
+  const std::vector<char> kept(gaussians.size(), 0);
+  const Clusters clusters = merge_neighbours(gaussians, weight, kept, 2 * kPairs - kPairs / 2, 1);
+  for (const Cluster& c : clusters.all) {
+    if (clusters.is_single(c)) continue;
+    CHECK(c.first / 2 == c.last / 2);
+    CHECK(c.first / 2 % 2 == 1);  // of one colour
+  }
+}

@@ -1,0 +1,120 @@
+// simplify_test.cpp - fewer Gaussians for a group: what they look like, and whether the stated error holds.
+// SPDX-License-Identifier: Apache-2.0
+#include "simplify.hpp"
+
+#include <doctest/doctest.h>
+
+#include <cmath>
+
+#include "fit.hpp"
+#include "lod_scenes.hpp"
+#include "views.hpp"
+
+namespace {
+
+using namespace rgs::lod;
+
+constexpr float kCentre[3] = {0, 0, 0};
+
+// Squared difference a covered pixel of `drawn` from the supersampled `group` in pixels of that size, from 7 directions that
+// the builder does not use; and what of it is covered.
+struct Seen {
+  double squared = 0, covered = 0, of_truth = 0;
+};
+Seen seen(const Gaussians& group, const Gaussians& drawn, float pixel) {
+  Projection projection;
+  Picture fine, truth, picture;
+  Seen out;
+  for (int i = 0; i < 7; ++i) {
+    const Frame frame = frame_around(group, direction(i, 7), pixel, 400);
+    true_picture(group, frame, projection, fine, truth);
+    project(drawn, frame, kDrawn, projection);
+    picture.reset(frame.width, frame.height);
+    draw(projection.dots, picture);
+    const Difference d = difference(truth, picture);
+    out.squared += d.squared;
+    out.of_truth += d.covered;
+    out.covered += difference(picture, truth).covered;
+  }
+  out.squared /= out.of_truth;
+  return out;
+}
+
+Gaussians small_wall(std::uint64_t side) {
+  rgs::test::SplitMix random(7);
+  const rgs::SplatCloud cloud = rgs::test::wall(side, 1, random);
+  return activate(cloud.view(), 0, cloud.size(), kCentre);
+}
+
+}  // namespace
+
+TEST_CASE("a quarter of a wall's Gaussians looks like the wall from its error on, with its coverage") {
+  const Gaussians group = small_wall(64);
+  for (const bool best : {false, true}) {
+    const Simplified simple = simplify(group, group.size() / 4, best ? FitOptions{200, 64} : FitOptions{12, 12});
+    CHECK(simple.gaussians.size() <= group.size() / 4);
+    CHECK(simple.error > 0);
+    CHECK(simple.error < 0.25F);  // of a wall of 1 x 1
+    const Seen whole = seen(group, group, simple.error), fewer = seen(group, simple.gaussians, simple.error);
+    INFO("error ", simple.error, " squared ", fewer.squared, " of the group itself ", whole.squared);
+    CHECK(fewer.squared <= 1.5 * std::max(kAllowed * whole.squared, kAllowedSquared));  // other directions
+    CHECK(std::abs(fewer.covered / fewer.of_truth - 1) < 0.03);
+  }
+}
+
+TEST_CASE("optimisation improves the picture, and a smaller error follows") {
+  const Gaussians group = small_wall(64);
+  const Simplified closed = simplify(group, group.size() / 4, {0, 1}), fast = simplify(group, group.size() / 4, {12, 12}),
+                   best = simplify(group, group.size() / 4, {200, 64});
+  constexpr float kPixel = 0.06F;
+  const double squared[] = {seen(group, closed.gaussians, kPixel).squared, seen(group, fast.gaussians, kPixel).squared,
+                            seen(group, best.gaussians, kPixel).squared};
+  INFO(squared[0], ' ', squared[1], ' ', squared[2]);
+  CHECK(squared[1] < squared[0]);
+  CHECK(squared[2] < 0.5 * squared[0]);
+  CHECK(best.error < closed.error);
+}
+
+TEST_CASE("large Gaussians among small ones stay as they are") {
+  Gaussians wall = small_wall(32);
+  Gaussians group(wall.size() + 3, wall.sh_degree());
+  for (std::size_t i = 0; i < wall.size(); ++i) group.copy(i, wall, i);
+  for (std::size_t i = wall.size(); i < group.size(); ++i) {
+    group.copy(i, wall, 0);
+    group.of(kMean + 2)[i] = 5 + static_cast<float>(i - wall.size());
+    for (int k = 0; k < 3; ++k) group.of(kScale + k)[i] = 2;
+    group.of(kOpacity)[i] = 0.7F;
+  }
+  const Simplified simple = simplify(group, group.size() / 4, {12, 12});
+  int n_found = 0;
+  for (std::size_t i = 0; i < simple.gaussians.size(); ++i) {
+    if (simple.gaussians.of(kScale)[i] == 2 && simple.gaussians.of(kOpacity)[i] == 0.7F) ++n_found;
+  }
+  CHECK(n_found == 3);
+}
+
+TEST_CASE("what does not show, or lies in one point, is simplified all the same") {
+  Gaussians group = small_wall(16);
+  const auto check = [&](const Gaussians& g) {
+    const Simplified simple = simplify(g, g.size() / 4, {12, 12});
+    CHECK(simple.gaussians.size() <= g.size() / 4);
+    CHECK(simple.gaussians.size() > 0);
+    CHECK(std::isfinite(simple.error));
+    for (int v = 0; v < simple.gaussians.n_values(); ++v) {
+      for (std::size_t i = 0; i < simple.gaussians.size(); ++i) REQUIRE(std::isfinite(simple.gaussians.of(v)[i]));
+    }
+  };
+  Gaussians hidden = group, point = group, flat = group, far = group, huge = group;
+  for (std::size_t i = 0; i < group.size(); ++i) {
+    hidden.of(kOpacity)[i] = 0;
+    for (int k = 0; k < 3; ++k) point.of(kMean + k)[i] = 1;
+    for (int k = 0; k < 3; ++k) flat.of(kScale + k)[i] = 0;
+    far.of(kMean)[i] *= std::pow(10.F, static_cast<float>(i % 9));
+    for (int k = 0; k < 3; ++k) huge.of(kScale + k)[i] *= std::pow(10.F, static_cast<float>(i % 9));
+  }
+  check(hidden);
+  check(point);
+  check(flat);
+  check(far);
+  check(huge);
+}
