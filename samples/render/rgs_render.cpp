@@ -239,6 +239,8 @@ nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, cons
                              {"sort", s.sort_ms},
                              {"bin", s.bin_ms},
                              {"blend", s.blend_ms}}},
+                           {"gaussians", s.gaussians},
+                           {"pages", s.pages},
                            {"visible", s.visible},
                            {"instances", s.instances},
                            {"evaluated", s.evaluated},
@@ -289,7 +291,7 @@ int render(const Options& options) {
   const auto opened = Clock::now();  // to the end of the first frame: what a viewer of the scene waits for
   const auto scene = rgs::open_scene_file(options.scene, options.limits);
   rgs::Status prepared;
-  if (scene) prepared = renderer->prepare(scene->scene);
+  if (scene && scene->scene.levels() == nullptr) prepared = renderer->prepare(scene->scene);
   // That a file changed explains whatever was found wrong in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return tool::report(options.scene, scene.error());
@@ -386,6 +388,9 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::Range(0, rgs::kMaxShDegree))
       ->capture_default_str()
       ->group(image);
+  app.add_option("--detail", o.render.detail_px,
+                 "Of a scene with levels of detail, the error that is drawn, px [1]; 0: its leaves (docs/LEVELS.md)")
+      ->check(CLI::NonNegativeNumber);
   app.add_option("--low-pass", o.render.low_pass,
                  "px^2 added to projected covariances [what the file states, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber)

@@ -1,0 +1,189 @@
+// levels_test.cpp - scenes with levels of detail: which pages a view draws, and that leaves are drawn as ever.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cstddef>
+#include <vector>
+
+#include "renderer_fixture.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
+#include "trivial_levels.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+struct Files {
+  std::vector<std::byte> plain, levels;
+};
+
+/// 3,000 Gaussians in the order of the file without levels, and with them: pages of two chunks of 32.
+Files files(Profile profile = Profile::direct) {
+  EncodeOptions options;
+  options.chunk_size = 32;
+  options.profile = profile;
+  Files files;
+  const auto plain = encode(cloud_of(random_splats(1901, 3000), 1).view(), options);
+  REQUIRE(plain);
+  files.plain = *plain;
+  auto cloud = decode(files.plain);
+  REQUIRE(cloud);
+  options.order = Order::morton;
+  REQUIRE(write_levels(trivial_levels(*cloud, {.chunk_size = 32, .page_chunks = 2}), options, files.levels));
+  return files;
+}
+
+Scene load(const std::vector<std::byte>& bytes) {
+  auto scene = Scene::load(bytes);
+  REQUIRE(scene);
+  return *std::move(scene);
+}
+
+RenderOptions at_detail(float px) {
+  RenderOptions options;
+  options.detail_px = px;
+  return options;
+}
+
+}  // namespace
+
+TEST_CASE("at detail 0 a file with levels is drawn to the bytes of one without, in every profile that keeps them") {
+  const Camera camera = front_camera(90, 60);
+  for (const Profile profile : {Profile::direct, Profile::packed}) {
+    const Files of = files(profile);
+    const Scene plain = load(of.plain), levels = load(of.levels);
+    REQUIRE(levels.levels() != nullptr);
+    CHECK(plain.levels() == nullptr);
+    CHECK(levels.size() == plain.size());
+    for (const RenderOptions& options : {RenderOptions(), paper_options(), turbo_options()}) {
+      RenderOptions leaves = options;
+      leaves.detail_px = 0;
+      const Frame expected = render(plain, camera, options), drawn = render(levels, camera, leaves);
+      CHECK(drawn.rgb == expected.rgb);
+      CHECK(drawn.stats.pages == 0);
+      CHECK(drawn.stats.gaussians == plain.size());
+    }
+    // So does the original, which draws nothing else unless it is told to, and then refuses.
+    CHECK(render(levels, camera, baseline_options()).rgb == render(plain, camera, baseline_options()).rgb);
+  }
+}
+
+TEST_CASE("a view draws one page on the way from each leaf to the root, and fewer Gaussians the farther away it is") {
+  const Scene scene = load(files().levels);
+  const std::vector<lod::Page>& pages = scene.levels()->pages();
+  Camera camera = front_camera(90, 60);
+  std::uint64_t before = scene.size() + 1;
+  for (const double back : {0.0, 3.0, 30.0, 300.0, 3e4}) {
+    CAPTURE(back);
+    camera.world_to_camera[3][2] = front_camera(90, 60).world_to_camera[3][2] + back;
+    const auto drawn = drawn_pages(scene, camera, 1);
+    REQUIRE(drawn);
+    std::vector<int> n_drawn(pages.size(), 0);
+    for (const std::uint32_t page : *drawn) ++n_drawn[page];
+    std::uint64_t n = 0;
+    for (std::size_t i = 0; i < pages.size(); ++i) {
+      // Each decides by itself, from its own record and its parent's.
+      const glm::dmat4 to_world = glm::inverse(camera.world_to_camera);
+      const lod::Eye eye{{to_world[3][0], to_world[3][1], to_world[3][2]},
+                         std::max(camera.fx, camera.fy),
+                         static_cast<double>(scene.declarations()->z_near)};
+      const auto is_fine = [&](const lod::Page& page) {
+        return static_cast<double>(page.error) <= lod::footprint(page.bounds, eye);
+      };
+      const bool alone = is_fine(pages[i]) && (i == 0 || !is_fine(pages[pages[i].parent]));
+      CHECK(n_drawn[i] == alone);
+      if (n_drawn[i] != 0) n += pages[i].count;
+      if (pages[i].level != 0) continue;
+      int on_the_way = n_drawn[i];
+      for (std::uint32_t up = static_cast<std::uint32_t>(i); pages[up].parent != lod::kNoPage;) {
+        up = pages[up].parent;
+        on_the_way += n_drawn[up];
+      }
+      CHECK(on_the_way == 1);
+    }
+    CHECK(n <= before);
+    before = n;
+    const Frame frame = render(scene, camera, at_detail(1));
+    CHECK(frame.stats.gaussians == n);
+    CHECK(frame.stats.pages == drawn->size());
+  }
+  CHECK(before == pages.front().count);
+}
+
+TEST_CASE(
+    "what a view draws of a file with levels is what these pages are as a scene, with the opacities they were fitted "
+    "by") {
+  const Scene scene = load(files().levels);
+  Camera camera = front_camera(90, 60);
+  camera.world_to_camera[3][2] += 40;
+  const auto drawn = drawn_pages(scene, camera, 2);
+  REQUIRE(drawn);
+  const auto of_pages = scene.pages(*drawn);
+  REQUIRE(of_pages);
+  RenderOptions mip;
+  mip.anti_aliasing = math::AntiAliasing::mip_splatting;
+  mip.low_pass = 0.1F;
+  const Frame expected = render(*of_pages, camera, mip);
+  CHECK(render(scene, camera, at_detail(2)).rgb == expected.rgb);
+  // Frames of one renderer that see other pages do not leave anything behind.
+  auto renderer = Renderer::create({.backend = Backend::cpu});
+  REQUIRE(renderer);
+  for (const float detail : {2.0F, 0.0F, 9.0F, 2.0F}) {
+    Frame frame = Frame::of(camera);
+    REQUIRE(renderer->render(scene, camera, frame.target(), at_detail(detail)));
+    if (detail == 2) CHECK(frame.rgb == expected.rgb);
+  }
+  const std::vector<std::uint32_t> none{static_cast<std::uint32_t>(scene.levels()->n_pages())};
+  CHECK(scene.pages(none).error().code == Errc::bad_argument);
+  CHECK(load(files().plain).pages(*drawn).error().code == Errc::bad_argument);
+}
+
+TEST_CASE("the beginning of a file with levels is drawn as far as it goes") {
+  const Files of = files();
+  const auto whole = PagedFile::open(of.levels);
+  REQUIRE(whole);
+  const Camera camera = front_camera(90, 60);
+  const std::uint32_t n_pages = whole->n_pages();
+  for (const std::uint32_t n_present : {1u, n_pages / 3, n_pages - 1}) {
+    CAPTURE(n_present);
+    const auto end = static_cast<std::ptrdiff_t>(whole->stored(n_present).offset);
+    const Scene scene = load({of.levels.begin(), of.levels.begin() + end});
+    REQUIRE(scene.levels() != nullptr);
+    CHECK(scene.levels()->n_present() == n_present);
+    CHECK(!scene.has_file());
+    CHECK(scene.size() < whole->head().header().n_gaussians);
+    CHECK(render(scene, camera, at_detail(0)).stats.gaussians == scene.size());
+    CHECK(render(scene, camera, at_detail(1)).stats.pages >= 1);
+  }
+  const auto first = static_cast<std::ptrdiff_t>(whole->stored(0).offset);
+  const auto nothing = Scene::load(std::span(of.levels).first(static_cast<std::size_t>(first)));
+  REQUIRE(!nothing);
+  CHECK(nothing.error().code == Errc::pages_missing);
+}
+
+TEST_CASE("a detail that is none, and what draws leaves alone, are refused") {
+  const Scene scene = load(files().levels);
+  const Camera camera = front_camera(90, 60);
+  auto renderer = Renderer::create({.backend = Backend::cpu});
+  REQUIRE(renderer);
+  Frame frame = Frame::of(camera);
+  const auto refused = [&](const RenderOptions& options) {
+    const auto stats = renderer->render(scene, camera, frame.target(), options);
+    return !stats && stats.error().code == Errc::bad_argument;
+  };
+  CHECK(refused(at_detail(-1)));
+  CHECK(refused(at_detail(std::numeric_limits<float>::quiet_NaN())));
+  CHECK(refused(at_detail(std::numeric_limits<float>::infinity())));
+  RenderOptions baseline = baseline_options();
+  baseline.detail_px = 1;
+  CHECK(refused(baseline));
+  std::vector<Contribution> contributions(scene.size());
+  RenderTarget target = frame.target();
+  target.contributions = contributions;
+  CHECK(renderer->render(scene, camera, target));
+  CHECK(!renderer->render(scene, camera, target, at_detail(1)));
+}
