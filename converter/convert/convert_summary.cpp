@@ -127,6 +127,10 @@ std::string summary_text(const ConvertSummary& s) {
   for (const std::string& what : s.unused) line("  not kept   {}", what);
   if (s.output_format == "rgs") {
     const Declarations& d = s.declarations;
+    if (s.n_pages != 0) {
+      line("  levels     {}, with {} Gaussians in {} pages in all", s.n_levels, format_count(s.n_stored),
+           format_count(s.n_pages));
+    }
     line("  sections   {}", profile_name(s.sections));
     for (const SectionEntry& section : s.sections) {
       line("    {}  {:>10}  {:6.2f} bytes per Gaussian", type_name(section.type), format_bytes(section.stored_bytes),
@@ -201,6 +205,9 @@ std::string summary_json(const ConvertSummary& s) {
                           {"decoded_bytes", section.decoded_bytes}});
     }
     json["profile"] = profile_name(s.sections);
+    if (s.n_pages != 0) {
+      json["levels"] = {{"levels", s.n_levels}, {"pages", s.n_pages}, {"gaussians", s.n_stored}};
+    }
     json["sections"] = std::move(sections);
     json["chunks"] = {
         {"size", s.header.chunk_size}, {"count", s.header.n_chunks}, {"scale_sets", s.header.n_step_sets}};

@@ -85,7 +85,7 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
                         paged->n_levels(), *options.level_of_detail);
     }
     pages = lod::pages_of_level(paged->pages(), *options.level_of_detail);
-  } else if (options.max_count && *options.max_count < paged->head().header().n_gaussians) {
+  } else if (options.max_count && (*options.max_count < paged->head().header().n_gaussians || !paged->complete())) {
     pages = lod::finest_cut(paged->pages(), *options.max_count, paged->n_present());
     if (pages.empty()) {
       return make_error(Errc::bad_argument, Error::kNone,

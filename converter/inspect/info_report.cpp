@@ -340,10 +340,13 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
   }
   if (report.paged && !report.paged->complete()) {
     const std::uint32_t n = report.paged->n_present();
+    const bool all = n == report.paged->n_pages();
     failed(n == 0 ? Error{Errc::truncated, bytes.size(), "the file ends inside its first page"}
+           : all  ? Error{Errc::pages_missing, bytes.size(),
+                         "the end of the file is missing, though all pages are there; positions in the source are lost"}
                   : Error{Errc::pages_missing, bytes.size(),
-                          "the end of the file is missing; the pages that are there are a whole scene in less detail",
-                          report.paged->n_pages(), n});
+                         "the end of the file is missing; the pages that are there are a whole scene in less detail",
+                         report.paged->n_pages(), n});
   }
   if (report.paged && !report.leaves) return report;
   const FileView& view = report.leaves ? *report.leaves : *report.view;

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
+#include <array>
 #include <atomic>
 #include <filesystem>
 #include <numeric>
@@ -9,10 +10,13 @@
 
 #include "failing_memory.hpp"
 #include "file/workers.hpp"
+#include "golden_levels.hpp"
 #include "plausible_cloud.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/file.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
@@ -81,6 +85,30 @@ TEST_CASE("encoding every profile") {
       const auto bytes = encode(cloud.view(), options);
       if (!bytes) return tl::unexpected(bytes.error());
       return hash_of(*bytes);
+    });
+  }
+}
+
+TEST_CASE("writing and reading levels of every profile") {
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    const test::GoldenLevels scene = test::golden_levels("", profile, 150, 1, 7, 1);
+    fail_each_allocation([&]() -> Result<std::uint64_t> {
+      std::vector<std::byte> bytes;
+      const auto written = write_levels(scene.levels, scene.options, bytes, 1);
+      if (!written) return tl::unexpected(written.error());
+      return hash_of(bytes);
+    });
+    const std::vector<std::byte> bytes = test::encode_levels(scene);
+    fail_each_allocation([&]() -> Result<std::uint64_t> {
+      const auto file = PagedFile::open(bytes);
+      if (!file) return tl::unexpected(file.error());
+      if (const Status s = validate(*file, 1); !s) return tl::unexpected(s.error());
+      const auto plain = leaves_as_file(*file, {.threads = 1});
+      if (!plain) return tl::unexpected(plain.error());
+      const auto root = read_pages(*file, std::array{std::uint32_t{0}}, {.threads = 1});
+      const auto mixed = hash_of_cloud(root);
+      if (!mixed) return mixed;
+      return *mixed ^ hash_of(*plain);
     });
   }
 }

@@ -134,7 +134,7 @@ Result<WrittenScene> LevelsWriter::finish() {
     return make_error(Errc::bad_argument, Error::kNone, "pages are missing", s.pages().size(), s.n_added);
   }
   return guard_memory([&]() -> Result<WrittenScene> {
-    std::vector<std::uint32_t> given(s.plan.header.n_gaussians);
+    std::vector<std::uint32_t> given(s.archive() || s.plan.options.keep_permutation ? s.plan.header.n_gaussians : 0);
     std::iota(given.begin(), given.end(), 0u);
     if (s.archive()) return write_archive_levels(s.sink, s.plan, s.scene.view(), std::move(s.table), given);
     Declarations d = s.plan.declarations;

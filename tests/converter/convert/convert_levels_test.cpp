@@ -101,6 +101,42 @@ TEST_CASE("leaving levels away gives the bytes of the conversion without them") 
   }
 }
 
+TEST_CASE("--lod makes levels beside the Gaussians, which stay what they are without") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(5000, 1, 9);
+  cloud.opacity_logit[7] = std::numeric_limits<float>::quiet_NaN();  // is dropped
+  cloud.rotation[4 * 8] = std::numeric_limits<float>::quiet_NaN();   // is dropped or mended
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), plain = folder.file("plain.rgs"),
+                    levels = folder.file("levels.rgs"), back = folder.file("back.rgs");
+  for (const std::vector<std::string>& options :
+       {std::vector<std::string>{"--profile", "direct"},
+        {"--profile", "packed", "--keep-permutation", "--on-bad", "repair", "--keep-order"}}) {
+    const auto convert = [&](std::vector<std::string> arguments) {
+      arguments.insert(arguments.begin(), options.begin(), options.end());
+      return rgs_convert(arguments);
+    };
+    REQUIRE(convert({ply, plain}).exit_code == 0);
+    const ProgramResult run = convert({"--lod", ply, levels});
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(run.out.find("  levels ") != std::string::npos);
+    const Bytes bytes = read_bytes(levels);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    CHECK(file->n_levels() == 2);
+    CHECK(file->pages().front().count <= 1250);
+    CHECK(file->quality_db() > 0);
+    CHECK(validate(*file));
+    REQUIRE(convert({levels, back}).exit_code == 0);
+    CHECK(read_bytes(back) == read_bytes(plain));
+    REQUIRE(convert({"--threads", "1", "--lod", ply, back}).exit_code == 0);
+    CHECK(read_bytes(back) == bytes);
+  }
+  CHECK(rgs_convert({"--lod", ply, folder.file("no.ply")}).exit_code == 2);
+  CHECK(rgs_convert({"--lod-quality", "best", ply, folder.file("no.rgs")}).exit_code == 2);
+  CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
+}
+
 TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any format") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 2)),
