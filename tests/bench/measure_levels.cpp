@@ -2,10 +2,11 @@
 // tables of docs/LEVELS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
-//   rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best] [PHOTOS: a folder of .ppm]
+//   rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best [PHOTOS]]
 //
 // Views: every fourth test camera at 1, 1/2, 1/4 and 1/8 of its size. Truth: the leaves at twice the full size as the scene
-// declares them, averaged in display values. Pages are drawn with compensated opacity and a low-pass of 0.1.
+// declares them, averaged in display values. Pages are drawn with compensated opacity and a low-pass of 0.1. PHOTOS: a folder
+// with photographs under the cameras' names, to compare all test views with.
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -18,6 +19,7 @@
 #include <vector>
 
 #include "build_levels.hpp"
+#include "image_file.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/interchange.hpp"
 #include "rgs/renderer.hpp"
@@ -46,13 +48,42 @@ Camera scaled(Camera camera, double by) {
   return camera;
 }
 
+// Squares of factor x factor pixels, averaged; what is left at the edges is cut off.
+std::vector<float> averaged(const std::vector<float>& pixels, int full_width, int full_height, int factor) {
+  const int width = full_width / factor, height = full_height / factor;
+  std::vector<float> out;
+  for (int y = 0; y < height; ++y) {
+    for (int x = 0; x < 3 * width; ++x) {
+      double total = 0;
+      for (int j = 0; j < factor; ++j) {
+        for (int i = 0; i < factor; ++i) {
+          const int column = 3 * (x / 3 * factor + i) + x % 3;
+          total += static_cast<double>(pixels[static_cast<std::size_t>((y * factor + j) * 3 * full_width + column)]);
+        }
+      }
+      out.push_back(static_cast<float>(total / (factor * factor)));
+    }
+  }
+  return out;
+}
+
+double psnr(const std::vector<float>& pixels, const std::vector<float>& truth) {
+  double squared = 0;
+  for (std::size_t i = 0; i < pixels.size(); ++i) {
+    const double d = static_cast<double>(pixels[i]) - static_cast<double>(truth[i]);
+    squared += d * d;
+  }
+  return -10 * std::log10(squared / static_cast<double>(pixels.size()));
+}
+
 class Measure {
  public:
   Measure(const Scene& leaves, std::vector<Camera> cameras) : cameras_(std::move(cameras)) {
     for (std::size_t v = 0; v < cameras_.size(); ++v) {
       const Camera large = scaled(cameras_[v], 2);
       const std::vector<float> pixels = draw(leaves, large, {});
-      for (const int factor : {2, 4, 8, 16}) truth_[{v, factor / 2}] = averaged(pixels, large, factor);
+      for (const int factor : {2, 4, 8, 16})
+        truth_[{v, factor / 2}] = averaged(pixels, large.width, large.height, factor);
     }
   }
   std::vector<float> draw(const Scene& scene, const Camera& camera, const rgs::RenderOptions& options) {
@@ -64,41 +95,19 @@ class Measure {
     return pixels;
   }
   const std::vector<Camera>& cameras() const { return cameras_; }
-  double psnr(const std::vector<float>& pixels, std::size_t view, int far) const {
-    const std::vector<float>& truth = truth_.at({view, far});
-    double squared = 0;
-    for (std::size_t i = 0; i < pixels.size(); ++i) {
-      const double d = static_cast<double>(pixels[i]) - static_cast<double>(truth[i]);
-      squared += d * d;
-    }
-    return -10 * std::log10(squared / static_cast<double>(pixels.size()));
+  double compare(const std::vector<float>& pixels, std::size_t view, int far) const {
+    return psnr(pixels, truth_.at({view, far}));
   }
   /// Mean PSNR of one scene in all views.
-  double psnr(const Scene& scene, int far, const rgs::RenderOptions& options) {
+  double compare(const Scene& scene, int far, const rgs::RenderOptions& options) {
     double total = 0;
-    for (std::size_t v = 0; v < cameras_.size(); ++v) total += psnr(draw(scene, scaled(cameras_[v], 1.0 / far), options), v, far);
+    for (std::size_t v = 0; v < cameras_.size(); ++v) {
+      total += compare(draw(scene, scaled(cameras_[v], 1.0 / far), options), v, far);
+    }
     return total / static_cast<double>(cameras_.size());
   }
 
  private:
-  static std::vector<float> averaged(const std::vector<float>& pixels, const Camera& camera, int factor) {
-    const int width = camera.width / factor, height = camera.height / factor;
-    std::vector<float> out;
-    for (int y = 0; y < height; ++y) {
-      for (int x = 0; x < 3 * width; ++x) {
-        double total = 0;
-        for (int j = 0; j < factor; ++j) {
-          for (int i = 0; i < factor; ++i) {
-            const int column = 3 * (x / 3 * factor + i) + x % 3;
-            total += static_cast<double>(pixels[static_cast<std::size_t>((y * factor + j) * 3 * camera.width + column)]);
-          }
-        }
-        out.push_back(static_cast<float>(total / (factor * factor)));
-      }
-    }
-    return out;
-  }
-
   rgs::Renderer renderer_ = value_or_stop(rgs::Renderer::create({rgs::Backend::cpu}));
   std::vector<Camera> cameras_;
   std::map<std::pair<std::size_t, int>, std::vector<float>> truth_;
@@ -110,7 +119,8 @@ float footprint(const Page& page, const Camera& camera) {
   double squared = 0;
   for (std::size_t k = 0; k < 3; ++k) {
     const double x = eye[static_cast<int>(k)];
-    const double d = std::max({static_cast<double>(page.bounds.min[k]) - x, x - static_cast<double>(page.bounds.max[k]), 0.0});
+    const double d =
+        std::max({static_cast<double>(page.bounds.min[k]) - x, x - static_cast<double>(page.bounds.max[k]), 0.0});
     squared += d * d;
   }
   return static_cast<float>(std::max(std::sqrt(squared), 0.2) / std::max(camera.fx, camera.fy));
@@ -154,7 +164,8 @@ Scene level(const Levels& levels, std::uint32_t wanted) {
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc < 3) return std::fprintf(stderr, "usage: rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best]\n"), 2;
+  if (argc < 3)
+    return std::fprintf(stderr, "usage: rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best [PHOTOS]]\n"), 2;
   const auto file = value_or_stop(rgs::read_splats(argv[1]));
   const auto set = value_or_stop(rgs::read_camera_set(argv[2]));
   rgs::lod::BuildOptions options;
@@ -168,8 +179,8 @@ int main(int argc, char** argv) {
   const auto start = std::chrono::steady_clock::now();
   const Levels levels = rgs::lod::build_levels(file.cloud.view(), options);
   const std::chrono::duration<double> taken = std::chrono::steady_clock::now() - start;
-  std::printf("built in %.1f s: %zu pages, %.3f Gaussians stored a source Gaussian\n", taken.count(), levels.pages.size(),
-              static_cast<double>(levels.splats.size()) / static_cast<double>(leaves.size()));
+  std::printf("built in %.1f s: %zu pages, %.3f Gaussians stored a source Gaussian\n", taken.count(),
+              levels.pages.size(), static_cast<double>(levels.splats.size()) / static_cast<double>(leaves.size()));
   rgs::RenderOptions mip;
   mip.anti_aliasing = rgs::math::AntiAliasing::mip_splatting;
   mip.low_pass = 0.1F;
@@ -185,13 +196,13 @@ int main(int argc, char** argv) {
                 static_cast<double>(scene.size()) / n, static_cast<double>(errors[errors.size() / 2]),
                 static_cast<double>(errors.front()), static_cast<double>(errors.back()));
     if (l < 4) {
-      for (const int far : {1, 2, 4, 8}) std::printf(" %.2f", measure.psnr(scene, far, mip));
+      for (const int far : {1, 2, 4, 8}) std::printf(" %.2f", measure.compare(scene, far, mip));
     }
     std::printf("\n");
     std::fflush(stdout);
   }
   std::printf("leaves as declared:");
-  for (const int far : {1, 2, 4, 8}) std::printf(" %.2f", measure.psnr(leaves, far, {}));
+  for (const int far : {1, 2, 4, 8}) std::printf(" %.2f", measure.compare(leaves, far, {}));
   std::printf("\n");
   for (const float detail : {0.5F, 1.F, 2.F, 4.F}) {
     for (const int far : {1, 2, 4, 8}) {
@@ -201,13 +212,37 @@ int main(int argc, char** argv) {
         const Camera camera = scaled(cameras[v], 1.0 / far);
         const Scene scene = cut(levels, camera, detail, by_level);
         drawn += static_cast<double>(scene.size());
-        db += measure.psnr(measure.draw(scene, camera, mip), v, far);
+        db += measure.compare(measure.draw(scene, camera, mip), v, far);
       }
       const auto views = static_cast<double>(cameras.size());
-      std::printf("detail %g, %dx: %.2f dB, %.3f of the Gaussians; of levels", static_cast<double>(detail), far, db / views,
-                  drawn / views / n);
+      std::printf("detail %g, %dx: %.2f dB, %.3f of the Gaussians; of levels", static_cast<double>(detail), far,
+                  db / views, drawn / views / n);
       for (const std::uint64_t count : by_level) std::printf(" %.3f", static_cast<double>(count) / views / n);
       std::printf("\n");
+      std::fflush(stdout);
+    }
+  }
+  if (argc > 4) {
+    // The photograph, averaged, is the truth from afar.
+    for (const int far : {1, 2, 4, 8}) {
+      double db[4] = {};
+      int n_views = 0;
+      for (std::size_t i = 0; i < set.cameras.size(); ++i) {
+        if (set.split[i] != rgs::Split::test) continue;
+        const rgs::Image photo = value_or_stop(rgs::read_image(std::string(argv[4]) + "/" + set.cameras[i].name));
+        const std::vector<float> truth = averaged(photo.pixels, photo.width, photo.height, far);
+        const Camera camera = scaled(set.cameras[i], 1.0 / far);
+        rgs::RenderOptions wide = mip;
+        wide.low_pass = 0.3F;
+        std::array<std::uint64_t, 8> by_level{};
+        db[0] += psnr(measure.draw(leaves, camera, {}), truth);
+        db[1] += psnr(measure.draw(leaves, camera, wide), truth);
+        db[2] += psnr(measure.draw(leaves, camera, mip), truth);
+        db[3] += psnr(measure.draw(cut(levels, camera, 1, by_level), camera, mip), truth);
+        ++n_views;
+      }
+      std::printf("photographs, %dx: as declared %.3f, mip 0.3 %.3f, mip 0.1 %.3f, detail 1 %.3f dB\n", far,
+                  db[0] / n_views, db[1] / n_views, db[2] / n_views, db[3] / n_views);
       std::fflush(stdout);
     }
   }
