@@ -219,11 +219,13 @@ void measure(const Gaussians& group, const Gaussians& result, float pixel, float
   }
 }
 
-// Smallest footprint at which the result is good enough, between those measured on a straight line of logarithms.
-float error_of(const Measured& m, float pixel) {
+// Smallest footprint at which the result is good enough for a group of which so much is `covered`, between those measured
+// on a straight line of logarithms.
+float error_of(const Measured& m, std::span<const double> covered, float pixel) {
+  if (std::all_of(m.of_result, m.of_result + kFootprints, [](double x) { return x <= 0; })) return 0;
   double ratio[kFootprints];
   for (int k = 0; k < kFootprints; ++k) {
-    const double allowed = std::max(kAllowed * m.of_group[k], kAllowedSquared * m.covered[k]);
+    const double allowed = std::max(kAllowed * m.of_group[k], kAllowedSquared * covered[static_cast<std::size_t>(k)]);
     ratio[k] = m.of_result[k] <= 0 ? 0 : m.of_result[k] / std::max(allowed, 1e-300);
   }
   int k = kFootprints;  // good from there on
@@ -253,11 +255,12 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
     const int of_size = size > 1 ? 1 + static_cast<int>(std::log2(std::min(size, 1e9F)) / 2) : 0;
     classes[static_cast<std::size_t>(std::min(of_size, kClasses - 1))].push_back(i);
   }
-  Measured measured;
+  std::vector<Measured> measured(kClasses);
   std::vector<float> wanted;
   std::vector<std::uint32_t> members;
   for (int c = 0; c < kClasses; ++c) {
     const float p = pixel * static_cast<float>(std::int64_t{1} << (2 * std::max(c - 1, 0)));
+    Measured& of_class = measured[static_cast<std::size_t>(c)];
     for (const auto& piece : cut_by_place(out.gaussians, classes[static_cast<std::size_t>(c)], kPieceLength * p)) {
       wanted.clear();
       members.clear();
@@ -271,11 +274,16 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       const Gaussians below = subset(group, members);
       restore_coverage(part, wanted, p);
       if (options.n_steps > 0 && c == 0) fit(below, part, p, options);
-      measure(below, part, pixel, p, measured);
+      measure(below, part, pixel, p, of_class);
       for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.copy(piece[i], part, i);
     }
   }
-  out.error = error_of(measured, pixel);
+  // By class: what small Gaussians may get wrong is no excuse for large ones.
+  double covered[kFootprints] = {};
+  for (const Measured& of_class : measured) {
+    for (int k = 0; k < kFootprints; ++k) covered[k] += of_class.covered[k];
+  }
+  for (const Measured& of_class : measured) out.error = std::max(out.error, error_of(of_class, covered, pixel));
   return out;
 }
 

@@ -6,7 +6,7 @@
 //
 // Views: every fourth test camera at 1, 1/2, 1/4 and 1/8 of its size. Truth: the leaves at twice the full size as the scene
 // declares them, averaged in display values. Pages are drawn with compensated opacity and a low-pass of 0.1. PHOTOS: a folder
-// with photographs under the cameras' names, to compare all test views with.
+// with photographs NAME.jpg of the cameras, to compare all test views with.
 #include <algorithm>
 #include <array>
 #include <chrono>
@@ -229,7 +229,7 @@ int main(int argc, char** argv) {
       int n_views = 0;
       for (std::size_t i = 0; i < set.cameras.size(); ++i) {
         if (set.split[i] != rgs::Split::test) continue;
-        const rgs::Image photo = value_or_stop(rgs::read_image(std::string(argv[4]) + "/" + set.cameras[i].name));
+        const rgs::Image photo = value_or_stop(rgs::read_image(std::string(argv[4]) + "/" + set.cameras[i].name + ".jpg"));
         const std::vector<float> truth = averaged(photo.pixels, photo.width, photo.height, far);
         const Camera camera = scaled(set.cameras[i], 1.0 / far);
         rgs::RenderOptions wide = mip;
