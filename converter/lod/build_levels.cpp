@@ -130,7 +130,7 @@ void append(SplatCloud& to, const SplatView& from) {
 }  // namespace
 
 FitOptions fit_options(Quality quality) {
-  return quality == Quality::best ? FitOptions{400, 64} : FitOptions{12, 12};
+  return quality == Quality::best ? FitOptions{400, 64, 4} : FitOptions{};
 }
 
 std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options) {
@@ -245,7 +245,6 @@ Levels build_levels(const SplatView& leaves, const BuildOptions& options) {
   }
   Levels out;
   out.splats.sh_degree = leaves.sh_degree;
-  out.quality_db = static_cast<float>(-10 * std::log10(kAllowedSquared));
   std::uint32_t first_page = 0;
   for (std::size_t i = levels.size(); i-- > 0;) {
     Level& level = levels[i];

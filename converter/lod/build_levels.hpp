@@ -14,7 +14,7 @@ namespace rgs::lod {
 
 enum class Quality : std::uint8_t {
   fast,  ///< a start in closed form and a few steps of optimisation
-  best,  ///< many steps: about a quarter of the speed
+  best,  ///< many steps
 };
 
 struct BuildOptions {
@@ -48,7 +48,8 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
 Level build_level(const SplatView& splats, std::span<const Page> below, const BuildOptions& options);
 
 /// All levels of a scene, up to one page. `leaves`: consistent, finite, at least one Gaussian, in the order of a file without
-/// levels; what is drawn of them is kept. Same bytes for any number of threads. Memory: 1.4 times the leaves' and groups'.
+/// levels. Same bytes for any number of threads. Memory: 1.4 times the leaves', twice while the result is put together, and
+/// that of a group a thread. Levels::quality_db is 0: what Page::error promises is relative, see kAllowed.
 Levels build_levels(const SplatView& leaves, const BuildOptions& options = {});
 
 }  // namespace rgs::lod

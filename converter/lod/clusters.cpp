@@ -19,8 +19,8 @@
 namespace rgs::lod {
 namespace {
 
-constexpr float kPixelVariance = 0.3F;         // of a pixel's square and the low-pass, px^2
-constexpr std::size_t kNeighbours = 7;         // looked at for each cluster and round
+constexpr float kPixelVariance = 0.3F;                 // of a pixel's square and the low-pass, px^2
+constexpr std::size_t kNeighbours = 7;                 // looked at for each cluster and round
 constexpr std::size_t kLeastLeftOfRound[] = {13, 20};  // a round leaves 13 of 20: costs are found anew often enough
 constexpr float kShConstant = 0.28209479F;
 
@@ -207,7 +207,8 @@ void principal_axes(const Covariance& covariance, float least, float scale[3], f
     }
   }
   for (int k = 0; k < 3; ++k) scale[k] = std::max(least, static_cast<float>(std::sqrt(std::max(a[k][k], 0.0))));
-  const double det = v[0][0] * (v[1][1] * v[2][2] - v[1][2] * v[2][1]) - v[0][1] * (v[1][0] * v[2][2] - v[1][2] * v[2][0]) +
+  const double det = v[0][0] * (v[1][1] * v[2][2] - v[1][2] * v[2][1]) -
+                     v[0][1] * (v[1][0] * v[2][2] - v[1][2] * v[2][0]) +
                      v[0][2] * (v[1][0] * v[2][1] - v[1][1] * v[2][0]);
   if (det < 0) {
     for (auto& row : v) row[0] = -row[0];
@@ -261,8 +262,7 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> wei
       for (const auto& [distance, j] : found) pairs.push_back({merge_cost(current[i], current[j], blur), i, j});
     }
     std::sort(pairs.begin(), pairs.end());
-    const std::size_t wanted =
-        std::max(n, current.size() * kLeastLeftOfRound[0] / kLeastLeftOfRound[1]);
+    const std::size_t wanted = std::max(n, current.size() * kLeastLeftOfRound[0] / kLeastLeftOfRound[1]);
     std::size_t left = current.size();
     used.assign(current.size(), 0);
     after.clear();

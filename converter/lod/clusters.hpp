@@ -26,9 +26,9 @@ struct Cluster {
   float weight = 0;  ///< what is seen of its members, world units squared
   float mean[3];
   Covariance covariance;
-  float color[4];                ///< r, g, b and 1: mean of the members by weight
-  float self = 0;                ///< what merge_cost() needs of the cluster alone
-  std::uint32_t first, last;     ///< members, as a list through Clusters::next
+  float color[4];             ///< r, g, b and 1: mean of the members by weight
+  float self = 0;             ///< what merge_cost() needs of the cluster alone
+  std::uint32_t first, last;  ///< members, as a list through Clusters::next
 };
 
 struct Clusters {

@@ -89,12 +89,13 @@ void turn(Gaussians& gaussians, std::size_t i, const float by[3]) {
 
 }  // namespace
 
-void true_picture(const Gaussians& gaussians, const Frame& frame, Projection& projection, Picture& fine, Picture& out) {
-  const Frame f = finer(frame, kSupersampling);
+void true_picture(const Gaussians& gaussians, const Frame& frame, int supersampling, Projection& projection,
+                  Picture& fine, Picture& out) {
+  const Frame f = finer(frame, supersampling);
   project(gaussians, f, kDrawn, projection);
   fine.reset(f.width, f.height);
   draw(projection.dots, fine);
-  box_filter(fine, kSupersampling, out);
+  box_filter(fine, supersampling, out);
 }
 
 Difference difference(const Picture& truth, const Picture& drawn) {
@@ -116,14 +117,15 @@ Difference difference(const Picture& truth, const Picture& drawn) {
   return out;
 }
 
-void fit(const Gaussians& group, Gaussians& out, float pixel, int n_steps, int n_directions) {
+void fit(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& options) {
+  const int n_directions = options.n_directions, n_steps = options.n_steps;
   Projection projection;
   Picture fine, drawn, by, scratch;
   std::vector<Frame> frames;
   std::vector<Picture> truths(static_cast<std::size_t>(n_directions));
   for (int i = 0; i < n_directions; ++i) {
     frames.push_back(frame_around(group, direction(i, n_directions), pixel, kMostPixels));
-    true_picture(group, frames.back(), projection, fine, truths[static_cast<std::size_t>(i)]);
+    true_picture(group, frames.back(), options.supersampling, projection, fine, truths[static_cast<std::size_t>(i)]);
   }
   const std::size_t n = out.padded();
   const int n_sh = 3 * sh_coefficients(out.sh_degree());
@@ -148,17 +150,16 @@ void fit(const Gaussians& group, Gaussians& out, float pixel, int n_steps, int n
     const auto slope = [&](int gradient) { return &slopes[static_cast<std::size_t>(gradient) * n]; };
     for (int k = 0; k < 3; ++k) {
       const auto row = static_cast<std::size_t>(k);
-      adam.step(row, slope(kByMean + k), pixel, kMeanStep, [&, mean = out.of(kMean + k)](std::size_t i, float d) {
-        mean[i] += d * pixel;
-      });
+      adam.step(row, slope(kByMean + k), pixel, kMeanStep,
+                [&, mean = out.of(kMean + k)](std::size_t i, float d) { mean[i] += d * pixel; });
       adam.step(3 + row, slope(kByLogScale + k), 1, kLogScaleStep,
                 [at = &log_scale[row * n]](std::size_t i, float d) { at[i] += d; });
-      adam.step(6 + row, slope(kByTurn + k), 1, kTurnStep, [at = &turns[row * n]](std::size_t i, float d) { at[i] = d; });
+      adam.step(6 + row, slope(kByTurn + k), 1, kTurnStep,
+                [at = &turns[row * n]](std::size_t i, float d) { at[i] = d; });
     }
     for (std::size_t i = 0; i < n; ++i) by_logit[i] = slope(kByLogOpacity)[i] * (1 - out.of(kOpacity)[i]);
-    adam.step(9, by_logit.data(), 1, kLogitStep, [&](std::size_t i, float d) {
-      logit[i] = std::clamp(logit[i] + d, kLeastLogit, kMostLogit);
-    });
+    adam.step(9, by_logit.data(), 1, kLogitStep,
+              [&](std::size_t i, float d) { logit[i] = std::clamp(logit[i] + d, kLeastLogit, kMostLogit); });
     const float* const d = frame.axes.forward;
     const auto basis = math::sh_basis(out.sh_degree(), math::Vec3<float>{d[0], d[1], d[2]});
     for (int k = 0; k < n_sh; ++k) {

@@ -9,10 +9,17 @@ namespace rgs::lod {
 
 /// How levels are drawn: docs/LEVELS.md.
 inline constexpr Filter kDrawn{0.1F, true};
-inline constexpr int kSupersampling = 4;  ///< of what counts as the truth
+inline constexpr int kSupersampling = 4;  ///< of what counts as the truth where errors are measured
 
-/// What a group looks like through `frame`: drawn at kSupersampling times the size, and averaged.
-void true_picture(const Gaussians& gaussians, const Frame& frame, Projection& projection, Picture& fine, Picture& out);
+struct FitOptions {
+  int n_steps = 12;
+  int n_directions = 12;  ///< from which pictures are compared, one a step
+  int supersampling = 2;  ///< of the pictures that are aimed at
+};
+
+/// What a group looks like through `frame`: drawn at so many times the size, and averaged.
+void true_picture(const Gaussians& gaussians, const Frame& frame, int supersampling, Projection& projection,
+                  Picture& fine, Picture& out);
 
 /// Integral over pixels of the squared difference of two pictures, the mean over the three colours and over all backgrounds
 /// from black to white; and what the first covers. In pixels.
@@ -21,8 +28,8 @@ struct Difference {
 };
 Difference difference(const Picture& truth, const Picture& drawn);
 
-/// Draws `gaussians` from `n_directions` sides, one a step, and moves them downhill (Adam) towards what `group` looks like
+/// Draws `gaussians` from many sides, one a step, and moves them downhill (Adam) towards what `group` looks like
 /// in pixels of `pixel`. Those that reach beyond a picture's edge stay as they are there.
-void fit(const Gaussians& group, Gaussians& gaussians, float pixel, int n_steps, int n_directions);
+void fit(const Gaussians& group, Gaussians& gaussians, float pixel, const FitOptions& options);
 
 }  // namespace rgs::lod

@@ -41,15 +41,23 @@ constexpr int kLanes = 8;
 
 #define RGS_LOD_INLINE inline __attribute__((always_inline))
 
-RGS_LOD_INLINE V set(float x) { return V{x, x, x, x, x, x, x, x}; }
+RGS_LOD_INLINE V set(float x) {
+  return V{x, x, x, x, x, x, x, x};
+}
 RGS_LOD_INLINE V load(const float* p) {
   V v;
   std::memcpy(&v, p, sizeof v);
   return v;
 }
-RGS_LOD_INLINE void store(float* p, V v) { std::memcpy(p, &v, sizeof v); }
-RGS_LOD_INLINE V select(I mask, V a, V b) { return mask ? a : b; }
-RGS_LOD_INLINE float sum(V v) { return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7])); }
+RGS_LOD_INLINE void store(float* p, V v) {
+  std::memcpy(p, &v, sizeof v);
+}
+RGS_LOD_INLINE V select(I mask, V a, V b) {
+  return mask ? a : b;
+}
+RGS_LOD_INLINE float sum(V v) {
+  return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
+}
 
 // 2^p for p in [-126, 1]: as in the renderer's rows.
 RGS_LOD_INLINE V exp2(V p) {
@@ -105,13 +113,14 @@ void draw(std::span<const Dot> dots, Picture& picture) {
   std::fill(t, t + picture.plane_size(), 1.F);
   for (const Dot& dot : dots) {
     const V red = set(dot.color[0]), green = set(dot.color[1]), blue = set(dot.color[2]);
-    each_vector(dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
-      const V before = load(t + at), w = alpha * before;
-      store(t + at, before - w);
-      store(r + at, load(r + at) + w * red);
-      store(g + at, load(g + at) + w * green);
-      store(b + at, load(b + at) + w * blue);
-    });
+    each_vector(
+        dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
+          const V before = load(t + at), w = alpha * before;
+          store(t + at, before - w);
+          store(r + at, load(r + at) + w * red);
+          store(g + at, load(g + at) + w * green);
+          store(b + at, load(b + at) + w * blue);
+        });
   }
 }
 
@@ -120,11 +129,12 @@ void contributions(std::span<const Dot> dots, Picture& picture, std::span<float>
   std::fill(t, t + picture.plane_size(), 1.F);
   for (const Dot& dot : dots) {
     V total = set(0);
-    each_vector(dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
-      const V before = load(t + at), w = alpha * before;
-      store(t + at, before - w);
-      total += w;
-    });
+    each_vector(
+        dot, picture.stride(), [&](std::size_t at, V alpha, V, float) __attribute__((always_inline)) {
+          const V before = load(t + at), w = alpha * before;
+          store(t + at, before - w);
+          total += w;
+        });
     sums[dot.index] += sum(total);
   }
 }
@@ -139,7 +149,9 @@ void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16
   const float left = frame.left * s, top = frame.top * s;
   const int n_coefficients = sh_coefficients(g.sh_degree());
   for (std::size_t i = 0; i < n; i += kLanes) {
-    const auto in = [&](int value) __attribute__((always_inline)) { return load(g.of(value) + i); };
+    const auto in = [&](int value) __attribute__((always_inline)) {
+      return load(g.of(value) + i);
+    };
     const auto put = [&](int column, V x) __attribute__((always_inline)) {
       store(out + static_cast<std::size_t>(column) * n + i, x);
     };
@@ -185,26 +197,27 @@ void dot_gradients(std::span<const Dot> dots, const Picture& by, Picture& scratc
     const Dot& dot = dots[i];
     const V red = set(dot.color[0]), green = set(dot.color[1]), blue = set(dot.color[2]);
     V h = set(0), hx = h, hxx = h, hy = h, hxy = h, hyy = h, cr = h, cg = h, cb = h;
-    each_vector(dot, stride, [&](std::size_t at, V alpha, V dx, float dy) __attribute__((always_inline)) {
-      const V before = load(t + at), w = alpha * before;
-      store(t + at, before - w);
-      const V r = load(gr + at), g = load(gg + at), b = load(gb + at);
-      const V value = r * red + g * green + b * blue + load(ga + at);
-      const V behind = load(rest + at) - w * value;
-      store(rest + at, behind);
-      cr += w * r;
-      cg += w * g;
-      cb += w * b;
-      V by_log = alpha * (before * value - behind / (set(1) - alpha));
-      by_log = select(alpha < set(math::kAlphaMax), by_log, set(0));
-      const V x = by_log * dx;
-      h += by_log;
-      hx += x;
-      hxx += x * dx;
-      hy += by_log * set(dy);
-      hxy += x * set(dy);
-      hyy += by_log * set(dy * dy);
-    });
+    each_vector(
+        dot, stride, [&](std::size_t at, V alpha, V dx, float dy) __attribute__((always_inline)) {
+          const V before = load(t + at), w = alpha * before;
+          store(t + at, before - w);
+          const V r = load(gr + at), g = load(gg + at), b = load(gb + at);
+          const V value = r * red + g * green + b * blue + load(ga + at);
+          const V behind = load(rest + at) - w * value;
+          store(rest + at, behind);
+          cr += w * r;
+          cg += w * g;
+          cb += w * b;
+          V by_log = alpha * (before * value - behind / (set(1) - alpha));
+          by_log = select(alpha < set(math::kAlphaMax), by_log, set(0));
+          const V x = by_log * dx;
+          h += by_log;
+          hx += x;
+          hxx += x * dx;
+          hy += by_log * set(dy);
+          hxy += x * set(dy);
+          hyy += by_log * set(dy * dy);
+        });
     out[i] = {sum(h), sum(hx), sum(hy), sum(hxx), sum(hxy), sum(hyy), {sum(cr), sum(cg), sum(cb)}};
   }
 }
@@ -291,8 +304,10 @@ void project(const Gaussians& g, const Frame& frame, const Filter& filter, Proje
     const auto pixel = [](float x, int most) {
       return static_cast<std::int16_t>(std::clamp(x, 0.F, static_cast<float>(most)));
     };
-    dot.x0 = pixel(std::ceil(dot.u - rx - 0.5F), frame.width), dot.x1 = pixel(std::floor(dot.u + rx + 0.5F), frame.width);
-    dot.y0 = pixel(std::ceil(dot.v - ry - 0.5F), frame.height), dot.y1 = pixel(std::floor(dot.v + ry + 0.5F), frame.height);
+    dot.x0 = pixel(std::ceil(dot.u - rx - 0.5F), frame.width),
+    dot.x1 = pixel(std::floor(dot.u + rx + 0.5F), frame.width);
+    dot.y0 = pixel(std::ceil(dot.v - ry - 0.5F), frame.height),
+    dot.y1 = pixel(std::floor(dot.v + ry + 0.5F), frame.height);
     if (dot.x0 >= dot.x1 || dot.y0 >= dot.y1) continue;
     for (int k = 0; k < 3; ++k) dot.color[k] = std::max(at(6 + k, i), 0.F);
     dot.index = i;
@@ -300,7 +315,9 @@ void project(const Gaussians& g, const Frame& frame, const Filter& filter, Proje
   }
 }
 
-void draw(std::span<const Dot> dots, Picture& picture) { HWY_DYNAMIC_DISPATCH(draw)(dots, picture); }
+void draw(std::span<const Dot> dots, Picture& picture) {
+  HWY_DYNAMIC_DISPATCH(draw)(dots, picture);
+}
 
 void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums) {
   HWY_DYNAMIC_DISPATCH(contributions)(dots, picture, sums);

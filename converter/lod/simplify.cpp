@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <numeric>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "clusters.hpp"
@@ -16,16 +17,16 @@
 namespace rgs::lod {
 namespace {
 
-constexpr int kViews = 6;           // that say what is seen of a Gaussian
-constexpr int kMostPixels = 512;    // of their sides
+constexpr int kViews = 5;            // that say what is seen of a Gaussian
+constexpr int kMostPixels = 512;     // of their sides
 constexpr float kPieceLength = 100;  // pixels: pictures of pieces stay in the cache
-constexpr float kCoarseness = 2;    // pixels a Gaussian: see footprint_of()
-constexpr float kLarge = 2.5F;      // pixels of the longest standard deviation from which on a Gaussian stays alone
-constexpr float kMostKept = 0.6F;   // of the result
-constexpr int kCoverageRounds = 5;
+constexpr float kCoarseness = 2;     // pixels a Gaussian: see footprint_of()
+constexpr float kLarge = 2.5F;       // pixels of the longest standard deviation from which on a Gaussian stays alone
+constexpr float kMostKept = 0.6F;    // of the result
+constexpr int kCoverageRounds = 3;
 constexpr float kMostOpacity = 0.98F, kLeastOpacity = 0.005F;
-constexpr int kErrorViews = 5;
-constexpr int kFootprints = 4;  // at which the error is measured, each twice the one before
+constexpr int kErrorViews = 4;
+constexpr int kFootprints = 3;  // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;    // of size, each four times the one before
 
 float longest(const Gaussians& gaussians, std::size_t i) {
@@ -113,8 +114,8 @@ std::vector<char> kept_alone(const Gaussians& group, std::span<const float> visi
 }
 
 // Moments of a cluster as a Gaussian, harmonics as they are seen; one member is kept as it is.
-void set(Gaussians& out, std::size_t i, const Gaussians& group, const Clusters& clusters, std::span<const float> visible,
-         float pixel) {
+void set(Gaussians& out, std::size_t i, const Gaussians& group, const Clusters& clusters,
+         std::span<const float> visible, float pixel) {
   const Cluster& cluster = clusters.all[i];
   if (clusters.is_single(cluster)) return out.copy(i, group, cluster.first);
   float scale[3], rotation[4];
@@ -144,7 +145,7 @@ void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float
   Picture picture;
   std::vector<float> seen;
   std::vector<char> incomplete(gaussians.size(), 0);
-  const float fine = pixel / 2;
+  const float fine = 0.7F * pixel;
   for (int round = 0; round < kCoverageRounds; ++round) {
     seen.assign(gaussians.padded(), 0.F);
     for (int view = 0; view < kViews; ++view) {
@@ -175,35 +176,56 @@ struct Measured {
   double of_group[kFootprints] = {}, of_result[kFootprints] = {}, covered[kFootprints] = {};
 };
 
-// A piece's share of it. Directions are others than those that were fitted.
+// A piece's share of it, `least_pixel` being the finest that suits it. Directions are others than those that were fitted. One
+// fine picture a direction is the truth of all footprints.
 void measure(const Gaussians& group, const Gaussians& result, float pixel, float least_pixel, Measured& out) {
+  constexpr int kCoarsest = 1 << (kFootprints - 1);
+  const float base = std::max(pixel, least_pixel);
   Projection projection;
-  Picture fine, truth, drawn;
-  for (int k = 0; k < kFootprints; ++k) {
-    const float p = std::max(pixel * static_cast<float>(1 << k), least_pixel);
-    const double area = static_cast<double>(p) * static_cast<double>(p) / kErrorViews;
-    for (int view = 0; view < kErrorViews; ++view) {
-      const Frame frame = frame_around(group, direction(view, kErrorViews), p, kMostPixels / 2);
-      true_picture(group, frame, projection, fine, truth);
+  Picture fine, truth, coarser, drawn;
+  Measured piece;
+  for (int view = 0; view < kErrorViews; ++view) {
+    const Frame coarse =
+        frame_around(group, direction(view, kErrorViews), base * kCoarsest, kMostPixels / 2 / kCoarsest);
+    const Frame finest = finer(coarse, kCoarsest * kSupersampling);
+    project(group, finest, kDrawn, projection);
+    fine.reset(finest.width, finest.height);
+    draw(projection.dots, fine);
+    for (int k = 0; k < kFootprints; ++k) {
+      const Frame frame = finer(coarse, kCoarsest >> k);
+      box_filter(k == 0 ? fine : truth, k == 0 ? kSupersampling : 2, coarser);
+      std::swap(truth, coarser);
       const auto compare = [&](const Gaussians& gaussians) {
         project(gaussians, frame, kDrawn, projection);
         drawn.reset(frame.width, frame.height);
         draw(projection.dots, drawn);
         return difference(truth, drawn);
       };
+      const double area = static_cast<double>(frame.pixel) * static_cast<double>(frame.pixel) / kErrorViews;
       const Difference of_group = compare(group), of_result = compare(result);
-      out.of_group[k] += area * of_group.squared;
-      out.of_result[k] += area * of_result.squared;
-      out.covered[k] += area * of_group.covered;
+      piece.of_group[k] += area * of_group.squared;
+      piece.of_result[k] += area * of_result.squared;
+      piece.covered[k] += area * of_group.covered;
     }
+  }
+  // Footprints below the finest count like that one.
+  int behind = 0;
+  while (behind < kFootprints - 1 && pixel * static_cast<float>(1 << (behind + 1)) <= base) ++behind;
+  for (int k = 0; k < kFootprints; ++k) {
+    const int from = std::max(k - behind, 0);
+    out.of_group[k] += piece.of_group[from];
+    out.of_result[k] += piece.of_result[from];
+    out.covered[k] += piece.covered[from];
   }
 }
 
-// Smallest footprint at which the result is good enough, between those measured on a straight line of logarithms.
-float error_of(const Measured& m, float pixel) {
+// Smallest footprint at which the result is good enough for a group of which so much is `covered`, between those measured
+// on a straight line of logarithms.
+float error_of(const Measured& m, std::span<const double> covered, float pixel) {
+  if (std::all_of(m.of_result, m.of_result + kFootprints, [](double x) { return x <= 0; })) return 0;
   double ratio[kFootprints];
   for (int k = 0; k < kFootprints; ++k) {
-    const double allowed = std::max(kAllowed * m.of_group[k], kAllowedSquared * m.covered[k]);
+    const double allowed = std::max(kAllowed * m.of_group[k], kAllowedSquared * covered[static_cast<std::size_t>(k)]);
     ratio[k] = m.of_result[k] <= 0 ? 0 : m.of_result[k] / std::max(allowed, 1e-300);
   }
   int k = kFootprints;  // good from there on
@@ -233,11 +255,12 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
     const int of_size = size > 1 ? 1 + static_cast<int>(std::log2(std::min(size, 1e9F)) / 2) : 0;
     classes[static_cast<std::size_t>(std::min(of_size, kClasses - 1))].push_back(i);
   }
-  Measured measured;
+  std::vector<Measured> measured(kClasses);
   std::vector<float> wanted;
   std::vector<std::uint32_t> members;
   for (int c = 0; c < kClasses; ++c) {
     const float p = pixel * static_cast<float>(std::int64_t{1} << (2 * std::max(c - 1, 0)));
+    Measured& of_class = measured[static_cast<std::size_t>(c)];
     for (const auto& piece : cut_by_place(out.gaussians, classes[static_cast<std::size_t>(c)], kPieceLength * p)) {
       wanted.clear();
       members.clear();
@@ -250,12 +273,17 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       Gaussians part = subset(out.gaussians, piece);
       const Gaussians below = subset(group, members);
       restore_coverage(part, wanted, p);
-      if (options.n_steps > 0 && c == 0) fit(below, part, p, options.n_steps, options.n_directions);
-      measure(below, part, pixel, p, measured);
+      if (options.n_steps > 0 && c == 0) fit(below, part, p, options);
+      measure(below, part, pixel, p, of_class);
       for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.copy(piece[i], part, i);
     }
   }
-  out.error = error_of(measured, pixel);
+  // By class: what small Gaussians may get wrong is no excuse for large ones.
+  double covered[kFootprints] = {};
+  for (const Measured& of_class : measured) {
+    for (int k = 0; k < kFootprints; ++k) covered[k] += of_class.covered[k];
+  }
+  for (const Measured& of_class : measured) out.error = std::max(out.error, error_of(of_class, covered, pixel));
   return out;
 }
 

@@ -4,14 +4,10 @@
 
 #include <cstddef>
 
+#include "fit.hpp"
 #include "gaussians.hpp"
 
 namespace rgs::lod {
-
-struct FitOptions {
-  int n_steps = 12;
-  int n_directions = 12;
-};
 
 struct Simplified {
   Gaussians gaussians;
@@ -21,7 +17,7 @@ struct Simplified {
   float error = 0;
 };
 
-inline constexpr double kAllowed = 5;             // 7 dB
+inline constexpr double kAllowed = 5;            // 7 dB
 inline constexpr double kAllowedSquared = 1e-5;  // 50 dB
 
 /// At most `n` < group.size() Gaussians for those of `group`. Deterministic.

@@ -47,7 +47,8 @@ Frame frame_around(const Gaussians& gaussians, const Axes3& axes, float pixel, i
     const float* const d = side == 0 ? axes.right : axes.down;
     float low = std::numeric_limits<float>::max(), high = -low;
     for (std::size_t i = 0; i < gaussians.size(); ++i) {
-      const float x = d[0] * gaussians.of(kMean)[i] + d[1] * gaussians.of(kMean + 1)[i] + d[2] * gaussians.of(kMean + 2)[i];
+      const float x =
+          d[0] * gaussians.of(kMean)[i] + d[1] * gaussians.of(kMean + 1)[i] + d[2] * gaussians.of(kMean + 2)[i];
       low = std::min(low, x);
       high = std::max(high, x);
     }
@@ -88,8 +89,8 @@ std::vector<std::vector<std::uint32_t>> cut_by_place(const Gaussians& gaussians,
       if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
     }
     const float middle = low[axis] + (high[axis] - low[axis]) / 2;
-    const auto second = std::stable_partition(
-        piece.begin(), piece.end(), [&](std::uint32_t i) { return gaussians.of(kMean + axis)[i] < middle; });
+    const auto second = std::stable_partition(piece.begin(), piece.end(),
+                                              [&](std::uint32_t i) { return gaussians.of(kMean + axis)[i] < middle; });
     if (high[axis] - low[axis] <= most || second == piece.begin() || second == piece.end()) {
       out.push_back(std::move(piece));
       continue;

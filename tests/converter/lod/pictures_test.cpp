@@ -62,7 +62,8 @@ double weighted(const Picture& picture, const Picture& weights) {
   for (int y = 0; y < picture.height(); ++y) {
     for (int x = 0; x < picture.width(); ++x) {
       const std::size_t i = static_cast<std::size_t>(y) * picture.stride() + static_cast<std::size_t>(x);
-      for (int k = 0; k < 3; ++k) total += static_cast<double>(weights.plane(k)[i]) * static_cast<double>(picture.plane(k)[i]);
+      for (int k = 0; k < 3; ++k)
+        total += static_cast<double>(weights.plane(k)[i]) * static_cast<double>(picture.plane(k)[i]);
       total += static_cast<double>(weights.plane(3)[i]) * (1 - static_cast<double>(picture.plane(3)[i]));
     }
   }
@@ -109,7 +110,8 @@ TEST_CASE("a picture is the image's definition seen from very far") {
       one.p.mean.u = (p.x - static_cast<double>(frame.left)) / static_cast<double>(frame.pixel);
       one.p.mean.v = (p.y - static_cast<double>(frame.top)) / static_cast<double>(frame.pixel);
       one.p.z = along(rows[2]);
-      const rgs::math::Vec3<double> d{static_cast<double>(rows[2][0]), static_cast<double>(rows[2][1]), static_cast<double>(rows[2][2])};
+      const rgs::math::Vec3<double> d{static_cast<double>(rows[2][0]), static_cast<double>(rows[2][1]),
+                                      static_cast<double>(rows[2][2])};
       one.color = rgs::math::sh_color<double>(2, rgs::math::sh_basis(2, d), [&](int k) {
         return rgs::math::Vec3<double>{at(kSh + 3 * k), at(kSh + 3 * k + 1), at(kSh + 3 * k + 2)};
       });
@@ -129,7 +131,8 @@ TEST_CASE("a picture is the image's definition seen from very far") {
           t -= w;
         }
         const std::size_t i = static_cast<std::size_t>(y) * picture.stride() + static_cast<std::size_t>(x);
-        for (int k = 0; k < 3; ++k) largest = std::max(largest, std::abs(c[k] - static_cast<double>(picture.plane(k)[i])));
+        for (int k = 0; k < 3; ++k)
+          largest = std::max(largest, std::abs(c[k] - static_cast<double>(picture.plane(k)[i])));
         largest = std::max(largest, std::abs(t - static_cast<double>(picture.plane(3)[i])));
         covered += 1 - t;
       }
@@ -152,7 +155,9 @@ TEST_CASE("what Gaussians give to a picture adds up to what is covered") {
   const Picture drawn = picture_of(gaussians, frame, kDrawn);
   double covered = 0;
   for (int y = 0; y < frame.height; ++y) {
-    for (int x = 0; x < frame.width; ++x) covered += 1 - static_cast<double>(drawn.plane(3)[static_cast<std::size_t>(y) * drawn.stride() + static_cast<std::size_t>(x)]);
+    for (int x = 0; x < frame.width; ++x)
+      covered += 1 - static_cast<double>(
+                         drawn.plane(3)[static_cast<std::size_t>(y) * drawn.stride() + static_cast<std::size_t>(x)]);
   }
   CHECK(covered > 100);
   CHECK(std::accumulate(sums.begin(), sums.end(), 0.0) == doctest::Approx(covered).epsilon(0.02));

@@ -27,7 +27,7 @@ Seen seen(const Gaussians& group, const Gaussians& drawn, float pixel) {
   Seen out;
   for (int i = 0; i < 7; ++i) {
     const Frame frame = frame_around(group, direction(i, 7), pixel, 400);
-    true_picture(group, frame, projection, fine, truth);
+    true_picture(group, frame, kSupersampling, projection, fine, truth);
     project(drawn, frame, kDrawn, projection);
     picture.reset(frame.width, frame.height);
     draw(projection.dots, picture);
@@ -51,7 +51,7 @@ Gaussians small_wall(std::uint64_t side) {
 TEST_CASE("a quarter of a wall's Gaussians looks like the wall from its error on, with its coverage") {
   const Gaussians group = small_wall(64);
   for (const bool best : {false, true}) {
-    const Simplified simple = simplify(group, group.size() / 4, best ? FitOptions{200, 64} : FitOptions{12, 12});
+    const Simplified simple = simplify(group, group.size() / 4, best ? FitOptions{200, 64, 4} : FitOptions{});
     CHECK(simple.gaussians.size() <= group.size() / 4);
     CHECK(simple.error > 0);
     CHECK(simple.error < 0.25F);  // of a wall of 1 x 1
@@ -64,8 +64,9 @@ TEST_CASE("a quarter of a wall's Gaussians looks like the wall from its error on
 
 TEST_CASE("optimisation improves the picture, and a smaller error follows") {
   const Gaussians group = small_wall(64);
-  const Simplified closed = simplify(group, group.size() / 4, {0, 1}), fast = simplify(group, group.size() / 4, {12, 12}),
-                   best = simplify(group, group.size() / 4, {200, 64});
+  const Simplified closed = simplify(group, group.size() / 4, {0, 1, 2}),
+                   fast = simplify(group, group.size() / 4, FitOptions{}),
+                   best = simplify(group, group.size() / 4, {200, 64, 4});
   constexpr float kPixel = 0.06F;
   const double squared[] = {seen(group, closed.gaussians, kPixel).squared, seen(group, fast.gaussians, kPixel).squared,
                             seen(group, best.gaussians, kPixel).squared};
@@ -85,7 +86,7 @@ TEST_CASE("large Gaussians among small ones stay as they are") {
     for (int k = 0; k < 3; ++k) group.of(kScale + k)[i] = 2;
     group.of(kOpacity)[i] = 0.7F;
   }
-  const Simplified simple = simplify(group, group.size() / 4, {12, 12});
+  const Simplified simple = simplify(group, group.size() / 4, FitOptions{});
   int n_found = 0;
   for (std::size_t i = 0; i < simple.gaussians.size(); ++i) {
     if (simple.gaussians.of(kScale)[i] == 2 && simple.gaussians.of(kOpacity)[i] == 0.7F) ++n_found;
@@ -96,7 +97,7 @@ TEST_CASE("large Gaussians among small ones stay as they are") {
 TEST_CASE("what does not show, or lies in one point, is simplified all the same") {
   Gaussians group = small_wall(16);
   const auto check = [&](const Gaussians& g) {
-    const Simplified simple = simplify(g, g.size() / 4, {12, 12});
+    const Simplified simple = simplify(g, g.size() / 4, FitOptions{});
     CHECK(simple.gaussians.size() <= g.size() / 4);
     CHECK(simple.gaussians.size() > 0);
     CHECK(std::isfinite(simple.error));
