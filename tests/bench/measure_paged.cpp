@@ -68,7 +68,7 @@ int measure(const SplatCloud& source, Profile profile, const char* name, std::ui
 
 int main(int argc, char** argv) {
   if (argc != 2 && argc != 3) {
-    std::fputs("usage: rgs_measure_levels SCENE.ply [CHUNKS A PAGE]\n", stderr);
+    std::fputs("usage: rgs_measure_paged SCENE.ply [CHUNKS A PAGE]\n", stderr);
     return 2;
   }
   const auto ply = MappedFile::open(argv[1]);
