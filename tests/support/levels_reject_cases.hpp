@@ -25,12 +25,14 @@ inline void reject_levels_sections(RejectMaker& m) {
   const std::uint64_t lods = m.entry("LODS"), page = m.entry("PAGE");
   const auto type = [&m](std::uint64_t entry) { return get<std::uint32_t>(m.file(), entry); };
   m.set("levels_in_1_3", unknown_required, lods, 10, std::uint16_t{3});
-  for (const auto& [name, entry] : {std::pair("levels_missing", lods), std::pair("pages_missing", page)}) {
+  const auto rename = [&](const char* name, std::uint64_t entry) {
     m.change(name, missing_section, 128, [&](Bytes& b) {
       put(b, entry, kUnknown);
       put(b, entry + 4, 0u);
     });
-  }
+  };
+  rename("levels_missing", lods);
+  rename("pages_missing", page);
   m.change("levels_beside_means", bad_section, m.entry("PROV"),
            [&](Bytes& b) { put(b, m.entry("PROV"), 0x4E41454Du); });  // MEAN
   m.change("levels_behind_pages", bad_section, page, [&](Bytes& b) {
@@ -41,10 +43,11 @@ inline void reject_levels_sections(RejectMaker& m) {
   m.set("pages_codec_3", unsupported_codec, page + 8, 3u);
   m.change("levels_cut", truncated, m.section("LODS") + 200, [&](Bytes& b) { b.resize(m.section("LODS") + 200); });
   const LevelsAt at(m);
-  for (const auto& [name, size] : {std::pair("levels_page_missing", at.page(at.n_pages - 1) + 10),
-                                   std::pair("levels_positions_missing", m.section("PERM") + 10)}) {
+  const auto cut = [&m](const char* name, std::uint64_t size) {
     m.change(name, Errc::pages_missing, size, [&](Bytes& b) { b.resize(size); });
-  }
+  };
+  cut("levels_page_missing", at.page(at.n_pages - 1) + 10);
+  cut("levels_positions_missing", m.section("PERM") + 10);
 }
 
 inline void reject_levels_head(RejectMaker& m) {

@@ -601,8 +601,8 @@ Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const Spla
   }
 }
 
-Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats, PageTable table,
-                                          std::span<const std::uint32_t> source_index) {
+Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats,
+                                          const PageTable& table, std::span<const std::uint32_t> source_index) {
   assert(plan.options.profile == Profile::archive && source_index.size() == plan.header.n_gaussians);
   return Encoder(plan, splats, &table).run(sink, source_index);
 }

@@ -24,8 +24,8 @@ Result<WrittenScene> write_archive(Sink sink, const EncodePlan& plan, const Spla
 
 /// The same for a file with levels: `splats` are those of all pages of `table` in their order, of which the leaves are the
 /// plan's and `source_index` [n leaves] says where these were.
-Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats, PageTable table,
-                                          std::span<const std::uint32_t> source_index);
+Result<WrittenScene> write_archive_levels(Sink sink, const EncodePlan& plan, const SplatView& splats,
+                                          const PageTable& table, std::span<const std::uint32_t> source_index);
 
 /// Opens and decodes `file`, a file of Profile::archive, and compares Gaussian i with Gaussian order[i] of `splats`
 /// against the bounds that the file states. Errors: internal (a bound does not hold; the offset is the Gaussian's index

@@ -136,7 +136,7 @@ Result<WrittenScene> LevelsWriter::finish() {
   return guard_memory([&]() -> Result<WrittenScene> {
     std::vector<std::uint32_t> given(s.archive() || s.plan.options.keep_permutation ? s.plan.header.n_gaussians : 0);
     std::iota(given.begin(), given.end(), 0u);
-    if (s.archive()) return write_archive_levels(s.sink, s.plan, s.scene.view(), std::move(s.table), given);
+    if (s.archive()) return write_archive_levels(s.sink, s.plan, s.scene.view(), s.table, given);
     Declarations d = s.plan.declarations;
     if (s.leaves.full.min != d.full.min || s.leaves.full.max != d.full.max) {
       return tl::unexpected(source_changed().error());

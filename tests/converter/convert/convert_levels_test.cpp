@@ -69,7 +69,8 @@ TEST_CASE("leaving levels away gives the bytes of the conversion without them") 
   cloud.opacity_logit[5] = std::numeric_limits<float>::quiet_NaN();  // is dropped
   const std::string ply = write_scene(folder.file("scene.ply"), cloud), plain = folder.file("plain.rgs"),
                     back = folder.file("back.rgs");
-  for (const auto& [name, profile] : {std::pair("direct", Profile::direct), std::pair("packed", Profile::packed)}) {
+  for (const Profile profile : {Profile::direct, Profile::packed}) {
+    const std::string name = profile == Profile::direct ? "direct" : "packed";
     for (const bool positions : {false, true}) {
       CAPTURE(name);
       CAPTURE(positions);
