@@ -229,7 +229,8 @@ int main(int argc, char** argv) {
       int n_views = 0;
       for (std::size_t i = 0; i < set.cameras.size(); ++i) {
         if (set.split[i] != rgs::Split::test) continue;
-        const rgs::Image photo = value_or_stop(rgs::read_image(std::string(argv[4]) + "/" + set.cameras[i].name + ".jpg"));
+        const rgs::Image photo =
+            value_or_stop(rgs::read_image(std::string(argv[4]) + "/" + set.cameras[i].name + ".jpg"));
         const std::vector<float> truth = averaged(photo.pixels, photo.width, photo.height, far);
         const Camera camera = scaled(set.cameras[i], 1.0 / far);
         rgs::RenderOptions wide = mip;
