@@ -3,6 +3,7 @@
 #include "cuda/cut_stage.hpp"
 
 #include <algorithm>
+#include <variant>
 
 #include "cuda/workspace_growth.hpp"
 
@@ -25,7 +26,8 @@ std::uint64_t CutStage::held(const SceneStorage& scene) const {
 
 std::uint64_t CutStage::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&sums_, &chunks_, &places_, &bits_, &bit_sums_, &order_, &rank_}) sum += b->bytes();
+  for (const DeviceBuffer* b : {&counts_, &chosen_, &in_view_, &chunks_, &places_, &bits_, &bit_sums_, &order_, &rank_})
+    sum += b->bytes();
   return sum;
 }
 
@@ -33,7 +35,10 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
                          const Reserve& reserve) {
   const ScenePages& pages = *scene.pages;
   const std::uint64_t word = sizeof(std::uint32_t), limit = std::min(max_chunks, pages.n_chunks);
-  Status ok = reserve(sums_, (std::uint64_t{cuda::cut_blocks(pages.n_pages)} + 1) * sizeof(cuda::CutCounts));
+  const auto n_all = static_cast<std::uint32_t>(pages.n_chunks);
+  Status ok = reserve(counts_, (std::uint64_t{2} + cuda::cut_blocks(pages.n_pages)) * sizeof(cuda::CutCounts));
+  if (ok) ok = reserve(chosen_, pages.n_chunks * word);
+  if (ok) ok = reserve(in_view_, cuda::cull_blocks(n_all) * word);
   if (ok) ok = reserve(places_, pages.n_chunks * word);
   if (ok) ok = reserve(bits_, cuda::drawn_ties_words(n_all_rows(scene)) * word);
   if (ok) ok = reserve(bit_sums_, cuda::drawn_ties_blocks(n_all_rows(scene)) * word);
@@ -55,24 +60,29 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
   return ok;
 }
 
-cuda::DrawnChunks CutStage::drawn(const SceneStorage& scene) const {
-  return {chunks_.as<std::uint32_t>(), sums_.as<cuda::CutCounts>() + cuda::cut_blocks(scene.pages->n_pages),
-          static_cast<std::uint32_t>(capacity_)};
+cuda::DrawnChunks CutStage::drawn() const {
+  return {chunks_.as<std::uint32_t>(), counts_.as<cuda::CutCounts>() + 1, static_cast<std::uint32_t>(capacity_)};
 }
 
-Status CutStage::launch(const SceneStorage& scene, const cuda::CutEye& eye, bool by_row, CudaStream stream) const {
+Status CutStage::launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const {
   const ScenePages& pages = *scene.pages;
-  auto* const sums = sums_.as<cuda::CutCounts>();
-  const cuda::DrawnChunks list = drawn(scene);
-  const Status ok = cuda::launch_cut(
-      {pages.table.as<cuda::CutPage>(), pages.n_pages, eye, sums, sums + cuda::cut_blocks(pages.n_pages), seen_.get(),
-       chunks_.as<std::uint32_t>(), list.capacity, places_.as<std::uint32_t>()},
-      stream);
+  auto* const counts = counts_.as<cuda::CutCounts>();
+  auto* const chosen = chosen_.as<std::uint32_t>();
+  auto* const places = places_.as<std::uint32_t>();
+  Status ok = cuda::launch_cut({pages.table.as<cuda::CutPage>(), pages.n_pages, choice.eye, counts + 2, counts, chosen},
+                               stream);
+  if (ok) {
+    ok = cuda::launch_cull(
+        {chosen, counts, static_cast<std::uint32_t>(pages.n_chunks),
+         std::get<cuda::PagedAttributes>(scene.attributes).chunks, choice.view, choice.by_view,
+         in_view_.as<std::uint32_t>(), counts + 1, seen_.get(), chunks_.as<std::uint32_t>(), drawn().capacity, places},
+        stream);
+  }
   if (!ok) return ok;
-  return cuda::launch_drawn_ties({list, places_.as<std::uint32_t>(), pages.chunk_size, scene.tie_order(),
-                                  n_all_rows(scene), bits_.as<std::uint32_t>(), bit_sums_.as<std::uint32_t>(),
-                                  order_.as<std::uint32_t>(), by_row ? nullptr : rank_.as<std::uint32_t>()},
-                                 stream);
+  return cuda::launch_drawn_ties(
+      {drawn(), places, pages.chunk_size, scene.tie_order(), n_all_rows(scene), bits_.as<std::uint32_t>(),
+       bit_sums_.as<std::uint32_t>(), order_.as<std::uint32_t>(), choice.by_row ? nullptr : rank_.as<std::uint32_t>()},
+      stream);
 }
 
 }  // namespace rgs::detail
