@@ -376,6 +376,58 @@ TEST_CASE("what is drawn has the tie order of all rows, without the others") {
   }
 }
 
+TEST_CASE("pages lie on the device as the host decodes them, each from a chunk of its own on, in every profile") {
+  if (!device_answers()) return;
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    // Four batches of those that are decoded together.
+    const int n = profile == Profile::direct ? sized(700000, 3000, 500) : sized(30000, 3000, 500);
+    const Levels levels = Levels::of(random_splats(1623, n), 2, 64, 3, profile);
+    const PagedFile file = open(levels.bytes);
+    const detail::PagePlan plan(file);
+    const auto bytes = plan.section_bytes(2);
+    std::array<DeviceArray<std::byte>, 5> memory;
+    detail::SectionPlaces places{};
+    for (std::size_t k = 0; k < 5; ++k) memory[k] = DeviceArray<std::byte>(bytes[k]), places[k] = memory[k].data();
+    require_ok(detail::upload_pages(file, plan, places, nullptr));
+    std::array<std::vector<std::byte>, 5> found;
+    for (std::size_t k = 0; k < 5; ++k) found[k] = memory[k].download();
+    const auto is_at = [&](std::size_t k, std::uint64_t at, std::span<const std::byte> expected) {
+      return std::equal(expected.begin(), expected.end(), found[k].begin() + static_cast<std::ptrdiff_t>(at));
+    };
+    PageDecoder decoder(file);
+    std::vector<std::byte> decoded(file.largest_decoded_bytes());
+    std::uint64_t n_padding = 0;
+    for (std::uint32_t page = 0; page < file.n_pages(); ++page) {
+      CAPTURE(page);
+      const auto rows = decoder.decode(page, file.bytes(page), std::span(decoded).first(file.decoded_bytes(page)));
+      require_ok(rows);
+      const std::uint64_t first_chunk = plan.first_chunk[page], first_row = first_chunk * plan.chunk_size;
+      const std::uint64_t end_row = plan.first_chunk[page + 1] * plan.chunk_size, set = plan.first_set[page];
+      REQUIRE(is_at(0, first_row * kMeanBytes, rows->means));
+      REQUIRE(is_at(1, first_row * kGeometryBytes, rows->geometry));
+      REQUIRE(is_at(2, first_row * sh_bytes(2), rows->sh));
+      REQUIRE(is_at(3, set * kStepSetBytes, rows->steps));
+      for (std::uint64_t row = first_row + rows->n; row < end_row; ++row, ++n_padding) {
+        float mean[3];
+        std::memcpy(mean, &found[0][row * kMeanBytes], sizeof mean);
+        REQUIRE((std::isnan(mean[0]) && std::isnan(mean[1]) && std::isnan(mean[2])));
+      }
+      for (std::uint64_t c = first_chunk; c < plan.first_chunk[page + 1]; ++c) {
+        const std::uint64_t at = c * kChunkEntryBytes;
+        REQUIRE(is_at(4, at, rows->chunks.subspan((c - first_chunk) * kChunkEntryBytes, 32)));
+        std::uint64_t step_set;
+        float scale_unit;
+        std::memcpy(&step_set, &found[4][at + 32], sizeof step_set);
+        std::memcpy(&scale_unit, &found[4][at + 44], sizeof scale_unit);
+        CHECK(step_set == set + (file.stored(page).n_step_sets == 1 ? 0 : c - first_chunk));
+        CHECK(scale_unit == std::ldexp(1.0F, -rows->scale_exponent));
+      }
+    }
+    CHECK(n_padding == plan.n_rows() - file.n_stored());
+    CHECK(n_padding > 0);
+  }
+}
+
 TEST_CASE("what the device chooses and draws is what the same pages are as a scene of FP32 arrays") {
   if (!device_answers()) return;
   const Levels& levels = many_pages();
