@@ -19,8 +19,9 @@ std::uint32_t n_all_rows(const SceneStorage& scene) {
 }  // namespace
 
 // Chunks that there is memory for.
-std::uint64_t CutStage::held(const SceneStorage& scene) const {
-  const std::uint64_t rows = std::min(order_.bytes(), rank_.bytes()) / sizeof(std::uint32_t);
+std::uint64_t CutStage::held(const SceneStorage& scene, const DeviceBuffer& splats) const {
+  const std::uint64_t rows = std::min(std::min(order_.bytes(), rank_.bytes()) / sizeof(std::uint32_t),
+                                      splats.bytes() / sizeof(cuda::ScreenSplat));
   return std::min(chunks_.bytes() / sizeof(std::uint32_t), rows / scene.pages->chunk_size);
 }
 
@@ -32,7 +33,7 @@ std::uint64_t CutStage::bytes() const {
 }
 
 Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks,
-                         const Reserve& reserve) {
+                         DeviceBuffer& splats, const Reserve& reserve) {
   const ScenePages& pages = *scene.pages;
   const std::uint64_t word = sizeof(std::uint32_t), limit = std::min(max_chunks, pages.n_chunks);
   const auto n_all = static_cast<std::uint32_t>(pages.n_chunks);
@@ -42,7 +43,7 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
   if (ok) ok = reserve(places_, pages.n_chunks * word);
   if (ok) ok = reserve(bits_, cuda::drawn_ties_words(n_all_rows(scene)) * word);
   if (ok) ok = reserve(bit_sums_, cuda::drawn_ties_blocks(n_all_rows(scene)) * word);
-  const std::uint64_t before = held(scene);
+  const std::uint64_t before = held(scene, splats);
   const std::uint64_t guess = std::max<std::uint64_t>(kFirstRows / pages.chunk_size, 1);
   const std::uint64_t least = std::min(n_chunks != 0 ? n_chunks : before != 0 ? before : guess, limit);
   if (ok && before < least) {
@@ -52,11 +53,13 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
       for (DeviceBuffer* b : {&order_, &rank_}) {
         if (grown) grown = reserve(*b, n * pages.chunk_size * word);
       }
-      if (!grown) chunks_ = {}, order_ = {}, rank_ = {};  // what has grown would keep the memory that the others need
+      if (grown) grown = reserve(splats, n * pages.chunk_size * sizeof(cuda::ScreenSplat));
+      // What has grown would keep the memory that the others need.
+      if (!grown) chunks_ = {}, order_ = {}, rank_ = {}, splats = {};
       return grown;
     });
   }
-  capacity_ = ok ? std::min(held(scene), limit) : 0;
+  capacity_ = ok ? std::min(held(scene, splats), limit) : 0;
   return ok;
 }
 

@@ -23,8 +23,9 @@ class CutStage {
   /// Errors: device_failed.
   Status create() { return seen_.create(); }
   /// Makes room for `n_chunks` and more, or, if that is 0, for a first guess where there is none; but for at most `max_chunks`.
-  /// Before every launch. Errors: those of `reserve`.
-  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, const Reserve& reserve);
+  /// `splats` gets room for as many. Before every launch. Errors: those of `reserve`.
+  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, DeviceBuffer& splats,
+                 const Reserve& reserve);
   /// What a frame draws, and how.
   struct Choice {
     cuda::CutEye eye;
@@ -46,7 +47,7 @@ class CutStage {
   std::uint64_t bytes() const;
 
  private:
-  std::uint64_t held(const SceneStorage& scene) const;
+  std::uint64_t held(const SceneStorage& scene, const DeviceBuffer& splats) const;
 
   std::uint64_t capacity_ = 0;
   PageLocked<cuda::CutCounts> seen_;

@@ -109,7 +109,7 @@ struct FrameState {
   /// those of the other reserve().
   Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
-    return cut.reserve(*f.scene, n_chunks, f.max_chunks(),
+    return cut.reserve(*f.scene, n_chunks, f.max_chunks(), splats,
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
   }
   /// Queues the cut of a frame that has one. by_row: see CutStage.
