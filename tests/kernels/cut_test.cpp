@@ -581,6 +581,52 @@ TEST_CASE("frames that follow each other do not leave anything behind: other vie
   }
 }
 
+TEST_CASE("where memory is short a cut is refused as out of memory or drawn right, and the renderer goes on") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  struct Budget {
+    std::uint64_t left = 0;
+    DeviceAllocator allocator() {
+      return {[](void* user, std::uint64_t bytes, CudaStream) -> void* {
+                auto& budget = *static_cast<Budget*>(user);
+                void* memory = nullptr;
+                if (bytes > budget.left || cudaMalloc(&memory, bytes) != cudaSuccess) return nullptr;
+                budget.left -= bytes;
+                return memory;
+              },
+              [](void* user, void* memory, std::uint64_t bytes) {
+                static_cast<Budget*>(user)->left += bytes;
+                cudaFree(memory);
+              },
+              this};
+    }
+  } budget;
+  const Levels levels = Levels::of(random_splats(1624, sized(200000, 90000, 0)), 0, 256, 4);
+  const DeviceScene scene = upload(open(levels.bytes));
+  const Camera camera = camera_at(0.5);
+  for (const RenderOptions& mode : {turbo_options(), paper_options()}) {
+    const RenderOptions options = at_detail(mode, 0);  // more than a frame has room for at first
+    Frames fresh;
+    const auto expected = fresh.draw(scene, camera, options);
+    auto renderer = CudaRenderer::create({.allocator = budget.allocator()});
+    require_ok(renderer);
+    const DeviceArray<float> rgb(expected.rgb.size());
+    int n_refused = 0;
+    bool drawn = false;
+    for (std::uint64_t bytes = std::uint64_t{1} << 16; bytes < std::uint64_t{1} << 32 && !drawn; bytes += bytes / 4) {
+      budget.left = bytes - std::min(bytes, renderer->bytes());
+      const auto stats = renderer->render(scene, camera, {.rgb = rgb.data()}, options);
+      drawn = stats.has_value();
+      if (drawn) continue;
+      ++n_refused;
+      REQUIRE_MESSAGE(stats.error().code == Errc::device_out_of_memory, text_of(stats.error()));
+    }
+    CHECK(drawn);
+    CHECK(n_refused > 3);
+    CHECK(same_bytes(rgb.download(), expected.rgb));
+  }
+}
+
 TEST_CASE(
     "a detail that is none, baseline above 0 and a file without any page are refused; damage is told as by the host") {
   if (!device_answers()) return;
