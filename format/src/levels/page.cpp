@@ -83,11 +83,11 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
   return pages_until(pages, [&](const Page& page) { return page.error <= error; });
 }
 
-double footprint(const Box& bounds, const Eye& eye) {
+double footprint(const Box& core, const Eye& eye) {
   double squared = 0;
   for (std::size_t k = 0; k < 3; ++k) {
-    const double outside = std::max({static_cast<double>(bounds.min[k]) - eye.position[k],
-                                     eye.position[k] - static_cast<double>(bounds.max[k]), 0.0});
+    const double outside = std::max(
+        {static_cast<double>(core.min[k]) - eye.position[k], eye.position[k] - static_cast<double>(core.max[k]), 0.0});
     squared += outside * outside;
   }
   return std::max(std::sqrt(squared), eye.z_near) / eye.focal_px;
@@ -99,7 +99,7 @@ std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye
   return pages_until(pages, [&](const Page& page) {
     const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_present;
     return !has_children ||
-           static_cast<double>(page.error) <= static_cast<double>(detail_px) * footprint(page.bounds, eye);
+           static_cast<double>(page.error) <= static_cast<double>(detail_px) * footprint(page.core, eye);
   });
 }
 
@@ -138,6 +138,8 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     }
   }
   if (!is_box(page.bounds)) return {PageField::bounds, "a page's box is not finite or has min > max"};
+  if (!is_box(page.core)) return {PageField::core, "a page's core is not finite or has min > max"};
+  if (!contains(page.bounds, page.core)) return {PageField::core, "a page's core reaches out of its box"};
   if (!std::isfinite(page.error) || page.error < 0 || std::signbit(page.error) || (leaf && page.error != 0)) {
     return {PageField::error, "a page's error is negative or not finite, or that of a leaf is not 0"};
   }
@@ -148,6 +150,7 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     return {PageField::parent, "a page is no child of the page that it names as its parent"};
   }
   if (!contains(parent.bounds, page.bounds)) return {PageField::bounds, "a page's box reaches out of its parent's"};
+  if (!contains(parent.core, page.core)) return {PageField::core, "a page's core reaches out of its parent's"};
   if (!(page.error < parent.error)) return {PageField::error, "a page's error is not less than its parent's"};
   return {};
 }
