@@ -191,6 +191,7 @@ Json page(const PagedFile& file, std::uint32_t i) {
           {"n", p.count},
           {"error", number(p.error)},
           {"box", json(p.bounds)},
+          {"core", json(p.core)},
           {"offset", stored.offset},
           {"stored_bytes", stored.stored_bytes},
           {"decoded_bytes", file.decoded_bytes(i)},

@@ -71,6 +71,7 @@ class TextReport : private TextLines {
     if (p.n_children != 0) row("children", fmt::format("{} from {} on", p.n_children, format_count(p.first_child)));
     row("error", fmt::format("{:.6g} world units a pixel", p.error));
     box("box, 3 sigma", p.bounds);
+    box("core", p.core);
     row("stored", fmt::format("{} bytes from {} on, xxh3 {:016x}{}", format_count(stored.stored_bytes),
                               format_count(stored.offset), stored.xxh3, i < file.n_present() ? "" : "; MISSING"));
     row("decoded",

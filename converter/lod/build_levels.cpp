@@ -12,6 +12,7 @@
 #include <limits>
 #include <utility>
 
+#include "core_box.hpp"
 #include "gaussians.hpp"
 #include "rgs/math/covariance.hpp"
 
@@ -156,6 +157,8 @@ std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& option
     pages.push_back(page);
     chunk = end;
   }
+  each_in_parallel(pages.size(),
+                   [&](std::size_t i) { pages[i].core = core_of(leaves, pages[i].first, pages[i].count); });
   return pages;
 }
 
@@ -188,13 +191,14 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
   page.level = below[first].level + 1;
   page.first_child = first;
   page.n_children = last - first;
-  page.bounds = empty_box();
+  page.bounds = page.core = empty_box();
   std::uint64_t n = 0;
   float child_error = 0;
   for (std::uint32_t i = first; i < last; ++i) {
     n += below[i].count;
     child_error = std::max(child_error, below[i].error);
     add(page.bounds, below[i].bounds);
+    add(page.core, below[i].core);
   }
   const std::uint64_t from = below[first].first;
   const float* const mean = &splats.mean[3 * from];

@@ -116,14 +116,8 @@ class Measure {
 // Footprint of a page in a view: docs/LEVELS.md.
 float footprint(const Page& page, const Camera& camera) {
   const auto eye = rgs::camera_centre(camera);
-  double squared = 0;
-  for (std::size_t k = 0; k < 3; ++k) {
-    const double x = eye[static_cast<int>(k)];
-    const double d =
-        std::max({static_cast<double>(page.bounds.min[k]) - x, x - static_cast<double>(page.bounds.max[k]), 0.0});
-    squared += d * d;
-  }
-  return static_cast<float>(std::max(std::sqrt(squared), 0.2) / std::max(camera.fx, camera.fy));
+  return static_cast<float>(
+      rgs::lod::footprint(page.core, {{eye[0], eye[1], eye[2]}, std::max(camera.fx, camera.fy), 0.2}));
 }
 
 Scene cut(const Levels& levels, const Camera& camera, float detail, std::array<std::uint64_t, 8>& by_level) {

@@ -150,8 +150,9 @@ Status put_pages(const PagedFile& file) {
                                      static_cast<std::uint64_t>(std::int64_t{stored.scale_exponent})});
     integers.insert(integers.end(), stored.corner.begin(), stored.corner.end());
     floats.push_back(page.error);
-    floats.insert(floats.end(), page.bounds.min.begin(), page.bounds.min.end());
-    floats.insert(floats.end(), page.bounds.max.begin(), page.bounds.max.end());
+    for (const auto& corner : {page.bounds.min, page.bounds.max, page.core.min, page.core.max}) {
+      floats.insert(floats.end(), corner.begin(), corner.end());
+    }
     const auto rows = decoder.decode(i, file.bytes(i), std::span(memory).first(file.decoded_bytes(i)));
     if (!rows) return tl::unexpected(rows.error());
     const std::size_t first = activated.size();
@@ -172,7 +173,7 @@ Status put_pages(const PagedFile& file) {
     steps.insert(steps.end(), rows->steps.begin(), rows->steps.end());
   }
   put<std::uint64_t>("pages", "u8", 13, integers);
-  put<float>("page_floats", "f4", 7, floats);
+  put<float>("page_floats", "f4", 13, floats);
   put<float>("quality", "f4", 1, std::array{file.quality_db()});
   put<ActivatedSplat>("activated", "f4", kSplatFloats, activated);
   put<Splat>("trained", "f4", kSplatFloats, trained);

@@ -115,7 +115,7 @@ def compare(scene: rgs_reader.Scene, library: dict[str, NDArray[Any]]) -> None:
                  for p in scene.levels["pages"]]
         same_bits("pages", library["pages"], np.array(pages, np.uint64))
         same_bits("page_floats", library["page_floats"],
-                  [[p["error"], *p["min"], *p["max"]] for p in scene.levels["pages"]])
+                  [[p["error"], *p["min"], *p["max"], *p["core_min"], *p["core_max"]] for p in scene.levels["pages"]])
         same_bits("quality", library["quality"], [[scene.levels["quality_db"]]])
 
 

@@ -73,14 +73,15 @@ LODS = np.dtype([
 PAGE = np.dtype([
     ("offset", "<u8"), ("xxh3", "<u8"), ("stored_bytes", "<u4"), ("n", "<u4"), ("parent", "<u4"), ("first_child", "<u4"),
     ("level", "u1"), ("n_children", "u1"), ("scale_exponent", "<i2"), ("error", "<f4"), ("min", "<f4", 3),
-    ("max", "<f4", 3), ("corner", "<u4", 3), ("n_step_sets", "<u4"), ("reserved", "u1", 16)])
+    ("max", "<f4", 3), ("corner", "<u4", 3), ("n_step_sets", "<u4"), ("core_min", "<f4", 3),
+    ("core_max", "<f4", 3), ("reserved", "u1", 8)])
 ENUMERATORS = {"colour_space": (0, 1, 2), "sh_basis": (1,), "kernel": (1,), "aa_mode": (0, 1, 2), "sort_metric": (1,),
                "depth_mapping": (1, 2), "depth_source": (1, 2, 3), "order": (1, 2)}
 NOT_NEGATIVE = ("z_near", "z_far", "metres_per_unit", "cutoff_sigma", "alpha_threshold", "alpha_max", "low_pass_px2",
                 "transmittance_min")
 assert (HEADER.itemsize, ENTRY.itemsize, CHUNK.itemsize, DECL.itemsize) == (HEADER_BYTES, ENTRY_BYTES, 48, 256)
 assert (ARCH.itemsize, ARCH_CLASS.itemsize) == (128, 36)
-assert (LODS.itemsize, PAGE.itemsize) == (64, 96)
+assert (LODS.itemsize, PAGE.itemsize) == (64, 112)
 
 Record = dict[str, Any]
 
@@ -542,7 +543,7 @@ def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_ga
     decoded = ENTRY.fields["decoded_bytes"][1]
     l = record(data, LODS, base) if size >= LODS.itemsize else {"n_pages": 0}
     require(size >= LODS.itemsize and size == LODS.itemsize + PAGE.itemsize * l["n_pages"], "size_mismatch",
-            s["at"] + decoded, "64 bytes and 96 a page")
+            s["at"] + decoded, "64 bytes and 112 a page")
 
     def rule(ok: Any, name: str, text: str, code: str = "bad_value") -> None:
         require(ok, code, base + LODS.fields[name][1], text)
@@ -559,7 +560,7 @@ def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_ga
     records = []
     for at in range(base + LODS.itemsize, base + size, PAGE.itemsize):
         p = record(data, PAGE, at) | {"at": at}
-        require_reserved(data, at + 80, at + 96, "reserved bytes of a page's record")
+        require_reserved(data, at + 104, at + 112, "reserved bytes of a page's record")
         chunks = -(-p["n"] // h["chunk_size"])
         for name, ok in (("n", p["n"] <= l["page_chunks"] * h["chunk_size"]),
                          ("n_step_sets", p["n_step_sets"] == chunks or p["n_step_sets"] == 1 and not archive),
@@ -594,6 +595,12 @@ def read_levels(data: memoryview, h: Record, sections: dict[str, Record], max_ga
     return l
 
 
+def within(inner: Record, its: str, outer: Record, others: str) -> bool:
+    """Whether a box of one page, of fields ITSmin and ITSmax, lies inside one of another."""
+    pairs = zip(inner[its + "min"] + outer[others + "max"], outer[others + "min"] + inner[its + "max"])
+    return all(a >= b for a, b in pairs)
+
+
 def check_tree(h: Record, pages: list[Record]) -> None:
     """Each page's own fields, then those against its parent."""
     for i, p in enumerate(pages):
@@ -614,7 +621,10 @@ def check_tree(h: Record, pages: list[Record]) -> None:
             rule(len(children) > 0 and i < children.start and children.stop <= len(pages) and follows, "first_child",
                  "children follow each other")
             rule(all(pages[c]["parent"] == i for c in children), "first_child", "children name their parent")
-        rule(np.isfinite(p["min"] + p["max"]).all() and all(a <= b for a, b in zip(p["min"], p["max"])), "min", "a box")
+        for prefix in ("", "core_"):
+            low, high = p[prefix + "min"], p[prefix + "max"]
+            rule(np.isfinite(low + high).all() and all(a <= b for a, b in zip(low, high)), prefix + "min", "a box")
+        rule(within(p, "core_", p, ""), "core_min", "inside the page's box")
         rule(0 <= p["error"] < np.inf and not np.signbit(p["error"]) and (not leaf or p["error"] == 0), "error",
              "finite, +0 in leaves")
         if i == 0:
@@ -623,7 +633,8 @@ def check_tree(h: Record, pages: list[Record]) -> None:
         parent = pages[p["parent"]]
         inside = parent["first_child"] <= i < parent["first_child"] + parent["n_children"]
         rule(inside and parent["level"] == p["level"] + 1, "parent", "a child of its parent")
-        rule(all(a >= b for a, b in zip(p["min"] + parent["max"], parent["min"] + p["max"])), "min", "inside the parent's")
+        rule(within(p, "", parent, ""), "min", "inside the parent's")
+        rule(within(p, "core_", parent, "core_"), "core_min", "inside the parent's")
         rule(p["error"] < parent["error"], "error", "less than the parent's")
 
 

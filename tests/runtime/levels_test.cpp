@@ -92,7 +92,7 @@ TEST_CASE("a view draws one page on the way from each leaf to the root, and fewe
                          std::max(camera.fx, camera.fy),
                          static_cast<double>(scene.declarations()->z_near)};
       const auto is_fine = [&](const lod::Page& page) {
-        return static_cast<double>(page.error) <= lod::footprint(page.bounds, eye);
+        return static_cast<double>(page.error) <= lod::footprint(page.core, eye);
       };
       const bool alone = is_fine(pages[i]) && (i == 0 || !is_fine(pages[pages[i].parent]));
       CHECK(n_drawn[i] == alone);

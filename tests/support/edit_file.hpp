@@ -78,8 +78,8 @@ inline void fix_frame_hashes(std::span<std::byte> section) {
 inline void fix_page_hashes(std::span<std::byte> file, std::uint64_t levels, std::uint64_t levels_bytes) {
   if (levels_bytes < 64) return;
   const std::uint64_t n = get<std::uint32_t>(file, levels);
-  for (std::uint64_t i = 0; i < n && i < (levels_bytes - 64) / 96; ++i) {
-    const std::uint64_t record = levels + 64 + 96 * i;
+  for (std::uint64_t i = 0; i < n && i < (levels_bytes - 64) / 112; ++i) {
+    const std::uint64_t record = levels + 64 + 112 * i;
     const auto offset = get<std::uint64_t>(file, record), size = std::uint64_t{get<std::uint32_t>(file, record + 16)};
     if (offset > file.size() || size > file.size() - offset) continue;
     put(file, record + 8, xxh3(file.subspan(offset, size)));

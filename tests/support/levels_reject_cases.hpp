@@ -13,7 +13,7 @@ namespace rgs::test::detail {
 struct LevelsAt {
   explicit LevelsAt(const RejectMaker& m)
       : section(m.section("LODS")), n_pages(get<std::uint32_t>(m.file(), section)), bytes(m.file()) {}
-  std::uint64_t record(std::uint64_t page) const { return section + 64 + 96 * page; }
+  std::uint64_t record(std::uint64_t page) const { return section + 64 + 112 * page; }
   std::uint64_t page(std::uint64_t page) const { return get<std::uint64_t>(bytes, record(page)); }
   std::uint64_t section, n_pages;
   const Bytes& bytes;
@@ -106,7 +106,11 @@ inline void reject_records(RejectMaker& m) {
   m.set("page_box_outside", bad_value, last + 40, last + 60, 1000.f);
   m.set("page_corner", bad_value, inner + 68, 1u);
   m.set("page_step_sets", bad_value, root + 76, 3u);
-  m.set("page_reserved", reserved_bits, root + 80, root + 95, std::uint8_t{1});
+  m.set("page_core_infinite", bad_value, root + 80, root + 84, -kInfinity);
+  m.set("page_core_inverted", bad_value, last + 80, last + 92, get<float>(m.file(), last + 40));
+  m.set("page_core_beyond_box", bad_value, root + 80, root + 100, get<float>(m.file(), root + 60) + 1);
+  m.set("page_core_beyond_parent", bad_value, inner + 80, inner + 92, get<float>(m.file(), inner + 52));
+  m.set("page_reserved", reserved_bits, root + 104, root + 111, std::uint8_t{1});
 }
 
 /// `m` is of a file of degree 1 whose pages are stored as they are, and of one chunk each.
@@ -127,7 +131,11 @@ inline void reject_pages(RejectMaker& m) {
   m.set("page_sh_code", bad_value, sh + 5, std::int8_t{-128});
   m.change("page_box_small", bad_value, at.page(at.n_pages - 1) + 96, [&](Bytes& b) {
     const std::uint64_t last = at.record(at.n_pages - 1);
-    for (std::uint64_t k = 0; k < 3; ++k) put(b, last + 52 + 4 * k, get<float>(b, last + 40 + 4 * k));
+    for (std::uint64_t k = 0; k < 3; ++k) {
+      for (const std::uint64_t corner : {40U, 52U, 92U}) {
+        put(b, last + corner + 4 * k, get<float>(b, last + 80 + 4 * k));
+      }
+    }
   });
 }
 

@@ -17,7 +17,8 @@ struct TrivialOptions {
   std::uint32_t n_children = 4;
 };
 
-/// Levels over `leaves`, which are in the order of the file. Boxes hold means alone: writers make them large enough.
+/// Levels over `leaves`, which are in the order of the file. Boxes, and cores, hold means alone: writers make boxes large
+/// enough.
 inline lod::Levels trivial_levels(const SplatCloud& leaves, const TrivialOptions& options = {}) {
   struct Node {
     std::vector<Splat> splats;
@@ -33,6 +34,7 @@ inline lod::Levels trivial_levels(const SplatCloud& leaves, const TrivialOptions
         box.max[k] = i == 0 ? s.mean[k] : std::max(box.max[k], s.mean[k]);
       }
     }
+    node.page.core = box;
     node.page.count = static_cast<std::uint32_t>(node.splats.size());
     if (below == nullptr) return;
     for (std::uint32_t c = 0; c < node.page.n_children; ++c) {
@@ -43,6 +45,7 @@ inline lod::Levels trivial_levels(const SplatCloud& leaves, const TrivialOptions
       }
       node.page.error = std::max({node.page.error, 2 * child.error, 0.001f});
     }
+    node.page.core = box;
   };
 
   std::vector<std::vector<Node>> levels(1);

@@ -35,7 +35,7 @@ inline constexpr std::uint64_t kChunkEntryBytes = 48;
 inline constexpr std::uint64_t kDeclarationBytes = 256;
 
 inline constexpr std::uint64_t kLevelsHeadBytes = 64;     ///< of LODS, before its records
-inline constexpr std::uint64_t kPageRecordBytes = 96;     ///< of LODS, one a page
+inline constexpr std::uint64_t kPageRecordBytes = 112;    ///< of LODS, one a page
 inline constexpr std::uint64_t kPageAlignment = 256;      ///< of pages that are stored as they are
 inline constexpr std::uint64_t kPageArrayAlignment = 16;  ///< of each array within a page, as decoded
 

@@ -23,7 +23,7 @@ namespace RGS_API rgs {
 ///   3. create().
 ///   4. Page 0, 1, ...: encoded by a LevelsWriter::Encoder on a thread of its own if one likes, and add()ed in order.
 ///   5. finish().
-/// write_levels() is this for levels in memory. The bytes do not depend on threads. Memory: 170 bytes a page, and encoders;
+/// write_levels() is this for levels in memory. The bytes do not depend on threads. Memory: 190 bytes a page, and encoders;
 /// Profile::archive takes all Gaussians as a whole, with about 300 bytes of each on top, as SceneWriter does.
 class LevelsWriter {
  public:

@@ -39,6 +39,9 @@ struct Page {
   std::uint32_t count = 0;         ///< Gaussians of the page itself, at least 1
   /// Holds every Gaussian of the page and of all below it out to 3 standard deviations. Relative to the origin.
   Box bounds;
+  /// Holds most of what shows of the page and of all below it: footprints are measured to it. Inside the bounds, and inside the
+  /// parent's core, so that footprints do not grow towards the root.
+  Box core;
   /// Footprint of a pixel, world units, from which on the page may be drawn for what is below it: 0 in a leaf, elsewhere
   /// finite and greater than in each child.
   float error = 0;
@@ -73,16 +76,16 @@ struct Eye {
   double focal_px = 1;             ///< focal length, the larger of both
   double z_near = 0;               ///< no page counts as nearer, world units
 };
-/// World units that a pixel covers where the box is nearest to the eye.
-double footprint(const Box& bounds, const Eye& eye);
+/// World units that a pixel covers where a page's core is nearest to the eye.
+double footprint(const Box& core, const Eye& eye);
 /// The pages that a view draws at a detail of `detail_px` >= 0, in the order of their leaves: those whose error is at most
-/// detail_px times their footprint, while their parent's is more. 0: the leaves. They replace all leaves, each once. A page whose
+/// detail_px times the footprint of their core, while their parent's is more. 0: the leaves. They replace all leaves, each once. A page whose
 /// children are not all among the first `n_present` is drawn in their place.
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
                                        std::uint32_t n_present = kNoPage);
 
 /// What is wrong with a page, and in which of its fields; no fault: `what` is null.
-enum class PageField : std::uint8_t { count, level, parent, children, bounds, error };
+enum class PageField : std::uint8_t { count, level, parent, children, bounds, core, error };
 struct PageFault {
   PageField field = PageField::count;
   const char* what = nullptr;

@@ -85,8 +85,8 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
   return pages_until(pages, [&](const Page& page) { return page.error <= error; });
 }
 
-double footprint(const Box& bounds, const Eye& eye) {
-  return pixel_footprint(bounds.min.data(), bounds.max.data(), eye.position.data(), eye.focal_px, eye.z_near);
+double footprint(const Box& core, const Eye& eye) {
+  return pixel_footprint(core.min.data(), core.max.data(), eye.position.data(), eye.focal_px, eye.z_near);
 }
 
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
@@ -94,7 +94,7 @@ std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye
   if (n_present == 0) return {};
   return pages_until(pages, [&](const Page& page) {
     const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_present;
-    return !has_children || is_fine_enough(page.error, detail_px, footprint(page.bounds, eye));
+    return !has_children || is_fine_enough(page.error, detail_px, footprint(page.core, eye));
   });
 }
 
@@ -133,6 +133,8 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     }
   }
   if (!is_box(page.bounds)) return {PageField::bounds, "a page's box is not finite or has min > max"};
+  if (!is_box(page.core)) return {PageField::core, "a page's core is not finite or has min > max"};
+  if (!contains(page.bounds, page.core)) return {PageField::core, "a page's core reaches out of its box"};
   if (!std::isfinite(page.error) || page.error < 0 || std::signbit(page.error) || (leaf && page.error != 0)) {
     return {PageField::error, "a page's error is negative or not finite, or that of a leaf is not 0"};
   }
@@ -143,6 +145,7 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     return {PageField::parent, "a page is no child of the page that it names as its parent"};
   }
   if (!contains(parent.bounds, page.bounds)) return {PageField::bounds, "a page's box reaches out of its parent's"};
+  if (!contains(parent.core, page.core)) return {PageField::core, "a page's core reaches out of its parent's"};
   if (!(page.error < parent.error)) return {PageField::error, "a page's error is not less than its parent's"};
   return {};
 }

@@ -18,7 +18,7 @@ namespace {
 // Places of fields in a record.
 constexpr std::uint64_t kOffsetField = 0, kStoredField = 16, kCountField = 20, kParentField = 24, kChildrenField = 28,
                         kLevelField = 32, kExponentField = 34, kErrorField = 36, kBoundsField = 40, kCornerField = 64,
-                        kStepSetsField = 76, kReservedField = 80;
+                        kStepSetsField = 76, kCoreField = 80, kReservedField = 104;
 
 std::uint64_t field_of(lod::PageField field) {
   switch (field) {
@@ -27,6 +27,7 @@ std::uint64_t field_of(lod::PageField field) {
     case lod::PageField::parent: return kParentField;
     case lod::PageField::children: return kChildrenField;
     case lod::PageField::bounds: return kBoundsField;
+    case lod::PageField::core: return kCoreField;
     case lod::PageField::error: break;
   }
   return kErrorField;
@@ -58,6 +59,8 @@ Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t pa
   for (float& value : page.bounds.max) value = in.f32();
   for (std::uint32_t& value : stored.corner) value = in.u32();
   stored.n_step_sets = in.u32();
+  for (float& value : page.core.min) value = in.f32();
+  for (float& value : page.core.max) value = in.f32();
   if (!in.zeros(kPageRecordBytes - kReservedField)) {
     return make_error(Errc::reserved_bits, at + kReservedField, "reserved bytes of a page's record are not zero");
   }
@@ -174,6 +177,8 @@ std::vector<std::byte> write_page_table(const PageTable& table) {
     for (const float value : page.bounds.max) out.f32(value);
     for (const std::uint32_t value : stored.corner) out.u32(value);
     out.u32(stored.n_step_sets);
+    for (const float value : page.core.min) out.f32(value + 0.f);  // no -0
+    for (const float value : page.core.max) out.f32(value + 0.f);
     out.zeros(kPageRecordBytes - kReservedField);
   }
   return out.take();

@@ -12,7 +12,7 @@ namespace rgs::cuda {
 
 /// What the choice needs of a page: lod::Page, and where its Gaussians are.
 struct alignas(16) CutPage {
-  float low[3];  ///< box
+  float low[3];  ///< core
   /// 0 of a page of whose children some are not there: it stands for them at any distance.
   float error;
   float high[3];

@@ -245,7 +245,7 @@ std::vector<cuda::CutPage> PagePlan::table(const PagedFile& file) const {
   std::vector<cuda::CutPage> table(n_pages);
   for (std::uint32_t i = 0; i < n_pages; ++i) {
     const lod::Page& page = file.pages()[i];
-    const auto& [low, high] = page.bounds;
+    const auto& [low, high] = page.core;
     table[i] = {{low[0], low[1], low[2]},
                 has_children(file, i) ? page.error : 0.0F,
                 {high[0], high[1], high[2]},

@@ -440,6 +440,10 @@ TEST_CASE("levels of detail are listed, page by page if asked") {
       CHECK(page["level"] == file->pages()[i].level);
       CHECK(page["n"] == file->pages()[i].count);
       CHECK(page["offset"] == file->stored(i).offset);
+      for (std::size_t k = 0; k < 3; ++k) {
+        CHECK(page["core"]["min"][k].get<float>() == file->pages()[i].core.min[k]);
+        CHECK(page["core"]["max"][k].get<float>() == file->pages()[i].core.max[k]);
+      }
       CHECK(page["parent"].is_null() == (i == 0));
       CHECK(f.run(path + " --page " + std::to_string(i)).exit_code == 0);
     }

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "complexity.hpp"
+#include "core_box.hpp"
 #include "lod_scenes.hpp"
 #include "plausible_cloud.hpp"
 
@@ -58,6 +59,23 @@ void check_levels(const Levels& levels, const rgs::SplatCloud& leaves, const Bui
         REQUIRE(page.bounds.max[k] >= mean + least);
       }
     }
+  }
+  // A page's core is that of what is in its leaves, and no larger than that asks for.
+  for (const Page& page : levels.pages) {
+    rgs::Box core = page.core;
+    if (page.level == 0) {
+      core = core_of(levels.splats.view(), page.first, page.count);
+    } else {
+      core = levels.pages[page.first_child].core;
+      for (std::uint32_t i = page.first_child; i < page.first_child + page.n_children; ++i) {
+        for (std::size_t k = 0; k < 3; ++k) {
+          core.min[k] = std::min(core.min[k], levels.pages[i].core.min[k]);
+          core.max[k] = std::max(core.max[k], levels.pages[i].core.max[k]);
+        }
+      }
+    }
+    CHECK(page.core.min == core.min);
+    CHECK(page.core.max == core.max);
   }
   for (const float x : levels.splats.log_scale) REQUIRE(std::isfinite(x));
   for (const float x : levels.splats.opacity_logit) REQUIRE(std::isfinite(x));

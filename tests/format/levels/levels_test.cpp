@@ -114,6 +114,8 @@ TEST_CASE("every page holds the Gaussians that it was written from, as finely as
       const lod::Page& page = file->pages()[i];
       CHECK(page.error == scene.levels.pages[i].error);
       CHECK(page.first == scene.levels.pages[i].first);
+      CHECK(page.core.min == scene.levels.pages[i].core.min);
+      CHECK(page.core.max == scene.levels.pages[i].core.max);
       const std::vector<Splat> splats = splats_of(*file, i);
       REQUIRE(splats.size() == page.count);
       for (std::size_t k = 0; k < splats.size(); ++k) {
@@ -399,6 +401,35 @@ TEST_CASE("cuts replace every leaf once, and the finest is the finest") {
   CHECK(first_two.size() == levels.pages[0].n_children);
 }
 
+TEST_CASE("a view's cut is measured to the cores, and replaces every leaf once from wherever it is seen") {
+  lod::Levels levels = trivial_levels(golden_cloud(5000, 0, 8), {.chunk_size = 32, .page_chunks = 2});
+  SplitMix random(9);
+  // Boxes that one Gaussian each makes larger than the scene say nothing of where pages are.
+  for (lod::Page& page : levels.pages) {
+    for (std::size_t k = 0; k < 3; ++k) page.bounds.min[k] -= 1000, page.bounds.max[k] += 1000;
+  }
+  REQUIRE(lod::check_pages(levels.pages, 32));
+  std::set<std::size_t> sizes;
+  for (int i = 0; i < 300; ++i) {
+    lod::Eye eye;
+    for (double& x : eye.position) x = static_cast<double>(random.dyadic(-8, 8));
+    eye.z_near = 0.01;
+    const float detail = 0.05f * static_cast<float>(1 + i % 20);
+    const std::vector<std::uint32_t> drawn = lod::drawn_pages(levels.pages, eye, detail);
+    check_replaces_leaves(levels.pages, drawn);
+    sizes.insert(drawn.size());
+    const auto fine = [&](std::uint32_t page) {
+      return static_cast<double>(levels.pages[page].error) <=
+             static_cast<double>(detail) * lod::footprint(levels.pages[page].core, eye);
+    };
+    for (std::uint32_t p = 0; p < levels.pages.size(); ++p) {
+      const std::uint32_t parent = levels.pages[p].parent;
+      CHECK(std::ranges::count(drawn, p) == (fine(p) && (parent == lod::kNoPage || !fine(parent)) ? 1 : 0));
+    }
+  }
+  CHECK(sizes.size() > 5);
+}
+
 TEST_CASE("the writer refuses what is no tree, and pages that are not the next") {
   const GoldenLevels scene = golden_levels("", Profile::direct, 300, 1, 46);
   const auto refused = [&](auto change, const EncodeOptions& options) {
@@ -414,6 +445,8 @@ TEST_CASE("the writer refuses what is no tree, and pages that are not the next")
   CHECK(refused([](lod::Levels& l) { l.pages[3].error = 1e-9f; }, options) == Errc::bad_argument);
   CHECK(refused([](lod::Levels& l) { l.pages[2].parent = 1; }, options) == Errc::bad_argument);
   CHECK(refused([](lod::Levels& l) { l.pages[1].bounds.max[0] = 1e9f; }, options) == Errc::bad_argument);
+  CHECK(refused([](lod::Levels& l) { l.pages[1].core.max[0] = l.pages[0].core.max[0] + 1; }, options) ==
+        Errc::bad_argument);
   CHECK(refused([](lod::Levels& l) { l.pages.pop_back(); }, options) == Errc::bad_argument);
   CHECK(refused([](lod::Levels& l) { l.pages[3].count -= 1, l.pages[4].count += 1; }, options) == Errc::bad_argument);
   CHECK(refused([](lod::Levels& l) { l.quality_db = -1; }, options) == Errc::bad_argument);
