@@ -30,12 +30,12 @@ RenderOptions with_declarations(RenderOptions options, const std::optional<Decla
   return options;
 }
 
-Result<float> drawn_detail(const RenderOptions& options, const Scene& scene) {
+Result<float> detail::drawn_detail(const RenderOptions& options, bool has_levels) {
   const float detail = options.detail_px.value_or(options.pipeline == Pipeline::baseline ? 0 : kDefaultDetailPx);
   if (!(detail >= 0 && std::isfinite(detail))) {
     return make_error(Errc::bad_argument, Error::kNone, "the detail is negative or not finite");
   }
-  if (scene.levels() == nullptr) return 0.0F;
+  if (!has_levels) return 0.0F;
   if (detail > 0 && options.pipeline == Pipeline::baseline) {
     return make_error(Errc::bad_argument, Error::kNone,
                       "baseline draws the leaves alone: detail 0, or another pipeline");
@@ -43,17 +43,34 @@ Result<float> drawn_detail(const RenderOptions& options, const Scene& scene) {
   return detail;
 }
 
-Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera& camera, float detail_px) {
-  const PagedFile* const file = scene.levels();
-  if (file == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the scene has no levels of detail");
+Result<float> drawn_detail(const RenderOptions& options, const Scene& scene) {
+  return detail::drawn_detail(options, scene.levels() != nullptr);
+}
+
+RenderOptions detail::with_levels(RenderOptions options, float detail_px) {
+  options.detail_px = detail_px;
+  if (detail_px > 0 && !options.anti_aliasing) {
+    options.anti_aliasing = math::AntiAliasing::mip_splatting;
+    if (!options.low_pass) options.low_pass = default_low_pass_px2(AaMode::mip_splatting);
+  }
+  return options;
+}
+
+lod::Eye detail::eye_of(const Camera& camera, const Origin& origin, float z_near) {
   const glm::dmat4 camera_to_world = glm::inverse(camera.world_to_camera);
-  const Origin& origin = scene.origin();
   lod::Eye eye;
   for (int k = 0; k < 3; ++k) {
     eye.position[static_cast<std::size_t>(k)] = camera_to_world[3][k] - origin[static_cast<std::size_t>(k)];
   }
   eye.focal_px = std::max(camera.fx, camera.fy);
-  eye.z_near = static_cast<double>(scene.declarations()->z_near);
+  eye.z_near = static_cast<double>(z_near);
+  return eye;
+}
+
+Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera& camera, float detail_px) {
+  const PagedFile* const file = scene.levels();
+  if (file == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the scene has no levels of detail");
+  const lod::Eye eye = detail::eye_of(camera, scene.origin(), scene.declarations()->z_near);
   return lod::drawn_pages(file->pages(), eye, detail_px, file->n_present());
 }
 

@@ -7,6 +7,7 @@
 
 #include "rgs/camera.hpp"
 #include "rgs/math/camera.hpp"
+#include "rgs/page.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/result.hpp"
 
@@ -47,6 +48,14 @@ Result<FrameSettings> resolve(const RenderOptions& options, const std::optional<
 /// FrameStats::depth_resolution of a frame whose key has `depth_bits`; 0 if that is 0. `declared`: of the scene.
 double depth_resolution(const FrameSettings& settings, int depth_bits, const Camera& camera,
                         const std::optional<Declarations>& declared);
+
+/// rgs::drawn_detail() of a scene of which only that is known.
+Result<float> drawn_detail(const RenderOptions& options, bool has_levels);
+/// `options` of a scene with levels at this detail: above 0 with the anti-aliasing by which levels were fitted, unless they name
+/// another.
+RenderOptions with_levels(RenderOptions options, float detail_px);
+/// A camera as the choice of pages sees it. `z_near`: as the scene declares it.
+lod::Eye eye_of(const Camera& camera, const Origin& origin, float z_near);
 
 /// bad_argument unless every span is empty or has the camera's pixels.
 Status validate(const RenderTarget& target, const Camera& camera);

@@ -18,7 +18,7 @@ struct Renderer::Impl {
   std::optional<detail::ReferenceRenderer> reference;  // one of the two
   std::optional<detail::CudaBackend> cuda;
   std::string name;
-  // Pages of a scene with levels of detail, as the last frame drew them: kept while they stay the same.
+  // On the CPU, pages of a scene with levels of detail, as the last frame drew them: kept while they stay the same.
   struct Cut {
     std::uint64_t of = 0;  // Scene::identity()
     std::vector<std::uint32_t> pages = {};
@@ -67,10 +67,12 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
   if (!drawn.detail_px && !target.contributions.empty()) drawn.detail_px = 0;
   const auto detail = drawn_detail(drawn, scene);
   if (!detail) return tl::unexpected(detail.error());
-  if (*detail == 0) return impl_->render(scene, camera, target, drawn);
-  if (!target.contributions.empty()) {
+  drawn = detail::with_levels(drawn, *detail);
+  if (*detail > 0 && !target.contributions.empty()) {
     return make_error(Errc::bad_argument, Error::kNone, "contributions are counted of the leaves alone: detail 0");
   }
+  // A device has all pages and chooses among them itself.
+  if (*detail == 0 || impl_->cuda) return impl_->render(scene, camera, target, drawn);
   return detail::guard_memory([&]() -> Result<FrameStats> {
     auto pages = drawn_pages(scene, camera, *detail);
     if (!pages) return tl::unexpected(pages.error());
@@ -81,17 +83,13 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
       if (!chosen) return tl::unexpected(chosen.error());
       cut = {scene.identity(), *std::move(pages), *std::move(chosen)};
     }
-    if (!drawn.anti_aliasing) {
-      drawn.anti_aliasing = math::AntiAliasing::mip_splatting;
-      if (!drawn.low_pass) drawn.low_pass = default_low_pass_px2(AaMode::mip_splatting);
-    }
     auto stats = impl_->render(cut.scene, camera, target, drawn);
     if (stats) stats->pages = cut.pages.size();
     return stats;
   });
 }
 
-// A scene without levels, or the leaves of one with them.
+// A scene without levels, or the leaves of one with them; on CUDA any scene.
 Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                           const RenderOptions& options) {
   const Backend backend = cuda ? Backend::cuda : Backend::cpu;

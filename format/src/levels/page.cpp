@@ -6,6 +6,8 @@
 #include <cmath>
 #include <functional>
 
+#include "rgs/footprint.hpp"
+
 namespace rgs::lod {
 namespace {
 
@@ -84,13 +86,7 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
 }
 
 double footprint(const Box& bounds, const Eye& eye) {
-  double squared = 0;
-  for (std::size_t k = 0; k < 3; ++k) {
-    const double outside = std::max({static_cast<double>(bounds.min[k]) - eye.position[k],
-                                     eye.position[k] - static_cast<double>(bounds.max[k]), 0.0});
-    squared += outside * outside;
-  }
-  return std::max(std::sqrt(squared), eye.z_near) / eye.focal_px;
+  return pixel_footprint(bounds.min.data(), bounds.max.data(), eye.position.data(), eye.focal_px, eye.z_near);
 }
 
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
@@ -98,8 +94,7 @@ std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye
   if (n_present == 0) return {};
   return pages_until(pages, [&](const Page& page) {
     const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_present;
-    return !has_children ||
-           static_cast<double>(page.error) <= static_cast<double>(detail_px) * footprint(page.bounds, eye);
+    return !has_children || is_fine_enough(page.error, detail_px, footprint(page.bounds, eye));
   });
 }
 

@@ -30,6 +30,11 @@ struct CompactAttributes {
   int sh_degree;
 };
 
-using Attributes = std::variant<Fp32Attributes, CompactAttributes>;
+/// All pages of a scene with levels of detail, each beginning with a chunk of its own: chunk_size rows a chunk, of which the
+/// last of a page may be padding, with means that are NaN. Entries of CHNK count step sets over all pages, and have the
+/// page's 2^-E in their last word; scale_unit is not used. Which chunks a frame draws: common/cut.hpp.
+struct PagedAttributes : CompactAttributes {};
+
+using Attributes = std::variant<Fp32Attributes, CompactAttributes, PagedAttributes>;
 
 }  // namespace rgs::cuda

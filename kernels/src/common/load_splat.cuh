@@ -28,17 +28,25 @@ __device__ inline Geometry load_geometry(const Fp32Attributes& a, std::uint32_t 
   return {{q.x, q.y, q.z, q.w}, load_mean(a.scale, i), __ldg(a.opacity + i)};
 }
 
-__device__ inline Geometry load_geometry(const CompactAttributes& a, std::uint32_t i) {
-  const uint4 w = __ldg(reinterpret_cast<const uint4*>(a.geometry) + i);
+__device__ inline Geometry unpack_geometry(const uint4& w, float scale_unit) {
   const auto low = [](std::uint32_t word) { return static_cast<std::uint16_t>(word & 0xFFFFu); };
   const auto high = [](std::uint32_t word) { return static_cast<std::uint16_t>(word >> 16); };
   const std::uint16_t codes[4] = {low(w.x), high(w.x), low(w.y), high(w.y)};
   float q[4];
   dequantize_rotation(codes, q);
   return {{q[0], q[1], q[2], q[3]},
-          {float_from_half(low(w.z)) * a.scale_unit, float_from_half(high(w.z)) * a.scale_unit,
-           float_from_half(low(w.w)) * a.scale_unit},
+          {float_from_half(low(w.z)) * scale_unit, float_from_half(high(w.z)) * scale_unit,
+           float_from_half(low(w.w)) * scale_unit},
           float_from_half(high(w.w))};
+}
+
+__device__ inline Geometry load_geometry(const CompactAttributes& a, std::uint32_t i) {
+  return unpack_geometry(__ldg(reinterpret_cast<const uint4*>(a.geometry) + i), a.scale_unit);
+}
+
+__device__ inline Geometry load_geometry(const PagedAttributes& a, std::uint32_t i) {
+  const float scale_unit = __uint_as_float(__ldg(a.chunks + 12 * std::uint64_t{i / a.chunk_size} + 11));
+  return unpack_geometry(__ldg(reinterpret_cast<const uint4*>(a.geometry) + i), scale_unit);
 }
 
 template <int Degree>

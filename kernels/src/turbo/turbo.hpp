@@ -6,6 +6,7 @@
 
 #include <cstdint>
 
+#include "common/cut.hpp"
 #include "common/frame.hpp"
 #include "rgs/result.hpp"
 #include "sorted/front_end.hpp"
@@ -260,13 +261,15 @@ struct TurboLongListSizes {
 /// Projects n Gaussians, writes splats [n] at the indices of the visible ones, entries and runs; adds to the state's
 /// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
 /// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
-/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. Errors: device_failed.
+/// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. Of PagedAttributes the rows of `drawn`
+/// are projected, and have the indices of drawn rows; n is room for them. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;
   ViewParameters view;
   ScreenSplat* splats;
   TurboArrays arrays;
+  DrawnChunks drawn = {};
 };
 Status launch_turbo_emit(const TurboEmitArguments& arguments, Stream stream);
 

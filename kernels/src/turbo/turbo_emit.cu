@@ -4,7 +4,7 @@
 // Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; turbo_geometry.hpp
 // In/Out  attributes [n] -> splats [n], entries, runs, large
 // Cost    as front_end.cu, with 8 B written an entry, and 16 B and an atomic addition a run
-// Launch  256 threads, ceil(n / 256) blocks
+// Launch  256 threads, ceil(n / 256) blocks; of a scene with levels n is room, and blocks beyond what is drawn end at once
 // Shared  Shared: ellipses and boxes, the sums that map tile rows to their Gaussians, a counter for each tile of a window,
 //         candidates between counting and placing; 33 KiB
 // Order   of entries and runs: any. The lists' order is made later, by depth and in tie order, so that the image is the same
@@ -16,9 +16,11 @@
 // blocks have fewer. A Gaussian of many tiles would keep its block long after the others: it waits for
 // turbo_large_gaussians.cu, as does one for whose candidates there is no room.
 #include <cstdint>
+#include <type_traits>
 
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
+#include "common/drawn_rows.cuh"
 #include "common/launch.cuh"
 #include "common/load_splat.cuh"
 #include "common/project_splat.cuh"
@@ -140,6 +142,14 @@ __global__ void __launch_bounds__(kThreads)
   const ViewParameters& v = a.view;
   const std::uint32_t first = blockIdx.x * kThreads;
   const std::uint32_t i = first + threadIdx.x;
+  // Of a scene with levels, i counts what is drawn.
+  constexpr bool kIsPaged = std::is_same_v<A, PagedAttributes>;
+  std::uint32_t n = a.n, row = i;
+  if constexpr (kIsPaged) {
+    n = n_drawn_rows(a.drawn, attributes.chunk_size);
+    if (first >= n) return;
+    row = drawn_row(a.drawn, attributes.chunk_size, math::min(i, n - 1));
+  }
   const auto clear_counts = [&s] {
     static_assert(kWindow == 4 * kThreads);
     reinterpret_cast<uint4*>(s.counts)[threadIdx.x] = {};
@@ -150,11 +160,11 @@ __global__ void __launch_bounds__(kThreads)
 
   math::TileRect rect{};
   std::uint32_t n_columns = 0, n_rows = 0;
-  if (i - i % 32 < a.n && chunk_in_view(attributes, math::min(i, a.n - 1), v.view, planes) && i < a.n) {
-    const math::Vec3<float> mean = load_mean(attributes.mean, i);
+  if (i - i % 32 < n && chunk_in_view(attributes, kIsPaged ? row : math::min(i, n - 1), v.view, planes) && i < n) {
+    const math::Vec3<float> mean = load_mean(attributes.mean, row);
     // Geometry is not left until the depth is known: few of a chunk in view are out of range, and the loads overlap.
-    const Geometry g = load_geometry(attributes, i);
-    prefetch_color(attributes, i);
+    const Geometry g = load_geometry(attributes, row);
+    prefetch_color(attributes, row);
     const auto p = math::project(v.view, mean, g.rotation, g.scale, g.opacity, v.low_pass, v.anti_aliasing);
     if (p.footprint.valid) {
       const float cutoff = math::power_cutoff(p.footprint.opacity);
@@ -165,7 +175,7 @@ __global__ void __launch_bounds__(kThreads)
         n_rows = static_cast<std::uint32_t>(rect.y1 - rect.y0);
         s.ellipse[threadIdx.x] = ellipse;
         s.depth[threadIdx.x] = math::depth_bits(p.z);
-        a.splats[i] = screen_splat(p, cutoff, color_of(attributes, i, v.view, mean, v.sh_degree));
+        a.splats[i] = screen_splat(p, cutoff, color_of(attributes, row, v.view, mean, v.sh_degree));
       }
     }
   }

@@ -81,9 +81,16 @@ class DeviceScene {
   /// other overloads.
   static Result<DeviceScene> upload(const FileView& file, const UploadOptions& options = {});
 
-  std::uint64_t size() const;
+  /// All pages of a file with levels of detail that are there, in the same form, decoded and checked by the host's threads, a few
+  /// at a time, in 40 MB of page-locked memory: 84 bytes a Gaussian at SH degree 3, with up to a chunk of padding a page that is no
+  /// leaf, and 48 bytes a page. CudaRenderer chooses among them by RenderOptions::detail_px, on the device. Always waits. Errors:
+  /// pages_missing (not even the root is there), those of PageDecoder and check_page_values(), and of the other overloads.
+  static Result<DeviceScene> upload(const PagedFile& file, const UploadOptions& options = {});
+
+  std::uint64_t size() const;  ///< Gaussians; with levels of detail those of the finest pages
   int sh_degree() const;
   bool compact() const;          ///< as in the file, dequantised by the kernels
+  bool has_levels() const;       ///< of a PagedFile
   std::uint64_t bytes() const;   ///< device memory held now
   const Origin& origin() const;  ///< that its means are relative to
   /// What the .rgs file declares; absent for FP32 scenes.
@@ -137,7 +144,8 @@ class CudaRenderer {
   ~CudaRenderer();
 
   /// Enqueues a frame on `stream` and returns; the target is complete when the stream has done its work. The scene may be
-  /// destroyed before that: its destructor waits for the frame. Waits for the
+  /// destroyed before that: its destructor waits for the frame. Of a scene with levels of detail, options are read as
+  /// Renderer::render() reads them, and room for what is drawn is a part of the workspace. Waits for the
   /// number of (tile, Gaussian) pairs; where the workspace is too small it grows, and the frame is made and waited for
   /// again. That can happen three times in a row, each time for another of turbo's counts. With options.measure.timings or
   /// .count_pairs also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are exact

@@ -9,12 +9,14 @@
 #include "cuda/device_memory.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
 
 namespace rgs::detail {
 namespace {
 
 // A kept file's attributes as they lie in it, a third of the others' size. What the host has decoded is not decoded again.
 Result<DeviceScene> upload(const Scene& scene) {
+  if (scene.levels() != nullptr) return DeviceScene::upload(*scene.levels());
   if (scene.is_decoded()) {
     const auto data = scene.direct();
     if (!data) return tl::unexpected(data.error());

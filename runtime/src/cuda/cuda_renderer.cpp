@@ -28,8 +28,17 @@ constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRow
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
 
-bool draws_turbo(const FrameSettings& settings, std::uint64_t n_gaussians) {
-  return settings.cuda.turbo && detail::TurboPipeline::takes(n_gaussians);
+// Above detail 0 it is not known before how much a scene with levels draws.
+bool draws_turbo(const FrameSettings& settings, const detail::SceneStorage* scene, float detail_px) {
+  if (!settings.cuda.turbo || scene == nullptr || !scene->pages) {
+    return settings.cuda.turbo && detail::TurboPipeline::takes(scene == nullptr ? 0 : scene->n);
+  }
+  return detail_px > 0 || detail::TurboPipeline::takes(scene->pages->finest_chunks * scene->pages->chunk_size);
+}
+
+cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px) {
+  const auto& at = eye.position;
+  return {{at[0], at[1], at[2]}, eye.focal_px, eye.z_near, detail_px};
 }
 
 cuda::ViewParameters view_of(const Camera& camera, const Origin& origin, const FrameSettings& settings, int sh_degree,
@@ -69,11 +78,11 @@ struct CudaRenderer::Impl {
   // What `use` makes of the pipeline that draws the frame.
   template <class Use>
   auto with_pipeline(const Frame& f, const Use& use) {
-    return draws_turbo(f.settings, f.n()) ? use(turbo) : use(sorted);
+    return f.is_turbo ? use(turbo) : use(sorted);
   }
-  Result<std::uint64_t> settle(const Frame& frame);
-  Result<FrameStats> outcome(const Frame& frame);
-  std::uint64_t bytes() const { return state.splats.bytes() + sorted.bytes() + turbo.bytes(); }
+  Result<std::uint64_t> settle(Frame& frame);
+  Result<FrameStats> outcome(Frame& frame);
+  std::uint64_t bytes() const { return state.splats.bytes() + state.cut.bytes() + sorted.bytes() + turbo.bytes(); }
 
   std::string name;
   detail::FrameState state;
@@ -121,9 +130,16 @@ const char* CudaRenderer::name() const {
   return impl_->name.c_str();
 }
 
-// Pairs of a queued frame. Nothing of a frame that fails is at work on return: the caller may free its scene.
-Result<std::uint64_t> CudaRenderer::Impl::settle(const Frame& frame) {
-  const auto pairs = with_pipeline(frame, [&](auto& pipeline) { return pipeline.settle(frame); });
+// Pairs of a queued frame, which becomes one of the sorted pipeline if turbo cannot number what it draws. Nothing of a frame that
+// fails is at work on return: the caller may free its scene.
+Result<std::uint64_t> CudaRenderer::Impl::settle(Frame& frame) {
+  auto pairs = with_pipeline(frame, [&](auto& pipeline) { return pipeline.settle(frame); });
+  if (pairs && *pairs == detail::kTooManyDrawn) {
+    frame.is_turbo = false;
+    frame.view = *frame.sorted_view;
+    const Status queued = sorted.queue(frame);
+    pairs = queued ? sorted.settle(frame) : Result<std::uint64_t>(tl::unexpected(queued.error()));
+  }
   Status ok;
   if (!pairs) ok = tl::unexpected(pairs.error());
   if (ok) ok = check_pairs(*pairs);
@@ -133,13 +149,14 @@ Result<std::uint64_t> CudaRenderer::Impl::settle(const Frame& frame) {
 }
 
 // What a settled frame has cost, once all that its settings ask for is known.
-Result<FrameStats> CudaRenderer::Impl::outcome(const Frame& f) {
+Result<FrameStats> CudaRenderer::Impl::outcome(Frame& f) {
   const auto pairs = settle(f);
   if (!pairs) return tl::unexpected(pairs.error());
   const auto& how = f.settings.cuda;
   detail::FrameState::HostCounters& host = *state.host.get();
   FrameStats stats;
-  stats.gaussians = f.n();
+  stats.gaussians = f.cut ? state.cut.seen().gaussians : f.n();
+  stats.pages = f.cut && f.cut->detail_px > 0 ? state.cut.seen().pages : 0;
   stats.visible = host.counters.visible;
   stats.instances = *pairs;
   stats.depth_bits = f.view.key.quantized ? f.view.key.depth_bits : 0;
@@ -185,26 +202,39 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
     if (w.open) {
-      const Frame before = *std::exchange(w.open, std::nullopt);
+      Frame before = *std::exchange(w.open, std::nullopt);
       if (const auto pairs = w.settle(before); !pairs) return tl::unexpected(pairs.error());
     }
     if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
-    const auto resolved = detail::resolve(options, scene.declarations(), Backend::cuda);
+    const auto detail_px = detail::drawn_detail(options, scene.has_levels());
+    if (!detail_px) return tl::unexpected(detail_px.error());
+    const auto resolved =
+        detail::resolve(detail::with_levels(options, *detail_px), scene.declarations(), Backend::cuda);
     if (!resolved) return tl::unexpected(resolved.error());
     const FrameSettings& settings = *resolved;
     Status ok = detail::validate(target, camera);
     if (ok) ok = detail::validate_surface(target, camera);
     if (!ok) return tl::unexpected(ok.error());
 
-    const bool is_turbo = draws_turbo(settings, scene.size());
-    Frame frame{scene.storage_,
-                camera.width,
-                camera.height,
-                detail::arrays_of(target, camera),
-                view_of(camera, scene.origin(), settings, scene.sh_degree(), is_turbo),
-                settings,
-                stream,
-                0};
+    const auto view = [&](bool for_turbo) {
+      return view_of(camera, scene.origin(), settings, scene.sh_degree(), for_turbo);
+    };
+    const bool is_turbo = draws_turbo(settings, scene.storage_.get(), *detail_px);
+    Frame frame{.scene = scene.storage_,
+                .width = camera.width,
+                .height = camera.height,
+                .target = detail::arrays_of(target, camera),
+                .view = view(is_turbo),
+                .settings = settings,
+                .stream = stream,
+                .depth_resolution = 0,
+                .is_turbo = is_turbo,
+                .cut = std::nullopt,
+                .sorted_view = std::nullopt};
+    if (scene.has_levels()) {
+      frame.cut = cut_eye(detail::eye_of(camera, scene.origin(), scene.declarations()->z_near), *detail_px);
+      if (is_turbo) frame.sorted_view = view(false);
+    }
     if (frame.view.key.quantized) {
       frame.depth_resolution =
           detail::depth_resolution(settings, frame.view.key.depth_bits, camera, scene.declarations());
@@ -218,7 +248,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     if (is_turbo && settings.cuda.asynchronous) {
       w.open = frame;
       FrameStats queued;
-      queued.gaussians = frame.n();
+      queued.gaussians = frame.cut ? 0 : frame.n();
       queued.bytes = w.bytes();
       return queued;
     }
@@ -230,7 +260,7 @@ Result<FrameStats> CudaRenderer::finish() {
   return detail::guard_memory([&]() -> Result<FrameStats> {
     Impl& w = *impl_;
     if (w.open) {
-      const Frame frame = *std::exchange(w.open, std::nullopt);
+      Frame frame = *std::exchange(w.open, std::nullopt);
       if (const auto stats = w.outcome(frame); !stats) return stats;
     }
     if (const auto ok = w.state.finished->wait(); !ok) return tl::unexpected(ok.error());

@@ -1,4 +1,4 @@
-// device_scene.cpp - scenes into device memory: FP32 attributes, or a file's sections in their direct layout.
+// device_scene.cpp - scenes into device memory: FP32 attributes, or a file's sections or pages in their direct layout.
 // SPDX-License-Identifier: Apache-2.0
 #include "cuda/device_scene.hpp"
 
@@ -9,6 +9,7 @@
 
 #include "common/tie_order.hpp"
 #include "cuda/file_upload.hpp"
+#include "cuda/page_upload.hpp"
 #include "rgs/guard_memory.hpp"
 
 namespace rgs {
@@ -91,7 +92,7 @@ Result<Places> copy_sections(const Sections& sections, SceneStorage& storage, co
 // and waited for if they were.
 Status order_ties(SceneStorage& storage, const UploadOptions& options) {
   if (storage.n == 0) return {};
-  const auto n = static_cast<std::uint32_t>(storage.n);
+  const auto n = static_cast<std::uint32_t>(storage.n_rows());
   const auto bytes = cuda::tie_order_bytes(n);
   if (!bytes) return tl::unexpected(bytes.error());
   const auto memory = detail::DeviceMemory::create(options.allocator);
@@ -208,6 +209,54 @@ Result<DeviceScene> DeviceScene::upload(const FileView& file, const UploadOption
   });
 }
 
+Result<DeviceScene> DeviceScene::upload(const PagedFile& file, const UploadOptions& options) {
+  return detail::guard_memory([&]() -> Result<DeviceScene> {
+    const FileView& head = file.head();
+    const Header& header = head.header();
+    const detail::PagePlan plan(file);
+    if (plan.n_pages == 0) {
+      return make_error(Errc::pages_missing, head.bytes().size(),
+                        "the end of the file is missing, and with it all pages");
+    }
+    if (const auto ok = check_size(plan.n_rows()); !ok) return tl::unexpected(ok.error());
+    const auto start = Clock::now();
+    auto storage = std::make_shared<SceneStorage>();
+    storage->n = plan.finest_rows;
+    storage->sh_degree = header.sh_degree;
+    storage->declarations = head.declarations();
+    storage->origin = storage->declarations->origin;
+    detail::ScenePages& pages = storage->pages.emplace();
+    pages.n_pages = plan.n_pages;
+    pages.chunk_size = plan.chunk_size;
+    pages.n_chunks = plan.n_chunks();
+    pages.finest_chunks = plan.finest_chunks;
+    const std::vector<cuda::CutPage> table = plan.table(file);
+    const std::uint64_t table_bytes = table.size() * sizeof(cuda::CutPage);
+    const auto memory = detail::DeviceMemory::create(options.allocator);
+    if (!memory) return tl::unexpected(memory.error());
+    Status ok = pages.table.reserve(table_bytes, *memory, options.stream);
+    if (!ok) return tl::unexpected(ok.error());
+    const auto placed = place_sections(plan.section_bytes(header.sh_degree), *storage, options);
+    if (!placed) return tl::unexpected(placed.error());
+    ok = device_status(
+        cudaMemcpyAsync(pages.table.as<void>(), table.data(), table_bytes, cudaMemcpyHostToDevice, options.stream),
+        "the table of pages could not be copied to the device");
+    const double setup_ms = ms_since(start);
+    const Status uploaded = detail::upload_pages(file, plan, *placed, options.stream);  // waits, also for the table
+    if (ok) ok = uploaded;
+    const double uploaded_ms = ms_since(start);
+    storage->attributes = cuda::PagedAttributes{detail::compact_attributes(header, *placed)};
+    if (ok) ok = order_ties(*storage, options);
+    if (!ok) return tl::unexpected(ok.error());
+    if (options.times != nullptr) {
+      *options.times = {setup_ms, uploaded_ms - setup_ms, ms_since(start) - uploaded_ms};
+    }
+    DeviceScene result;
+    result.storage_ = std::move(storage);
+    return result;
+  });
+}
+
 std::uint64_t DeviceScene::size() const {
   return storage_ ? storage_->n : 0;
 }
@@ -215,7 +264,10 @@ int DeviceScene::sh_degree() const {
   return storage_ ? storage_->sh_degree : 0;
 }
 bool DeviceScene::compact() const {
-  return storage_ && std::holds_alternative<cuda::CompactAttributes>(storage_->attributes);
+  return storage_ && !std::holds_alternative<cuda::Fp32Attributes>(storage_->attributes);
+}
+bool DeviceScene::has_levels() const {
+  return storage_ && storage_->pages;
 }
 std::uint64_t DeviceScene::bytes() const {
   return storage_ ? storage_->bytes() : 0;

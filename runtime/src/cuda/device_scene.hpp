@@ -15,6 +15,15 @@
 
 namespace rgs::detail {
 
+/// Pages of a scene with levels of detail; its attributes are cuda::PagedAttributes.
+struct ScenePages {
+  DeviceBuffer table;  ///< cuda::CutPage [n_pages]
+  std::uint32_t n_pages = 0;
+  std::uint32_t chunk_size = 0;
+  std::uint64_t n_chunks = 0;       ///< of all pages
+  std::uint64_t finest_chunks = 0;  ///< of the pages that are drawn at detail 0
+};
+
 struct SceneStorage {
   SceneStorage() = default;
   SceneStorage(const SceneStorage&) = delete;
@@ -26,23 +35,26 @@ struct SceneStorage {
     }
   }
 
-  std::uint64_t n = 0;
+  std::uint64_t n = 0;  ///< Gaussians; of a scene with levels its finest ones
   int sh_degree = 0;
+  std::optional<ScenePages> pages;
   std::optional<Declarations> declarations;
   Origin origin = kNoOrigin;
   cuda::Attributes attributes;
   DeviceBuffer memory;
-  DeviceBuffer ties;            ///< [n] Gaussians in tie order, [n] the places of each
+  DeviceBuffer ties;            ///< [n_rows()] Gaussians in tie order, [n_rows()] the places of each
   std::optional<Event> copied;  ///< the end of an upload that nobody has waited for
 
+  /// That attributes are stored in.
+  std::uint64_t n_rows() const { return pages ? pages->n_chunks * pages->chunk_size : n; }
   cuda::TieOrder tie_order() const {
     const auto* const order = ties.as<std::uint32_t>();
-    return {order, order != nullptr ? order + n : nullptr};
+    return {order, order != nullptr ? order + n_rows() : nullptr};
   }
   /// Device memory held. Thread-safe.
   std::uint64_t bytes() const {
     const std::scoped_lock lock(mutex);
-    return memory.bytes() + ties.bytes() + temporary.bytes();
+    return memory.bytes() + (pages ? pages->table.bytes() : 0) + ties.bytes() + temporary.bytes();
   }
   /// A renderer draws it: what is freed waits for that renderer's last frame, `finished`. Thread-safe.
   void drawn_by(const std::shared_ptr<Event>& finished) const {

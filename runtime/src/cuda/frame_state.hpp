@@ -6,13 +6,16 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
+#include <optional>
 
 #include "common/frame.hpp"
 #include "cuda/cuda_objects.hpp"
+#include "cuda/cut_stage.hpp"
 #include "cuda/device_memory.hpp"
 #include "cuda/device_scene.hpp"
 #include "render_options.hpp"
 #include "sorted/front_end.hpp"
+#include "turbo/turbo_geometry.hpp"
 
 namespace rgs::detail {
 
@@ -20,6 +23,9 @@ namespace rgs::detail {
 inline constexpr std::uint64_t kMaxPairs = std::numeric_limits<std::int32_t>::max();
 /// Pairs that the workspace holds before a frame has shown how many there are.
 inline constexpr std::uint64_t kFirstPairs = std::uint64_t{1} << 20;
+
+/// What a pipeline says of a frame in place of its pairs, if it cannot number what a cut draws. Nothing was drawn.
+inline constexpr std::uint64_t kTooManyDrawn = std::numeric_limits<std::uint64_t>::max();
 
 /// Ends of the stages, as FrameStats names them.
 enum Mark { kStart, kProjected, kDuplicated, kSorted, kRanged, kBlended, kMarks };
@@ -33,7 +39,15 @@ struct Frame {
   FrameSettings settings;
   CudaStream stream;
   double depth_resolution;  ///< FrameStats has it
+  bool is_turbo;
+  std::optional<cuda::CutEye> cut;  ///< of a scene with levels of detail
+  /// With a cut and turbo: what makes it a frame of the sorted pipeline, if turbo cannot number what it draws.
+  std::optional<cuda::ViewParameters> sorted_view;
 
+  /// That its pipeline can number.
+  std::uint64_t max_chunks() const {
+    return (is_turbo ? cuda::kMaxTurboGaussians - 1 : kMaxPairs) / scene->pages->chunk_size;
+  }
   std::uint64_t n() const { return scene ? scene->n : 0; }
   cuda::Attributes attributes() const { return scene ? scene->attributes : cuda::Attributes(); }
   cuda::TieOrder tie_order() const { return scene ? scene->tie_order() : cuda::TieOrder{}; }
@@ -53,6 +67,7 @@ struct FrameState {
 
   Status create() {
     Status ok = host.create();
+    if (ok) ok = cut.create();
     for (Event& event : marks) {
       if (ok) ok = event.create(cudaEventDefault);
     }
@@ -90,7 +105,19 @@ struct FrameState {
     return ok ? buffer.reserve(bytes, memory, stream) : ok;
   }
 
+  /// Room for the frame's cut, if it has one: for `n_chunks` and more, or, if that is 0, for what earlier frames drew. Errors:
+  /// those of the other reserve().
+  Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
+    if (!f.cut) return {};
+    const bool draws_finest = n_chunks == 0 && f.cut->detail_px == 0;
+    return cut.reserve(*f.scene, draws_finest ? f.scene->pages->finest_chunks : n_chunks, f.max_chunks(),
+                       [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
+  }
+  /// Gaussians that the front end must have room for.
+  std::uint64_t n_drawn(const Frame& f) const { return f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n(); }
+
   std::shared_ptr<const DeviceMemory> memory;
+  CutStage cut;
   std::array<Event, kMarks> marks;
   /// The last frame no longer uses the workspace, nor its scene.
   std::shared_ptr<Event> finished = std::make_shared<Event>();

@@ -17,12 +17,14 @@ bool has_narrow_keys(const Frame& f) {
 bool is_separate(const Frame& f) {
   return f.settings.cuda.front_end == PaperSteps::FrontEnd::separate;
 }
-// What the front ends take in turn; none where pairs lie in the order in which blocks happen to run.
-const std::uint32_t* order_of(const Frame& f) {
-  return f.settings.cuda.deterministic || is_separate(f) ? f.tie_order().order : nullptr;
-}
 
 }  // namespace
+
+// What the front ends take in turn; none where pairs lie in the order in which blocks happen to run.
+const std::uint32_t* SortedPipeline::order_of(const Frame& f) const {
+  if (f.cut) return state_.cut.ties().order;
+  return f.settings.cuda.deterministic || is_separate(f) ? f.tie_order().order : nullptr;
+}
 
 std::uint64_t SortedPipeline::bytes() const {
   std::uint64_t sum = 0;
@@ -33,8 +35,27 @@ std::uint64_t SortedPipeline::bytes() const {
   return sum;
 }
 
+// How many Gaussians are drawn, and if there is a cut, which: in the order of their rows.
+Status SortedPipeline::choose(const Frame& f) {
+  n_ = f.n();
+  if (!f.cut) return {};
+  Status ok = state_.reserve_cut(f);
+  for (;;) {
+    if (ok) ok = state_.cut.launch(*f.scene, *f.cut, true, f.stream);
+    if (ok) ok = state_.wait(f.stream);
+    if (!ok) return ok;
+    const std::uint64_t n_chunks = state_.cut.seen().chunks;
+    n_ = n_chunks * f.scene->pages->chunk_size;
+    if (state_.cut.fits()) return {};
+    if (n_chunks > f.max_chunks()) {
+      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxPairs, n_);
+    }
+    ok = state_.reserve_cut(f, n_chunks);
+  }
+}
+
 Status SortedPipeline::reserve_scene(const Frame& f) {
-  const std::uint64_t n = f.n();
+  const std::uint64_t n = n_;
   const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
   Status ok = reserve(counters_, sizeof(cuda::Counters));
   if (ok) ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
@@ -95,7 +116,7 @@ Status SortedPipeline::count_and_write(const Frame& f) {
     }
     const cuda::PairArrays pairs = pair_arrays(f);
     if (ok) {
-      ok = cuda::launch_fused({f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, f.settings.extent,
+      ok = cuda::launch_fused({f.attributes(), static_cast<std::uint32_t>(n_), f.view, f.settings.extent,
                                state_.splats.as<cuda::ScreenSplat>(), pairs, counters_.as<cuda::Counters>(),
                                f.settings.cuda.deterministic ? block_state_.as<std::uint64_t>() : nullptr, order_of(f)},
                               f.stream);
@@ -113,7 +134,7 @@ Status SortedPipeline::count_and_write(const Frame& f) {
 
 // The original's front end: a kernel that counts each Gaussian's pairs, a sum, a kernel that writes them.
 Status SortedPipeline::count_then_write(const Frame& f) {
-  const auto n = static_cast<std::uint32_t>(f.n());
+  const auto n = static_cast<std::uint32_t>(n_);
   Status ok = device_status(cudaMemsetAsync(counters_.as<void>(), 0, sizeof(cuda::Counters), f.stream),
                             "counters could not be cleared");
   if (ok) {
@@ -162,8 +183,10 @@ Status SortedPipeline::order(const Frame& f, cuda::SortBuffers& sorted) {
 }
 
 Status SortedPipeline::draw(const Frame& f) {
-  Status ok = reserve_scene(f);
-  if (ok) ok = state_.mark(kStart, f, f.stream);
+  Status ok = f.cut ? state_.mark(kStart, f, f.stream) : Status();
+  if (ok) ok = choose(f);
+  if (ok) ok = reserve_scene(f);
+  if (ok && !f.cut) ok = state_.mark(kStart, f, f.stream);
   if (ok) ok = is_separate(f) ? count_then_write(f) : count_and_write(f);
   if (!ok || n_pairs_ > kMaxPairs) return ok;
   cuda::SortBuffers sorted{};

@@ -15,7 +15,8 @@ class SortedPipeline {
  public:
   explicit SortedPipeline(FrameState& state) : state_(state) {}
 
-  /// Enqueues a frame. Waits for the number of its pairs, which the last kernels' launches need.
+  /// Enqueues a frame. Waits for the number of its pairs, which the last kernels' launches need, and before that for what a
+  /// cut draws.
   Status queue(const Frame& frame);
   /// Pairs of the frame queued last; above kMaxPairs it was not drawn.
   Result<std::uint64_t> settle(const Frame&) const { return n_pairs_; }
@@ -31,8 +32,12 @@ class SortedPipeline {
   Status count_and_write(const Frame& frame);
   Status count_then_write(const Frame& frame);
   Status order(const Frame& frame, cuda::SortBuffers& sorted);
+  Status choose(const Frame& frame);
+  const std::uint32_t* order_of(const Frame& frame) const;
 
   FrameState& state_;
+
+  std::uint64_t n_ = 0;  // Gaussians of the frame
   std::uint64_t n_pairs_ = 0;
   DeviceBuffer counters_, covers_, tiles_, sums_, sum_temporary_, block_state_;
   DeviceBuffer keys_, spare_keys_, gaussians_, spare_gaussians_, sort_temporary_, ranges_;

@@ -72,9 +72,11 @@ Status TurboPipeline::reserve_lists(std::uint64_t n_entries, std::uint64_t n_run
 
 // Room for what is known before the frame, and a guess at the rest for the first.
 Status TurboPipeline::reserve_tiles(const Frame& f) {
-  const std::uint64_t n = f.n(), n_tiles = f.n_tiles();
+  Status ok = state_.reserve_cut(f);
+  if (!ok) return ok;
+  const std::uint64_t n = state_.n_drawn(f), n_tiles = f.n_tiles();
   const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
-  Status ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
+  ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));
   if (ok) ok = reserve(turbo_state_, cuda::TurboState::bytes(f.n_tiles()));
   if (ok) ok = reserve(lists_, n_tiles * sizeof(cuda::TurboList));
   if (ok) ok = reserve(ranked_, n_tiles * sizeof(cuda::TurboRankedList));
@@ -116,7 +118,7 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   a.cell_gaussians = cell_gaussians_.as<std::uint32_t>();
   a.cell_capacity = cell_capacity();
   cuda::TurboLongCellSizes::of(cell_capacity()).lay_out(long_cells_.as<void>(), a);
-  a.ties = f.tie_order();
+  a.ties = f.cut ? state_.cut.ties() : f.tie_order();
   return a;
 }
 
@@ -154,9 +156,12 @@ Status TurboPipeline::launch(const Frame& f) {
     ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
                        "the frame's state could not be cleared");
   }
+  if (ok && f.cut) ok = state_.cut.launch(*f.scene, *f.cut, false, on);
   if (ok) {
     ok = cuda::launch_turbo_emit(
-        {f.attributes(), static_cast<std::uint32_t>(f.n()), f.view, state_.splats.as<cuda::ScreenSplat>(), arrays}, on);
+        {f.attributes(), static_cast<std::uint32_t>(state_.n_drawn(f)), f.view, state_.splats.as<cuda::ScreenSplat>(),
+         arrays, f.cut ? state_.cut.drawn(*f.scene) : cuda::DrawnChunks{}},
+        on);
   }
   if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);
@@ -181,6 +186,14 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
     Status ok = counted_.wait();
     if (ok) ok = counted_long_.wait();
     if (!ok) return tl::unexpected(ok.error());
+    if (f.cut && !state_.cut.fits()) {
+      if (state_.cut.seen().chunks > f.max_chunks()) return kTooManyDrawn;
+      if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());
+      ok = state_.reserve_cut(f, state_.cut.seen().chunks);
+      if (ok) ok = queue(f);
+      if (!ok) return tl::unexpected(ok.error());
+      continue;
+    }
     const cuda::TurboState& seen = *seen_.get();
     const cuda::TurboArrays arrays = arrays_for(f);
     state_.host->counters = seen.counters;

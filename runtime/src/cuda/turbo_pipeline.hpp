@@ -23,7 +23,7 @@ class TurboPipeline {
   Status queue(const Frame& frame);
   /// Entries of the frame queued last. It was queued before their number was known; if they did not fit, which the host
   /// learns while the frame is still being made, lists or cells were left empty and it is made again. Above kMaxPairs it
-  /// was not drawn.
+  /// was not drawn. The same of a cut that draws more than there was room for.
   Result<std::uint64_t> settle(const Frame& frame);
   /// Of the frame queued last, in device memory.
   const cuda::Counters* counters() const { return &turbo_state_.as<cuda::TurboState>()->counters; }

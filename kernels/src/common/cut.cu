@@ -1,0 +1,114 @@
+// cut.cu - which pages a frame draws: a thread a page, decided by its own record and its parent's.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Math    rgs/footprint.hpp; docs/FORMAT.md "Error and cut"
+// In/Out  pages [n] -> chunks [drawn], places [all chunks], counts
+// Cost    96 B a page, half of them a parent's, which neighbours share; twice. About 60 FP64 operations. 8 B written a chunk
+//         that is drawn
+// Launch  256 threads, ceil(n / 256) blocks, twice: one kernel counts, one writes
+// Shared  sums of warps
+// Order   deterministic: chunks in the order of pages. Compiled without contraction to FMA: the host chooses the same pages
+//
+// A block adds up the sums of all blocks before it, which is less than another launch takes: a hundred million Gaussians have
+// 200 blocks of pages.
+#include <cstdint>
+
+#include "common/block_scan.cuh"
+#include "common/cut.hpp"
+#include "common/launch.cuh"
+#include "rgs/footprint.hpp"
+
+namespace rgs::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+constexpr int kWarps = kThreads / 32;
+
+__device__ bool is_fine_enough(const CutPage& page, const CutEye& eye) {
+  return lod::is_fine_enough(page.error, eye.detail_px,
+                             lod::pixel_footprint(page.low, page.high, eye.position, eye.focal_px, eye.z_near));
+}
+
+// Page i, if it is drawn; n = 0 if not.
+__device__ CutPage drawn_page(const CutArguments& a, std::uint32_t i) {
+  CutPage page{};
+  if (i >= a.n_pages) return page;
+  page = a.pages[i];
+  if (is_fine_enough(page, a.eye) && (page.parent == kNoCutPage || !is_fine_enough(a.pages[page.parent], a.eye))) {
+    return page;
+  }
+  return {};
+}
+
+__device__ std::uint64_t warp_sum_of(std::uint64_t value) {
+  return reduce_warp(value, [](std::uint64_t x, std::uint64_t y) { return x + y; });
+}
+
+struct WarpCounts {
+  CutCounts warps[kWarps];
+};
+// Over the block; the sum is valid in thread 0.
+__device__ CutCounts block_counts(WarpCounts& s, const CutCounts& own) {
+  const CutCounts sum{warp_sum_of(own.gaussians), warp_sum(own.pages), warp_sum(own.chunks)};
+  if (threadIdx.x % 32 == 0) s.warps[threadIdx.x / 32] = sum;
+  __syncthreads();
+  CutCounts total{};
+  if (threadIdx.x == 0) {
+    for (const CutCounts& w : s.warps) {
+      total.gaussians += w.gaussians, total.pages += w.pages, total.chunks += w.chunks;
+    }
+  }
+  return total;
+}
+
+__global__ void __launch_bounds__(kThreads) count_kernel(CutArguments a) {
+  __shared__ WarpCounts s;
+  const CutPage page = drawn_page(a, blockIdx.x * kThreads + threadIdx.x);
+  const CutCounts total = block_counts(s, {page.n, page.n > 0 ? 1u : 0u, page.n_chunks});
+  if (threadIdx.x == 0) a.sums[blockIdx.x] = total;
+}
+
+__global__ void __launch_bounds__(kThreads) write_kernel(CutArguments a) {
+  __shared__ WarpCounts s;
+  __shared__ std::uint32_t warp_sums[kWarps];
+  __shared__ std::uint32_t base;
+  CutCounts before{};
+  for (std::uint32_t b = threadIdx.x; b < blockIdx.x; b += kThreads) {
+    const CutCounts sum = a.sums[b];
+    before.gaussians += sum.gaussians, before.pages += sum.pages, before.chunks += sum.chunks;
+  }
+  before = block_counts(s, before);
+  if (threadIdx.x == 0) {
+    base = before.chunks;
+    if (blockIdx.x == gridDim.x - 1) {
+      const CutCounts own = a.sums[blockIdx.x];
+      const CutCounts all{before.gaussians + own.gaussians, before.pages + own.pages, before.chunks + own.chunks};
+      *a.counts = all;
+      *a.seen = all;
+      __threadfence_system();
+    }
+  }
+  const CutPage page = drawn_page(a, blockIdx.x * kThreads + threadIdx.x);
+  // Past the barrier in it everybody sees `base`.
+  const std::uint32_t end = inclusive_block_sum<kThreads>(page.n_chunks, warp_sums);
+  const std::uint32_t first = base + end - page.n_chunks;
+  for (std::uint32_t k = 0; k < page.n_chunks; ++k) {
+    if (first + k < a.capacity) a.chunks[first + k] = page.first_chunk + k;
+    a.places[page.first_chunk + k] = first + k;
+  }
+}
+
+}  // namespace
+
+std::uint32_t cut_blocks(std::uint32_t n_pages) {
+  return blocks_for(n_pages, kThreads);
+}
+
+Status launch_cut(const CutArguments& a, Stream stream) {
+  count_kernel<<<cut_blocks(a.n_pages), kThreads, 0, stream>>>(a);
+  if (const auto ok = launched("the pages could not be counted"); !ok) return ok;
+  write_kernel<<<cut_blocks(a.n_pages), kThreads, 0, stream>>>(a);
+  return launched("the pages could not be chosen");
+}
+
+}  // namespace rgs::cuda

@@ -1,0 +1,22 @@
+// drawn_rows.cuh - from a row of what a frame draws to the row of the scene.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+
+#include "common/cut.hpp"
+
+namespace rgs::cuda {
+
+/// Rows that are drawn: whole chunks. 0 where they did not fit.
+__device__ inline std::uint32_t n_drawn_rows(const DrawnChunks& drawn, std::uint32_t chunk_size) {
+  const std::uint32_t n = drawn.counts->chunks;
+  return n <= drawn.capacity ? n * chunk_size : 0;
+}
+
+__device__ inline std::uint32_t drawn_row(const DrawnChunks& drawn, std::uint32_t chunk_size, std::uint32_t i) {
+  const std::uint32_t chunk = i / chunk_size;
+  return __ldg(drawn.chunks + chunk) * chunk_size + (i - chunk * chunk_size);
+}
+
+}  // namespace rgs::cuda

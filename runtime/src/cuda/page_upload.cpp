@@ -1,0 +1,260 @@
+// page_upload.cpp - pages of a file with levels of detail, decoded by the host's threads into page-locked memory, batch by batch.
+//
+// Two batches take turns: while one is copied to the device, the other is decoded.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/page_upload.hpp"
+
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <limits>
+#include <memory>
+#include <mutex>
+#include <utility>
+
+#include "cuda/cuda_objects.hpp"
+#include "parallel.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+namespace {
+
+constexpr std::uint64_t kBatchRows = std::uint64_t{1} << 18;  // 20 MB at SH degree 3, page-locked twice
+
+// Byte places in an entry of CHNK.
+constexpr std::size_t kStepSetAt = 32, kScaleUnitAt = 44;
+
+std::array<std::uint64_t, 5> row_bytes(int sh_degree) {
+  return {kMeanBytes, kGeometryBytes, sh_bytes(sh_degree), kStepSetBytes, kChunkEntryBytes};
+}
+
+// Pages begin .. end - 1 of the file.
+struct Batch {
+  std::uint32_t begin, end;
+};
+
+// What decodes a page.
+struct Worker {
+  explicit Worker(const PagedFile& file) : decoder(file), memory(file.largest_decoded_bytes() + 16) {}
+
+  Result<PageRows> decode(const PagedFile& file, std::uint32_t page) {
+    void* aligned = memory.data();
+    std::size_t room = memory.size();
+    std::align(16, file.decoded_bytes(page), aligned, room);
+    return decoder.decode(page, file.bytes(page), {static_cast<std::byte*>(aligned), file.decoded_bytes(page)});
+  }
+
+  PageDecoder decoder;
+  std::vector<std::byte> memory;
+};
+
+// Page-locked memory for the sections of one batch.
+struct Staging {
+  Staging() = default;
+  Staging(const Staging&) = delete;
+  Staging& operator=(const Staging&) = delete;
+  ~Staging() { cudaFreeHost(memory); }
+
+  std::byte* memory = nullptr;
+  std::array<std::byte*, 5> at{};
+  Event copied;
+};
+
+class PageUpload {
+ public:
+  PageUpload(const PagedFile& file, const PagePlan& plan, const SectionPlaces& places, CudaStream stream)
+      : file_(file),
+        plan_(plan),
+        places_(places),
+        stream_(stream),
+        sh_degree_(file.head().header().sh_degree),
+        row_bytes_(row_bytes(sh_degree_)) {}
+  PageUpload(const PageUpload&) = delete;
+  PageUpload& operator=(const PageUpload&) = delete;
+  ~PageUpload() { cudaStreamSynchronize(stream_); }  // the copies read what is freed now
+
+  Status run();
+
+ private:
+  void cut_batches();
+  Status create(Staging& staging) const;
+  Status fill(const Batch& batch, const Staging& staging);
+  Status fill_page(std::uint32_t page, const Batch& batch, const Staging& staging, Worker& worker) const;
+  Status copy(const Batch& batch, const Staging& staging) const;
+  // First row and rows of section k of pages begin .. end - 1.
+  std::pair<std::uint64_t, std::uint64_t> rows(std::size_t k, std::uint32_t begin, std::uint32_t end) const {
+    const std::vector<std::uint64_t>& first = k == 3 ? plan_.first_set : plan_.first_chunk;
+    const std::uint64_t unit = k < 3 ? plan_.chunk_size : 1;
+    return {first[begin] * unit, (first[end] - first[begin]) * unit};
+  }
+
+  const PagedFile& file_;
+  const PagePlan& plan_;
+  const SectionPlaces& places_;
+  CudaStream stream_;
+  int sh_degree_;
+  std::array<std::uint64_t, 5> row_bytes_;
+  std::vector<Batch> batches_;
+  std::array<Staging, 2> staging_;
+  std::mutex mutex_;  // of the idle workers
+  std::vector<std::unique_ptr<Worker>> idle_;
+};
+
+void PageUpload::cut_batches() {
+  for (std::uint32_t page = 0; page < plan_.n_pages; ++page) {
+    if (batches_.empty() || rows(0, batches_.back().begin, page + 1).second > kBatchRows) {
+      batches_.push_back({page, page});
+    }
+    batches_.back().end = page + 1;
+  }
+}
+
+// Room for any batch.
+Status PageUpload::create(Staging& staging) const {
+  std::array<std::uint64_t, 5> bytes{};
+  std::uint64_t total = 0;
+  for (std::size_t k = 0; k < bytes.size(); ++k) {
+    for (const Batch& b : batches_) bytes[k] = std::max(bytes[k], rows(k, b.begin, b.end).second * row_bytes_[k]);
+    bytes[k] = (bytes[k] + 255) / 256 * 256;
+    total += bytes[k];
+  }
+  void* memory = nullptr;
+  Status ok = device_status(cudaMallocHost(&memory, total), "page-locked host memory could not be allocated");
+  staging.memory = static_cast<std::byte*>(memory);
+  if (ok) ok = staging.copied.create();
+  if (!ok) return ok;
+  std::byte* next = staging.memory;
+  for (std::size_t k = 0; k < bytes.size(); next += bytes[k++]) staging.at[k] = next;
+  return ok;
+}
+
+Status PageUpload::fill_page(std::uint32_t page, const Batch& batch, const Staging& staging, Worker& worker) const {
+  const auto decoded = worker.decode(file_, page);
+  if (!decoded) return tl::unexpected(decoded.error());
+  if (Status s = check_page_values(file_, page, *decoded); !s) return s;
+  const auto to = [&](std::size_t k) {
+    return staging.at[k] + (rows(k, page, page).first - rows(k, batch.begin, batch.begin).first) * row_bytes_[k];
+  };
+  const std::array<std::span<const std::byte>, 5> from{decoded->means, decoded->geometry, decoded->sh, decoded->steps,
+                                                       decoded->chunks};
+  for (std::size_t k = 0; k < from.size(); ++k) std::ranges::copy(from[k], to(k));
+  // Rows that fill up the last chunk are nowhere, so that they are in no view.
+  const std::uint64_t n = decoded->n, n_padded = rows(0, page, page + 1).second;
+  constexpr float kNowhere = std::numeric_limits<float>::quiet_NaN();
+  constexpr std::uint16_t kNoSize[8] = {0x3C00, 0, 0, 0, 0, 0, 0, 0};
+  for (std::uint64_t i = n; i < n_padded; ++i) {
+    const float mean[3] = {kNowhere, kNowhere, kNowhere};
+    std::memcpy(to(0) + i * kMeanBytes, mean, kMeanBytes);
+    std::memcpy(to(1) + i * kGeometryBytes, kNoSize, kGeometryBytes);
+  }
+  std::memset(to(2) + n * row_bytes_[2], 0, (n_padded - n) * row_bytes_[2]);
+  // See PagedAttributes.
+  const float scale_unit = std::ldexp(1.0F, -decoded->scale_exponent);
+  const bool has_one_set = file_.stored(page).n_step_sets == 1;
+  for (std::uint64_t i = 0; i < rows(4, page, page + 1).second; ++i) {
+    std::byte* const entry = to(4) + i * kChunkEntryBytes;
+    const std::uint64_t set = plan_.first_set[page] + (has_one_set ? 0 : i);
+    std::memcpy(entry + kStepSetAt, &set, sizeof set);
+    std::memcpy(entry + kScaleUnitAt, &scale_unit, sizeof scale_unit);
+  }
+  return {};
+}
+
+Status PageUpload::fill(const Batch& batch, const Staging& staging) {
+  std::mutex failing;
+  Status status;
+  std::uint32_t failed = batch.end;  // the first page that is damaged, whichever thread comes upon one first
+  const auto one = [&](std::uint64_t k) {
+    const std::uint32_t page = batch.begin + static_cast<std::uint32_t>(k);
+    std::unique_ptr<Worker> worker;
+    {
+      const std::scoped_lock lock(mutex_);
+      if (!idle_.empty()) worker = std::move(idle_.back()), idle_.pop_back();
+    }
+    if (worker == nullptr) worker = std::make_unique<Worker>(file_);
+    const Status ok = fill_page(page, batch, staging, *worker);
+    {
+      const std::scoped_lock lock(mutex_);
+      idle_.push_back(std::move(worker));
+    }
+    if (ok) return;
+    const std::scoped_lock lock(failing);
+    if (page < failed) failed = page, status = ok;
+  };
+  tbb::this_task_arena::isolate([&] { parallel_blocks(batch.end - batch.begin, one); });
+  return status;
+}
+
+Status PageUpload::copy(const Batch& batch, const Staging& staging) const {
+  for (std::size_t k = 0; k < staging.at.size(); ++k) {
+    const auto [first, n] = rows(k, batch.begin, batch.end);
+    const Status ok = device_status(cudaMemcpyAsync(places_[k] + first * row_bytes_[k], staging.at[k],
+                                                    n * row_bytes_[k], cudaMemcpyHostToDevice, stream_),
+                                    "a scene could not be copied to the device");
+    if (!ok) return ok;
+  }
+  return staging.copied.record(stream_);
+}
+
+Status PageUpload::run() {
+  cut_batches();
+  Status ok;
+  for (Staging& staging : staging_) {
+    if (ok) ok = create(staging);
+  }
+  for (std::size_t k = 0; k < batches_.size() && ok; ++k) {
+    const Staging& staging = staging_[k % 2];
+    ok = staging.copied.wait();
+    if (ok) ok = fill(batches_[k], staging);
+    if (ok) ok = copy(batches_[k], staging);
+  }
+  if (!ok) return ok;
+  return device_status(cudaStreamSynchronize(stream_), "a scene could not be copied to the device");
+}
+
+}  // namespace
+
+PagePlan::PagePlan(const PagedFile& file) : n_pages(file.n_present()), chunk_size(file.head().header().chunk_size) {
+  first_chunk.resize(std::size_t{n_pages} + 1), first_set.resize(std::size_t{n_pages} + 1);
+  for (std::uint32_t page = 0; page < n_pages; ++page) {
+    const lod::Page& p = file.pages()[page];
+    const std::uint64_t chunks = (std::uint64_t{p.count} + chunk_size - 1) / chunk_size;
+    first_chunk[page + 1] = first_chunk[page] + chunks;
+    first_set[page + 1] = first_set[page] + file.stored(page).n_step_sets;
+    if (std::uint64_t{p.first_child} + p.n_children <= n_pages && p.n_children != 0) continue;
+    const bool gave_way =
+        page == 0 || std::uint64_t{file.pages()[p.parent].first_child} + file.pages()[p.parent].n_children <= n_pages;
+    if (gave_way) finest_chunks += chunks, finest_rows += p.count;
+  }
+}
+
+std::array<std::uint64_t, 5> PagePlan::section_bytes(int sh_degree) const {
+  const std::array<std::uint64_t, 5> of = row_bytes(sh_degree);
+  return {n_rows() * of[0], n_rows() * of[1], n_rows() * of[2], first_set.back() * of[3], n_chunks() * of[4]};
+}
+
+std::vector<cuda::CutPage> PagePlan::table(const PagedFile& file) const {
+  std::vector<cuda::CutPage> table(n_pages);
+  for (std::uint32_t i = 0; i < n_pages; ++i) {
+    const lod::Page& page = file.pages()[i];
+    const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_pages;
+    const auto& [low, high] = page.bounds;
+    table[i] = {{low[0], low[1], low[2]},
+                has_children ? page.error : 0.0F,
+                {high[0], high[1], high[2]},
+                page.parent == lod::kNoPage ? cuda::kNoCutPage : page.parent,
+                static_cast<std::uint32_t>(first_chunk[i]),
+                static_cast<std::uint32_t>(first_chunk[i + 1] - first_chunk[i]),
+                page.count,
+                0};
+  }
+  return table;
+}
+
+Status upload_pages(const PagedFile& file, const PagePlan& plan, const SectionPlaces& places, CudaStream stream) {
+  return PageUpload(file, plan, places, stream).run();
+}
+
+}  // namespace rgs::detail

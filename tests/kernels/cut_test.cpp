@@ -1,0 +1,502 @@
+// cut_test.cpp - levels of detail on the device: the pages that the host chooses, their tie order, and the same pictures.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <cstring>
+#include <numeric>
+#include <optional>
+#include <set>
+
+#include "common/cut.hpp"
+#include "cuda/cuda_objects.hpp"
+#include "cuda/page_upload.hpp"
+#include "device_fixture.hpp"
+#include "grid_scene.hpp"
+#include "render_options.hpp"
+#include "rgs/cuda_renderer.hpp"
+#include "rgs/footprint.hpp"
+#include "rgs/levels_writer.hpp"
+#include "rgs/paged_file.hpp"
+#include "trivial_levels.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+/// A file with levels, what of it is there, and its leaves as a file without.
+struct Levels {
+  std::vector<std::byte> bytes, plain;
+
+  static Levels of(const std::vector<Splat>& splats, int sh_degree, std::uint32_t chunk_size, std::uint32_t page_chunks,
+                   Profile profile = Profile::direct) {
+    EncodeOptions options;
+    options.chunk_size = chunk_size;
+    options.profile = profile;
+    Levels levels;
+    auto plain = encode(cloud_of(splats, sh_degree).view(), options);
+    require_ok(plain);
+    levels.plain = *std::move(plain);
+    const auto cloud = decode(levels.plain);
+    require_ok(cloud);
+    options.order = Order::morton;
+    require_ok(write_levels(trivial_levels(*cloud, {.chunk_size = chunk_size, .page_chunks = page_chunks}), options,
+                            levels.bytes));
+    return levels;
+  }
+  std::span<const std::byte> first_pages(std::uint32_t n) const {
+    const auto file = PagedFile::open(bytes);
+    require_ok(file);
+    return std::span(bytes).first(n < file->n_pages() ? file->stored(n).offset : bytes.size());
+  }
+};
+
+PagedFile open(std::span<const std::byte> bytes) {
+  auto file = PagedFile::open(bytes);
+  require_ok(file);
+  return *std::move(file);
+}
+Scene load(std::span<const std::byte> bytes) {
+  auto scene = Scene::load(bytes);
+  require_ok(scene);
+  return *std::move(scene);
+}
+template <class From>
+DeviceScene upload(const From& from) {
+  auto scene = DeviceScene::upload(from);
+  require_ok(scene);
+  return *std::move(scene);
+}
+
+/// Scenes of many pages, of one, and without much of their end; pages of which the last chunk is not full.
+const Levels& many_pages() {
+  static const Levels kLevels = Levels::of(random_splats(1611, sized(40000, 6000, 3000)), 1, 32, 2);
+  return kLevels;
+}
+
+cuda::CutEye random_eye(Random& random, const PagedFile& file) {
+  const auto declared = file.head().declarations();
+  const double away = random.log_uniform(0.1, 300);
+  cuda::CutEye eye{};
+  for (double& x : eye.position) x = random.uniform(-1, 1) * away;
+  eye.focal_px = random.log_uniform(20, 4000);
+  eye.z_near = static_cast<double>(declared.z_near);
+  eye.detail_px = static_cast<float>(random.log_uniform(0.02, 50));
+  return eye;
+}
+lod::Eye host_eye(const cuda::CutEye& e) {
+  return {{e.position[0], e.position[1], e.position[2]}, e.focal_px, e.z_near};
+}
+
+/// Chunks of these pages on the device, page after page.
+std::vector<std::uint32_t> chunks_of(const detail::PagePlan& plan, std::vector<std::uint32_t> pages) {
+  std::ranges::sort(pages);
+  std::vector<std::uint32_t> chunks;
+  for (const std::uint32_t page : pages) {
+    for (std::uint64_t k = plan.first_chunk[page]; k < plan.first_chunk[page + 1]; ++k) {
+      chunks.push_back(static_cast<std::uint32_t>(k));
+    }
+  }
+  return chunks;
+}
+
+std::uint32_t narrow(std::uint64_t n) {
+  return static_cast<std::uint32_t>(n);
+}
+
+struct DeviceCut {
+  std::vector<std::uint32_t> chunks, places;
+  cuda::CutCounts counts;
+};
+DeviceCut cut(std::span<const cuda::CutPage> table, const detail::PagePlan& plan, const cuda::CutEye& eye,
+              std::uint32_t capacity) {
+  const DeviceArray<cuda::CutPage> pages(table);
+  const DeviceArray<cuda::CutCounts> sums(cuda::cut_blocks(plan.n_pages)), counts(1);
+  const DeviceArray<std::uint32_t> chunks(capacity), places(plan.n_chunks());
+  detail::PageLocked<cuda::CutCounts> seen;
+  require_ok(seen.create());
+  require_ok(cuda::launch_cut(
+      {pages.data(), plan.n_pages, eye, sums.data(), counts.data(), seen.get(), chunks.data(), capacity, places.data()},
+      nullptr));
+  DeviceCut cut{chunks.download(), places.download(), counts.download().front()};
+  sums.check_guards();
+  CHECK(std::memcmp(&cut.counts, seen.get(), sizeof cut.counts) == 0);
+  return cut;
+}
+
+/// Frames of one renderer.
+class Frames {
+ public:
+  Frames() : renderer_(make()) {}
+
+  struct Picture {
+    std::vector<float> rgb, alpha;
+    FrameStats stats;
+  };
+  Picture draw(const DeviceScene& scene, const Camera& camera, const RenderOptions& options) {
+    const auto n = static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height);
+    const DeviceArray<float> rgb(3 * n), alpha(n);
+    synchronize();
+    const auto stats = renderer_.render(scene, camera, {.rgb = rgb.data(), .alpha = alpha.data()}, options);
+    require_ok(stats);
+    const auto finished = renderer_.finish();
+    require_ok(finished);
+    return {rgb.download(), alpha.download(), *finished};
+  }
+  CudaRenderer& renderer() { return renderer_; }
+
+ private:
+  static CudaRenderer make() {
+    auto renderer = CudaRenderer::create();
+    require_ok(renderer);
+    return *std::move(renderer);
+  }
+  CudaRenderer renderer_;
+};
+
+bool same_bytes(const std::vector<float>& a, const std::vector<float>& b) {
+  return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.size() * sizeof(float)) == 0;
+}
+
+RenderOptions at_detail(RenderOptions options, float px) {
+  options.detail_px = px;
+  return options;
+}
+/// With the anti-aliasing of levels.
+RenderOptions as_levels(RenderOptions options) {
+  options.anti_aliasing = math::AntiAliasing::mip_splatting;
+  options.low_pass = 0.1F;
+  return options;
+}
+
+std::vector<RenderOptions> level_modes() {
+  RenderOptions turbo_fp32 = turbo_options(), separate = paper_options(), as_it_comes = paper_options();
+  turbo_fp32.turbo.tensor_cores = false;
+  separate.paper.front_end = PaperSteps::FrontEnd::separate;
+  as_it_comes.paper.deterministic = false;
+  as_it_comes.paper.depth_order = math::DepthOrder::exact;
+  if (race_sizes()) return {turbo_options(), paper_options()};
+  return {turbo_options(), turbo_fp32, paper_options(), separate, as_it_comes};
+}
+
+Camera camera_at(double back, int width = 96, int height = 64) {
+  Camera camera = front_camera(width, height);
+  camera.world_to_camera[3][2] += back;
+  return camera;
+}
+
+}  // namespace
+
+TEST_CASE("pages decide by themselves what the host decides from the root downwards") {
+  Random random(1612);
+  const Levels& levels = many_pages();
+  const std::uint32_t n_pages = open(levels.bytes).n_pages();
+  for (const std::uint32_t n_present : {n_pages, n_pages - 1, n_pages / 3, 1u}) {
+    CAPTURE(n_present);
+    const PagedFile file = open(levels.first_pages(n_present));
+    const detail::PagePlan plan(file);
+    const auto table = plan.table(file);
+    REQUIRE(table.size() == n_present);
+    for (int k = 0; k < 200; ++k) {
+      cuda::CutEye eye = random_eye(random, file);
+      if (k == 0) eye.detail_px = 0;
+      const auto is_fine = [&](const cuda::CutPage& page) {
+        return lod::is_fine_enough(page.error, eye.detail_px,
+                                   lod::pixel_footprint(page.low, page.high, eye.position, eye.focal_px, eye.z_near));
+      };
+      std::vector<std::uint32_t> alone;
+      std::uint64_t n = 0;
+      for (std::uint32_t i = 0; i < n_present; ++i) {
+        if (!is_fine(table[i]) || (table[i].parent != cuda::kNoCutPage && is_fine(table[table[i].parent]))) continue;
+        alone.push_back(i);
+        n += table[i].n;
+      }
+      auto expected = lod::drawn_pages(file.pages(), host_eye(eye), eye.detail_px, n_present);
+      std::ranges::sort(expected);
+      REQUIRE(alone == expected);
+      if (k == 0) CHECK(n == plan.finest_rows);
+      if (k == 0) CHECK(chunks_of(plan, alone).size() == plan.finest_chunks);
+    }
+  }
+}
+
+TEST_CASE("the device chooses the pages that the host chooses, in 200 views, of whole files and beginnings") {
+  if (!device_answers()) return;
+  Random random(1613);
+  const Levels& levels = many_pages();
+  const std::uint32_t n_pages = open(levels.bytes).n_pages();
+  std::set<std::size_t> sizes;
+  for (const std::uint32_t n_present : {n_pages, n_pages / 3, 1u}) {
+    const PagedFile file = open(levels.first_pages(n_present));
+    const detail::PagePlan plan(file);
+    const auto table = plan.table(file);
+    for (int k = 0; k < (n_present < n_pages ? sized(40, 20, 2) : sized(200, 200, 4)); ++k) {
+      cuda::CutEye eye = random_eye(random, file);
+      if (k == 0) eye.detail_px = 0;
+      const auto expected = lod::drawn_pages(file.pages(), host_eye(eye), eye.detail_px, n_present);
+      const auto chunks = chunks_of(plan, expected);
+      const DeviceCut drawn = cut(table, plan, eye, narrow(plan.n_chunks()));
+      REQUIRE(drawn.counts.pages == expected.size());
+      REQUIRE(drawn.counts.chunks == chunks.size());
+      CHECK(drawn.counts.gaussians ==
+            std::accumulate(expected.begin(), expected.end(), std::uint64_t{0},
+                            [&](std::uint64_t n, std::uint32_t page) { return n + file.pages()[page].count; }));
+      CHECK(std::equal(chunks.begin(), chunks.end(), drawn.chunks.begin()));
+      for (std::size_t i = 0; i < chunks.size(); ++i) REQUIRE(drawn.places[chunks[i]] == i);
+      sizes.insert(chunks.size());
+    }
+  }
+  CHECK(sizes.size() > 3);  // not the same cut again and again
+  // A list that has no room is counted as a whole, and no more of it is written than there is room for.
+  const PagedFile file = open(levels.bytes);
+  const detail::PagePlan plan(file);
+  const cuda::CutEye leaves{{0, 0, 0}, 100, 0.2, 0};
+  CHECK(cut(plan.table(file), plan, leaves, 3).counts.chunks == plan.finest_chunks);
+}
+
+TEST_CASE("what is drawn has the tie order of all rows, without the others") {
+  if (!device_answers()) return;
+  Random random(1614);
+  constexpr std::uint32_t kChunk = 32;
+  for (const std::uint32_t n_chunks : {1u, 130u, sized(40000u, 9000u, 500u)}) {  // up to more than a block of bits
+    const std::uint32_t n_rows = n_chunks * kChunk;
+    std::vector<std::uint32_t> order(n_rows), rank(n_rows);
+    std::iota(order.begin(), order.end(), 0u);
+    std::shuffle(order.begin(), order.end(), std::mt19937(n_chunks));
+    for (std::uint32_t k = 0; k < n_rows; ++k) rank[order[k]] = k;
+    for (const double share : {1.0, 0.04}) {
+      std::vector<std::uint32_t> chunks, places(n_chunks, ~0u);
+      for (std::uint32_t c = 0; c < n_chunks; ++c) {
+        if (c != 0 && random.uniform(0, 1) >= share) continue;
+        places[c] = narrow(chunks.size());
+        chunks.push_back(c);
+      }
+      const std::uint32_t n = narrow(chunks.size()) * kChunk;
+      const std::uint32_t capacity = narrow(chunks.size()) + 3;
+      std::vector<std::uint32_t> rows(n);  // drawn row -> row
+      for (std::uint32_t i = 0; i < n; ++i) rows[i] = chunks[i / kChunk] * kChunk + i % kChunk;
+      std::vector<std::uint32_t> expected(n);
+      std::iota(expected.begin(), expected.end(), 0u);
+      std::ranges::sort(expected, {}, [&](std::uint32_t i) { return rank[rows[i]]; });
+
+      std::vector<std::uint32_t> listed = chunks;
+      listed.resize(capacity, ~0u);
+      const cuda::CutCounts one{n, 1, narrow(chunks.size())};
+      const DeviceArray<std::uint32_t> d_chunks{std::span<const std::uint32_t>(listed)};
+      const DeviceArray<std::uint32_t> d_places{std::span<const std::uint32_t>(places)};
+      const DeviceArray<std::uint32_t> d_order{std::span<const std::uint32_t>(order)};
+      const DeviceArray<std::uint32_t> d_rank{std::span<const std::uint32_t>(rank)};
+      const DeviceArray<cuda::CutCounts> counts(std::span(&one, 1));
+      const DeviceArray<std::uint32_t> bits(cuda::drawn_ties_words(n_rows)), sums(cuda::drawn_ties_blocks(n_rows));
+      const std::size_t room = std::size_t{capacity} * kChunk;
+      DeviceArray<std::uint32_t> drawn_order(room), drawn_rank(room), by_row(room);
+      cuda::DrawnTiesArguments a{{d_chunks.data(), counts.data(), capacity},
+                                 d_places.data(),
+                                 kChunk,
+                                 {d_order.data(), d_rank.data()},
+                                 n_rows,
+                                 bits.data(),
+                                 sums.data(),
+                                 drawn_order.data(),
+                                 drawn_rank.data()};
+      require_ok(cuda::launch_drawn_ties(a, nullptr));
+      const auto found = drawn_order.download(), ranks = drawn_rank.download();
+      CHECK(std::equal(expected.begin(), expected.end(), found.begin()));
+      for (std::uint32_t k = 0; k < n; ++k) REQUIRE(ranks[expected[k]] == k);
+      a.order = by_row.data(), a.rank = nullptr;
+      require_ok(cuda::launch_drawn_ties(a, nullptr));
+      const auto row_order = by_row.download();
+      for (std::uint32_t k = 0; k < n; ++k) REQUIRE(row_order[k] == rows[expected[k]]);
+      bits.check_guards(), sums.check_guards();
+      // Without room for the chunks nothing is drawn.
+      a.drawn.capacity = narrow(chunks.size()) - 1;
+      if (a.drawn.capacity == 0) continue;
+      drawn_order.fill(0xFF);
+      a.order = drawn_order.data();
+      require_ok(cuda::launch_drawn_ties(a, nullptr));
+      CHECK(drawn_order.download() == std::vector<std::uint32_t>(room, ~0u));
+    }
+  }
+}
+
+TEST_CASE("what the device chooses and draws is what the same pages are as a scene of FP32 arrays") {
+  if (!device_answers()) return;
+  const Levels& levels = many_pages();
+  const Scene scene = load(levels.bytes);
+  const DeviceScene on_device = upload(*scene.levels());
+  CHECK(on_device.has_levels());
+  CHECK(on_device.compact());
+  CHECK(on_device.size() == scene.size());
+  Frames frames, gathered;
+  std::set<std::uint64_t> pages;
+  std::vector<std::pair<double, float>> views{{0, 1}, {4, 0.3F}, {20, 1}, {60, 3}, {400, 1}, {1e4, 2}};
+  if (race_sizes()) views = {{20, 1}};
+  for (const auto& [back, detail_px] : views) {
+    const Camera camera = camera_at(back);
+    const auto chosen = drawn_pages(scene, camera, detail_px);
+    require_ok(chosen);
+    const auto as_scene = scene.pages(*chosen);
+    require_ok(as_scene);
+    const DeviceScene expected_scene = upload(as_scene->view().value());
+    for (const RenderOptions& mode : level_modes()) {
+      CAPTURE(back);
+      CAPTURE(detail_px);
+      const auto drawn = frames.draw(on_device, camera, at_detail(mode, detail_px));
+      // With the declarations that arrays do not have.
+      const auto expected =
+          gathered.draw(expected_scene, camera, with_declarations(as_levels(mode), scene.declarations()));
+      CHECK(drawn.stats.pages == chosen->size());
+      CHECK(drawn.stats.gaussians == as_scene->size());
+      CHECK(drawn.stats.visible == expected.stats.visible);
+      CHECK(drawn.stats.instances == expected.stats.instances);
+      // Colours alone are decoded in another order of operations; FP16 keeps 2^-11 of them.
+      CHECK(same_bytes(drawn.alpha, expected.alpha));
+      const bool is_tensor = mode.pipeline == Pipeline::turbo && mode.turbo.tensor_cores;
+      CHECK_MESSAGE(largest_difference(drawn.rgb, expected.rgb) <= (is_tensor ? 0x1p-9 : 2e-5),
+                    largest_difference(drawn.rgb, expected.rgb));
+      pages.insert(drawn.stats.pages);
+    }
+  }
+  if (!race_sizes()) CHECK(pages.size() >= 4);
+}
+
+TEST_CASE("at detail 0 the leaves are drawn to the bytes of the file without levels, in every mode and profile") {
+  if (!device_answers()) return;
+  for (const Profile profile : {Profile::direct, Profile::packed}) {
+    if (race_sizes() && profile != Profile::direct) continue;
+    for (const std::uint32_t chunk_size : {32u, 256u}) {
+      if (race_sizes() && chunk_size != 32) continue;
+      const Levels levels = Levels::of(random_splats(1615, sized(20000, 3000, 1000)), 3, chunk_size, 3, profile);
+      const auto plain = FileView::open(levels.plain);
+      require_ok(plain);
+      const DeviceScene with = upload(open(levels.bytes)), without = upload(*plain);
+      CHECK(!without.has_levels());
+      CHECK(with.size() == without.size());
+      auto modes = level_modes();
+      if (!race_sizes()) modes.push_back(baseline_options());
+      for (const RenderOptions& mode : modes) {
+        Frames a, b;
+        const Camera camera = camera_at(0.5);
+        const auto drawn = a.draw(with, camera, at_detail(mode, 0)), expected = b.draw(without, camera, mode);
+        CHECK(same_bytes(drawn.rgb, expected.rgb));
+        CHECK(same_bytes(drawn.alpha, expected.alpha));
+        CHECK(drawn.stats.gaussians == expected.stats.gaussians);
+        CHECK(drawn.stats.visible == expected.stats.visible);
+        CHECK(drawn.stats.instances == expected.stats.instances);
+        CHECK(drawn.stats.pages == 0);
+      }
+    }
+  }
+}
+
+TEST_CASE("equal depths of a scene with levels are drawn in tie order, whatever else the frame draws") {
+  if (!device_answers()) return;
+  // Gaussians on a grid: many share a depth, and lists of many equal depths have ranks.
+  const Levels levels = Levels::of(grid_splats(1616, sized(12000, 6000, 1500)), 3, 32, 2);
+  const Scene scene = load(levels.bytes);
+  const DeviceScene on_device = upload(*scene.levels());
+  Frames frames, gathered;
+  for (const double back : {0.0, 10.0}) {
+    if (race_sizes() && back != 0) continue;
+    const Camera camera = camera_at(back, 64, 48);
+    const auto chosen = drawn_pages(scene, camera, 0.5F);
+    require_ok(chosen);
+    const auto as_scene = scene.pages(*chosen);
+    require_ok(as_scene);
+    const DeviceScene expected_scene = upload(as_scene->view().value());
+    for (const RenderOptions& mode : {turbo_options(), paper_options()}) {
+      CAPTURE(back);
+      const auto drawn = frames.draw(on_device, camera, at_detail(mode, 0.5F));
+      const auto expected =
+          gathered.draw(expected_scene, camera, with_declarations(as_levels(mode), scene.declarations()));
+      CHECK(same_bytes(drawn.alpha, expected.alpha));
+      CHECK_MESSAGE(largest_difference(drawn.rgb, expected.rgb) <= 0x1p-9, largest_difference(drawn.rgb, expected.rgb));
+    }
+  }
+}
+
+TEST_CASE("a scene of one page, and the beginning of a file, are drawn as the CPU draws them") {
+  if (!device_answers()) return;
+  const Levels one = Levels::of(random_splats(1617, 50), 2, 32, 4);
+  REQUIRE(open(one.bytes).n_pages() == 1);
+  const Levels& many = many_pages();
+  const std::uint32_t n_pages = open(many.bytes).n_pages();
+  auto renderer = Renderer::create({.backend = Backend::cuda});
+  require_ok(renderer);
+  const std::vector<std::span<const std::byte>> files{one.bytes, many.first_pages(1), many.first_pages(n_pages / 3),
+                                                      many.first_pages(n_pages - 1)};
+  for (const auto& bytes : std::span(files).first(race_sizes() ? 1 : files.size())) {
+    const Scene scene = load(bytes);
+    for (const float detail_px : {0.0F, 1.0F}) {
+      CAPTURE(scene.levels()->n_present());
+      CAPTURE(detail_px);
+      const Camera camera = camera_at(8);
+      Frame frame = Frame::of(camera);
+      const auto stats = renderer->render(scene, camera, frame.target(), at_detail(turbo_options(), detail_px));
+      require_ok(stats);
+      const Frame host = render(scene, camera, at_detail(turbo_options(), detail_px), {.backend = Backend::cpu});
+      CHECK(psnr(frame.rgb, host.rgb) >= 60);
+      CHECK(stats->pages == host.stats.pages);
+      CHECK(stats->gaussians == host.stats.gaussians);
+    }
+  }
+}
+
+TEST_CASE("frames that follow each other do not leave anything behind: other views, details, pipelines, scenes") {
+  if (!device_answers()) return;
+  if (race_sizes()) return skip("RGS_TEST_SIZE is race");
+  // More rows than there is room for at first.
+  const Levels levels = Levels::of(random_splats(1618, 200000), 0, 256, 4);
+  const DeviceScene scene = upload(open(levels.bytes)), small = upload(open(many_pages().bytes));
+  const DeviceScene fp32 = upload(scene_of(cloud_of(random_splats(1619, 500), 0)).view().value());
+  Frames frames;
+  Random random(1620);
+  for (int k = 0; k < 40; ++k) {
+    CAPTURE(k);
+    const Camera camera = camera_at(random.log_uniform(0.01, 300));
+    const float detail_px = k % 7 == 6 ? 0 : static_cast<float>(random.log_uniform(0.05, 5));
+    RenderOptions options = at_detail(k % 5 == 4 ? paper_options() : turbo_options(), detail_px);
+    options.turbo.asynchronous = k % 3 == 0;
+    const DeviceScene& drawn = k % 8 == 3 ? small : k % 8 == 5 ? fp32 : scene;
+    const auto picture = frames.draw(drawn, camera, options);
+    Frames fresh;
+    options.turbo.asynchronous = false;
+    const auto expected = fresh.draw(drawn, camera, options);
+    CHECK(same_bytes(picture.rgb, expected.rgb));
+    CHECK(same_bytes(picture.alpha, expected.alpha));
+    CHECK(picture.stats.pages == expected.stats.pages);
+    CHECK(picture.stats.gaussians == expected.stats.gaussians);
+    CHECK(picture.stats.instances == expected.stats.instances);
+  }
+}
+
+TEST_CASE(
+    "a detail that is none, baseline above 0 and a file without any page are refused; damage is told as by the host") {
+  if (!device_answers()) return;
+  const Levels levels = Levels::of(random_splats(1621, 500), 1, 32, 2);
+  const PagedFile file = open(levels.bytes);
+  const DeviceScene scene = upload(file);
+  auto renderer = CudaRenderer::create();
+  require_ok(renderer);
+  const Camera camera = camera_at(1);
+  const DeviceArray<float> rgb(3 * 96 * 64);
+  for (const RenderOptions& options :
+       {at_detail(turbo_options(), -1), at_detail(turbo_options(), NAN), at_detail(baseline_options(), 1)}) {
+    const auto refused = renderer->render(scene, camera, {.rgb = rgb.data()}, options);
+    REQUIRE(!refused);
+    CHECK(refused.error().code == Errc::bad_argument);
+  }
+  CHECK(renderer->render(scene, camera, {.rgb = rgb.data()}, baseline_options()));
+  const auto nothing = DeviceScene::upload(open(levels.first_pages(0)));
+  REQUIRE(!nothing);
+  CHECK(nothing.error().code == Errc::pages_missing);
+  std::vector<std::byte> damaged = levels.bytes;
+  damaged[file.stored(file.n_pages() / 2).offset + 5] ^= std::byte{1};
+  const PagedFile of_damaged = open(damaged);
+  const auto refused = DeviceScene::upload(of_damaged);
+  REQUIRE(!refused);
+  const auto on_host = Scene::load(damaged);
+  REQUIRE(!on_host);
+  CHECK(refused.error().code == Errc::checksum_mismatch);
+}
