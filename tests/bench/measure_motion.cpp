@@ -34,9 +34,10 @@ void print(const char* path, const std::string& what, const MotionRow& row, cons
   const bench::Jump jump = bench::largest_jump(row.steps, truth.steps);
   const bench::Change &step = row.whole.step, &second = row.whole.second;
   std::printf(
-      "%s, %s: drawn %.3f; /255: step mean %.3f, worst 99.9 %% %.1f, second difference %.1f; over the truth's %.3f; "
+      "%s, %s: drawn %.3f, %d changes; /255: step mean %.3f, worst 99.9 %% %.1f, second difference %.1f; over the "
+      "truth's %.3f; "
       "between two frames %.3f (frame %d), 99.9 %% %.3f (frame %d)\n",
-      path, what.c_str(), row.drawn, 255 * step.mean, 255 * step.worst_p999, 255 * second.worst_p999,
+      path, what.c_str(), row.drawn, row.n_changes, 255 * step.mean, 255 * step.worst_p999, 255 * second.worst_p999,
       bench::unsteadiness(row.whole, truth.whole), jump.mean, jump.mean_frame, jump.p999, jump.p999_frame);
   std::fflush(stdout);
 }

@@ -18,6 +18,7 @@ struct MotionRow {
   bench::OrbitRow whole;             ///< over all frames; `added` is not filled in
   std::vector<bench::Change> steps;  ///< from each frame to the next
   double drawn = 0;                  ///< share of the Gaussians, mean over the frames
+  int n_changes = 0;                 ///< of that share, from a frame to the next
 };
 
 /// The truth is all Gaussians as the scene declares, at `supersampling` times the size and averaged, values clamped to 0..1.
@@ -39,9 +40,14 @@ class LevelsMotion {
     });
   }
   Result<MotionRow> levels(std::span<const Camera> path, float detail_px) {
+    return levels(path, std::vector<float>(path.size(), detail_px));
+  }
+  /// `detail_px` [frames].
+  Result<MotionRow> levels(std::span<const Camera> path, const std::vector<float>& detail_px) {
+    std::size_t frame = 0;
     return follow("levels", path, [&](const Camera& camera, std::uint64_t& n) {
       RenderOptions options;
-      options.detail_px = detail_px;
+      options.detail_px = detail_px[frame++];
       return draw(camera, options, n);
     });
   }
@@ -62,18 +68,21 @@ class LevelsMotion {
     MotionRow row;
     bench::MotionMeter whole;
     std::vector<float> last;
+    std::uint64_t n_before = 0;
     for (const Camera& camera : path) {
       std::uint64_t n = 0;
       auto picture = draw_one(camera, n);
       if (!picture) return tl::unexpected(picture.error());
       whole.add(picture->pixels);
       if (!last.empty()) {
+        row.n_changes += n != n_before ? 1 : 0;
         bench::MotionMeter pair;
         pair.add(last);
         pair.add(picture->pixels);
         row.steps.push_back(pair.step());
       }
       last = std::move(picture->pixels);
+      n_before = n;
       row.drawn += static_cast<double>(n) / static_cast<double>(scene_.size()) / static_cast<double>(path.size());
     }
     row.whole = {name, whole.step(), whole.second(), {}};
