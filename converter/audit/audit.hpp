@@ -42,6 +42,7 @@ struct Options {
   bool render = true;             ///< false: sizes and attributes only
   bool attribution = true;
   bool compare_scales = false;  ///< also one SH scale set for the file against one per chunk
+  bool distances = true;        ///< of a file with levels of detail: what they look like from afar
   std::string gate;             ///< the conditions as text; part of the fingerprint, evaluated by evaluate()
   Backend backend = Backend::automatic;
   int threads = 0;
@@ -55,13 +56,21 @@ struct SectionSize {
   std::uint64_t stored_bytes = 0, decoded_bytes = 0;
 };
 
+/// Levels of detail that the asset holds.
+struct StoredLevels {
+  std::uint32_t n_levels = 0, n_pages = 0;
+  std::uint64_t n_gaussians = 0;  ///< of all pages
+};
+
 struct SizeReport {
   std::uint64_t source_bytes = 0, asset_bytes = 0;
-  std::uint64_t n_source = 0, n_asset = 0;
+  std::uint64_t n_source = 0, n_asset = 0;  ///< of levels of detail the finest
   int source_sh_degree = 0, asset_sh_degree = 0;
-  std::uint64_t gpu_bytes = 0;       ///< what a renderer keeps resident: sections as decoded; 0 if not an .rgs file
+  /// What a renderer keeps resident: sections, or all pages, as decoded; 0 if not an .rgs file.
+  std::uint64_t gpu_bytes = 0;
   std::uint64_t gpu_bytes_fp32 = 0;  ///< the same scene as FP32 attributes
   std::vector<SectionSize> sections;
+  std::optional<StoredLevels> levels{};
 
   double ratio() const;                   ///< source over asset, bytes
   double bytes_per_gaussian() const;      ///< of the asset's file
@@ -194,9 +203,58 @@ struct RenderReport {
   std::string attribution_note;          ///< why there is none, or what it leaves out
   std::uint64_t n_undrawable = 0;        ///< damaged Gaussians of the source, not in the reference
   std::vector<ViewPictures> pictures{};  ///< of the worst views, worst first
+  std::vector<Camera> cameras{};         ///< of the rated views, in their order
   double seconds = 0;
 
   static constexpr double kUnrated = std::numeric_limits<double>::quiet_NaN();
+};
+
+// ---- levels of detail from afar
+
+/// What is compared with the truth at each distance.
+enum class FarScene : std::uint8_t {
+  leaves,       ///< all Gaussians as the asset declares
+  compensated,  ///< all Gaussians with Mip-Splatting's opacities and the low-pass by which levels are drawn
+  levels,       ///< the pages that the default detail chooses, as renderers draw them
+};
+inline constexpr std::size_t kFarScenes = 3;
+
+/// Against the truth, values clamped to 0..1.
+struct FarScore {
+  double psnr = 0, worst_psnr = 0, ssim = 0, worst_ssim = 0;
+};
+struct FarView {
+  std::string name;
+  int width = 0, height = 0;
+  std::array<double, kFarScenes> psnr{}, ssim{};  ///< by FarScene
+  double drawn = 0;  ///< Gaussians of the chosen pages, in view or not, over those of the asset
+};
+/// The rated views from `far` times as far away: as many times smaller.
+struct FarRow {
+  int far = 1;
+  std::array<FarScore, kFarScenes> scores{};  ///< means and worst of the views
+  double drawn = 0;                           ///< mean of the views
+  std::vector<FarView> views{};
+
+  const FarScore& score(FarScene what) const { return scores[static_cast<std::size_t>(what)]; }
+};
+struct FarPictures {
+  std::size_t row = 0, view = 0;  ///< FarRow::views[view]: the one in which the levels are worst
+  Image truth, leaves, levels;
+};
+
+/// The truth: the source as it is drawn otherwise, at twice the size of the nearest view, clamped to what a screen can show
+/// and averaged over the pixels that become one.
+struct DistanceReport {
+  float detail_px = 0;
+  std::vector<FarRow> rows;             ///< near to far; distances at which a view is hardly a picture are left out
+  std::vector<FarPictures> pictures{};  ///< one a row
+  std::string note{};                   ///< why rows are missing
+  double seconds = 0;
+
+  const FarRow* at(int far) const;  ///< null: not measured
+  /// dB that levels lose against all Gaussians compensated, at the distance where they lose most; NaN without rows.
+  double loss() const;
 };
 
 // ---- all
@@ -218,6 +276,7 @@ struct Report {
   SizeReport size;
   std::optional<AttributeReport> attributes;
   std::optional<RenderReport> render;
+  std::optional<DistanceReport> distances;  ///< of a file with levels of detail
   std::vector<AlsoReport> also;
   std::vector<Condition> gate;
   double seconds = 0;
@@ -242,7 +301,7 @@ std::vector<std::string> warnings(const Report& report);
 /// whether an earlier result still holds. Reads all inputs. Errors: open_failed, read_failed.
 Outcome<std::string> fingerprint(const Options& options);
 
-/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of PlyFile, FileView::open(), validate(), the
+/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of PlyFile, FileView::open(), PagedFile::open(), validate(), the
 /// cameras and photographs; bad_value when no Gaussian of an .rgs asset is one of the source.
 Outcome<Report> run(const Options& options, tool::Progress& progress);
 

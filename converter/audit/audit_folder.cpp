@@ -13,6 +13,7 @@
 #include <map>
 #include <nlohmann/json.hpp>
 
+#include "audit_distances.hpp"
 #include "audit_encoding.hpp"
 #include "audit_gate.hpp"
 #include "audit_json.hpp"
@@ -93,6 +94,15 @@ FolderRow row_of(const std::string& stem, const Json& j) {
   row.n_gaussians = j["asset"]["gaussians"].get<std::uint64_t>();
   row.ratio = j["size"]["ratio"].get<double>();
   row.bytes_per_gaussian = j["size"]["bytes_per_gaussian"].get<double>();
+  if (j.contains("distances")) {
+    for (const Json& far : j["distances"]["rows"]) {
+      const auto at = std::find(kDistances.begin(), kDistances.end(), far["far"].get<int>());
+      if (at == kDistances.end()) continue;
+      const auto i = static_cast<std::size_t>(at - kDistances.begin());
+      row.levels_psnr[i] = real(far["levels"], "psnr");
+      row.levels_drawn[i] = real(far, "drawn");
+    }
+  }
   if (!j.contains("rendered")) return row;
   const Json& r = j["rendered"];
   row.n_views = r["n_views"].get<std::uint64_t>();
@@ -232,13 +242,19 @@ class Folder {
   std::string csv() const {
     std::string text =
         "name,status,grade,source_bytes,asset_bytes,gaussians,ratio,bytes_per_gaussian,n_views,n_rated,psnr,"
-        "worst_psnr,ssim,loss,error\n";
+        "worst_psnr,ssim,loss";
+    for (const int far : kDistances) text += fmt::format(",levels_psnr_{0}x,levels_drawn_{0}x", far);
+    text += ",error\n";
     const auto cell = [](const std::optional<double>& v) { return v ? fmt::format("{}", *v) : std::string(); };
-    for (const FolderRow& r : rows_)
-      fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{},{},{},{},{},{}\n", quoted(r.stem),
+    for (const FolderRow& r : rows_) {
+      fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{},{},{},{},{}", quoted(r.stem),
                      name_of(r.status), r.grade, r.source_bytes, r.asset_bytes, r.n_gaussians, r.ratio,
                      r.bytes_per_gaussian, r.n_views, r.n_rated, cell(r.psnr), cell(r.worst_psnr), cell(r.ssim),
-                     cell(r.loss), quoted(r.error));
+                     cell(r.loss));
+      for (std::size_t i = 0; i < kDistances.size(); ++i)
+        text += "," + cell(r.levels_psnr[i]) + "," + cell(r.levels_drawn[i]);
+      text += "," + quoted(r.error) + "\n";
+    }
     return text;
   }
 
@@ -266,6 +282,12 @@ class Folder {
           row["ssim"] = cell(r.ssim);
           row["loss"] = cell(r.loss);
         }
+        Json distances = Json::array();
+        for (std::size_t i = 0; i < kDistances.size(); ++i)
+          if (r.levels_drawn[i])
+            distances.push_back(
+                {{"far", kDistances[i]}, {"psnr", cell(r.levels_psnr[i])}, {"drawn", cell(r.levels_drawn[i])}});
+        if (!distances.empty()) row["distances"] = std::move(distances);
       } else {
         row["error"] = r.error;
       }

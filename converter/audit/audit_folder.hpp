@@ -2,6 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <array>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -30,6 +32,8 @@ struct FolderRow {
   double ratio = 0, bytes_per_gaussian = 0;
   std::uint64_t n_views = 0, n_rated = 0;
   std::optional<double> psnr, worst_psnr, ssim, loss;  ///< infinite for identical pictures; absent if not rated
+  /// Of levels of detail, by kDistances: absent without, and for distances that were left out.
+  std::array<std::optional<double>, 4> levels_psnr, levels_drawn;
 };
 
 /// Audits every SOURCE/x.ply with ASSET/x.rgs, in the order of their names; a failure is a row and does not stop the

@@ -14,7 +14,7 @@ namespace rgs::audit {
 namespace {
 
 using Needs = ConditionKind::Needs;
-constexpr std::array<ConditionKind, 12> kKinds{{
+constexpr std::array<ConditionKind, 21> kKinds{{
     {"psnr", "mean PSNR of the views, dB", true, Needs::pictures},
     {"worst-psnr", "PSNR of the worst view, dB", true, Needs::pictures},
     {"ssim", "mean SSIM of the views", true, Needs::pictures},
@@ -27,11 +27,28 @@ constexpr std::array<ConditionKind, 12> kKinds{{
     {"bytes-per-gaussian", "of the asset's file", false, Needs::nothing},
     {"gpu-bytes-per-gaussian", "resident on the GPU", false, Needs::nothing},
     {"dropped", "Gaussians of the source that the asset lacks", false, Needs::nothing},
+    {"levels-psnr-1x", "mean PSNR of levels of detail against the truth, dB", true, Needs::distances},
+    {"levels-psnr-2x", "the same from twice as far", true, Needs::distances},
+    {"levels-psnr-4x", "from four times as far", true, Needs::distances},
+    {"levels-psnr-8x", "from eight times as far", true, Needs::distances},
+    {"levels-loss", "that dB lost against all Gaussians compensated, at any distance", false, Needs::distances},
+    {"levels-drawn-1x", "share of the Gaussians that levels draw", false, Needs::distances},
+    {"levels-drawn-2x", "the same from twice as far", false, Needs::distances},
+    {"levels-drawn-4x", "from four times as far", false, Needs::distances},
+    {"levels-drawn-8x", "from eight times as far", false, Needs::distances},
 }};
 
 const ConditionKind* kind_of(const std::string& name) {
   const auto found = std::find_if(kKinds.begin(), kKinds.end(), [&](const ConditionKind& k) { return name == k.name; });
   return found == kKinds.end() ? nullptr : &*found;
+}
+
+// Of a condition on levels of detail.
+double found_from_afar(const std::string& name, const DistanceReport& report) {
+  if (name == "levels-loss") return report.loss();
+  const FarRow* row = report.at(name[name.size() - 2] - '0');
+  if (row == nullptr) return std::numeric_limits<double>::quiet_NaN();
+  return name.starts_with("levels-drawn") ? row->drawn : row->score(FarScene::levels).psnr;
 }
 
 // NaN for what was not measured: no comparison with it holds.
@@ -45,6 +62,8 @@ double found_value(const std::string& name, const Report& report) {
     const double missing = static_cast<double>(report.size.n_source) - static_cast<double>(report.size.n_asset);
     return report.attributes ? static_cast<double>(report.attributes->n_source_only) : std::max(0.0, missing);
   }
+  if (kind_of(name)->needs == Needs::distances)
+    return report.distances ? found_from_afar(name, *report.distances) : kNone;
   if (!report.render) return kNone;
   const RenderReport& r = *report.render;
   if (name == "rated-views") return static_cast<double>(r.n_rated);
@@ -139,6 +158,8 @@ std::string unmeasurable(std::span<const Condition> conditions, const Options& o
       return "the condition '" + c.name + "' needs pictures: drop --no-render";
     if (needs == Needs::attribution && !options.attribution)
       return "the condition '" + c.name + "' needs the attribution: drop --no-attribution";
+    if (needs == Needs::distances && !options.distances)
+      return "the condition '" + c.name + "' needs levels of detail to be looked at: drop --no-distances";
   }
   return {};
 }

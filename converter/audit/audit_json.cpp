@@ -4,6 +4,7 @@
 
 #include <fmt/format.h>
 
+#include <array>
 #include <cmath>
 #include <nlohmann/json.hpp>
 
@@ -60,6 +61,10 @@ Json json(const SizeReport& s) {
           {"gpu_bytes", s.gpu_bytes},
           {"gpu_bytes_per_gaussian", s.gpu_bytes_per_gaussian()},
           {"gpu_bytes_fp32", s.gpu_bytes_fp32},
+          {"levels", s.levels ? Json{{"levels", s.levels->n_levels},
+                                     {"pages", s.levels->n_pages},
+                                     {"gaussians", s.levels->n_gaussians}}
+                              : Json()},
           {"sections", std::move(sections)}};
 }
 
@@ -170,6 +175,35 @@ Json json(const RenderReport& r) {
   return out;
 }
 
+constexpr std::array<const char*, kFarScenes> kFarKeys{"leaves", "compensated", "levels"};
+
+Json json(const DistanceReport& r) {
+  Json rows = Json::array();
+  for (const FarRow& row : r.rows) {
+    Json out{{"far", row.far}, {"drawn", row.drawn}};
+    for (std::size_t k = 0; k < kFarScenes; ++k) {
+      const FarScore& s = row.scores[k];
+      out[kFarKeys[k]] = {{"psnr", number(s.psnr)},
+                          {"worst_psnr", number(s.worst_psnr)},
+                          {"ssim", s.ssim},
+                          {"worst_ssim", s.worst_ssim}};
+    }
+    Json views = Json::array();
+    for (const FarView& v : row.views) {
+      Json view{{"name", v.name}, {"width", v.width}, {"height", v.height}, {"drawn", v.drawn}};
+      for (std::size_t k = 0; k < kFarScenes; ++k)
+        view[kFarKeys[k]] = {{"psnr", number(v.psnr[k])}, {"ssim", v.ssim[k]}};
+      views.push_back(std::move(view));
+    }
+    out["views"] = std::move(views);
+    rows.push_back(std::move(out));
+  }
+  Json out{{"detail_px", r.detail_px}, {"rows", std::move(rows)}, {"seconds", r.seconds}};
+  if (!r.rows.empty()) out["loss"] = number(r.loss());
+  if (!r.note.empty()) out["note"] = r.note;
+  return out;
+}
+
 }  // namespace
 
 std::string audit_json(const Report& report) {
@@ -201,6 +235,7 @@ std::string audit_json(const Report& report) {
          {"size", json(report.size)}};
   if (report.attributes) j["attributes"] = json(*report.attributes);
   if (report.render) j["rendered"] = json(*report.render);
+  if (report.distances) j["distances"] = json(*report.distances);
   Json also = Json::array();
   for (const AlsoReport& a : report.also)
     also.push_back({{"path", a.path},

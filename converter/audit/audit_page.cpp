@@ -62,9 +62,11 @@ border-radius:6px;pointer-events:none}
 .grid{display:grid;gap:16px;grid-template-columns:repeat(auto-fill,minmax(min(100%,320px),1fr));margin:14px 0}
 .grid.wide{grid-template-columns:repeat(auto-fill,minmax(min(100%,480px),1fr))}
 .grid.narrow{grid-template-columns:repeat(auto-fill,minmax(min(100%,240px),1fr))}
-.triple{display:grid;grid-template-columns:repeat(3,1fr);gap:6px}
-.triple img{image-rendering:pixelated;border:1px solid var(--line)}
-.triple span{font-size:.78rem;color:var(--soft)}
+.triple,.quad{display:grid;grid-template-columns:repeat(3,1fr);gap:6px}
+.quad{grid-template-columns:repeat(4,1fr)}
+.triple img,.quad img{image-rendering:pixelated;border:1px solid var(--line)}
+.strips{display:grid;gap:16px;margin:14px 0}
+.triple span,.quad span{font-size:.78rem;color:var(--soft)}
 .scale{display:flex;align-items:center;gap:10px;font-size:.88rem;color:var(--soft);margin:6px 0 14px;flex-wrap:wrap}
 .scale svg{display:block;width:min(320px,50vw);height:12px;border-radius:3px;border:1px solid var(--line)}
 .wrap{overflow-x:auto;margin:12px 0;background:var(--card);border:1px solid var(--line);border-radius:12px}

@@ -27,14 +27,6 @@ std::uint64_t picture_bytes(const Camera& camera) {
   return 3 * sizeof(float) * static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
 }
 
-// The image's definition by Kerbl et al. 2023 (docs/RENDERING.md): what source and asset are compared in, with the
-// anti-aliasing that the asset declares. As steps, for its parts to be changed one by one.
-RenderOptions reference_arithmetic(const std::optional<Declarations>& declared) {
-  RenderOptions options{.pipeline = Pipeline::paper};
-  options.paper = steps_of({.pipeline = Pipeline::baseline}, Backend::cpu);
-  return with_declarations(options, declared);
-}
-
 RenderOptions with_key(RenderOptions options) {
   options.paper.depth_order = math::DepthOrder::quantized;
   return options;
@@ -66,15 +58,6 @@ bool in_view(const Camera& camera, const glm::dvec3& mean_world) {
   if (!(p.z > static_cast<double>(math::kNearPlane))) return false;
   const double u = camera.fx * p.x / p.z + camera.cx, v = camera.fy * p.y / p.z + camera.cy;
   return u >= 0 && u < camera.width && v >= 0 && v < camera.height;
-}
-
-// Mean of PSNRs, of the views that differ: one identical view does not make a mean infinite.
-double mean_psnr(std::span<const double> values) {
-  double sum = 0;
-  std::size_t n = 0;
-  for (const double v : values)
-    if (std::isfinite(v)) sum += v, ++n;
-  return n == 0 ? std::numeric_limits<double>::infinity() : sum / static_cast<double>(n);
 }
 
 // What is known of one variant, view by view.
@@ -480,6 +463,7 @@ class PictureAudit {
     for (std::size_t i = 0; i < order.size(); ++i) {
       sorted.push_back(std::move(views[order[i]]));
       place[order[i]] = i;
+      if (sorted.back().rated()) report_.cameras.push_back(views_[order[i]].camera);
     }
     views = std::move(sorted);
     for (ViewPictures& p : report_.pictures) p.view = place[p.view];
@@ -515,6 +499,21 @@ class PictureAudit {
 };
 
 }  // namespace
+
+RenderOptions reference_arithmetic(const std::optional<Declarations>& declared) {
+  RenderOptions options{.pipeline = Pipeline::paper};
+  options.paper = steps_of({.pipeline = Pipeline::baseline}, Backend::cpu);
+  options.detail_px = 0.0F;
+  return with_declarations(options, declared);
+}
+
+double mean_psnr(std::span<const double> values) {
+  double sum = 0;
+  std::size_t n = 0;
+  for (const double v : values)
+    if (std::isfinite(v)) sum += v, ++n;
+  return n == 0 ? std::numeric_limits<double>::infinity() : sum / static_cast<double>(n);
+}
 
 Outcome<RenderReport> compare_pictures(const RenderInputs& inputs, const Options& options,
                                        std::vector<AlsoReport>& also, tool::Progress& progress) {

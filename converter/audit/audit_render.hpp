@@ -3,6 +3,7 @@
 #pragma once
 
 #include <optional>
+#include <span>
 
 #include "audit.hpp"
 #include "audit_pairing.hpp"
@@ -21,6 +22,13 @@ struct RenderInputs {
   const Pairing* pairing = nullptr;
   std::optional<Declarations> declared = {}, source_stated = {};
 };
+
+/// The image's definition by Kerbl et al. 2023 (docs/RENDERING.md), as steps, for its parts to be changed one by one: what
+/// source and asset are compared in. Of levels of detail the leaves. `declared`: anti-aliasing and low-pass.
+RenderOptions reference_arithmetic(const std::optional<Declarations>& declared);
+
+/// Mean of PSNRs, of those that are finite: one identical view does not make a mean infinite.
+double mean_psnr(std::span<const double> values);
 
 /// Renders every view of source and asset in the reference definition (FP32, square extent, exact order and
 /// exponential), and the attribution's variants. Views are taken in batches whose reference pictures fit into 512 MB,

@@ -23,10 +23,12 @@ using tool::format_bytes;
 using tool::format_count;
 
 // Encoded bytes of pictures; base64 makes 4 of 3. Two pictures and a map on top, maps of two more views, six crops of
-// three pictures: 13.5 MB of text at most, which leaves 1.5 MB for tables and charts.
+// three pictures: 13.5 MB of text at most; strips of four from four distances: 1.3 MB.
 constexpr std::size_t kTopBytes = 3'000'000, kMapBytes = 700'000, kCropBytes = 70'000;
 constexpr int kTopWidth = 1920, kMapWidth = 960;
 constexpr std::size_t kMaps = 3, kCrops = 6, kCropsPerView = 3;
+constexpr std::size_t kStripBytes = 60'000;  // of each of four pictures a distance
+constexpr int kStripWidth = 480;
 constexpr int kCropWidth = 120, kCropHeight = 90;
 constexpr std::size_t kListedViews = 1000, kListedSections = 64;
 
@@ -90,6 +92,7 @@ class Page {
     if (has_pictures()) where();
     if (report_.render) views(*report_.render);
     if (report_.render) attribution(*report_.render);
+    if (report_.distances && !report_.distances->rows.empty()) distances(*report_.distances);
     if (report_.attributes) attributes(*report_.attributes);
     sizes();
     method();
@@ -222,6 +225,7 @@ class Page {
     if (has_pictures()) add("<a href=\"#where\">Where it differs</a>");
     if (report_.render) add("<a href=\"#views\">Views</a>");
     if (report_.render && !report_.render->attribution.empty()) add("<a href=\"#steps\">Which step costs what</a>");
+    if (report_.distances && !report_.distances->rows.empty()) add("<a href=\"#distances\">From afar</a>");
     if (report_.attributes) add("<a href=\"#attributes\">Attributes</a><a href=\"#worst\">Worst Gaussians</a>");
     add("<a href=\"#size\">Size</a><a href=\"#method\">Method</a></nav>\n");
   }
@@ -388,6 +392,62 @@ class Page {
     if (key == "together") return "";
     if (key.ends_with("scales")) return "For comparison: step sizes of SH, the source quantised anew";
     return key == "key" || key == "exp" || key == "lists" ? "Drawn by a fast renderer" : "Stored in the asset";
+  }
+
+  // ---- levels of detail
+
+  void distances(const DistanceReport& r) {
+    title("distances", "Levels of detail from afar");
+    add("<p>The rated views from up to {} times as far: as many times smaller. The truth is the original as it is "
+        "drawn "
+        "otherwise, at twice the size of the nearest view, averaged over the pixels that become one. Levels are drawn "
+        "at "
+        "a detail of {:g} pixel; {} Gaussians in {} levels are stored.</p>\n",
+        r.rows.back().far, r.detail_px, format_count(report_.size.levels->n_gaussians), report_.size.levels->n_levels);
+    table("Levels of detail by distance");
+    add("<thead><tr><th>As far</th><th>All Gaussians as declared, dB</th><th>SSIM</th><th>All, compensated, dB</th>"
+        "<th>SSIM</th><th>Levels, dB</th><th>Worst view, dB</th><th>SSIM</th><th>Gaussians drawn</th></tr></thead>"
+        "<tbody>\n");
+    for (const FarRow& row : r.rows) {
+      const FarScore &all = row.score(FarScene::leaves), &compensated = row.score(FarScene::compensated),
+                     &levels = row.score(FarScene::levels);
+      add("<tr><td>{}&times;</td><td>{}</td><td>{:.5f}</td><td>{}</td><td>{:.5f}</td><td><b>{}</b></td><td>{}</td>"
+          "<td>{:.5f}</td><td>{}<b>{:.1f} %</b></td></tr>\n",
+          row.far, number(all.psnr, 2), all.ssim, number(compensated.psnr, 2), compensated.ssim, number(levels.psnr, 2),
+          number(levels.worst_psnr, 2), levels.ssim, meter(row.drawn), 100 * row.drawn);
+    }
+    end_table();
+    if (!r.note.empty()) add("<p class=\"note\">Not all distances: {}.</p>\n", html(r.note));
+    std::vector<Image> maps;
+    for (const FarPictures& p : r.pictures) maps.push_back(difference_levels(p.truth, p.levels));
+    const float top = scale_top(maps);
+    add("<p class=\"note\">Below, of each distance, the view in which the levels are worst. Differences between truth "
+        "and "
+        "levels are on one scale of colours, from 0 to {:.3g} of 255 levels.</p>\n",
+        top);
+    add("<div class=\"strips\">\n");
+    for (std::size_t i = 0; i < r.pictures.size(); ++i) strip(r, r.pictures[i], heat_map(maps[i], top));
+    add("</div>\n");
+    end_section();
+  }
+
+  void strip(const DistanceReport& r, const FarPictures& p, const Image& map) {
+    const FarRow& row = r.rows[p.row];
+    const FarView& v = row.views[p.view];
+    add("<figure><div class=\"quad\">");
+    const auto one = [&](const Image& image, const char* what) {
+      add("<div><img src=\"{}\" alt=\"{}, {} times as far, {}\"><span>{}</span></div>",
+          picture_uri(shrunk(image, kStripWidth), kStripBytes), html(v.name), row.far, what, what);
+    };
+    one(p.truth, "Truth");
+    one(p.leaves, "All Gaussians");
+    one(p.levels, "Levels");
+    one(map, "Difference");
+    add("</div><figcaption>{}&times; as far, {}, {} x {} pixels: all Gaussians as declared {}, levels {} from {:.1f} % "
+        "of "
+        "them</figcaption></figure>\n",
+        row.far, html(v.name), v.width, v.height, format_psnr(v.psnr[static_cast<std::size_t>(FarScene::leaves)]),
+        format_psnr(v.psnr[static_cast<std::size_t>(FarScene::levels)]), 100 * v.drawn);
   }
 
   // ---- attributes

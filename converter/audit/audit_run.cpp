@@ -10,11 +10,13 @@
 
 #include "audit.hpp"
 #include "audit_attributes.hpp"
+#include "audit_distances.hpp"
 #include "audit_pairing.hpp"
 #include "audit_render.hpp"
 #include "info_report.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/file.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
 
@@ -52,6 +54,52 @@ void measure_sections(const FileView& view, SizeReport& size) {
                           type == SectionType::sh_steps || type == SectionType::chunks;
     if (resident) size.gpu_bytes += s.decoded_bytes;
   }
+}
+
+// Pages take the place of the sections above.
+void measure_pages(const PagedFile& file, SizeReport& size) {
+  for (std::uint32_t page = 0; page < file.n_pages(); ++page) size.gpu_bytes += file.decoded_bytes(page);
+  size.levels = {file.n_levels(), file.n_pages(), file.n_stored()};
+}
+
+// An .rgs asset. One with levels of detail is read as a file of its leaves, which are Gaussians of the source as those of
+// any other file are.
+struct RgsAsset {
+  std::optional<PagedFile> levels;
+  std::vector<std::byte> leaves;
+  FileView view;  // of `leaves`, or the file itself
+};
+
+Result<RgsAsset> open_rgs(std::span<const std::byte> bytes, const DecodeLimits& limits) {
+  RgsAsset asset;
+  if (!has_levels(bytes)) {
+    auto view = FileView::open(bytes, limits);
+    if (!view) return tl::unexpected(view.error());
+    asset.view = *std::move(view);
+    return asset;
+  }
+  auto file = PagedFile::open(bytes, limits);
+  if (!file) return tl::unexpected(file.error());
+  if (!file->complete())
+    return rgs::make_error(Errc::pages_missing, bytes.size(),
+                           "the end of the file is missing: only whole files are audited",
+                           file->head().header().file_bytes, bytes.size());
+  asset.levels = *std::move(file);
+  return asset;
+}
+
+// Checks every value, and decodes what is coded.
+Status load_rgs(RgsAsset& asset, unsigned threads) {
+  if (!asset.levels) return asset.view.preload({.threads = threads});
+  if (auto ok = validate(*asset.levels, threads); !ok) return ok;
+  auto leaves = leaves_as_file(*asset.levels, {.validate = false, .threads = threads});
+  if (!leaves) return tl::unexpected(leaves.error());
+  asset.leaves = *std::move(leaves);
+  auto view = FileView::open(asset.leaves, {.max_file_bytes = asset.leaves.size(),
+                                            .max_gaussians = asset.levels->head().header().n_gaussians});
+  if (!view) return tl::unexpected(view.error());
+  asset.view = *std::move(view);
+  return {};
 }
 
 Outcome<std::vector<AlsoReport>> measure_also(const Options& options) {
@@ -110,8 +158,9 @@ bool Report::gate_holds() const {
 }
 
 Outcome<std::string> fingerprint(const Options& o) {
-  std::string text = fmt::format("{} {} {} {}x{} {} {} {} {} {}", kTool, o.gate, o.split, o.size.width, o.size.height,
-                                 o.views, o.render, o.attribution, o.compare_scales, static_cast<int>(o.backend));
+  std::string text =
+      fmt::format("{} {} {} {}x{} {} {} {} {} {} {}", kTool, o.gate, o.split, o.size.width, o.size.height, o.views,
+                  o.render, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
   std::vector<std::string> inputs{o.source, o.asset, o.cameras, o.photos};
   inputs.insert(inputs.end(), o.also.begin(), o.also.end());
   for (const std::string& path : inputs) {
@@ -136,19 +185,20 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.source_name = file_name(options.source);
   report.asset_name = file_name(options.asset);
   progress.begin("reading", source->bytes() + file->bytes().size(), "B");
-  Result<FileView> view = is_rgs(file->bytes()) ? FileView::open(file->bytes(), options.limits) : Result<FileView>();
-  if (!view) return make_error(options.asset, view.error());
   const bool rgs_asset = is_rgs(file->bytes());
+  Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.limits) : Result<RgsAsset>();
+  if (!asset) return make_error(options.asset, asset.error());
   Status valid;
   tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(source->source()); },
                        [&] { report.asset_xxh3 = xxh3(file->bytes()); },
                        [&] {
-                         if (rgs_asset) valid = view->preload({.threads = static_cast<unsigned>(options.threads)});
+                         if (rgs_asset) valid = load_rgs(*asset, static_cast<unsigned>(options.threads));
                        });
   if (!valid) return make_error(options.asset, valid.error());
   progress.advance(source->bytes() + file->bytes().size());
   progress.finish();
 
+  const FileView& view = asset->view;
   SizeReport& size = report.size;
   size.source_bytes = source->bytes();
   size.asset_bytes = file->bytes().size();
@@ -161,15 +211,16 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   Pairing pairing;
   if (rgs_asset) {
     report.asset_format = "rgs";
-    report.declarations = view->declarations();
-    size.n_asset = view->header().n_gaussians;
-    size.asset_sh_degree = view->header().sh_degree;
-    measure_sections(*view, size);
-    if (const auto& provenance = view->provenance())
+    report.declarations = view.declarations();
+    size.n_asset = view.header().n_gaussians;
+    size.asset_sh_degree = view.header().sh_degree;
+    measure_sections(asset->levels ? asset->levels->head() : view, size);
+    if (asset->levels) measure_pages(*asset->levels, size);
+    if (const auto& provenance = view.provenance())
       report.made_from_source =
           provenance->source_xxh3 == report.source_xxh3 && provenance->source_bytes == size.source_bytes;
     const auto began = Clock::now();
-    auto paired = pair_gaussians(*source, *view);
+    auto paired = pair_gaussians(*source, view);
     if (!paired) return make_error(options.asset, paired.error());
     pairing = std::move(*paired);
     if (pairing.n_paired == 0 && size.n_asset != 0)
@@ -177,7 +228,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
           options.asset,
           {Errc::bad_value, Error::kNone,
            "none of its Gaussians is one of the source: was it converted from another file?", size.n_asset, 0});
-    report.attributes = compare_attributes(*source, *view, pairing, progress);
+    report.attributes = compare_attributes(*source, view, pairing, progress);
     report.attributes->seconds = since(began);
   } else {
     const auto scene = load_scene_file(options.asset, options.limits, source->declarations().axes);
@@ -189,11 +240,16 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     size.asset_sh_degree = scene->scene.sh_degree();
   }
   if (options.render) {
-    const RenderInputs inputs{&*source, rgs_asset ? &*view : nullptr, rgs_asset ? &pairing : nullptr,
+    const RenderInputs inputs{&*source, rgs_asset ? &view : nullptr, rgs_asset ? &pairing : nullptr,
                               report.declarations, report.source_stated};
     auto rendered = compare_pictures(inputs, options, *also, progress);
     if (!rendered) return tl::unexpected(rendered.error());
     report.render = std::move(*rendered);
+    if (options.distances && size.levels) {
+      auto distances = compare_distances(inputs, options, report.render->cameras, progress);
+      if (!distances) return tl::unexpected(distances.error());
+      report.distances = std::move(*distances);
+    }
   }
   report.also = std::move(*also);
   report.seconds = since(start);

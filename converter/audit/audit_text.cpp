@@ -24,6 +24,7 @@ class Text : private tool::TextLines {
     sizes();
     if (report_.attributes) attributes(*report_.attributes);
     if (report_.render) pictures(*report_.render);
+    if (report_.distances) distances(*report_.distances);
     for (const AlsoReport& a : report_.also) also(a);
     for (const Condition& c : report_.gate) line("  {}      {}", c.holds ? "holds " : "FAILED", describe(c));
     for (const std::string& w : warnings(report_)) line("  warning     {}", w);
@@ -42,6 +43,9 @@ class Text : private tool::TextLines {
     if (s.gpu_bytes != 0)
       line("  on the GPU  {}, {:.2f} bytes per Gaussian; FP32 attributes {}", format_bytes(s.gpu_bytes),
            s.gpu_bytes_per_gaussian(), format_bytes(s.gpu_bytes_fp32));
+    if (s.levels)
+      line("  levels      {}, with {} Gaussians in {} pages in all; the finest is compared with the source",
+           s.levels->n_levels, format_count(s.levels->n_gaussians), format_count(s.levels->n_pages));
   }
 
   void attributes(const AttributeReport& a) {
@@ -83,6 +87,16 @@ class Text : private tool::TextLines {
     for (const AttributionRow& a : r.attribution)
       line("    {:<40}{:>12}  {:6.2f} % of the squared error", a.name, format_psnr(a.psnr), 100 * a.share);
     if (!r.attribution_note.empty()) line("  attribution none: {}", r.attribution_note);
+  }
+
+  void distances(const DistanceReport& r) {
+    if (!r.rows.empty())
+      line("  from afar   {:>12}{:>14}{:>14}   of the Gaussians, against the truth", "all", "compensated", "levels");
+    for (const FarRow& row : r.rows)
+      line("    {}x        {:>12}{:>14}{:>14}   {:.1f} %", row.far, format_psnr(row.score(FarScene::leaves).psnr),
+           format_psnr(row.score(FarScene::compensated).psnr), format_psnr(row.score(FarScene::levels).psnr),
+           100 * row.drawn);
+    if (!r.note.empty()) line("  from afar   not all distances: {}", r.note);
   }
 
   void also(const AlsoReport& a) {

@@ -34,7 +34,7 @@ struct Arguments {
   audit::Options audit;
   std::string size, report, json;
   std::vector<std::string> conditions;
-  bool no_render = false, no_attribution = false, overwrite = false, quiet = false;
+  bool no_render = false, no_attribution = false, no_distances = false, overwrite = false, quiet = false;
 };
 
 int report_failure(const audit::Failure& failure) {
@@ -151,6 +151,7 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
 int audit_main(Arguments& a) {
   a.audit.render = !a.no_render;
   a.audit.attribution = !a.no_attribution;
+  a.audit.distances = !a.no_distances;
   if (!a.size.empty()) {
     const auto size = tool::parse_size(a.size);
     if (!size) return tool::report_usage("--size takes WxH, sides 1 to 65536, not '" + a.size + "'");
@@ -210,6 +211,8 @@ void add_options(CLI::App& app, Arguments& a) {
       ->group(views);
   app.add_flag("--no-render", a.no_render, "Sizes and attributes only")->group(views);
   app.add_flag("--no-attribution", a.no_attribution, "Not which step lost how much")->group(views);
+  app.add_flag("--no-distances", a.no_distances, "Not what levels of detail look like from 1 to 8 times as far")
+      ->group(views);
   app.add_flag("--compare-scales", o.compare_scales, "Also SH with one scale set for the file against one per chunk")
       ->group(views);
 

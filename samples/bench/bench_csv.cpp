@@ -85,6 +85,7 @@ Line row_line(const Report& report, const SizeReport& size, std::size_t row) {
   line.number("slowest_camera_ms", m.timing.slowest_ms);
   line.number("speedup", speedup(size, row));
   line.number("gaussians", s.gaussians);
+  line.number("pages", m.timing.drawn.empty() ? std::nullopt : std::optional<double>(s.pages));
   line.number("visible", s.visible);
   line.number("instances", s.instances);
   line.number("evaluated", s.evaluated);

@@ -103,6 +103,7 @@ ordered_json row_json(const Report& report, const SizeReport& size, std::size_t 
                        {"fastest_camera_ms", m.timing.fastest_ms},
                        {"slowest_camera_ms", m.timing.slowest_ms},
                        {"speedup", speedup(size, row)},
+                       {"gaussians", s.gaussians},
                        {"visible", s.visible},
                        {"instances", s.instances},
                        {"evaluated", s.evaluated},
@@ -112,6 +113,13 @@ ordered_json row_json(const Report& report, const SizeReport& size, std::size_t 
                        {"depth_resolution", s.depth_resolution},
                        {"bytes", sum(m.costs).bytes},
                        {"peak_bytes", m.timing.peak_bytes}};
+  if (!m.timing.drawn.empty()) {
+    json["pages"] = s.pages;
+    ordered_json drawn = ordered_json::array();
+    for (const DrawnLevels& view : m.timing.drawn)
+      drawn.push_back({{"camera", view.camera}, {"pages", view.pages}, {"gaussians", view.gaussians}});
+    json["drawn"] = std::move(drawn);
+  }
   ordered_json stages = ordered_json::object();
   for (std::size_t k = 0; k < kStages.size(); ++k) {
     stages[stage_name(kStages[k])] = cost_json(m.costs[k], stage_ms(s, kStages[k]), report.rates);
@@ -172,6 +180,10 @@ std::string report_json(const Report& report) {
                    {"source", report.source},
                    {"gaussians", report.gaussians},
                    {"sh_degree", report.sh_degree}};
+  if (const auto& l = report.levels) {
+    json["scene"]["levels"] = {{"levels", l->n_levels}, {"pages", l->n_pages}, {"gaussians", l->n_stored}};
+    json["detail_px"] = l->detail_px;
+  }
   json["cameras"] = report.n_cameras;
   json["quality_cameras"] = report.n_quality_cameras;
   json["frames"] = report.frames;

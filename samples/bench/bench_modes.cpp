@@ -32,12 +32,17 @@ std::vector<std::string> mode_names() {
   return names;
 }
 
-std::vector<std::string> compared_modes(std::span<const std::string> asked, bool is_stress) {
+std::vector<std::string> compared_modes(std::span<const std::string> asked, bool is_stress, bool all_gaussians) {
   const bool with_baseline = !is_stress || std::ranges::find(asked, "baseline") != asked.end();
   std::vector<std::string> modes;
-  if (with_baseline) modes.emplace_back("baseline");
-  if (is_stress) modes.insert(modes.end(), {"paper", "turbo"});
+  if (with_baseline && all_gaussians) modes.emplace_back("baseline");
+  if (is_stress) {
+    modes.insert(modes.end(), {"paper", "turbo"});
+  } else if (!all_gaussians) {
+    modes.emplace_back("paper");
+  }
   for (const std::string& mode : asked) {
+    if (mode == "baseline" && !all_gaussians) continue;
     if (std::ranges::find(modes, mode) == modes.end()) modes.push_back(mode);
   }
   return modes;
@@ -49,6 +54,15 @@ Configuration make_mode(std::string_view name, const ModeInput& input) {
   RenderOptions options{.pipeline = mode->pipeline, .turbo = {.tensor_cores = mode->tensor_cores}};
   options.paper.exp = input.exp.value_or(options.paper.exp);
   options.paper.depth_mapping = input.depth_mapping;
+  if (mode->pipeline == Pipeline::baseline) {
+    options.detail_px = 0.0F;
+  } else if (input.detail_px) {
+    options.detail_px = input.detail_px;
+    if (*input.detail_px > 0) {  // as renderers draw levels, whatever is declared
+      options.anti_aliasing = math::AntiAliasing::mip_splatting;
+      options.low_pass = default_low_pass_px2(AaMode::mip_splatting);
+    }
+  }
   // Both forms of the scene as the file declares, which FP32 attributes do not.
   return {mode->name, with_declarations(options, input.declared), mode->compact};
 }

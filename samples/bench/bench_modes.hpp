@@ -33,13 +33,16 @@ struct ModeInput {
   std::optional<Declarations> declared;
   std::optional<math::Exp> exp;
   std::optional<DepthMapping> depth_mapping;
+  std::optional<float> detail_px =
+      std::nullopt;  ///< of a file with levels of detail; baseline draws the leaves all the same
 };
 
 /// Names for --mode, the baseline first.
 std::vector<std::string> mode_names();
 /// Modes that are compared when `asked` are asked for: the baseline first, whether asked for or not; for stress views paper
-/// and turbo, whether asked for or not, after the baseline if that is asked for, and then the others.
-std::vector<std::string> compared_modes(std::span<const std::string> asked, bool is_stress);
+/// and turbo, whether asked for or not, after the baseline if that is asked for, and then the others. Of levels of detail
+/// that are not the leaves (`all_gaussians` is false) there is no baseline, and paper takes its place.
+std::vector<std::string> compared_modes(std::span<const std::string> asked, bool is_stress, bool all_gaussians = true);
 /// `name` is one of mode_names().
 Configuration make_mode(std::string_view name, const ModeInput& input);
 /// Whether any of them draws FP32 attributes.

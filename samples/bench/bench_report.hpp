@@ -38,6 +38,12 @@ struct OutsideTimes {
   double queued_ms = 0;
 };
 
+/// What a frame of a scene with levels of detail was made of.
+struct DrawnLevels {
+  std::string camera;
+  std::uint64_t pages = 0, gaussians = 0;
+};
+
 /// Means over the cameras; times are medians over the frames of each camera, by events on the stream, from the first
 /// kernel to the last, the read-back of the pair count included. The total is that of frames without events between the
 /// stages, so that the stages' times may add up to a little more.
@@ -47,6 +53,7 @@ struct Timing {
   int frames = 0;                         ///< fewest that one of the times of a camera comes from
   double fastest_ms = 0, slowest_ms = 0;  ///< medians of the fastest and the slowest camera
   std::uint64_t peak_bytes = 0;           ///< device memory: scene, workspace and target
+  std::vector<DrawnLevels> drawn{};       ///< a camera each, above detail 0; empty otherwise
 };
 
 /// A mode at one size.
@@ -81,11 +88,19 @@ struct StressSource {
   std::array<double, 3> dense = {};  ///< where its means are densest, in the world
 };
 
+/// Of a scene with levels of detail.
+struct LevelsDrawn {
+  std::uint32_t n_levels = 0, n_pages = 0;
+  std::uint64_t n_stored = 0;  ///< Gaussians of all pages
+  float detail_px = 0;         ///< at which all modes but baseline draw
+};
+
 struct Report {
-  std::string version, date;  ///< of the program; UTC, ISO 8601
-  std::string scene, source;  ///< file names
-  std::uint64_t gaussians = 0;
+  std::string version, date;    ///< of the program; UTC, ISO 8601
+  std::string scene, source;    ///< file names
+  std::uint64_t gaussians = 0;  ///< with levels of detail of the leaves
   int sh_degree = 0;
+  std::optional<LevelsDrawn> levels{};
   std::size_t n_cameras = 0, n_quality_cameras = 0;
   int frames = 0;  ///< measured per camera, with `stress` at most
   DeviceInfo device;
@@ -120,6 +135,8 @@ std::string size_text(const SizeReport& size, const Report& report);
 std::string row_text(const SizeReport& size, std::size_t row, const Report& report);
 /// What the size's frames take from outside the library, once all its rows are there.
 std::string outside_text(const SizeReport& size, const Report& report);
+/// Pages and Gaussians that each camera draws, once all its rows are there; empty at detail 0 and without levels.
+std::string drawn_text(const SizeReport& size, const Report& report);
 /// The head of the table of stress views, and a view's line.
 std::string stress_head_text(const Report& report);
 std::string stress_row_text(const SizeReport& size, const Report& report);

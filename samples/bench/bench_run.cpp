@@ -188,13 +188,15 @@ void add(FrameStats& sum, const FrameStats& s) {
   sum.visible += s.visible, sum.instances += s.instances;
   sum.evaluated += s.evaluated, sum.blended += s.blended;
   sum.depth_resolution = std::max(sum.depth_resolution, s.depth_resolution);
-  sum.gaussians = s.gaussians, sum.depth_bits = s.depth_bits, sum.key_bits = s.key_bits;
+  sum.gaussians += s.gaussians, sum.pages += s.pages;
+  sum.depth_bits = s.depth_bits, sum.key_bits = s.key_bits;
   sum.bytes = std::max(sum.bytes, s.bytes);
 }
 
 void divide(FrameStats& sum, std::size_t n) {
   const auto d = static_cast<double>(n);
   sum.project_ms /= d, sum.sort_ms /= d, sum.bin_ms /= d, sum.blend_ms /= d, sum.total_ms /= d;
+  sum.gaussians /= n, sum.pages /= n;
   sum.visible /= n, sum.instances /= n, sum.evaluated /= n, sum.blended /= n;
 }
 
@@ -237,6 +239,7 @@ Result<Timing> measure(const Configuration& c, const DeviceScenes& scenes, std::
     if (!counted) return tl::unexpected(counted.error());
     stats->evaluated = counted->evaluated, stats->blended = counted->blended;
     add(timing.mean, *stats);
+    if (stats->pages > 0) timing.drawn.push_back({camera.name, stats->pages, stats->gaussians});
     timing.outside.eager_clock_ms += outside->eager_clock_ms / n;
     timing.outside.eager_events_ms += outside->eager_events_ms / n;
     timing.outside.queued_ms += outside->queued_ms / n;

@@ -47,6 +47,9 @@ std::string header_text(const Report& report) {
                   version_text(d.driver_version), report.version, report.date);
   text += fmt::format("{}: {} Gaussians, SH degree {}", tool::printable(report.scene),
                       tool::format_count(report.gaussians), report.sh_degree);
+  if (const auto& l = report.levels)
+    text += fmt::format("; {} levels, {} Gaussians in {} pages, drawn at detail {:g}", l->n_levels,
+                        tool::format_count(l->n_stored), tool::format_count(l->n_pages), l->detail_px);
   if (report.n_quality_cameras > 0) text += fmt::format("; quality at {} cameras", report.n_quality_cameras);
   text += "\n";
   if (report.rates) text += rates_text(*report.rates);
@@ -86,6 +89,20 @@ std::string outside_text(const SizeReport& size, const Report& report) {
     text += fmt::format("{:<22}{:10.4f}{:14.4f}{:15.4f}{:10.4f}\n", report.modes[row].configuration.name,
                         t.mean.total_ms, t.outside.eager_clock_ms, t.outside.eager_events_ms, t.outside.queued_ms);
   }
+  return text;
+}
+
+std::string drawn_text(const SizeReport& size, const Report& report) {
+  const std::vector<DrawnLevels>* drawn = nullptr;  // the same pages in every mode
+  for (const Measurement& m : size.rows)
+    if (!m.timing.drawn.empty()) drawn = &m.timing.drawn;
+  if (drawn == nullptr) return {};
+  std::string text = fmt::format("\n{}x{}  drawn at detail {:g}\n{:<22}{:>10}{:>14}{:>10}\n", size.width, size.height,
+                                 report.levels->detail_px, "", "pages", "Gaussians", "share");
+  for (const DrawnLevels& view : *drawn)
+    text += fmt::format("{:<22}{:>10}{:>14}{:>8.1f} %\n", tool::printable(view.camera), tool::format_count(view.pages),
+                        tool::format_count(view.gaussians),
+                        100 * static_cast<double>(view.gaussians) / static_cast<double>(report.gaussians));
   return text;
 }
 

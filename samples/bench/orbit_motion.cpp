@@ -51,6 +51,28 @@ std::vector<Camera> turntable(const Camera& camera, double distance, double degr
   return path;
 }
 
+std::vector<Camera> dolly(const Camera& camera, double distance, double times, int frames) {
+  std::vector<Camera> path;
+  for (int frame = 0; frame < frames; ++frame) {
+    const double far = std::pow(times, static_cast<double>(frame) / std::max(1, frames - 1));
+    Camera back = camera;
+    back.world_to_camera[3].z += distance * (far - 1);
+    path.push_back(std::move(back));
+  }
+  return path;
+}
+
+Jump largest_jump(std::span<const Change> steps, std::span<const Change> truth) {
+  assert(steps.size() == truth.size());
+  Jump jump;
+  for (std::size_t i = 0; i < steps.size(); ++i) {
+    const double mean = ratio(steps[i].mean, truth[i].mean), p999 = ratio(steps[i].p999, truth[i].p999);
+    if (mean > jump.mean) jump.mean = mean, jump.mean_frame = static_cast<int>(i) + 1;
+    if (p999 > jump.p999) jump.p999 = p999, jump.p999_frame = static_cast<int>(i) + 1;
+  }
+  return jump;
+}
+
 template <class Value>
 void MotionMeter::Statistic::add_frame(std::size_t n, const Value& value) {
   if (n == 0) return;

@@ -29,6 +29,10 @@ double look_at_distance(std::span<const float> depth);
 /// vertical axis of the image, `degrees` from one to the next, the point staying where it is in all pictures.
 std::vector<Camera> turntable(const Camera& camera, double distance, double degrees, int frames);
 
+/// `frames` cameras that go straight back from `camera`, the first: from the point `distance` ahead of it `times` as far at
+/// last, and by the same factor from each to the next.
+std::vector<Camera> dolly(const Camera& camera, double distance, double times, int frames);
+
 /// Absolute values of all channels of all pixels, over the frames of a sequence.
 struct Change {
   double mean = 0;
@@ -72,6 +76,16 @@ struct OrbitRow {
 /// Errors: those of `render`.
 Result<std::vector<OrbitRow>> follow(std::span<const Camera> path, std::span<const std::string> modes,
                                      const std::function<Result<Image>(std::size_t, const Camera&)>& render);
+
+/// Steps of a sequence beside those of the truth, each over the truth's own between the same two frames, and the frame after
+/// the largest: a single jump, where the sequence as a whole may hide it.
+struct Jump {
+  double mean = 0;  ///< of the mean steps
+  double p999 = 0;  ///< of the 99.9 percentiles
+  int mean_frame = 0, p999_frame = 0;
+};
+/// `steps` and `truth`: MotionMeter::step() of two pictures each, frame by frame.
+Jump largest_jump(std::span<const Change> steps, std::span<const Change> truth);
 
 /// The largest of a row's mean step, worst percentile of the steps, and worst percentile of the second differences, each over
 /// the reference's. 1: no more popping than there. Motion hides what is rare and small; `added` shows it.

@@ -25,6 +25,7 @@
 #include "rgs/camera_file.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/file.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/version.hpp"
 #include "stress_views.hpp"
@@ -44,6 +45,8 @@ struct Options {
   std::string json, csv, svg;
   int frames = 100, orbit = 0;
   double orbit_step = 0.25;
+  float detail_px = rgs::kDefaultDetailPx;
+  bool asks_baseline = false;  // by name, or by --ablate
   bool ablate = false, roofline = false, overwrite = false;
   rgs::DecodeLimits limits;
 
@@ -80,8 +83,11 @@ Result<rgs::Scene> load_source(const std::string& path, const rgs::DecodeLimits&
   return scene;
 }
 
-std::vector<Configuration> configurations(const Options& o, const std::optional<rgs::Declarations>& declared) {
+// `has_levels`: whether there is another way to draw the scene than by its leaves.
+std::vector<Configuration> configurations(const Options& o, const std::optional<rgs::Declarations>& declared,
+                                          bool has_levels) {
   rgs::bench::ModeInput input{declared, {}, {}};
+  if (has_levels) input.detail_px = o.detail_px;
   if (!o.exp.empty()) {
     input.exp = o.exp == "exact"   ? rgs::math::Exp::exact
                 : o.exp == "paper" ? rgs::math::Exp::paper
@@ -90,7 +96,7 @@ std::vector<Configuration> configurations(const Options& o, const std::optional<
   if (!o.key.empty()) input.depth_mapping = o.key == "log" ? rgs::DepthMapping::logarithmic : rgs::DepthMapping::linear;
   std::vector<Configuration> rows;
   if (o.ablate) rows = rgs::bench::ablation(input);
-  for (const std::string& mode : rgs::bench::compared_modes(o.modes, o.is_stress())) {
+  for (const std::string& mode : rgs::bench::compared_modes(o.modes, o.is_stress(), !has_levels || o.detail_px == 0)) {
     // The ablation begins with the baseline and ends with the paper's mode, under a name of its own.
     if (!(o.ablate && (mode == "baseline" || mode == "paper"))) rows.push_back(rgs::bench::make_mode(mode, input));
   }
@@ -108,18 +114,34 @@ struct LoadedScenes {
   rgs::bench::StressScene stress;
 };
 
+Result<rgs::DeviceScene> upload_plain(std::span<const std::byte> bytes, const Options& o) {
+  const auto view = rgs::FileView::open(bytes, o.limits);
+  if (!view) return tl::unexpected(view.error());
+  return rgs::DeviceScene::upload(*view);
+}
+
+Result<rgs::DeviceScene> upload_levels(std::span<const std::byte> bytes, const Options& o, Report& report) {
+  const auto file = rgs::PagedFile::open(bytes, o.limits);
+  if (!file) return tl::unexpected(file.error());
+  report.levels = {file->n_levels(), file->n_pages(), file->n_stored(), o.detail_px};
+  return rgs::DeviceScene::upload(*file);
+}
+
 // With what the report says about them, and the modes that draw them.
 tl::expected<LoadedScenes, int> load_scenes(const Options& o, Report& report) {
   LoadedScenes result;
   rgs::bench::DeviceScenes& scenes = result.device;
   const auto file = rgs::MappedFile::open(o.scene);
   if (!file) return failed(o.scene, file.error());
-  const auto view = rgs::FileView::open(file->bytes(), o.limits);
-  if (!view) return failed(o.scene, view.error());
-  auto compact = rgs::DeviceScene::upload(*view);
+  const bool has_levels = rgs::has_levels(file->bytes());
+  if (has_levels && o.detail_px > 0 && o.asks_baseline)
+    return tl::unexpected<int>(
+        tool::report_usage("baseline draws the leaves alone: --detail 0, or --mode paper,turbo without --ablate"));
+  auto compact = has_levels ? upload_levels(file->bytes(), o, report) : upload_plain(file->bytes(), o);
   if (!compact) return failed(o.scene, compact.error());
   scenes.compact = *compact;
-  const std::vector<Configuration> rows = configurations(o, view->declarations());
+  const std::optional<rgs::Declarations>& declared = scenes.compact.declarations();
+  const std::vector<Configuration> rows = configurations(o, declared, has_levels);
   for (const Configuration& row : rows) report.modes.push_back({row, {}});
   const std::string source = o.source.empty() ? o.scene : o.source;
   const auto loaded = load_source(source, o.limits);
@@ -136,7 +158,7 @@ tl::expected<LoadedScenes, int> load_scenes(const Options& o, Report& report) {
   report.gaussians = scenes.compact.size();
   report.sh_degree = scenes.compact.sh_degree();
   if (o.is_stress()) {
-    result.stress = rgs::bench::stress_scene(view->declarations(), arrays->mean, arrays->origin);
+    result.stress = rgs::bench::stress_scene(*declared, arrays->mean, arrays->origin);
     const glm::dvec3& dense = result.stress.dense;
     report.stress = {result.stress.size(), {dense.x, dense.y, dense.z}};
   }
@@ -213,6 +235,7 @@ Step measure_size(const rgs::bench::DeviceScenes& scenes, std::span<const rgs::C
     tool::flush();
   }
   print(rgs::bench::outside_text(rows, report));
+  print(rgs::bench::drawn_text(rows, report));
   return {};
 }
 
@@ -388,12 +411,19 @@ int main(int argc, char** argv) {
     app.add_option("--photos", o.photos, "folder of photographs NAME.ppm of these cameras, binary PPM of their size");
     app.add_option("--size", o.sizes, "WxH,...")->delimiter(',')->capture_default_str();
     app.add_option("--mode", o.modes,
-                   "compared with the baseline, which is always measured; with --views stress beside paper and turbo")
+                   "compared with the baseline, which is always measured (with paper above detail 0); with --views "
+                   "stress beside paper and turbo")
         ->delimiter(',')
         ->check(CLI::IsMember(rgs::bench::mode_names()))
         ->capture_default_str();
     app.add_option("--pixel-format", o.pixel_format, "of the frames that are timed: FP32 RGB or packed RGBA")
         ->check(CLI::IsMember({"rgb32f", "rgba16f", "rgba8"}))
+        ->capture_default_str();
+    app.add_option(
+           "--detail", o.detail_px,
+           "of a scene with levels of detail, the error that is drawn, px; 0: its leaves, which alone baseline and "
+           "--ablate draw (docs/LEVELS.md)")
+        ->check(CLI::NonNegativeNumber)
         ->capture_default_str();
     app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
     app.add_option("--frames", o.frames, "measured per camera; with --views stress at most, and 2 s a view and mode")
@@ -423,7 +453,10 @@ int main(int argc, char** argv) {
       if (is_stress && app.get_option(option)->count() > 0)
         return tool::report_usage(fmt::format("--views stress has no {}: its list is fixed", option));
     }
-    if (is_stress && app.get_option("--mode")->count() == 0) o.modes.clear();
+    const bool asks_modes = app.get_option("--mode")->count() > 0;
+    o.asks_baseline =
+        o.ablate || (asks_modes && std::find(o.modes.begin(), o.modes.end(), "baseline") != o.modes.end());
+    if (is_stress && !asks_modes) o.modes.clear();
     if (!o.photos.empty() && o.quality_cameras.empty()) return tool::report_usage("--photos needs --quality-cameras");
     return bench(o);
   });

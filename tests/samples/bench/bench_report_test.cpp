@@ -220,6 +220,68 @@ TEST_CASE("modes that are compared: the baseline always, or in stress views pape
   CHECK(compared({"turbo-fp32", "baseline"}, true) == Names{"baseline", "paper", "turbo", "turbo-fp32"});
 }
 
+TEST_CASE("above detail 0 levels have no baseline: paper takes its place, and is drawn as levels are") {
+  using Names = std::vector<std::string>;
+  const auto compared = [](const Names& asked, bool is_stress) { return compared_modes(asked, is_stress, false); };
+  CHECK(compared({"baseline", "paper", "turbo"}, false) == Names{"paper", "turbo"});
+  CHECK(compared({"turbo"}, false) == Names{"paper", "turbo"});
+  CHECK(compared({}, true) == Names{"paper", "turbo"});
+  CHECK(compared({"turbo-fp32", "baseline"}, true) == Names{"paper", "turbo", "turbo-fp32"});
+
+  rgs::Declarations declared;  // classic, 0.3
+  for (const char* name : {"paper", "turbo", "turbo-fp32"}) {
+    const rgs::RenderOptions levels = make_mode(name, {declared, {}, {}, 2.0F}).options;
+    CHECK(levels.detail_px == 2);
+    CHECK(levels.anti_aliasing == rgs::math::AntiAliasing::mip_splatting);
+    CHECK(levels.low_pass == 0.1F);
+    const rgs::RenderOptions leaves = make_mode(name, {declared, {}, {}, 0.0F}).options;
+    CHECK(leaves.detail_px == 0);
+    CHECK(leaves.anti_aliasing == rgs::math::AntiAliasing::classic);
+    CHECK_FALSE(make_mode(name, {declared, {}, {}}).options.detail_px);
+  }
+  CHECK(make_mode("baseline", {declared, {}, {}, 2.0F}).options.detail_px == 0);
+  for (const Configuration& step : ablation({declared, {}, {}, 0.0F})) CHECK(step.options.detail_px == 0);
+}
+
+TEST_CASE("a scene with levels states pages and Gaussians of each camera, in the table, JSON and CSV") {
+  Report report = sample_report();
+  CHECK(drawn_text(report.sizes[0], report).empty());
+  CHECK_FALSE(nlohmann::json::parse(report_json(report))["scene"].contains("levels"));
+  CHECK_FALSE(nlohmann::json::parse(report_json(report)).contains("detail_px"));
+  report.levels = LevelsDrawn{6, 406, 1038164, 1.5F};
+  Timing& timing = report.sizes[0].rows[2].timing;
+  timing.mean.pages = 200, timing.mean.gaussians = 500000;
+  timing.drawn = {{"near.jpg", 277, 778812}, {"far.jpg", 123, 221188}};
+
+  const auto json = nlohmann::json::parse(report_json(report));
+  CHECK(json["detail_px"] == 1.5);
+  CHECK(json["scene"]["gaussians"] == 778812);
+  CHECK(json["scene"]["levels"] == nlohmann::json{{"levels", 6}, {"pages", 406}, {"gaussians", 1038164}});
+  const auto& row = json["sizes"][0]["results"][2];
+  CHECK(row["gaussians"] == 500000);
+  CHECK(row["pages"] == 200);
+  REQUIRE(row["drawn"].size() == 2);
+  CHECK(row["drawn"][1] == nlohmann::json{{"camera", "far.jpg"}, {"pages", 123}, {"gaussians", 221188}});
+  CHECK_FALSE(json["sizes"][0]["results"][0].contains("drawn"));
+  CHECK(json["sizes"][0]["results"][0]["gaussians"] == 778812);
+
+  const auto csv = lines_of(report_csv(report));
+  const auto names = fields_of(csv[0]);
+  const auto at = static_cast<std::size_t>(std::find(names.begin(), names.end(), "pages") - names.begin());
+  REQUIRE(at < names.size());
+  CHECK(fields_of(csv[1])[at].empty());
+  CHECK(fields_of(csv[3])[at] == "200");
+
+  CHECK(header_text(report).find("6 levels, 1,038,164 Gaussians in 406 pages, drawn at detail 1.5") !=
+        std::string::npos);
+  const auto table = lines_of(drawn_text(report.sizes[0], report));
+  REQUIRE(table.size() == 5);
+  CHECK(table[3].find("near.jpg") == 0);
+  CHECK(table[3].find("100.0 %") != std::string::npos);
+  CHECK(table[4].find("221,188") != std::string::npos);
+  CHECK(table[4].find("28.4 %") != std::string::npos);
+}
+
 TEST_CASE("FP32 attributes go to the device for the modes that draw them") {
   const auto reads = [](std::vector<std::string> asked, bool is_stress) {
     std::vector<Configuration> rows;

@@ -48,6 +48,7 @@ TEST_CASE("rgs-bench refuses wrong arguments with exit code 2") {
   CHECK(stage.run({"--mode", "fastest"}).exit_code == 2);
   CHECK(stage.run({"--graph"}).exit_code == 2);
   CHECK(stage.run({"--frames", "0"}).exit_code == 2);
+  CHECK(stage.run({"--detail", "-1"}).exit_code == 2);
   CHECK(stage.run({"--size", "1920"}).exit_code == 2);
   CHECK(stage.run({"--orbit", "2"}).exit_code == 2);   // no second difference
   CHECK(stage.run({"--photos", "."}).exit_code == 2);  // of which cameras?
