@@ -16,6 +16,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "key_sort.hpp"
+#include "lanes_inl.hpp"
 #include "pictures.hpp"
 #include "rgs/math/constants.hpp"
 #include "rgs/math/covariance.hpp"
@@ -34,49 +36,6 @@ struct DotSums {
 HWY_BEFORE_NAMESPACE();
 namespace rgs::lod {
 namespace HWY_NAMESPACE {
-
-using V = float __attribute__((vector_size(32)));
-using I = std::int32_t __attribute__((vector_size(32)));
-constexpr int kLanes = 8;
-
-#define RGS_LOD_INLINE inline __attribute__((always_inline))
-
-RGS_LOD_INLINE V set(float x) {
-  return V{x, x, x, x, x, x, x, x};
-}
-RGS_LOD_INLINE V load(const float* p) {
-  V v;
-  std::memcpy(&v, p, sizeof v);
-  return v;
-}
-RGS_LOD_INLINE void store(float* p, V v) {
-  std::memcpy(p, &v, sizeof v);
-}
-RGS_LOD_INLINE V select(I mask, V a, V b) {
-  return mask ? a : b;
-}
-RGS_LOD_INLINE float sum(V v) {
-  return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
-}
-
-// 2^p for p in [-126, 1]: as in the renderer's rows.
-RGS_LOD_INLINE V exp2(V p) {
-  const V magic = set(12582912.F);
-  const V n = (p + magic) - magic;
-  const V f = p - n;
-  V e = set(1.327647199e-03F);
-  e = e * f + set(9.675541334e-03F);
-  e = e * f + set(5.550713273e-02F);
-  e = e * f + set(2.402211972e-01F);
-  e = e * f + set(6.931469671e-01F);
-  e = e * f + set(1.000000072F);
-  I bits;
-  std::memcpy(&bits, &e, sizeof bits);
-  bits += __builtin_convertvector(n, I) << 23;
-  V r;
-  std::memcpy(&r, &bits, sizeof r);
-  return r;
-}
 
 RGS_LOD_INLINE V alpha_of(V dx, V linear, V constant, float aa, float opacity) {
   V p = (set(aa) * dx + linear) * dx + constant;
@@ -181,26 +140,6 @@ void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16
       put(6 + channel, c);
     }
   }
-}
-
-// Natural logarithm of x in [2^-20, 2^20], to 3e-6.
-RGS_LOD_INLINE V log_of(V x) {
-  I bits;
-  std::memcpy(&bits, &x, sizeof bits);
-  const I exponent = (bits - 0x3f3504f3) >> 23;  // mantissas from sqrt(1/2) to sqrt(2)
-  const I mantissa = bits - (exponent << 23);
-  V m;
-  std::memcpy(&m, &mantissa, sizeof m);
-  const V t = (m - set(1)) / (m + set(1)), t2 = t * t;
-  const V series = set(2) * t * (set(1) + t2 * (set(1.F / 3) + t2 * (set(1.F / 5) + t2 * set(1.F / 7))));
-  return __builtin_convertvector(exponent, V) * set(0.69314718F) + series;
-}
-
-RGS_LOD_INLINE V root(V x) {
-  float lanes[kLanes];
-  store(lanes, x);
-  for (float& lane : lanes) lane = std::sqrt(lane);
-  return load(lanes);
 }
 
 // What follows from the columns of project_all(), times `factor` to the frame's pixels. Columns 0..: opacity, the conic's a,
@@ -309,36 +248,6 @@ HWY_EXPORT(project_all);
 HWY_EXPORT(place_all);
 HWY_EXPORT(dot_gradients);
 
-namespace {
-
-// Stable, by the upper 32 bits, which hold a float's bits.
-void sort_by_depth(std::vector<std::uint64_t>& keys, std::vector<std::uint64_t>& spare) {
-  spare.resize(keys.size());
-  std::uint32_t counts[3][2048] = {};
-  for (const std::uint64_t key : keys) {
-    for (int pass = 0; pass < 3; ++pass) ++counts[pass][key >> (32 + 11 * pass) & 2047];
-  }
-  for (int pass = 0; pass < 3; ++pass) {
-    std::uint32_t first = 0;
-    for (std::uint32_t& count : counts[pass]) {
-      const std::uint32_t n = count;
-      count = first;
-      first += n;
-    }
-    for (const std::uint64_t key : keys) spare[counts[pass][key >> (32 + 11 * pass) & 2047]++] = key;
-    keys.swap(spare);
-  }
-}
-
-std::uint32_t ordered_bits(float value) {
-  std::uint32_t bits;
-  value += 0.F;  // -0 is 0
-  std::memcpy(&bits, &value, sizeof bits);
-  return (bits >> 31) != 0 ? ~bits : bits | 0x80000000U;
-}
-
-}  // namespace
-
 void Picture::resize(int width, int height) {
   width_ = width;
   height_ = height;
@@ -364,7 +273,7 @@ void project(const Gaussians& g, const Frame& frame, const Filter& filter, Proje
   out.keys.clear();
   for (std::size_t i = 0; i < g.size(); ++i)
     out.keys.push_back(std::uint64_t{ordered_bits(column[2 * n + i])} << 32 | i);
-  sort_by_depth(out.keys, out.spare);
+  sort_by_key(out.keys, out.spare);
   project_again(g, frame, filter, out);
 }
 

@@ -112,29 +112,40 @@ std::vector<char> kept_alone(const Gaussians& group, std::span<const float> visi
   return out;
 }
 
-// Moments of a cluster as a Gaussian, harmonics as they are seen; one member is kept as it is.
-void set(Gaussians& out, std::size_t i, const Gaussians& group, const Clusters& clusters,
-         std::span<const float> visible, float pixel) {
-  const Cluster& cluster = clusters.all[i];
-  if (clusters.is_single(cluster)) return out.copy(i, group, cluster.first);
-  float scale[3], rotation[4];
-  principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
-  for (int k = 0; k < 3; ++k) {
-    out.of(kMean + k)[i] = cluster.mean[k];
-    out.of(kScale + k)[i] = scale[k];
-  }
-  for (int k = 0; k < 4; ++k) out.of(kRotation + k)[i] = rotation[k];
-  const float section = std::max(mean_cross_section(cluster.covariance), 1e-30F);
-  out.of(kOpacity)[i] = std::clamp(cluster.weight / section, kLeastOpacity, kMostOpacity);
-  const int n_sh = 3 * sh_coefficients(group.sh_degree());
-  float total = 0;
+// Moments of each cluster as a Gaussian, harmonics as they are seen; one member is kept as it is.
+void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, std::span<const float> visible,
+             float pixel) {
   const float least = 1e-6F * pixel * pixel;
-  clusters.each_member(cluster, [&](std::uint32_t member) {
-    const float weight = visible[member] + least;
-    total += weight;
-    for (int k = 0; k < n_sh; ++k) out.of(kSh + k)[i] += weight * group.of(kSh + k)[member];
-  });
-  for (int k = 0; k < n_sh; ++k) out.of(kSh + k)[i] /= total;
+  std::vector<float> share(group.size());
+  std::vector<std::uint32_t> to(group.size());
+  for (std::uint32_t i = 0; i < out.size(); ++i) {
+    const Cluster& cluster = clusters.all[i];
+    float total = 0;
+    clusters.each_member(cluster, [&](std::uint32_t member) { total += visible[member] + least; });
+    clusters.each_member(cluster, [&](std::uint32_t member) {
+      to[member] = i;
+      share[member] = clusters.is_single(cluster) ? 1 : (visible[member] + least) / total;
+    });
+    if (clusters.is_single(cluster)) {
+      for (int v = 0; v < kSh; ++v) out.of(v)[i] = group.of(v)[cluster.first];
+      continue;
+    }
+    float scale[3], rotation[4];
+    principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
+    for (int k = 0; k < 3; ++k) {
+      out.of(kMean + k)[i] = cluster.mean[k];
+      out.of(kScale + k)[i] = scale[k];
+    }
+    for (int k = 0; k < 4; ++k) out.of(kRotation + k)[i] = rotation[k];
+    const float section = std::max(mean_cross_section(cluster.covariance), 1e-30F);
+    out.of(kOpacity)[i] = std::clamp(cluster.weight / section, kLeastOpacity, kMostOpacity);
+  }
+  // An array at a time: a Gaussian's harmonics are far apart.
+  for (int v = kSh; v < group.n_values(); ++v) {
+    const float* const from = group.of(v);
+    float* const sums = out.of(v);
+    for (std::size_t i = 0; i < group.size(); ++i) sums[to[i]] += share[i] * from[i];
+  }
 }
 
 // Opacities, until as much is seen of each Gaussian as was seen of what it stands for; sizes where opacity does not suffice.
@@ -248,7 +259,7 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
   const Clusters clusters = merge_neighbours(group, visible, kept_alone(group, visible, n, pixel), n, pixel);
   Simplified out;
   out.gaussians.resize(clusters.all.size(), group.sh_degree());
-  for (std::size_t i = 0; i < clusters.all.size(); ++i) set(out.gaussians, i, group, clusters, visible, pixel);
+  set_all(out.gaussians, group, clusters, visible, pixel);
 
   // Pieces of Gaussians of like size, looked at in pixels that suit them.
   std::vector<std::vector<std::uint32_t>> classes(kClasses);
@@ -277,7 +288,9 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       restore_coverage(part, wanted, p);
       if (options.n_steps > 0 && c == 0) fit(below, part, p, options);
       measure(below, part, pixel, p, options, of_class);
-      for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.copy(piece[i], part, i);
+      for (int v = 0; v < part.n_values(); ++v) {
+        for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.of(v)[piece[i]] = part.of(v)[i];
+      }
     }
   }
   // By class: what small Gaussians may get wrong is no excuse for large ones.
