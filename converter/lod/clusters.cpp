@@ -21,8 +21,9 @@
 namespace rgs::lod {
 namespace {
 
-constexpr float kPixelVariance = 0.3F;                 // of a pixel's square and the low-pass, px^2
-constexpr std::size_t kLeastLeftOfRound[] = {13, 20};  // a round leaves 13 of 20: costs are found anew often enough
+constexpr float kPixelVariance = 0.3F;  // of a pixel's square and the low-pass, px^2
+constexpr std::size_t kLeastLeftOfRound[] = {
+    63, 100};  // a round leaves 63 of 100, three a quarter: costs are found anew often enough
 constexpr float kShConstant = 0.28209479F;
 
 }  // namespace

@@ -12,7 +12,7 @@
 
 namespace rgs::lod {
 
-inline constexpr std::size_t kNeighbours = 7;  // looked at for each cluster and round
+inline constexpr std::size_t kNeighbours = 5;  // looked at for each cluster and round
 
 /// Moments of two clusters together. Real: float, or a vector of what Clusters holds.
 template <class Real, class Clusters>

@@ -13,7 +13,7 @@ inline constexpr int kSupersampling = 4;  ///< of what counts as the truth
 
 struct FitOptions {
   int n_steps = 12;
-  int n_directions = 12;  ///< from which pictures are compared, one a step
+  int n_directions = 6;   ///< from which pictures are compared, one a step
   int supersampling = 2;  ///< of the pictures that are aimed at
   /// Of the pictures by which the error is measured: at twice the size it is within 4% of that at four times.
   int n_error_directions = 3, error_supersampling = 2;

@@ -23,7 +23,7 @@ constexpr float kPieceLength = 100;  // pixels: pictures of pieces stay in the c
 constexpr float kCoarseness = 2;     // pixels a Gaussian: see footprint_of()
 constexpr float kLarge = 2.5F;       // pixels of the longest standard deviation from which on a Gaussian stays alone
 constexpr float kMostKept = 0.6F;    // of the result
-constexpr int kCoverageRounds = 3;
+constexpr int kCoverageRounds = 2;
 constexpr float kMostOpacity = 0.98F, kLeastOpacity = 0.005F;
 constexpr int kFootprints = 3;  // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;    // of size, each four times the one before
@@ -155,7 +155,7 @@ void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float
   Picture picture;
   std::vector<float> seen;
   std::vector<char> incomplete(gaussians.size(), 0);
-  const float fine = 0.7F * pixel;
+  const float fine = pixel;
   for (int round = 0; round < kCoverageRounds; ++round) {
     seen.assign(gaussians.padded(), 0.F);
     for (int view = 0; view < kViews; ++view) {
