@@ -23,7 +23,7 @@ constexpr float kPieceLength = 100;  // pixels: pictures of pieces stay in the c
 constexpr float kCoarseness = 2;     // pixels a Gaussian: see footprint_of()
 constexpr float kLarge = 2.5F;       // pixels of the longest standard deviation from which on a Gaussian stays alone
 constexpr float kMostKept = 0.6F;    // of the result
-constexpr int kCoverageRounds = 2;
+constexpr int kCoverageRounds = 3;
 constexpr float kMostOpacity = 0.98F, kLeastOpacity = 0.005F;
 constexpr int kFootprints = 3;  // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;    // of size, each four times the one before
