@@ -20,6 +20,7 @@
 #include "rgs/ply.hpp"
 #include "rgs/result.hpp"
 #include "splat_source.hpp"
+#include "stream_levels.hpp"
 
 namespace rgs {
 
@@ -36,8 +37,10 @@ struct ConvertOptions {
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
   int spz_version = WriteOptions{}.spz_version;
-  /// Levels of detail beside the Gaussians of an .rgs (docs/LEVELS.md); takes the scene into memory.
+  /// Levels of detail beside the Gaussians of an .rgs (docs/LEVELS.md).
   std::optional<lod::Quality> levels;
+  std::uint64_t memory_bytes = lod::kDefaultMemory;  ///< for levels, see lod::StreamOptions
+  std::string scratch;                               ///< for levels: folder of temporary files
   bool strict =
       false;  ///< bad_value, and nothing is written, if values would be clamped or flushed to the output's range
   AtomicFile::Options output;
@@ -74,6 +77,22 @@ struct ConvertSummary {
 /// Gaussians.
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});
+
+/// What a stream of Gaussians comes from.
+struct StreamFacts {
+  std::uint64_t bytes = 0;
+  Origin origin = kNoOrigin;            ///< that means are relative to
+  std::function<std::uint64_t()> hash;  ///< XXH3-64 of the bytes
+  /// Byte at which Gaussian i starts; Error::kNone if it cannot be told.
+  std::function<std::uint64_t(std::uint64_t i)> row_offset = [](std::uint64_t) { return Error::kNone; };
+};
+/// A stream to .rgs with levels, in about options.memory_bytes whatever its size, but for 200 bytes a page and 4 bytes a
+/// Gaussian with keep_permutation; Profile::archive takes the scene into memory. The leaves are what convert_to_rgs()
+/// makes of the same Gaussians. The bytes depend neither on threads nor on memory.
+/// Errors: the stream's, convert_to_rgs()'s, those of stream_levels.hpp.
+Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const StreamFacts& facts,
+                                         const std::string& output_path, const ConvertOptions& options,
+                                         const StageObserver& observer = {});
 
 /// .rgs to PLY. The file is validated first. With a permutation section rows come in the order of the source. `stated` is
 /// what the PLY's comments say of the scene; absent: what the file declares.

@@ -16,7 +16,6 @@
 
 #include "convert.hpp"
 #include "depth_range.hpp"
-#include "rgs/levels_writer.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/scene_writer.hpp"
 #include "rgs/spatial_order.hpp"
@@ -81,21 +80,27 @@ std::vector<std::uint32_t> kept_indices(const Scanned& scanned) {
   return indices;
 }
 
-Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const Scanned& scanned,
-                        std::span<const std::uint32_t> indices) {
+// An even sample of the kept means; depth_range_from_cameras would not look at more.
+constexpr std::uint64_t kDepthSample = 65536;
+
+std::vector<float> sample_means(const Scanned& scanned, std::span<const std::uint32_t> indices) {
+  const std::size_t n = std::min<std::size_t>(indices.size(), kDepthSample);
+  std::vector<float> sample(3 * n);
+  for (std::size_t k = 0; k < n; ++k) {
+    std::copy_n(&scanned.means[3 * std::size_t{indices[k * indices.size() / n]}], 3, &sample[3 * k]);
+  }
+  return sample;
+}
+
+Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
+                        std::span<const float> sample) {
   if (!options.cameras.empty()) {
-    // An even sample of the kept means; depth_range_from_cameras would not look at more.
-    const std::size_t n = std::min<std::size_t>(indices.size(), 65536);
-    std::vector<float> sample(3 * n);
-    for (std::size_t k = 0; k < n; ++k) {
-      std::copy_n(&scanned.means[3 * std::size_t{indices[k * indices.size() / n]}], 3, &sample[3 * k]);
-    }
     const auto range = depth_range_from_cameras(options.cameras, sample, encode.origin);
     if (!range) return tl::unexpected(range.error());
     encode.depth = *range;
   }
   if (options.z_near || options.z_far) {
-    DepthRange range = encode.depth.value_or(depth_range_from_extent(scanned.scan.robust(), encode.depth_mapping));
+    DepthRange range = encode.depth.value_or(depth_range_from_extent(scan.robust(), encode.depth_mapping));
     range.z_near = options.z_near.value_or(range.z_near);
     range.z_far = options.z_far.value_or(range.z_far);
     range.source = DepthSource::by_hand;
@@ -164,52 +169,114 @@ Result<WrittenScene> write_plain(const SplatSource& source, AtomicFile& file, co
   return writer->finish();
 }
 
-// The kept rows in their order, with what makes levels of them: the scene in memory.
-Result<WrittenScene> write_with_levels(const SplatSource& source, AtomicFile& file, const SceneScan& scan,
-                                       EncodeOptions encode, lod::Quality quality,
-                                       std::span<const std::uint32_t> indices, ConvertSummary& summary,
-                                       StageClock& clock, const StageObserver& observer) {
-  if (indices.empty()) {
-    return make_error(Errc::bad_argument, Error::kNone, "a scene without Gaussians has no levels of detail");
+Status too_many(std::uint64_t n) {
+  if (n <= std::numeric_limits<std::uint32_t>::max()) return {};
+  return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
+                    std::numeric_limits<std::uint32_t>::max(), n);
+}
+
+tl::unexpected<Error> damaged(std::uint64_t offset, const SceneScan& scan) {
+  return make_error(Errc::bad_value, offset,
+                    "a damaged Gaussian; --on-bad drop leaves such out, --on-bad repair mends them", 0,
+                    scan.n_source() - scan.n_kept());
+}
+
+// What is checked once all is written, and the file's name.
+Result<double> commit(AtomicFile& file, const WrittenScene& written, const ConvertOptions& options, StageClock& clock) {
+  const Declarations& counts = written.declarations;
+  if (const std::uint64_t n = counts.n_scale_subnormal + counts.n_scale_zero; options.strict && n != 0) {
+    return make_error(
+        Errc::bad_value, Error::kNone,
+        "scales are so far below the scene's largest that FP16 flushes or coarsens them; without --strict "
+        "they are stored so",
+        0, n);
   }
-  constexpr std::uint64_t kRows = 1024;
-  SplatCloud leaves;
-  leaves.resize(indices.size(), scan.sh_degree());
-  clock.begin("gather", indices.size(), "Gaussians");
-  tbb::parallel_for(std::uint64_t{0}, (indices.size() + kRows - 1) / kRows, [&](std::uint64_t block) {
-    std::vector<Splat> rows(std::min<std::uint64_t>(kRows, indices.size() - block * kRows));
-    source.gather(indices.subspan(block * kRows, rows.size()), rows);
-    SceneScan mender(scan.sh_degree(), encode.on_bad);  // mends a row that it keeps, as the first pass has done
-    for (std::size_t k = 0; k < rows.size(); ++k) {
-      mender.add(rows[k]);
-      leaves.set(block * kRows + k, rows[k]);
+  clock.begin("commit", 0, "");
+  const auto synced = file.commit();
+  clock.end();
+  return synced;
+}
+
+void summarise(ConvertSummary& summary, const SceneScan& scan, WrittenScene&& written) {
+  summary.source_format = "ply";
+  summary.output_format = "rgs";
+  summary.output_bytes = written.header.file_bytes;
+  summary.n_source = scan.n_source();
+  summary.n_written = scan.n_kept();
+  summary.n_repaired = scan.n_repaired();
+  summary.sh_degree = scan.sh_degree();
+  for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan.defects(static_cast<Defect>(i));
+  summary.header = written.header;
+  summary.declarations = written.declarations;
+  summary.sections = std::move(written.sections);
+  if (scan.n_kept() == 0) return;
+  summary.min_scale = scale_from_log(scan.min_log_scale());
+  summary.max_scale = scale_from_log(scan.max_log_scale());
+  summary.min_opacity = opacity_from_logit(scan.min_opacity_logit());
+  summary.max_opacity = opacity_from_logit(scan.max_opacity_logit());
+}
+
+// Lets bytes of a mapped file that have been read leave memory; without effect on others.
+class ReadOnce {
+ public:
+  ReadOnce(std::span<const std::byte> bytes, const std::vector<const MappedFile*>& files) {
+    for (const MappedFile* file : files) {
+      if (!bytes.empty() && file->bytes().data() == bytes.data()) file_ = file;
     }
-    observer.advance(rows.size());
-  });
-  clock.begin("levels", 0, "");
-  const lod::Levels levels = lod::build_levels(leaves.view(), {.quality = quality, .chunk_size = encode.chunk_size});
-  leaves = {};
-  std::vector<std::uint32_t> positions(indices.begin(), indices.end());
-  if (!encode.source_index.empty()) {
-    for (std::uint32_t& i : positions) i = encode.source_index[i];
   }
-  if (encode.keep_permutation) encode.source_index = positions;
-  encode.n_source = std::max(encode.n_source, scan.n_source());
-  encode.n_repaired += scan.n_repaired();
-  clock.begin("encode", 0, "");
-  summary.n_levels = levels.pages.front().level + 1;
-  summary.n_pages = static_cast<std::uint32_t>(levels.pages.size());
-  summary.n_stored = levels.splats.size();
-  return write_levels(levels, encode, file, static_cast<unsigned>(tbb::this_task_arena::max_concurrency()));
+  void done(std::uint64_t first, std::uint64_t end) const {
+    if (file_ != nullptr && first <= end && end <= file_->bytes().size()) {
+      file_->advise(MappedFile::Access::done, first, end - first);
+    }
+  }
+
+ private:
+  const MappedFile* file_ = nullptr;
+};
+
+// Rows of a source block by block.
+lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory) {
+  return {source.size(), source.sh_degree(), [&source, memory](const lod::SplatStream::Visit& visit) -> Status {
+            constexpr std::uint64_t kRows = 65536, kPart = 1024;
+            std::vector<Splat> rows;
+            for (std::uint64_t first = 0; first < source.size(); first += kRows) {
+              rows.resize(std::min(kRows, source.size() - first));
+              tbb::parallel_for(std::uint64_t{0}, (rows.size() + kPart - 1) / kPart, [&](std::uint64_t part) {
+                const std::uint64_t n = std::min(kPart, rows.size() - part * kPart);
+                source.read(first + part * kPart, std::span(rows).subspan(part * kPart, n));
+              });
+              memory.done(source.row_offset(first), source.row_offset(first + rows.size() - 1));
+              if (Status s = visit(first, rows); !s) return s;
+            }
+            return {};
+          }};
+}
+
+std::uint64_t hash_once(std::span<const std::byte> bytes, const ReadOnce& memory) {
+  constexpr std::uint64_t kPart = std::uint64_t{16} << 20;
+  Hasher hash;
+  for (std::uint64_t first = 0; first < bytes.size(); first += kPart) {
+    const std::uint64_t n = std::min<std::uint64_t>(kPart, bytes.size() - first);
+    hash.update(bytes.subspan(first, n));
+    memory.done(first, first + n);
+  }
+  return hash.digest();
+}
+
+StreamFacts facts_of(const SplatSource& source, const ReadOnce& memory) {
+  return {source.bytes(), source.origin(),
+          [&source, memory] { return source.source().empty() ? source.hash() : hash_once(source.source(), memory); },
+          [&source](std::uint64_t i) { return source.row_offset(i); }};
 }
 
 }  // namespace
 
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer) {
-  if (source.size() > std::numeric_limits<std::uint32_t>::max()) {
-    return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
-                      std::numeric_limits<std::uint32_t>::max(), source.size());
+  if (const Status s = too_many(source.size()); !s) return tl::unexpected(s.error());
+  if (options.levels) {
+    const ReadOnce memory(source.source(), options.output.inputs);
+    return convert_to_levels(stream_of(source, memory), facts_of(source, memory), output_path, options, observer);
   }
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
@@ -231,62 +298,101 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   clock.begin("scan", source.size(), "Gaussians");
   Scanned scanned = scan_source(source, encode, observer);
   if (encode.on_bad == BadPolicy::refuse && scanned.scan.n_kept() != scanned.scan.n_source()) {
-    return make_error(Errc::bad_value, source.row_offset(first_damaged(source, scanned.scan.sh_degree())),
-                      "a damaged Gaussian; --on-bad drop leaves such out, --on-bad repair mends them", 0,
-                      scanned.scan.n_source() - scanned.scan.n_kept());
+    return damaged(source.row_offset(first_damaged(source, scanned.scan.sh_degree())), scanned.scan);
   }
   clock.begin("sort", 0, "");
   std::vector<std::uint32_t> indices = kept_indices(scanned);
   scanned.kept = {};
-  if (const Status s = find_depth_range(encode, options, scanned, indices); !s) return tl::unexpected(s.error());
+  std::vector<float> sample;
+  if (!options.cameras.empty()) sample = sample_means(scanned, indices);
+  if (const Status s = find_depth_range(encode, options, scanned.scan, sample); !s) return tl::unexpected(s.error());
   if (encode.order == Order::morton) sort_morton(indices, scanned.means, scanned.scan.robust());
   scanned.means = {};
   hashing.wait();
   if (encode.provenance) encode.provenance->source_xxh3 = source_xxh3;
 
-  auto written = options.levels ? write_with_levels(source, *file, scanned.scan, encode, *options.levels, indices,
-                                                    summary, clock, observer)
-                                : write_plain(source, *file, scanned.scan, encode, indices, clock, observer);
+  auto written = write_plain(source, *file, scanned.scan, encode, indices, clock, observer);
   if (!written) {
     Error error = written.error();
     if (error.code == Errc::bad_value && error.found != Error::kNone) error.offset = source.row_offset(error.found);
     return tl::unexpected(error);
   }
-  const Declarations& counts = written->declarations;
-  if (const std::uint64_t n = counts.n_scale_subnormal + counts.n_scale_zero; options.strict && n != 0) {
-    return make_error(
-        Errc::bad_value, Error::kNone,
-        "scales are so far below the scene's largest that FP16 flushes or coarsens them; without --strict "
-        "they are stored so",
-        0, n);
-  }
-  clock.begin("commit", 0, "");
-  const auto synced = file->commit();
+  const auto synced = commit(*file, *written, options, clock);
   if (!synced) return tl::unexpected(synced.error());
-  clock.end();
-
-  const SceneScan& scan = scanned.scan;
   summary.sync_seconds = *synced;
-  summary.source_format = "ply";
-  summary.output_format = "rgs";
+  summarise(summary, scanned.scan, std::move(*written));
   summary.source_bytes = source.bytes();
-  summary.output_bytes = written->header.file_bytes;
-  summary.n_source = scan.n_source();
-  summary.n_written = scan.n_kept();
-  summary.n_repaired = scan.n_repaired();
   summary.source_sh_degree = source.sh_degree();
-  summary.sh_degree = scan.sh_degree();
-  for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan.defects(static_cast<Defect>(i));
-  summary.header = written->header;
-  summary.declarations = written->declarations;
   summary.origin = encode.origin;
-  summary.sections = std::move(written->sections);
-  if (scan.n_kept() != 0) {
-    summary.min_scale = scale_from_log(scan.min_log_scale());
-    summary.max_scale = scale_from_log(scan.max_log_scale());
-    summary.min_opacity = opacity_from_logit(scan.min_opacity_logit());
-    summary.max_opacity = opacity_from_logit(scan.max_opacity_logit());
+  return summary;
+}
+
+Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const StreamFacts& facts,
+                                         const std::string& output_path, const ConvertOptions& options,
+                                         const StageObserver& observer) {
+  if (const Status s = too_many(stream.n); !s) return tl::unexpected(s.error());
+  ConvertSummary summary;
+  StageClock clock(observer, summary.seconds);
+  EncodeOptions encode = options.encode;
+  encode.origin = facts.origin;
+  if (const Status s = check_encodable(SceneScan(0), encode); !s) return tl::unexpected(s.error());
+  auto file = AtomicFile::create(output_path, options.output);
+  if (!file) return tl::unexpected(file.error());
+  lod::StreamOptions stages;
+  stages.build.quality = options.levels.value_or(lod::Quality::fast);
+  stages.memory_bytes = options.memory_bytes;
+  stages.scratch = options.scratch;
+  stages.begin = [&clock](const char* stage, std::uint64_t total, const char* unit) {
+    clock.begin(stage, total, unit);
+  };
+  stages.advance = [&observer](std::uint64_t units) { observer.advance(units); };
+
+  clock.begin("scan", stream.n, "Gaussians");
+  SceneScan scan(std::min(stream.sh_degree, encode.sh_degree), encode.on_bad);
+  std::uint64_t first_damaged = Error::kNone;
+  if (const Status s = lod::scan_stream(stream, stages, scan, first_damaged); !s) return tl::unexpected(s.error());
+  if (encode.on_bad == BadPolicy::refuse && scan.n_kept() != scan.n_source()) {
+    return damaged(facts.row_offset(first_damaged), scan);
   }
+  if (const Status s = check_encodable(scan, encode); !s) return tl::unexpected(s.error());
+  if (scan.n_kept() == 0) {
+    return make_error(Errc::bad_argument, Error::kNone, "a scene without Gaussians has no levels of detail");
+  }
+  // About 300 bytes a Gaussian beside the Gaussians themselves, see LevelsWriter.
+  const std::uint64_t all_bytes =
+      scan.n_kept() * (400 + 16 * static_cast<std::uint64_t>(sh_coefficients(scan.sh_degree())));
+  if (encode.profile == Profile::archive && all_bytes > options.memory_bytes) {
+    return make_error(Errc::limit_exceeded, Error::kNone,
+                      "archive with levels takes all Gaussians into memory; give as many bytes with --memory, or "
+                      "choose --profile packed",
+                      options.memory_bytes, all_bytes);
+  }
+  std::vector<float> sample;
+  if (!options.cameras.empty()) {
+    clock.begin("sample", stream.n, "Gaussians");
+    if (const Status s = lod::sample_means(stream, stages, scan, encode.on_bad, kDepthSample, sample); !s)
+      return tl::unexpected(s.error());
+  }
+  if (const Status s = find_depth_range(encode, options, scan, sample); !s) return tl::unexpected(s.error());
+  if (encode.provenance) {
+    clock.begin("hash", 0, "");
+    encode.provenance->source_xxh3 = facts.hash();
+  }
+  lod::StreamedLevels levels;
+  if (const Status s = lod::order_leaves(stream, scan, encode, stages, levels); !s) return tl::unexpected(s.error());
+  if (const Status s = lod::build_upper(encode, stages, levels); !s) return tl::unexpected(s.error());
+  auto written = lod::write_tree(levels, scan, encode, stages, *file);
+  if (!written) return tl::unexpected(written.error());
+  const auto synced = commit(*file, *written, options, clock);
+  if (!synced) return tl::unexpected(synced.error());
+  summary.sync_seconds = *synced;
+  summarise(summary, scan, std::move(*written));
+  summary.source_bytes = facts.bytes;
+  summary.source_sh_degree = stream.sh_degree;
+  summary.origin = encode.origin;
+  summary.n_levels = static_cast<std::uint32_t>(levels.pages.size());
+  for (const auto& level : levels.pages) summary.n_pages += static_cast<std::uint32_t>(level.size());
+  summary.n_stored = levels.n_stored();
   return summary;
 }
 

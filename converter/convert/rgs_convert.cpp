@@ -73,6 +73,8 @@ constexpr const char* kRgsOptions[] = {"--profile",
                                        "--file-scales",
                                        "--lod",
                                        "--lod-quality",
+                                       "--memory",
+                                       "--scratch",
                                        "--cameras",
                                        "--near",
                                        "--far",
@@ -319,7 +321,12 @@ std::optional<std::string> check_arguments(Arguments& a) {
     if (const auto parsed = rgs::parse_axes(*axes); !parsed) return text(parsed.error());
   }
   if (a.lod_quality && !a.lod) return "--lod-quality is of --lod";
+  if (!a.lod && a.convert.memory_bytes != rgs::lod::kDefaultMemory) return "--memory is of --lod";
+  if (!a.lod && !a.convert.scratch.empty()) return "--scratch is of --lod";
+  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 256MiB";
   if (a.lod) a.convert.levels = a.lod_quality.value_or(rgs::lod::Quality::fast);
+  if (a.convert.scratch.empty() && a.output() != "-")
+    a.convert.scratch = std::filesystem::path(a.output()).parent_path().string();
   if (a.n_inputs() > 1 && !a.merge) return "several inputs make one output only with --merge";
   for (const auto* texts : {&a.translate, &a.rotate, &a.scale}) {
     if (texts->size() > 1 && texts->size() != a.n_inputs()) {
@@ -558,10 +565,16 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
   app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
   app.add_flag("--file-scales", a.file_scales, "One set of SH scales for the file instead of one per chunk");
-  app.add_flag("--lod", a.lod, "Levels of detail beside the Gaussians (docs/LEVELS.md); takes the scene into memory");
+  app.add_flag("--lod", a.lod, "Levels of detail beside the Gaussians (docs/LEVELS.md)");
   app.add_option("--lod-quality", a.lod_quality, "How long levels are fitted [fast]")
       ->transform(tool::one_of(std::map<std::string, rgs::lod::Quality>{{"fast", rgs::lod::Quality::fast},
                                                                         {"best", rgs::lod::Quality::best}}));
+  app.add_option("--memory", a.convert.memory_bytes,
+                 "Memory that --lod may take for inputs in PLY, 256MiB and more [2GiB]")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES");
+  app.add_option("--scratch", a.convert.scratch,
+                 "Folder for temporary files of --lod, 1.2 times the size of the input at most [the output's]");
   app.add_option("--sh-degree", e.sh_degree, "Strip SH above this degree")->check(CLI::Range(0, 3));
   app.add_option("--on-bad", e.on_bad, "Damaged Gaussians; by default they are dropped if at most 1 % are damaged")
       ->transform(tool::one_of(policies))

@@ -28,6 +28,8 @@ class SplatSource {
   std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : bytes_; }
   /// XXH3-64 of the source's bytes; reads a PLY file to its end.
   std::uint64_t hash() const { return ply_ != nullptr ? xxh3(ply_->source()) : xxh3_; }
+  /// The bytes of a PLY file; none of a cloud.
+  std::span<const std::byte> source() const { return ply_ != nullptr ? ply_->source() : std::span<const std::byte>(); }
   /// Byte at which Gaussian i starts in the source; Error::kNone if it cannot be told.
   std::uint64_t row_offset(std::uint64_t i) const { return ply_ != nullptr ? ply_->row_offset(i) : Error::kNone; }
 

@@ -131,32 +131,50 @@ void append(SplatCloud& to, const SplatView& from) {
 }  // namespace
 
 FitOptions fit_options(Quality quality) {
-  return quality == Quality::best ? FitOptions{400, 64, 4} : FitOptions{};
+  return quality == Quality::best ? FitOptions{400, 64, 4, 4, 4} : FitOptions{};
 }
 
-std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options) {
-  const std::uint64_t n_chunks = (leaves.n + options.chunk_size - 1) / options.chunk_size;
-  const auto begin_of = [&](std::uint64_t chunk) { return std::min(leaves.n, chunk * options.chunk_size); };
-  std::vector<Box> means(n_chunks), bounds(n_chunks);
-  each_in_parallel(n_chunks, [&](std::size_t i) {
-    means[i] = bounds_of(leaves, begin_of(i), begin_of(i + 1) - begin_of(i), 0);
-    bounds[i] = bounds_of(leaves, begin_of(i), begin_of(i + 1) - begin_of(i), kBoundSigmas);
-  });
+ChunkBoxes::ChunkBoxes() : means(empty_box()), bounds(empty_box()) {}
+
+void ChunkBoxes::add(const ChunkBoxes& other) {
+  lod::add(means, other.means);
+  lod::add(bounds, other.bounds);
+}
+
+ChunkBoxes chunk_boxes(const SplatView& splats, std::uint64_t first, std::uint64_t n) {
+  ChunkBoxes boxes;
+  boxes.means = bounds_of(splats, first, n, 0);
+  boxes.bounds = bounds_of(splats, first, n, kBoundSigmas);
+  return boxes;
+}
+
+std::vector<Page> cut_chunks(std::span<const ChunkBoxes> chunks, std::uint64_t n, const BuildOptions& options) {
+  const auto begin_of = [&](std::uint64_t chunk) { return std::min(n, chunk * options.chunk_size); };
   std::vector<Page> pages;
-  for (std::uint64_t chunk = 0; chunk < n_chunks;) {
+  for (std::uint64_t chunk = 0; chunk < chunks.size();) {
     Page page;
     page.first = begin_of(chunk);
-    page.bounds = bounds[chunk];
+    page.bounds = chunks[chunk].bounds;
     Run run;
     std::uint64_t end = chunk;
-    while (end < n_chunks && end < chunk + options.page_chunks && run.takes(means[end])) {
-      run.take(means[end]);
-      add(page.bounds, bounds[end++]);
+    while (end < chunks.size() && end < chunk + options.page_chunks && run.takes(chunks[end].means)) {
+      run.take(chunks[end].means);
+      add(page.bounds, chunks[end++].bounds);
     }
     page.count = static_cast<std::uint32_t>(begin_of(end) - page.first);
     pages.push_back(page);
     chunk = end;
   }
+  return pages;
+}
+
+std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options) {
+  std::vector<ChunkBoxes> chunks((leaves.n + options.chunk_size - 1) / options.chunk_size);
+  each_in_parallel(chunks.size(), [&](std::size_t i) {
+    const std::uint64_t first = i * std::uint64_t{options.chunk_size};
+    chunks[i] = chunk_boxes(leaves, first, std::min<std::uint64_t>(options.chunk_size, leaves.n - first));
+  });
+  std::vector<Page> pages = cut_chunks(chunks, leaves.n, options);
   each_in_parallel(pages.size(),
                    [&](std::size_t i) { pages[i].core = core_of(leaves, pages[i].first, pages[i].count); });
   return pages;
@@ -238,6 +256,25 @@ Level build_level(const SplatView& splats, std::span<const Page> below, const Bu
   return out;
 }
 
+std::vector<Page> join_levels(std::span<const std::vector<Page>> levels) {
+  std::vector<Page> out;
+  std::uint64_t first = 0;
+  for (std::size_t i = levels.size(); i-- > 0;) {
+    const auto next_page = static_cast<std::uint32_t>(out.size() + levels[i].size());
+    for (const Page& page : levels[i]) {
+      out.push_back(page);
+      out.back().first = first;
+      first += page.count;
+      if (page.level > 0) out.back().first_child += next_page;
+    }
+  }
+  for (std::uint32_t i = 0; i < out.size(); ++i) {
+    const Page page = out[i];
+    for (std::uint32_t k = 0; k < page.n_children; ++k) out[page.first_child + k].parent = i;
+  }
+  return out;
+}
+
 Levels build_levels(const SplatView& leaves, const BuildOptions& options) {
   assert(leaves.n > 0 && leaves.consistent());
   std::vector<Level> levels(1);
@@ -249,23 +286,12 @@ Levels build_levels(const SplatView& leaves, const BuildOptions& options) {
   }
   Levels out;
   out.splats.sh_degree = leaves.sh_degree;
-  std::uint32_t first_page = 0;
+  std::vector<std::vector<Page>> pages;
+  for (Level& level : levels) pages.push_back(std::move(level.pages));
+  out.pages = join_levels(pages);
   for (std::size_t i = levels.size(); i-- > 0;) {
-    Level& level = levels[i];
-    const auto next_page = first_page + static_cast<std::uint32_t>(level.pages.size());
-    const std::uint64_t first = out.splats.size();
-    for (Page& page : level.pages) {
-      page.first += first;
-      if (page.level > 0) page.first_child += next_page;
-      out.pages.push_back(page);
-    }
-    i == 0 ? append(out.splats, leaves) : append(out.splats, level.splats);
-    level = {};
-    first_page = next_page;
-  }
-  for (std::uint32_t i = 0; i < out.pages.size(); ++i) {
-    const Page page = out.pages[i];
-    for (std::uint32_t k = 0; k < page.n_children; ++k) out.pages[page.first_child + k].parent = i;
+    i == 0 ? append(out.splats, leaves) : append(out.splats, levels[i].splats);
+    levels[i] = {};
   }
   return out;
 }

@@ -35,6 +35,16 @@ struct Level {
 /// The stages of build_levels(), for callers that build a range at a time or in several processes. Pages know nothing of
 /// their neighbours but through group_pages(): whoever groups the same pages gets the same bytes.
 
+/// Boxes of a chunk: of its means, and of all that is in it out to three standard deviations. Those of two parts of a chunk
+/// may be added up.
+struct ChunkBoxes {
+  Box means, bounds;
+  ChunkBoxes();  ///< of nothing
+  void add(const ChunkBoxes& other);
+};
+ChunkBoxes chunk_boxes(const SplatView& splats, std::uint64_t first, std::uint64_t n);
+/// Leaf pages of `n` Gaussians in chunks that have these boxes; their cores are left open.
+std::vector<Page> cut_chunks(std::span<const ChunkBoxes> chunks, std::uint64_t n, const BuildOptions& options);
 /// Leaf pages of Gaussians in the order of a file without levels; runs of at most page_chunks chunks, shorter before a gap.
 /// All chunks but the last are whole.
 std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options);
@@ -46,6 +56,9 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
                 const BuildOptions& options, SplatCloud& out);
 /// All pages of the level above, on the threads of the current arena.
 Level build_level(const SplatView& splats, std::span<const Page> below, const BuildOptions& options);
+
+/// Pages of all levels, leaves first, as a tree: coarse to fine, with the numbers of parents and children set.
+std::vector<Page> join_levels(std::span<const std::vector<Page>> levels);
 
 /// All levels of a scene, up to one page. `leaves`: consistent, finite, at least one Gaussian, in the order of a file without
 /// levels. Same bytes for any number of threads. Memory: 1.4 times the leaves', twice while the result is put together, and

@@ -14,146 +14,17 @@
 #include <numeric>
 #include <utility>
 
+#include "clusters_simd.hpp"
+#include "key_sort.hpp"
 #include "rgs/math/covariance.hpp"
 
 namespace rgs::lod {
 namespace {
 
-constexpr float kPixelVariance = 0.3F;                 // of a pixel's square and the low-pass, px^2
-constexpr std::size_t kNeighbours = 7;                 // looked at for each cluster and round
-constexpr std::size_t kLeastLeftOfRound[] = {13, 20};  // a round leaves 13 of 20: costs are found anew often enough
+constexpr float kPixelVariance = 0.3F;  // of a pixel's square and the low-pass, px^2
+constexpr std::size_t kLeastLeftOfRound[] = {
+    63, 100};  // a round leaves 63 of 100, three a quarter: costs are found anew often enough
 constexpr float kShConstant = 0.28209479F;
-
-// Axes that a picture along z, y, x shows, and where their variances lie in a covariance.
-struct Plane {
-  int u, v, uu, uv, vv;
-};
-constexpr Plane kPlanes[3] = {{0, 1, 0, 1, 3}, {0, 2, 0, 2, 5}, {1, 2, 3, 4, 5}};
-
-// Integral of the product of two Gaussians of mass 1, but for 1 / 2 pi; the variances are sums of both.
-float product(float du, float dv, float uu, float uv, float vv) {
-  const float det = uu * vv - uv * uv;
-  const float q = (vv * du * du - 2 * uv * du * dv + uu * dv * dv) / det;
-  return q > 40 ? 0 : std::exp(-0.5F * q) / std::sqrt(det);
-}
-
-float products(const Cluster& a, const Cluster& b, float blur) {
-  float total = 0;
-  for (const Plane& p : kPlanes) {
-    const auto& x = a.covariance.of;
-    const auto& y = b.covariance.of;
-    total += product(a.mean[p.u] - b.mean[p.u], a.mean[p.v] - b.mean[p.v], x[p.uu] + y[p.uu] + 2 * blur,
-                     x[p.uv] + y[p.uv], x[p.vv] + y[p.vv] + 2 * blur);
-  }
-  float colors = 0;
-  for (int k = 0; k < 4; ++k) colors += a.color[k] * b.color[k];
-  return a.weight * b.weight * colors * total;
-}
-
-Cluster merged(const Cluster& a, const Cluster& b) {
-  Cluster m;
-  m.weight = a.weight + b.weight;
-  const float p = a.weight / m.weight, q = 1 - p;
-  float apart[3];
-  for (int k = 0; k < 3; ++k) {
-    m.mean[k] = p * a.mean[k] + q * b.mean[k];
-    apart[k] = a.mean[k] - b.mean[k];
-  }
-  for (int i = 0, at = 0; i < 3; ++i) {
-    for (int j = i; j < 3; ++j, ++at) {
-      m.covariance.of[at] = p * a.covariance.of[at] + q * b.covariance.of[at] + p * q * apart[i] * apart[j];
-    }
-  }
-  for (int k = 0; k < 4; ++k) m.color[k] = p * a.color[k] + q * b.color[k];
-  m.first = m.last = 0;
-  return m;
-}
-
-float merge_cost(const Cluster& a, const Cluster& b, float blur) {
-  const Cluster m = merged(a, b);
-  const float cost =
-      a.self + b.self + products(m, m, blur) + 2 * (products(a, b, blur) - products(a, m, blur) - products(b, m, blur));
-  return std::isfinite(cost) ? cost : std::numeric_limits<float>::max();  // beyond the range of FP32: last of all
-}
-
-// Nearest clusters by their means: a tree of halves.
-class Tree {
- public:
-  using Found = std::pair<float, std::uint32_t>;  // squared distance, cluster
-
-  explicit Tree(const std::vector<Cluster>& clusters)
-      : clusters_(clusters), order_(clusters.size()), axis_(clusters.size()) {
-    std::iota(order_.begin(), order_.end(), 0U);
-    build(0, order_.size());
-  }
-  void nearest(std::uint32_t to, std::vector<Found>& found) const {
-    found.clear();
-    search(0, order_.size(), to, found);
-  }
-
- private:
-  static constexpr std::size_t kLeaf = 8;
-
-  void build(std::size_t begin, std::size_t end) {
-    if (end - begin <= kLeaf) return;
-    float low[3], high[3];
-    for (int k = 0; k < 3; ++k) low[k] = std::numeric_limits<float>::max(), high[k] = -low[k];
-    for (std::size_t i = begin; i < end; ++i) {
-      for (int k = 0; k < 3; ++k) {
-        low[k] = std::min(low[k], clusters_[order_[i]].mean[k]);
-        high[k] = std::max(high[k], clusters_[order_[i]].mean[k]);
-      }
-    }
-    int axis = 0;
-    for (int k = 1; k < 3; ++k) {
-      if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
-    }
-    const std::size_t middle = (begin + end) / 2;
-    const auto at = [this](std::size_t i) { return order_.begin() + static_cast<std::ptrdiff_t>(i); };
-    std::nth_element(at(begin), at(middle), at(end), [&](std::uint32_t a, std::uint32_t b) {
-      const float x = clusters_[a].mean[axis], y = clusters_[b].mean[axis];
-      return x != y ? x < y : a < b;
-    });
-    axis_[middle] = static_cast<std::uint8_t>(axis);
-    build(begin, middle);
-    build(middle, end);
-  }
-
-  void search(std::size_t begin, std::size_t end, std::uint32_t to, std::vector<Found>& found) const {
-    const float* const mean = clusters_[to].mean;
-    if (end - begin <= kLeaf) {
-      for (std::size_t i = begin; i < end; ++i) {
-        const std::uint32_t other = order_[i];
-        if (other == to) continue;
-        const float* const m = clusters_[other].mean;
-        const float x = mean[0] - m[0], y = mean[1] - m[1], z = mean[2] - m[2];
-        const Found item{x * x + y * y + z * z, other};
-        if (found.size() == kNeighbours && !(item < found.back())) continue;
-        if (found.size() == kNeighbours) found.pop_back();
-        found.insert(std::upper_bound(found.begin(), found.end(), item), item);
-      }
-      return;
-    }
-    const std::size_t middle = (begin + end) / 2;
-    const int axis = axis_[middle];
-    const float d = mean[axis] - clusters_[order_[middle]].mean[axis];
-    d < 0 ? search(begin, middle, to, found) : search(middle, end, to, found);
-    if (found.size() == kNeighbours && d * d > found.back().first) return;
-    d < 0 ? search(middle, end, to, found) : search(begin, middle, to, found);
-  }
-
-  const std::vector<Cluster>& clusters_;
-  std::vector<std::uint32_t> order_;
-  std::vector<std::uint8_t> axis_;  // by the middle of a range
-};
-
-struct Pair {
-  float cost;
-  std::uint32_t a, b;
-  bool operator<(const Pair& other) const {
-    return cost != other.cost ? cost < other.cost : a != other.a ? a < other.a : b < other.b;
-  }
-};
 
 }  // namespace
 
@@ -246,39 +117,53 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> wei
     }
     c.color[3] = 1;
     c.first = c.last = out.next[i] = i;
-    c.self = products(c, c, blur);
     (kept[i] != 0 ? alone : current).push_back(c);
   }
   n -= std::min(n, alone.size());
-  std::vector<Tree::Found> found;
-  std::vector<Pair> pairs;
+  set_selves(current, blur);
+  std::vector<Neighbours> nearest;
+  std::vector<ClusterPair> pairs;
+  std::vector<float> costs;
+  std::vector<std::uint64_t> order, spare;
   std::vector<Cluster> after;
   std::vector<char> used;
   while (current.size() > n) {
-    const Tree tree(current);
+    nearest_clusters(current, nearest);
     pairs.clear();
     for (std::uint32_t i = 0; i < current.size(); ++i) {
-      tree.nearest(i, found);
-      for (const auto& [distance, j] : found) pairs.push_back({merge_cost(current[i], current[j], blur), i, j});
+      for (const std::uint32_t j : nearest[i]) {
+        if (j == kNobody) break;
+        // Both may be neighbours of each other: the first of them has named the pair.
+        if (j < i && std::find(nearest[j].begin(), nearest[j].end(), i) != nearest[j].end()) continue;
+        pairs.push_back({i, j});
+      }
     }
-    std::sort(pairs.begin(), pairs.end());
+    if (pairs.empty()) {  // farther apart than FP32 has squares for
+      for (std::uint32_t i = 1; i < current.size(); ++i) pairs.push_back({i - 1, i});
+    }
+    merge_costs(current, pairs, blur, costs);
+    order.clear();
+    for (std::size_t i = 0; i < pairs.size(); ++i) order.push_back(std::uint64_t{ordered_bits(costs[i])} << 32 | i);
+    sort_by_key(order, spare);
     const std::size_t wanted = std::max(n, current.size() * kLeastLeftOfRound[0] / kLeastLeftOfRound[1]);
     std::size_t left = current.size();
     used.assign(current.size(), 0);
     after.clear();
-    for (const Pair& pair : pairs) {
+    for (const std::uint64_t key : order) {
       if (left == wanted) break;
+      const ClusterPair pair = pairs[static_cast<std::uint32_t>(key)];
       if (used[pair.a] != 0 || used[pair.b] != 0) continue;
       used[pair.a] = used[pair.b] = 1;
       const Cluster &a = current[pair.a], &b = current[pair.b];
-      Cluster m = merged(a, b);
+      Cluster m;
+      merge_moments<float>(a, b, m);
       m.first = a.first;
       m.last = b.last;
       out.next[a.last] = b.first;
-      m.self = products(m, m, blur);
       after.push_back(m);
       --left;
     }
+    set_selves(after, blur);
     for (std::size_t i = 0; i < current.size(); ++i) {
       if (used[i] == 0) after.push_back(current[i]);
     }

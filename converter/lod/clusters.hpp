@@ -21,6 +21,12 @@ float mean_cross_section(const Covariance& covariance);
 /// Standard deviations and a unit quaternion w, x, y, z of a covariance; none below `least`.
 void principal_axes(const Covariance& covariance, float least, float scale[3], float rotation[4]);
 
+/// Axes that a picture along z, y, x shows, and where their variances lie in a covariance.
+struct Plane {
+  int u, v, uu, uv, vv;
+};
+inline constexpr Plane kPlanes[3] = {{0, 1, 0, 1, 3}, {0, 2, 0, 2, 5}, {1, 2, 3, 4, 5}};
+
 /// Gaussians that become one, with their moments.
 struct Cluster {
   float weight = 0;  ///< what is seen of its members, world units squared

@@ -93,7 +93,7 @@ void true_picture(const Gaussians& gaussians, const Frame& frame, int supersampl
                   Picture& fine, Picture& out) {
   const Frame f = finer(frame, supersampling);
   project(gaussians, f, kDrawn, projection);
-  fine.reset(f.width, f.height);
+  fine.resize(f.width, f.height);
   draw(projection.dots, fine);
   box_filter(fine, supersampling, out);
 }
@@ -142,7 +142,7 @@ void fit(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& 
     const auto view = static_cast<std::size_t>(step * stride % n_directions);
     const Frame& frame = frames[view];
     project(out, frame, kDrawn, projection);
-    drawn.reset(frame.width, frame.height);
+    drawn.resize(frame.width, frame.height);
     draw(projection.dots, drawn);
     differentiate(truths[view], drawn, by);
     gradients(out, frame, kDrawn, projection.dots, by, drawn, scratch, slopes);

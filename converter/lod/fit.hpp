@@ -9,12 +9,14 @@ namespace rgs::lod {
 
 /// How levels are drawn: docs/LEVELS.md.
 inline constexpr Filter kDrawn{0.1F, true};
-inline constexpr int kSupersampling = 4;  ///< of what counts as the truth where errors are measured
+inline constexpr int kSupersampling = 4;  ///< of what counts as the truth
 
 struct FitOptions {
   int n_steps = 12;
-  int n_directions = 12;  ///< from which pictures are compared, one a step
+  int n_directions = 6;   ///< from which pictures are compared, one a step
   int supersampling = 2;  ///< of the pictures that are aimed at
+  /// Of the pictures by which the error is measured: at twice the size it is within 4% of that at four times.
+  int n_error_directions = 3, error_supersampling = 2;
 };
 
 /// What a group looks like through `frame`: drawn at so many times the size, and averaged.

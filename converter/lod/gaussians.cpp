@@ -5,7 +5,14 @@
 #include <algorithm>
 #include <cmath>
 
+#include "rgs/quantize.hpp"
+
 namespace rgs::lod {
+namespace {
+
+constexpr float kMostHalf = 65504;
+
+}  // namespace
 
 void Gaussians::resize(std::size_t n, int sh_degree) {
   n_ = n;
@@ -63,7 +70,10 @@ void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out) 
     // Finite logits and logarithms, as read() gives them of a file.
     const float opacity = std::clamp(gaussians.of(kOpacity)[i], 1e-7F, 1 - 1e-7F);
     out.opacity_logit[j] = std::log(opacity / (1 - opacity));
-    for (std::size_t k = 0; k < n_sh; ++k) out.sh[n_sh * j + k] = gaussians.of(kSh + static_cast<int>(k))[i];
+    for (std::size_t k = 0; k < n_sh; ++k) {
+      const float value = std::clamp(gaussians.of(kSh + static_cast<int>(k))[i], -kMostHalf, kMostHalf);
+      out.sh[n_sh * j + k] = float_from_half(half_from_float(value));
+    }
   }
 }
 

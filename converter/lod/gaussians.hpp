@@ -38,7 +38,8 @@ class Gaussians {
   std::vector<float> values_;
 };
 
-/// Gaussians in the parameters of training, with `centre` taken from their means; back again, appended.
+/// Gaussians in the parameters of training, with `centre` taken from their means; back again, appended. Harmonics are then
+/// rounded to FP16: a file has 8 bits of them, and scratch files become smaller by a third.
 Gaussians activate(const SplatView& splats, std::uint64_t first, std::uint64_t n, const float centre[3]);
 void append(const Gaussians& gaussians, const float centre[3], SplatCloud& out);
 

@@ -36,7 +36,10 @@ struct Filter {
 /// Premultiplied r, g, b and the transmittance, planes of [height][stride].
 class Picture {
  public:
+  /// All values 0.
   void reset(int width, int height);
+  /// Values of whatever was there before: for who sets all of them.
+  void resize(int width, int height);
   int width() const { return width_; }
   int height() const { return height_; }
   std::size_t stride() const { return stride_; }
@@ -63,17 +66,26 @@ struct Dot {
 
 /// What the functions below need besides, kept from call to call.
 struct Projection {
-  std::vector<float> values;  // [12][padded]
-  std::vector<std::uint64_t> keys, spare;
-  std::vector<Dot> dots;  // front to back
+  std::vector<float> values;               // [9][padded]: see project_all()
+  std::vector<float> placed;               // [8][padded]: see place_all()
+  std::vector<std::uint64_t> keys, spare;  // front to back
+  float pixel = 1;                         // of the frame that `values` are of
+  std::vector<Dot> dots;                   // front to back
 };
 
-/// Puts Gaussians on a picture, front to back; `degree` of the harmonics are looked at.
-void project(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out);
+/// Puts Gaussians on a picture, front to back. Dot::color is 0.5 where colours are not `wanted`.
+enum class Colors : std::uint8_t { wanted, unwanted };
+void project(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out,
+             Colors colors = Colors::wanted);
+/// The same of a frame of other pixels but the same axes and corner as that of the last project() of these Gaussians, at a
+/// part of the cost; the same bits if pixels differ by a power of two.
+void project_again(const Gaussians& gaussians, const Frame& frame, const Filter& filter, Projection& out);
 
+/// Sets all of a picture that has its size.
 void draw(std::span<const Dot> dots, Picture& picture);
 
-/// Adds to `sums` [n] the weight with which each Gaussian went into the picture's pixels, in pixels. Draws transmittance only.
+/// Adds to `sums` [n] the weight with which each Gaussian went into the picture's pixels, in pixels. Draws transmittance only;
+/// the picture has its size.
 void contributions(std::span<const Dot> dots, Picture& picture, std::span<float> sums);
 
 /// Gradients of a number that depends on a picture by what depends on each Gaussian: arrays [padded] each.

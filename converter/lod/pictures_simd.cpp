@@ -16,6 +16,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "key_sort.hpp"
+#include "lanes_inl.hpp"
 #include "pictures.hpp"
 #include "rgs/math/constants.hpp"
 #include "rgs/math/covariance.hpp"
@@ -34,49 +36,6 @@ struct DotSums {
 HWY_BEFORE_NAMESPACE();
 namespace rgs::lod {
 namespace HWY_NAMESPACE {
-
-using V = float __attribute__((vector_size(32)));
-using I = std::int32_t __attribute__((vector_size(32)));
-constexpr int kLanes = 8;
-
-#define RGS_LOD_INLINE inline __attribute__((always_inline))
-
-RGS_LOD_INLINE V set(float x) {
-  return V{x, x, x, x, x, x, x, x};
-}
-RGS_LOD_INLINE V load(const float* p) {
-  V v;
-  std::memcpy(&v, p, sizeof v);
-  return v;
-}
-RGS_LOD_INLINE void store(float* p, V v) {
-  std::memcpy(p, &v, sizeof v);
-}
-RGS_LOD_INLINE V select(I mask, V a, V b) {
-  return mask ? a : b;
-}
-RGS_LOD_INLINE float sum(V v) {
-  return ((v[0] + v[4]) + (v[2] + v[6])) + ((v[1] + v[5]) + (v[3] + v[7]));
-}
-
-// 2^p for p in [-126, 1]: as in the renderer's rows.
-RGS_LOD_INLINE V exp2(V p) {
-  const V magic = set(12582912.F);
-  const V n = (p + magic) - magic;
-  const V f = p - n;
-  V e = set(1.327647199e-03F);
-  e = e * f + set(9.675541334e-03F);
-  e = e * f + set(5.550713273e-02F);
-  e = e * f + set(2.402211972e-01F);
-  e = e * f + set(6.931469671e-01F);
-  e = e * f + set(1.000000072F);
-  I bits;
-  std::memcpy(&bits, &e, sizeof bits);
-  bits += __builtin_convertvector(n, I) << 23;
-  V r;
-  std::memcpy(&r, &bits, sizeof r);
-  return r;
-}
 
 RGS_LOD_INLINE V alpha_of(V dx, V linear, V constant, float aa, float opacity) {
   V p = (set(aa) * dx + linear) * dx + constant;
@@ -139,15 +98,14 @@ void contributions(std::span<const Dot> dots, Picture& picture, std::span<float>
   }
 }
 
-// Columns 0..: u, v, z, xx, xy, yy, r, g, b.
-void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16], float* out) {
+// Columns 0..: u, v, z, xx, xy, yy, r, g, b, the last three from `n_coefficients` harmonics.
+void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16], int n_coefficients, float* out) {
   const std::size_t n = g.padded();
   const float s = 1 / frame.pixel;
   float du[3], dv[3];
   for (int k = 0; k < 3; ++k) du[k] = frame.axes.right[k] * s, dv[k] = frame.axes.down[k] * s;
   const float* const fw = frame.axes.forward;
   const float left = frame.left * s, top = frame.top * s;
-  const int n_coefficients = sh_coefficients(g.sh_degree());
   for (std::size_t i = 0; i < n; i += kLanes) {
     const auto in = [&](int value) __attribute__((always_inline)) {
       return load(g.of(value) + i);
@@ -181,6 +139,61 @@ void project_all(const Gaussians& g, const Frame& frame, const float (&basis)[16
       for (int k = 0; k < n_coefficients; ++k) c += set(basis[k]) * in(kSh + 3 * k + channel);
       put(6 + channel, c);
     }
+  }
+}
+
+// What follows from the columns of project_all(), times `factor` to the frame's pixels. Columns 0..: opacity, the conic's a,
+// b, c, x0, x1, y0, y1; x0 = x1 where nothing is to be seen.
+void place_all(const float* opacities, const float* in, std::size_t n, float factor, const Frame& frame,
+               const Filter& filter, float* out) {
+  const V by = set(factor), by_square = set(factor * factor), low_pass = set(filter.low_pass);
+  const V width = set(static_cast<float>(frame.width)), height = set(static_cast<float>(frame.height));
+  const V zero = set(0), one = set(1), half = set(0.5F);
+  for (std::size_t i = 0; i < n; i += kLanes) {
+    const auto column = [&](int k) __attribute__((always_inline)) {
+      return load(in + static_cast<std::size_t>(k) * n + i);
+    };
+    const auto put = [&](int k, V x) __attribute__((always_inline)) {
+      store(out + static_cast<std::size_t>(k) * n + i, x);
+    };
+    const V u = column(0) * by, v = column(1) * by;
+    const V before_xx = column(3) * by_square, xy = column(4) * by_square, before_yy = column(5) * by_square;
+    const V xx = before_xx + low_pass, yy = before_yy + low_pass;
+    const V det = xx * yy - xy * xy;
+    V opacity = load(opacities + i);
+    if (filter.compensated) {
+      V ratio = (before_xx * before_yy - xy * xy) / det;
+      ratio = select(ratio > set(math::kMipRatioMin), ratio, set(math::kMipRatioMin));
+      opacity *= root(ratio);
+    }
+    I seen = (opacity >= set(math::kAlphaMin)) & (det > zero);
+    const V shown = select(seen, opacity, set(math::kAlphaMin));
+    const V inside = set(2) * log_of(shown * set(255)) + set(1e-4F);
+    const V reach = root(select(inside > zero, inside, zero));
+    const V rx = reach * root(select(seen, xx, one)), ry = reach * root(select(seen, yy, one));
+    const auto clamped = [&](V x, V most) __attribute__((always_inline)) {
+      x = select(x > zero, x, zero);
+      return select(x < most, x, most);
+    };
+    // Of numbers from 0 on: down is what conversion does.
+    const auto down = [](V x) __attribute__((always_inline)) {
+      return __builtin_convertvector(__builtin_convertvector(x, I), V);
+    };
+    const auto up = [&](V x) __attribute__((always_inline)) {
+      const V whole = down(x);
+      return select(whole < x, whole + one, whole);
+    };
+    const V x0 = up(clamped(u - rx - half, width)), x1 = down(clamped(u + rx + half, width));
+    const V y0 = up(clamped(v - ry - half, height)), y1 = down(clamped(v + ry + half, height));
+    seen &= (x0 < x1) & (y0 < y1);
+    put(0, opacity);
+    put(1, yy / det);
+    put(2, zero - xy / det);
+    put(3, xx / det);
+    put(4, x0);
+    put(5, select(seen, x1, x0));
+    put(6, y0);
+    put(7, y1);
   }
 }
 
@@ -232,86 +245,58 @@ namespace rgs::lod {
 HWY_EXPORT(draw);
 HWY_EXPORT(contributions);
 HWY_EXPORT(project_all);
+HWY_EXPORT(place_all);
 HWY_EXPORT(dot_gradients);
 
-namespace {
-
-// Stable, by the upper 32 bits, which hold a float's bits.
-void sort_by_depth(std::vector<std::uint64_t>& keys, std::vector<std::uint64_t>& spare) {
-  spare.resize(keys.size());
-  std::uint32_t counts[3][2048] = {};
-  for (const std::uint64_t key : keys) {
-    for (int pass = 0; pass < 3; ++pass) ++counts[pass][key >> (32 + 11 * pass) & 2047];
-  }
-  for (int pass = 0; pass < 3; ++pass) {
-    std::uint32_t first = 0;
-    for (std::uint32_t& count : counts[pass]) {
-      const std::uint32_t n = count;
-      count = first;
-      first += n;
-    }
-    for (const std::uint64_t key : keys) spare[counts[pass][key >> (32 + 11 * pass) & 2047]++] = key;
-    keys.swap(spare);
-  }
-}
-
-std::uint32_t ordered_bits(float value) {
-  std::uint32_t bits;
-  value += 0.F;  // -0 is 0
-  std::memcpy(&bits, &value, sizeof bits);
-  return (bits >> 31) != 0 ? ~bits : bits | 0x80000000U;
-}
-
-}  // namespace
-
-void Picture::reset(int width, int height) {
+void Picture::resize(int width, int height) {
   width_ = width;
   height_ = height;
   stride_ = static_cast<std::size_t>((width + 7) / 8 * 8 + 8);
   plane_ = stride_ * static_cast<std::size_t>(height) + 8;
-  values_.assign(4 * plane_, 0.F);
+  values_.resize(4 * plane_);
 }
 
-void project(const Gaussians& g, const Frame& frame, const Filter& filter, Projection& out) {
+void Picture::reset(int width, int height) {
+  resize(width, height);
+  std::fill(values_.begin(), values_.end(), 0.F);
+}
+
+void project(const Gaussians& g, const Frame& frame, const Filter& filter, Projection& out, Colors colors) {
   const std::size_t n = g.padded();
   out.values.resize(9 * n);
+  out.pixel = frame.pixel;
   float* const column = out.values.data();
   const math::Vec3<float> d{frame.axes.forward[0], frame.axes.forward[1], frame.axes.forward[2]};
   const auto basis = math::sh_basis(g.sh_degree(), d);
-  HWY_DYNAMIC_DISPATCH(project_all)(g, frame, basis.y, column);
-  const auto at = [&](int k, std::size_t i) { return column[static_cast<std::size_t>(k) * n + i]; };
+  const int n_coefficients = colors == Colors::wanted ? sh_coefficients(g.sh_degree()) : 0;
+  HWY_DYNAMIC_DISPATCH(project_all)(g, frame, basis.y, n_coefficients, column);
   out.keys.clear();
-  for (std::size_t i = 0; i < g.size(); ++i) out.keys.push_back(std::uint64_t{ordered_bits(at(2, i))} << 32 | i);
-  sort_by_depth(out.keys, out.spare);
+  for (std::size_t i = 0; i < g.size(); ++i)
+    out.keys.push_back(std::uint64_t{ordered_bits(column[2 * n + i])} << 32 | i);
+  sort_by_key(out.keys, out.spare);
+  project_again(g, frame, filter, out);
+}
+
+void project_again(const Gaussians& g, const Frame& frame, const Filter& filter, Projection& out) {
+  const std::size_t n = g.padded();
+  const float factor = out.pixel / frame.pixel, square = factor * factor;
+  out.placed.resize(8 * n);
+  HWY_DYNAMIC_DISPATCH(place_all)(g.of(kOpacity), out.values.data(), n, factor, frame, filter, out.placed.data());
+  const auto value = [&](int k, std::size_t i) { return out.values[static_cast<std::size_t>(k) * n + i]; };
+  const auto placed = [&](int k, std::size_t i) { return out.placed[static_cast<std::size_t>(k) * n + i]; };
+  const auto pixel = [&](int k, std::size_t i) { return static_cast<std::int16_t>(placed(k, i)); };
   out.dots.clear();
-  const float* const opacities = g.of(kOpacity);
   for (const std::uint64_t key : out.keys) {
     const auto i = static_cast<std::uint32_t>(key);
-    Dot dot;
-    dot.xx = at(3, i), dot.xy = at(4, i), dot.yy = at(5, i);
-    const float xx = dot.xx + filter.low_pass, yy = dot.yy + filter.low_pass;
-    const float det = xx * yy - dot.xy * dot.xy;
-    dot.opacity = opacities[i];
-    if (filter.compensated) {
-      const float before = dot.xx * dot.yy - dot.xy * dot.xy;
-      dot.opacity *= std::sqrt(std::max(math::kMipRatioMin, before / det));
-    }
-    if (!(dot.opacity >= math::kAlphaMin) || !(det > 0)) continue;
-    dot.u = at(0, i), dot.v = at(1, i);
-    dot.a = yy / det, dot.b = -dot.xy / det, dot.c = xx / det;
-    const float reach = std::sqrt(2 * std::log(dot.opacity * 255.F) + 1e-4F);
-    const float rx = reach * std::sqrt(xx), ry = reach * std::sqrt(yy);
-    const auto pixel = [](float x, int most) {
-      return static_cast<std::int16_t>(std::clamp(x, 0.F, static_cast<float>(most)));
-    };
-    dot.x0 = pixel(std::ceil(dot.u - rx - 0.5F), frame.width),
-    dot.x1 = pixel(std::floor(dot.u + rx + 0.5F), frame.width);
-    dot.y0 = pixel(std::ceil(dot.v - ry - 0.5F), frame.height),
-    dot.y1 = pixel(std::floor(dot.v + ry + 0.5F), frame.height);
-    if (dot.x0 >= dot.x1 || dot.y0 >= dot.y1) continue;
-    for (int k = 0; k < 3; ++k) dot.color[k] = std::max(at(6 + k, i), 0.F);
+    if (placed(4, i) >= placed(5, i)) continue;
+    Dot& dot = out.dots.emplace_back();
+    dot.u = value(0, i) * factor, dot.v = value(1, i) * factor;
+    dot.opacity = placed(0, i);
+    dot.a = placed(1, i), dot.b = placed(2, i), dot.c = placed(3, i);
+    for (int k = 0; k < 3; ++k) dot.color[k] = std::max(value(6 + k, i), 0.F);
+    dot.xx = value(3, i) * square, dot.xy = value(4, i) * square, dot.yy = value(5, i) * square;
     dot.index = i;
-    out.dots.push_back(dot);
+    dot.x0 = pixel(4, i), dot.x1 = pixel(5, i), dot.y0 = pixel(6, i), dot.y1 = pixel(7, i);
   }
 }
 
@@ -327,7 +312,7 @@ void gradients(const Gaussians& g, const Frame& frame, const Filter& filter, std
                const Picture& by, const Picture& drawn, Picture& scratch, std::vector<float>& out) {
   const std::size_t n = g.padded();
   out.assign(static_cast<std::size_t>(kGradients) * n, 0.F);
-  scratch.reset(by.width(), by.height());
+  scratch.resize(by.width(), by.height());
   {
     float* const rest = scratch.plane(0);
     float* const t = scratch.plane(3);
@@ -390,19 +375,28 @@ void gradients(const Gaussians& g, const Frame& frame, const Filter& filter, std
 
 void box_filter(const Picture& fine, int factor, Picture& out) {
   const int width = fine.width() / factor, height = fine.height() / factor;
-  out.reset(width, height);
+  out.resize(width, height);
   const float share = 1 / static_cast<float>(factor * factor);
+  const auto n = static_cast<std::size_t>(width * factor);
+  std::vector<float> column_sums(n);
   for (int channel = 0; channel < 4; ++channel) {
-    const float* const from = fine.plane(channel);
-    float* const to = out.plane(channel);
     for (int y = 0; y < height; ++y) {
-      for (int x = 0; x < width; ++x) {
-        float total = 0;
-        for (int j = 0; j < factor; ++j) {
-          const float* const row = from + static_cast<std::size_t>(y * factor + j) * fine.stride() + x * factor;
-          for (int k = 0; k < factor; ++k) total += row[k];
+      const float* row = fine.plane(channel) + static_cast<std::size_t>(y * factor) * fine.stride();
+      std::copy_n(row, n, column_sums.data());
+      for (int j = 1; j < factor; ++j) {
+        row += fine.stride();
+        for (std::size_t x = 0; x < n; ++x) column_sums[x] += row[x];
+      }
+      float* const to = out.plane(channel) + static_cast<std::size_t>(y) * out.stride();
+      const float* from = column_sums.data();
+      for (int x = 0; x < width; ++x, from += factor) {
+        if (factor == 2) {
+          to[x] = (from[0] + from[1]) * share;
+        } else {
+          float total = 0;
+          for (int k = 0; k < factor; ++k) total += from[k];
+          to[x] = total * share;
         }
-        to[static_cast<std::size_t>(y) * out.stride() + static_cast<std::size_t>(x)] = total * share;
       }
     }
   }

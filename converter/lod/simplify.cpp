@@ -25,7 +25,6 @@ constexpr float kLarge = 2.5F;       // pixels of the longest standard deviation
 constexpr float kMostKept = 0.6F;    // of the result
 constexpr int kCoverageRounds = 3;
 constexpr float kMostOpacity = 0.98F, kLeastOpacity = 0.005F;
-constexpr int kErrorViews = 4;
 constexpr int kFootprints = 3;  // at which the error is measured, each twice the one before
 constexpr int kClasses = 12;    // of size, each four times the one before
 
@@ -71,8 +70,8 @@ std::vector<float> visible_areas(const Gaussians& group) {
     sums.assign(part.padded(), 0.F);
     for (int view = 0; view < kViews; ++view) {
       const Frame frame = frame_around(part, direction(view, kViews), pixel, kMostPixels);
-      project(part, frame, kDrawn, projection);
-      picture.reset(frame.width, frame.height);
+      project(part, frame, kDrawn, projection, Colors::unwanted);
+      picture.resize(frame.width, frame.height);
       contributions(projection.dots, picture, sums);
     }
     for (std::size_t i = 0; i < piece.size(); ++i) out[piece[i]] = sums[i] * pixel * pixel / static_cast<float>(kViews);
@@ -113,29 +112,40 @@ std::vector<char> kept_alone(const Gaussians& group, std::span<const float> visi
   return out;
 }
 
-// Moments of a cluster as a Gaussian, harmonics as they are seen; one member is kept as it is.
-void set(Gaussians& out, std::size_t i, const Gaussians& group, const Clusters& clusters,
-         std::span<const float> visible, float pixel) {
-  const Cluster& cluster = clusters.all[i];
-  if (clusters.is_single(cluster)) return out.copy(i, group, cluster.first);
-  float scale[3], rotation[4];
-  principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
-  for (int k = 0; k < 3; ++k) {
-    out.of(kMean + k)[i] = cluster.mean[k];
-    out.of(kScale + k)[i] = scale[k];
-  }
-  for (int k = 0; k < 4; ++k) out.of(kRotation + k)[i] = rotation[k];
-  const float section = std::max(mean_cross_section(cluster.covariance), 1e-30F);
-  out.of(kOpacity)[i] = std::clamp(cluster.weight / section, kLeastOpacity, kMostOpacity);
-  const int n_sh = 3 * sh_coefficients(group.sh_degree());
-  float total = 0;
+// Moments of each cluster as a Gaussian, harmonics as they are seen; one member is kept as it is.
+void set_all(Gaussians& out, const Gaussians& group, const Clusters& clusters, std::span<const float> visible,
+             float pixel) {
   const float least = 1e-6F * pixel * pixel;
-  clusters.each_member(cluster, [&](std::uint32_t member) {
-    const float weight = visible[member] + least;
-    total += weight;
-    for (int k = 0; k < n_sh; ++k) out.of(kSh + k)[i] += weight * group.of(kSh + k)[member];
-  });
-  for (int k = 0; k < n_sh; ++k) out.of(kSh + k)[i] /= total;
+  std::vector<float> share(group.size());
+  std::vector<std::uint32_t> to(group.size());
+  for (std::uint32_t i = 0; i < out.size(); ++i) {
+    const Cluster& cluster = clusters.all[i];
+    float total = 0;
+    clusters.each_member(cluster, [&](std::uint32_t member) { total += visible[member] + least; });
+    clusters.each_member(cluster, [&](std::uint32_t member) {
+      to[member] = i;
+      share[member] = clusters.is_single(cluster) ? 1 : (visible[member] + least) / total;
+    });
+    if (clusters.is_single(cluster)) {
+      for (int v = 0; v < kSh; ++v) out.of(v)[i] = group.of(v)[cluster.first];
+      continue;
+    }
+    float scale[3], rotation[4];
+    principal_axes(cluster.covariance, 1e-3F * pixel, scale, rotation);
+    for (int k = 0; k < 3; ++k) {
+      out.of(kMean + k)[i] = cluster.mean[k];
+      out.of(kScale + k)[i] = scale[k];
+    }
+    for (int k = 0; k < 4; ++k) out.of(kRotation + k)[i] = rotation[k];
+    const float section = std::max(mean_cross_section(cluster.covariance), 1e-30F);
+    out.of(kOpacity)[i] = std::clamp(cluster.weight / section, kLeastOpacity, kMostOpacity);
+  }
+  // An array at a time: a Gaussian's harmonics are far apart.
+  for (int v = kSh; v < group.n_values(); ++v) {
+    const float* const from = group.of(v);
+    float* const sums = out.of(v);
+    for (std::size_t i = 0; i < group.size(); ++i) sums[to[i]] += share[i] * from[i];
+  }
 }
 
 // Opacities, until as much is seen of each Gaussian as was seen of what it stands for; sizes where opacity does not suffice.
@@ -145,13 +155,13 @@ void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float
   Picture picture;
   std::vector<float> seen;
   std::vector<char> incomplete(gaussians.size(), 0);
-  const float fine = 0.7F * pixel;
+  const float fine = pixel;
   for (int round = 0; round < kCoverageRounds; ++round) {
     seen.assign(gaussians.padded(), 0.F);
     for (int view = 0; view < kViews; ++view) {
       const Frame frame = frame_around(gaussians, direction(view, kViews), fine, kMostPixels);
-      project(gaussians, frame, kDrawn, projection);
-      picture.reset(frame.width, frame.height);
+      project(gaussians, frame, kDrawn, projection, Colors::unwanted);
+      picture.resize(frame.width, frame.height);
       contributions(projection.dots, picture, seen);
       for (const Dot& dot : projection.dots) {
         if (is_cut(dot, frame)) incomplete[dot.index] = 1;
@@ -178,34 +188,37 @@ struct Measured {
 
 // A piece's share of it, `least_pixel` being the finest that suits it. Directions are others than those that were fitted. One
 // fine picture a direction is the truth of all footprints.
-void measure(const Gaussians& group, const Gaussians& result, float pixel, float least_pixel, Measured& out) {
+void measure(const Gaussians& group, const Gaussians& result, float pixel, float least_pixel, const FitOptions& options,
+             Measured& out) {
   constexpr int kCoarsest = 1 << (kFootprints - 1);
   const float base = std::max(pixel, least_pixel);
-  Projection projection;
+  Projection of_group, of_result;
   Picture fine, truth, coarser, drawn;
   Measured piece;
-  for (int view = 0; view < kErrorViews; ++view) {
+  for (int view = 0; view < options.n_error_directions; ++view) {
     const Frame coarse =
-        frame_around(group, direction(view, kErrorViews), base * kCoarsest, kMostPixels / 2 / kCoarsest);
-    const Frame finest = finer(coarse, kCoarsest * kSupersampling);
-    project(group, finest, kDrawn, projection);
-    fine.reset(finest.width, finest.height);
-    draw(projection.dots, fine);
+        frame_around(group, direction(view, options.n_error_directions), base * kCoarsest, kMostPixels / 2 / kCoarsest);
+    const Frame finest = finer(coarse, kCoarsest * options.error_supersampling);
+    project(group, finest, kDrawn, of_group);
+    fine.resize(finest.width, finest.height);
+    draw(of_group.dots, fine);
+    project(result, finest, kDrawn, of_result);
     for (int k = 0; k < kFootprints; ++k) {
       const Frame frame = finer(coarse, kCoarsest >> k);
-      box_filter(k == 0 ? fine : truth, k == 0 ? kSupersampling : 2, coarser);
+      box_filter(k == 0 ? fine : truth, k == 0 ? options.error_supersampling : 2, coarser);
       std::swap(truth, coarser);
-      const auto compare = [&](const Gaussians& gaussians) {
-        project(gaussians, frame, kDrawn, projection);
-        drawn.reset(frame.width, frame.height);
+      const auto compare = [&](const Gaussians& gaussians, Projection& projection) {
+        project_again(gaussians, frame, kDrawn, projection);
+        drawn.resize(frame.width, frame.height);
         draw(projection.dots, drawn);
         return difference(truth, drawn);
       };
-      const double area = static_cast<double>(frame.pixel) * static_cast<double>(frame.pixel) / kErrorViews;
-      const Difference of_group = compare(group), of_result = compare(result);
-      piece.of_group[k] += area * of_group.squared;
-      piece.of_result[k] += area * of_result.squared;
-      piece.covered[k] += area * of_group.covered;
+      const double area =
+          static_cast<double>(frame.pixel) * static_cast<double>(frame.pixel) / options.n_error_directions;
+      const Difference by_group = compare(group, of_group);
+      piece.of_group[k] += area * by_group.squared;
+      piece.of_result[k] += area * compare(result, of_result).squared;
+      piece.covered[k] += area * by_group.covered;
     }
   }
   // Footprints below the finest count like that one.
@@ -246,7 +259,7 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
   const Clusters clusters = merge_neighbours(group, visible, kept_alone(group, visible, n, pixel), n, pixel);
   Simplified out;
   out.gaussians.resize(clusters.all.size(), group.sh_degree());
-  for (std::size_t i = 0; i < clusters.all.size(); ++i) set(out.gaussians, i, group, clusters, visible, pixel);
+  set_all(out.gaussians, group, clusters, visible, pixel);
 
   // Pieces of Gaussians of like size, looked at in pixels that suit them.
   std::vector<std::vector<std::uint32_t>> classes(kClasses);
@@ -274,8 +287,10 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       const Gaussians below = subset(group, members);
       restore_coverage(part, wanted, p);
       if (options.n_steps > 0 && c == 0) fit(below, part, p, options);
-      measure(below, part, pixel, p, of_class);
-      for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.copy(piece[i], part, i);
+      measure(below, part, pixel, p, options, of_class);
+      for (int v = 0; v < part.n_values(); ++v) {
+        for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.of(v)[piece[i]] = part.of(v)[i];
+      }
     }
   }
   // By class: what small Gaussians may get wrong is no excuse for large ones.

@@ -1,0 +1,52 @@
+// clusters_simd.hpp - the two costly parts of merging clusters, eight at a time: neighbours, and what a merger costs.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "clusters.hpp"
+
+namespace rgs::lod {
+
+inline constexpr std::size_t kNeighbours = 5;  // looked at for each cluster and round
+
+/// Moments of two clusters together. Real: float, or a vector of what Clusters holds.
+template <class Real, class Clusters>
+inline __attribute__((always_inline)) void merge_moments(const Clusters& a, const Clusters& b, Clusters& m) {
+  m.weight = a.weight + b.weight;
+  const Real p = a.weight / m.weight, q = 1.F - p;
+  Real apart[3];
+  for (int k = 0; k < 3; ++k) {
+    m.mean[k] = p * a.mean[k] + q * b.mean[k];
+    apart[k] = a.mean[k] - b.mean[k];
+  }
+  for (int i = 0, at = 0; i < 3; ++i) {
+    for (int j = i; j < 3; ++j, ++at) {
+      m.covariance.of[at] = p * a.covariance.of[at] + q * b.covariance.of[at] + p * q * apart[i] * apart[j];
+    }
+  }
+  for (int k = 0; k < 4; ++k) m.color[k] = p * a.color[k] + q * b.color[k];
+}
+
+/// Neighbours of a cluster, nearest first; where there are fewer clusters, kNobody.
+using Neighbours = std::array<std::uint32_t, kNeighbours>;
+inline constexpr std::uint32_t kNobody = 0xffffffff;
+
+/// The nearest of each cluster by their means.
+void nearest_clusters(std::span<const Cluster> clusters, std::vector<Neighbours>& out);
+
+struct ClusterPair {
+  std::uint32_t a, b;
+};
+/// Sets Cluster::self of all.
+void set_selves(std::span<Cluster> clusters, float blur);
+/// Integral of the squared difference that merging a pair makes to pictures along three axes: see clusters.cpp. `blur`: the
+/// variance of pixel and low-pass. Beyond the range of FP32: its largest number.
+void merge_costs(std::span<const Cluster> clusters, std::span<const ClusterPair> pairs, float blur,
+                 std::vector<float>& out);
+
+}  // namespace rgs::lod

@@ -1,0 +1,89 @@
+// scratch_file.cpp - scratch bytes on POSIX: O_TMPFILE, or mkostemp and unlink where a file system lacks it.
+// SPDX-License-Identifier: Apache-2.0
+#include "scratch_file.hpp"
+
+#include <fcntl.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <utility>
+
+#include "rgs/guard_memory.hpp"
+
+namespace rgs::lod {
+
+Result<ScratchFile> ScratchFile::create(const std::string& folder) {
+  const std::string in = folder.empty() ? "." : folder;
+  ScratchFile file;
+  file.fd_ = ::open(in.c_str(), O_TMPFILE | O_RDWR | O_CLOEXEC, 0600);
+  if (file.fd_ < 0 && errno != ENOENT && errno != EACCES) {
+    std::string path = in + "/rgs-scratch-XXXXXX";
+    file.fd_ = ::mkostemp(path.data(), O_CLOEXEC);
+    if (file.fd_ >= 0) ::unlink(path.c_str());
+  }
+  if (file.fd_ < 0) {
+    return make_error(Errc::open_failed, Error::kNone,
+                      "no scratch file can be made; name a folder that can be written with --scratch", Error::kNone,
+                      Error::kNone, errno);
+  }
+  return file;
+}
+
+ScratchFile::ScratchFile(ScratchFile&& other) noexcept
+    : fd_(std::exchange(other.fd_, -1)), memory_(std::move(other.memory_)) {}
+
+ScratchFile& ScratchFile::operator=(ScratchFile&& other) noexcept {
+  std::swap(fd_, other.fd_);
+  std::swap(memory_, other.memory_);
+  return *this;
+}
+
+ScratchFile::~ScratchFile() {
+  if (fd_ >= 0) ::close(fd_);
+}
+
+Status ScratchFile::write(std::uint64_t offset, std::span<const std::byte> bytes) {
+  if (fd_ < 0) {
+    return detail::guard_memory([&]() -> Status {
+      if (memory_.size() < offset + bytes.size()) memory_.resize(offset + bytes.size());
+      std::ranges::copy(bytes, memory_.begin() + static_cast<std::ptrdiff_t>(offset));
+      return {};
+    });
+  }
+  while (!bytes.empty()) {
+    const ssize_t n = ::pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
+    if (n < 0 && errno == EINTR) continue;
+    if (n <= 0) {
+      return make_error(Errc::write_failed, Error::kNone,
+                        "a scratch file cannot be written; name a folder with more room with --scratch", Error::kNone,
+                        Error::kNone, n == 0 ? ENOSPC : errno);
+    }
+    bytes = bytes.subspan(static_cast<std::size_t>(n));
+    offset += static_cast<std::uint64_t>(n);
+  }
+  return {};
+}
+
+Status ScratchFile::read(std::uint64_t offset, std::span<std::byte> bytes) const {
+  if (fd_ < 0) {
+    if (offset > memory_.size() || bytes.size() > memory_.size() - offset) {
+      return make_error(Errc::read_failed, Error::kNone, "scratch memory ends too early");
+    }
+    std::copy_n(memory_.begin() + static_cast<std::ptrdiff_t>(offset), bytes.size(), bytes.begin());
+    return {};
+  }
+  while (!bytes.empty()) {
+    const ssize_t n = ::pread(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
+    if (n < 0 && errno == EINTR) continue;
+    if (n <= 0) {
+      return make_error(Errc::read_failed, Error::kNone, "a scratch file cannot be read", Error::kNone, Error::kNone,
+                        n == 0 ? 0 : errno);
+    }
+    bytes = bytes.subspan(static_cast<std::size_t>(n));
+    offset += static_cast<std::uint64_t>(n);
+  }
+  return {};
+}
+
+}  // namespace rgs::lod
