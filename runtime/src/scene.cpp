@@ -142,8 +142,16 @@ struct Arrays {
       }
     });
   }
-  SceneView view(std::uint64_t n, int sh_degree, const Origin& origin) const {
-    return {n, sh_degree, {mean, 3 * n}, {rotation, 4 * n}, {scale, 3 * n}, {opacity, n}, {sh, sh_floats * n}, origin};
+  // Gaussians first .. first + n - 1 of them.
+  SceneView view(std::uint64_t first, std::uint64_t n, int sh_degree, const Origin& origin) const {
+    return {n,
+            sh_degree,
+            {mean + 3 * first, 3 * n},
+            {rotation + 4 * first, 4 * n},
+            {scale + 3 * first, 3 * n},
+            {opacity + first, n},
+            {sh + sh_floats * first, sh_floats * n},
+            origin};
   }
 };
 
@@ -155,12 +163,11 @@ struct Scene::Storage {
   int sh_degree = 0;
   std::optional<Declarations> declarations;
   MappedFile file;  // empty if none is kept
-  FileView opened;  // `file`, or `leaves`
+  FileView opened;  // `file`, without levels of detail
 
   // Of a file with levels of detail. Its bytes are `file` or `copy`.
   std::vector<std::byte> copy;
   std::optional<PagedFile> levels;
-  std::vector<std::byte> leaves;  // as a file without levels; empty if pages are missing
 
   mutable std::mutex mutex;                   // of all below
   mutable bool is_validated = false;          // `file`, on the host
@@ -178,6 +185,8 @@ struct Scene::Storage {
   Result<DirectData> take_direct() const;
   Status expand() const;
   Status expand_pages() const;
+  Status expand_leaves() const;
+  std::vector<std::uint32_t> finest_present() const;
   Status open_levels(const DecodeLimits& limits, std::span<const std::byte> bytes);
 };
 
@@ -216,6 +225,7 @@ Result<DirectData> Scene::Storage::take_direct() const {
 
 Status Scene::Storage::expand() const {
   if (arrays) return {};
+  if (levels) return expand_leaves();
   const auto data = take_direct();
   if (!data) return tl::unexpected(data.error());
   auto memory = memory_of(n, sh_degree);
@@ -232,37 +242,40 @@ Status Scene::Storage::expand() const {
   // Isolated: a task of the caller's that this thread took up while it waits might want the mutex.
   tbb::this_task_arena::isolate([&] { detail::parallel_ranges(n, kGrain, fill); });
   expanded = std::move(memory);
-  arrays = to.view(n, sh_degree, origin());
+  arrays = to.view(0, n, sh_degree, origin());
   return {};
 }
 
-// Of a file with levels of detail, or its beginning.
+// Of a file with levels of detail, or its beginning: what is there at its finest stands for the leaves.
 Status Scene::Storage::open_levels(const DecodeLimits& limits, std::span<const std::byte> bytes) {
   auto paged_file = PagedFile::open(bytes, limits);
   if (!paged_file) return tl::unexpected(paged_file.error());
   levels = *std::move(paged_file);
   if (const auto ok = describe(levels->head()); !ok) return ok;
-  if (levels->n_present() == levels->n_pages()) {
-    auto file_of_leaves = leaves_as_file(*levels);
-    if (!file_of_leaves) return tl::unexpected(file_of_leaves.error());
-    leaves = *std::move(file_of_leaves);
-    auto view = FileView::open(leaves, {.max_file_bytes = leaves.size(), .max_gaussians = n});
-    if (!view) return tl::unexpected(view.error());
-    opened = *std::move(view);
-    return {};
-  }
   if (levels->n_present() == 0) {
     return make_error(Errc::pages_missing, bytes.size(), "the end of the file is missing, and with it all pages");
   }
-  // What is there at its finest stands for the leaves.
-  if (const auto ok = expand_pages(); !ok) return ok;
-  const auto finest = lod::drawn_pages(levels->pages(), {}, 0, levels->n_present());
+  if (levels->n_present() == levels->n_pages()) return {};
   n = 0;
-  for (const std::uint32_t page : finest) n += levels->pages()[page].count;
+  for (const std::uint32_t page : finest_present()) n += levels->pages()[page].count;
+  return {};
+}
+
+std::vector<std::uint32_t> Scene::Storage::finest_present() const {
+  return lod::drawn_pages(levels->pages(), {}, 0, levels->n_present());
+}
+
+// Leaves are the last of all pages; the finest of a file's beginning may lie anywhere among them.
+Status Scene::Storage::expand_leaves() const {
+  if (const auto ok = expand_pages(); !ok) return ok;
+  if (levels->n_present() == levels->n_pages()) {
+    arrays = Arrays(paged.get(), n_paged, sh_degree).view(n_paged - n, n, sh_degree, origin());
+    return {};
+  }
   expanded = memory_of(n, sh_degree);
   const Arrays to(expanded.get(), n, sh_degree);
-  to.gather(Arrays(paged.get(), n_paged, sh_degree), levels->pages(), finest);
-  arrays = to.view(n, sh_degree, origin());
+  to.gather(Arrays(paged.get(), n_paged, sh_degree), levels->pages(), finest_present());
+  arrays = to.view(0, n, sh_degree, origin());
   return {};
 }
 
@@ -358,7 +371,9 @@ Result<Scene> Scene::load(std::span<const std::byte> bytes, const DecodeLimits& 
     return detail::guard_memory([&]() -> Result<Scene> {
       auto storage = std::make_shared<Storage>();
       storage->copy.assign(bytes.begin(), bytes.end());
-      if (const auto ok = storage->open_levels(limits, storage->copy); !ok) return tl::unexpected(ok.error());
+      Status ok = storage->open_levels(limits, storage->copy);
+      if (ok) ok = validate(*storage->levels);
+      if (!ok) return tl::unexpected(ok.error());
       Scene scene;
       scene.storage_ = std::move(storage);
       return scene;
@@ -375,7 +390,7 @@ Result<Scene> Scene::load(const std::string& path, const DecodeLimits& limits) {
   return load(*std::move(file), limits);
 }
 
-Result<Scene> Scene::load_levels(MappedFile&& file, const DecodeLimits& limits) {
+Result<Scene> Scene::open_levels(MappedFile&& file, const DecodeLimits& limits) {
   auto storage = std::make_shared<Storage>();
   storage->file = std::move(file);
   if (const auto ok = storage->open_levels(limits, storage->file.bytes()); !ok) return tl::unexpected(ok.error());
@@ -386,7 +401,12 @@ Result<Scene> Scene::load_levels(MappedFile&& file, const DecodeLimits& limits) 
 
 Result<Scene> Scene::load(MappedFile&& file, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<Scene> {
-    if (has_levels(file.bytes())) return load_levels(std::move(file), limits);
+    if (has_levels(file.bytes())) {
+      auto scene = open_levels(std::move(file), limits);
+      if (!scene) return scene;
+      if (const Status ok = validate(*scene->levels()); !ok) return tl::unexpected(ok.error());
+      return scene;
+    }
     auto opened = FileView::open(file.bytes(), limits);
     if (!opened) return tl::unexpected(opened.error());
     auto storage = std::make_shared<Storage>();
@@ -407,7 +427,7 @@ Result<Scene> Scene::open(const std::string& path, const DecodeLimits& limits) {
 
 Result<Scene> Scene::open(MappedFile&& file, const DecodeLimits& limits) {
   return detail::guard_memory([&]() -> Result<Scene> {
-    if (has_levels(file.bytes())) return load_levels(std::move(file), limits);
+    if (has_levels(file.bytes())) return open_levels(std::move(file), limits);
     auto opened = FileView::open(file.bytes(), limits);
     if (!opened) return tl::unexpected(opened.error());
     auto storage = std::make_shared<Storage>();
@@ -437,8 +457,7 @@ std::uint64_t Scene::identity() const {
   return storage_ ? storage_->identity : 0;
 }
 bool Scene::has_file() const {
-  if (!storage_) return false;
-  return storage_->levels ? !storage_->leaves.empty() : !storage_->file.bytes().empty();
+  return storage_ && !storage_->levels && !storage_->file.bytes().empty();
 }
 
 const PagedFile* Scene::levels() const {
@@ -470,7 +489,7 @@ Result<Scene> Scene::pages(std::span<const std::uint32_t> pages) const {
     storage->expanded = memory_of(n, sh_degree());
     const Arrays to(storage->expanded.get(), n, sh_degree());
     to.gather(Arrays(storage_->paged.get(), storage_->n_paged, sh_degree()), all, pages);
-    storage->arrays = to.view(n, sh_degree(), origin());
+    storage->arrays = to.view(0, n, sh_degree(), origin());
     Scene scene;
     scene.storage_ = std::move(storage);
     return scene;
@@ -496,9 +515,12 @@ std::uint64_t Scene::bytes() const {
   const std::scoped_lock lock(storage_->mutex);
   std::uint64_t total = 0;
   if (const auto& a = storage_->arrays) {
-    for (const auto& array : {a->mean, a->rotation, a->scale, a->opacity, a->sh}) total += array.size_bytes();
+    // Leaves are part of all pages.
+    const bool is_paged = storage_->paged && !storage_->expanded;
+    for (const auto& array : {a->mean, a->rotation, a->scale, a->opacity, a->sh})
+      total += is_paged ? 0 : array.size_bytes();
   }
-  total += storage_->leaves.size() + storage_->copy.size() +
+  total += storage_->copy.size() +
            storage_->n_paged * sizeof(float) * static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree()));
   if (const auto& d = storage_->decoded) {
     const FileView& file = d->file();

@@ -78,7 +78,7 @@ class Scene {
   /// The FP32 arrays, 236 bytes a Gaussian at SH degree 3, which the first call makes of a kept file on all threads; others
   /// wait for it. Errors: host_out_of_memory; the scene is what it was then.
   Result<SceneView> view() const;
-  /// Whether the scene keeps the .rgs file that it came from.
+  /// Whether the scene keeps the .rgs file that it came from, and that is one without levels of detail.
   bool has_file() const;
   /// That file; null without one. It lives as long as the scene.
   const FileView* file() const;
@@ -86,8 +86,7 @@ class Scene {
   bool is_validated() const;
   /// Whether what load() has decoded of a coded file waits for the first view() or direct().
   bool is_decoded() const;
-  /// The tree of pages, where the scene came from a file with levels of detail; null otherwise. It lives as long as the scene.
-  /// The file that the scene keeps is then that of its leaves, in memory.
+  /// The file with levels of detail that the scene came from, which it keeps; null otherwise. It lives as long as the scene.
   const PagedFile* levels() const;
   /// The Gaussians of these pages of levels(), one page after the other, as a scene of their own with the same declarations. The
   /// first call decodes and validates all pages on all threads, and keeps them: 236 bytes a Gaussian at SH degree 3.
@@ -100,7 +99,7 @@ class Scene {
 
  private:
   struct Storage;
-  static Result<Scene> load_levels(MappedFile&& file, const DecodeLimits& limits);
+  static Result<Scene> open_levels(MappedFile&& file, const DecodeLimits& limits);
   static Scene adopt(SplatCloud splats, const std::optional<Declarations>& declared);
 
   std::shared_ptr<const Storage> storage_;
