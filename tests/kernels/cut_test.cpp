@@ -467,7 +467,7 @@ TEST_CASE("what the device chooses and draws is what the same pages are as a sce
       pages.insert(drawn.stats.pages);
     }
   }
-  if (!race_sizes()) CHECK(pages.size() >= (small_sizes() ? 3 : 5));
+  if (!race_sizes()) CHECK(pages.size() >= (small_sizes() ? 3 : 4));
 }
 
 TEST_CASE("at detail 0 the leaves are drawn to the bytes of the file without levels, in every mode and profile") {
