@@ -291,7 +291,9 @@ int render(const Options& options) {
   const auto opened = Clock::now();  // to the end of the first frame: what a viewer of the scene waits for
   const auto scene = rgs::open_scene_file(options.scene, options.limits);
   rgs::Status prepared;
-  if (scene && scene->scene.levels() == nullptr) prepared = renderer->prepare(scene->scene);
+  // The CPU makes arrays of the pages that it draws, and of no others.
+  const bool is_whole = scene && (scene->scene.levels() == nullptr || renderer->backend() == rgs::Backend::cuda);
+  if (is_whole) prepared = renderer->prepare(scene->scene);
   // That a file changed explains whatever was found wrong in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return tool::report(options.scene, scene.error());

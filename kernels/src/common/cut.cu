@@ -2,8 +2,8 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/footprint.hpp; docs/FORMAT.md "Error and cut"
-// In/Out  pages [n] -> chunks [drawn], places [all chunks], counts
-// Cost    96 B a page, half of them a parent's, which neighbours share; twice. About 60 FP64 operations. 8 B written a chunk
+// In/Out  pages [n] -> chunks [drawn], counts
+// Cost    96 B a page, half of them a parent's, which neighbours share; twice. About 60 FP64 operations. 4 B written a chunk
 //         that is drawn
 // Launch  256 threads, ceil(n / 256) blocks, twice: one kernel counts, one writes
 // Shared  sums of warps
@@ -84,18 +84,13 @@ __global__ void __launch_bounds__(kThreads) write_kernel(CutArguments a) {
       const CutCounts own = a.sums[blockIdx.x];
       const CutCounts all{before.gaussians + own.gaussians, before.pages + own.pages, before.chunks + own.chunks};
       *a.counts = all;
-      *a.seen = all;
-      __threadfence_system();
     }
   }
   const CutPage page = drawn_page(a, blockIdx.x * kThreads + threadIdx.x);
   // Past the barrier in it everybody sees `base`.
   const std::uint32_t end = inclusive_block_sum<kThreads>(page.n_chunks, warp_sums);
   const std::uint32_t first = base + end - page.n_chunks;
-  for (std::uint32_t k = 0; k < page.n_chunks; ++k) {
-    if (first + k < a.capacity) a.chunks[first + k] = page.first_chunk + k;
-    a.places[page.first_chunk + k] = first + k;
-  }
+  for (std::uint32_t k = 0; k < page.n_chunks; ++k) a.chunks[first + k] = page.first_chunk + k;
 }
 
 }  // namespace

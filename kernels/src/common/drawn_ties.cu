@@ -3,9 +3,9 @@
 //
 // In/Out  chunks, order and rank of all rows [n] -> order and rank of the drawn rows
 // Cost    a drawn row: 4 B of its rank read, a bit set in L2, 4 B of the order gathered, 8 B written, 4 of them scattered; a
-//         row of the scene: 3 bits cleared or read. Expected bound: L2
-// Launch  256 threads: one a drawn row that there is room for; then blocks of kBlockWords words of bits, twice
-// Shared  sums of warps
+//         row of the scene: a bit cleared, and read twice. Expected bound: L2
+// Launch  256 threads: one a drawn row that there is room for; then a block for kBlockWords words of bits, twice
+// Shared  sums of warps; which bits are set among 256 words, 16 KiB, so that threads take one after the other
 // Order   deterministic: bits, and sums of integers
 //
 // A bit a row, in the order of ranks, says what is drawn; how many bits come before one is its rank among them. So that the work
@@ -24,8 +24,8 @@ namespace rgs::cuda {
 namespace {
 
 constexpr int kThreads = 256;
-constexpr std::uint32_t kTurns = 4;  // a thread looks at four words in each
-constexpr std::uint32_t kTurnWords = 4 * kThreads, kBlockWords = kTurns * kTurnWords;
+constexpr std::uint32_t kTurns = 4;  // of a block, with a word a thread
+constexpr std::uint32_t kBlockWords = kTurns * kThreads;
 
 __global__ void __launch_bounds__(kThreads) mark_kernel(DrawnTiesArguments a) {
   const std::uint32_t i = blockIdx.x * kThreads + threadIdx.x;
@@ -34,19 +34,13 @@ __global__ void __launch_bounds__(kThreads) mark_kernel(DrawnTiesArguments a) {
   atomicOr(a.bits + rank / 32, 1u << rank % 32);
 }
 
-__device__ uint4 load_words(const DrawnTiesArguments& a, std::uint32_t turn) {
-  const std::uint64_t first = std::uint64_t{blockIdx.x} * kBlockWords + turn * kTurnWords;
-  return reinterpret_cast<const uint4*>(a.bits + first)[threadIdx.x];
-}
-__device__ std::uint32_t count(const uint4& w) {
-  return static_cast<std::uint32_t>(__popc(static_cast<int>(w.x)) + __popc(static_cast<int>(w.y)) +
-                                    __popc(static_cast<int>(w.z)) + __popc(static_cast<int>(w.w)));
+__device__ std::uint32_t count(std::uint32_t word) {
+  return static_cast<std::uint32_t>(__popc(static_cast<int>(word)));
 }
 
 // In every thread.
 __device__ std::uint32_t block_sum(std::uint32_t value) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
-  __syncthreads();
   const std::uint32_t sum = warp_sum(value);
   if (threadIdx.x % 32 == 0) warp_sums[threadIdx.x / 32] = sum;
   __syncthreads();
@@ -57,40 +51,44 @@ __device__ std::uint32_t block_sum(std::uint32_t value) {
 }
 
 __global__ void __launch_bounds__(kThreads) count_kernel(DrawnTiesArguments a) {
-  std::uint32_t n = 0;
-#pragma unroll
-  for (std::uint32_t turn = 0; turn < kTurns; ++turn) n += count(load_words(a, turn));
-  n = block_sum(n);
+  static_assert(kBlockWords == 4 * kThreads);
+  const uint4 w = reinterpret_cast<const uint4*>(a.bits + std::uint64_t{blockIdx.x} * kBlockWords)[threadIdx.x];
+  const std::uint32_t n = block_sum(count(w.x) + count(w.y) + count(w.z) + count(w.w));
   if (threadIdx.x == 0) a.sums[blockIdx.x] = n;
 }
 
 __global__ void __launch_bounds__(kThreads) write_kernel(DrawnTiesArguments a) {
   __shared__ std::uint32_t warp_sums[kThreads / 32];
+  __shared__ std::uint16_t set[32 * kThreads];  // the bits of a turn that are
+  static_assert(32 * kThreads <= 1 << 16);
   std::uint32_t before = 0;
   for (std::uint32_t b = threadIdx.x; b < blockIdx.x; b += kThreads) before += a.sums[b];
   std::uint32_t base = block_sum(before);
   for (std::uint32_t turn = 0; turn < kTurns; ++turn) {
-    const uint4 loaded = load_words(a, turn);
-    const std::uint32_t n = count(loaded), end = inclusive_block_sum<kThreads>(n, warp_sums);
-    std::uint32_t place = base + end - n;
-    const std::uint32_t first_rank =
-        32 * (blockIdx.x * kBlockWords + turn * kTurnWords + 4 * threadIdx.x);  // all ranks are below 2^31
-    const std::uint32_t words[4] = {loaded.x, loaded.y, loaded.z, loaded.w};
-#pragma unroll
-    for (std::uint32_t k = 0; k < 4; ++k) {
-      for (std::uint32_t left = words[k]; left != 0; left &= left - 1) {
-        const auto bit = static_cast<std::uint32_t>(__ffs(static_cast<int>(left)) - 1);
-        const std::uint32_t row = __ldg(a.all.order + first_rank + 32 * k + bit), chunk = row / a.chunk_size;
-        if (a.rank == nullptr) {
-          a.order[place++] = row;
-          continue;
-        }
-        const std::uint32_t drawn = a.places[chunk] * a.chunk_size + (row - chunk * a.chunk_size);
-        a.order[place] = drawn;
-        a.rank[drawn] = place++;
-      }
+    const std::uint32_t first_word = blockIdx.x * kBlockWords + turn * kThreads;
+    std::uint32_t left = a.bits[first_word + threadIdx.x];
+    std::uint32_t place = inclusive_block_sum<kThreads>(count(left), warp_sums) - count(left);
+    for (; left != 0; left &= left - 1) {
+      const auto bit = static_cast<std::uint32_t>(__ffs(static_cast<int>(left)) - 1);
+      set[place++] = static_cast<std::uint16_t>(32 * threadIdx.x + bit);
     }
-    base += block_sum(n);
+    __syncthreads();
+    std::uint32_t n = 0;
+#pragma unroll
+    for (const std::uint32_t sum : warp_sums) n += sum;
+    for (std::uint32_t k = threadIdx.x; k < n; k += kThreads) {
+      const std::uint32_t row = __ldg(a.all.order + 32 * first_word + set[k]);  // ranks are below 2^31
+      if (a.rank == nullptr) {
+        a.order[base + k] = row;
+        continue;
+      }
+      const std::uint32_t chunk = row / a.chunk_size;
+      const std::uint32_t drawn = a.places[chunk] * a.chunk_size + (row - chunk * a.chunk_size);
+      a.order[base + k] = drawn;
+      a.rank[drawn] = base + k;
+    }
+    base += n;
+    __syncthreads();
   }
 }
 

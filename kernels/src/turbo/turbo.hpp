@@ -262,7 +262,7 @@ struct TurboLongListSizes {
 /// counters.instances, .visible and .runs. Chunks of compact attributes outside the view are passed over before an
 /// attribute is read. What exceeds a capacity is counted, not written; large Gaussians that exceed theirs are not visible
 /// and have no entries. v.grid is that of tiles of kTurboTile. n < kMaxTurboGaussians. Of PagedAttributes the rows of `drawn`
-/// are projected, and have the indices of drawn rows; n is room for them. Errors: device_failed.
+/// are projected, and have the indices of drawn rows; n is room for them. Its chunks are not compared with the view again. Errors: device_failed.
 struct TurboEmitArguments {
   Attributes attributes;
   std::uint32_t n;

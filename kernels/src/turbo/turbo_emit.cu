@@ -20,11 +20,11 @@
 
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
+#include "common/cull_chunk.cuh"
 #include "common/drawn_rows.cuh"
 #include "common/launch.cuh"
 #include "common/load_splat.cuh"
 #include "common/project_splat.cuh"
-#include "turbo/cull_chunk.cuh"
 #include "turbo/emit_runs.cuh"
 #include "turbo/turbo.hpp"
 
@@ -143,9 +143,8 @@ __global__ void __launch_bounds__(kThreads)
   const std::uint32_t first = blockIdx.x * kThreads;
   const std::uint32_t i = first + threadIdx.x;
   // Of a scene with levels, i counts what is drawn.
-  constexpr bool kIsPaged = std::is_same_v<A, PagedAttributes>;
   std::uint32_t n = a.n, row = i;
-  if constexpr (kIsPaged) {
+  if constexpr (std::is_same_v<A, PagedAttributes>) {
     n = n_drawn_rows(a.drawn, attributes.chunk_size);
     if (first >= n) return;
     row = drawn_row(a.drawn, attributes.chunk_size, math::min(i, n - 1));
@@ -160,7 +159,7 @@ __global__ void __launch_bounds__(kThreads)
 
   math::TileRect rect{};
   std::uint32_t n_columns = 0, n_rows = 0;
-  if (i - i % 32 < n && chunk_in_view(attributes, kIsPaged ? row : math::min(i, n - 1), v.view, planes) && i < n) {
+  if (i - i % 32 < n && chunk_in_view(attributes, math::min(i, n - 1), v.view, planes) && i < n) {
     const math::Vec3<float> mean = load_mean(attributes.mean, row);
     // Geometry is not left until the depth is known: few of a chunk in view are out of range, and the loads overlap.
     const Geometry g = load_geometry(attributes, row);

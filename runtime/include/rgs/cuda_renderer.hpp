@@ -147,7 +147,8 @@ class CudaRenderer {
   /// destroyed before that: its destructor waits for the frame. Of a scene with levels of detail, options are read as
   /// Renderer::render() reads them, and room for what is drawn is a part of the workspace. Waits for the
   /// number of (tile, Gaussian) pairs; where the workspace is too small it grows, and the frame is made and waited for
-  /// again. That can happen three times in a row, each time for another of turbo's counts. With options.measure.timings or
+  /// again. That can happen three times in a row, each time for another of turbo's counts, and before these for a cut that draws more
+  /// than before. With options.measure.timings or
   /// .count_pairs also waits for the end of the frame. All counts but evaluated and blended (0 unless counted) are exact
   /// on return. Errors: bad_camera, bad_argument (see Renderer::render(); a target that is not aligned, a pitch smaller
   /// than a row, a surface that does not hold the image), limit_exceeded (2^31 pairs or more), device_out_of_memory

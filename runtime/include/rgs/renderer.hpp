@@ -161,8 +161,8 @@ class Renderer {
   Renderer& operator=(Renderer&&) noexcept;
   ~Renderer();
 
-  /// Brings the scene to where it is drawn, which the first render() does otherwise: CUDA uploads it, and decodes on the
-  /// device what Scene::open() has left in its file; the CPU makes its FP32 arrays. Errors: those of Scene::view() and
+  /// Brings the scene to where it is drawn, which the first render() does otherwise: CUDA uploads it, of a file with levels all
+  /// pages, and decodes on the device what Scene::open() has left in its file; the CPU makes its FP32 arrays. Errors: those of Scene::view() and
   /// DeviceScene::upload().
   Status prepare(const Scene& scene);
 

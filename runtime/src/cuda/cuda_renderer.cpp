@@ -28,12 +28,9 @@ constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRow
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
 
-// Above detail 0 it is not known before how much a scene with levels draws.
-bool draws_turbo(const FrameSettings& settings, const detail::SceneStorage* scene, float detail_px) {
-  if (!settings.cuda.turbo || scene == nullptr || !scene->pages) {
-    return settings.cuda.turbo && detail::TurboPipeline::takes(scene == nullptr ? 0 : scene->n);
-  }
-  return detail_px > 0 || detail::TurboPipeline::takes(scene->pages->finest_chunks * scene->pages->chunk_size);
+// Of a scene with levels it is not known before how much is drawn.
+bool draws_turbo(const FrameSettings& settings, const detail::SceneStorage* scene) {
+  return settings.cuda.turbo && (scene == nullptr || scene->pages || detail::TurboPipeline::takes(scene->n));
 }
 
 cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px) {
@@ -219,7 +216,7 @@ Result<FrameStats> CudaRenderer::render(const DeviceScene& scene, const Camera& 
     const auto view = [&](bool for_turbo) {
       return view_of(camera, scene.origin(), settings, scene.sh_degree(), for_turbo);
     };
-    const bool is_turbo = draws_turbo(settings, scene.storage_.get(), *detail_px);
+    const bool is_turbo = draws_turbo(settings, scene.storage_.get());
     Frame frame{.scene = scene.storage_,
                 .width = camera.width,
                 .height = camera.height,

@@ -1,5 +1,5 @@
-// cut_stage.hpp - the stage before the front ends, of scenes with levels of detail: which chunks a frame draws, and their tie
-// order.
+// cut_stage.hpp - the stage before the front ends, of scenes with levels of detail: which chunks a frame draws, and the tie
+// order of what is in them.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -23,11 +23,18 @@ class CutStage {
   /// Errors: device_failed.
   Status create() { return seen_.create(); }
   /// Makes room for `n_chunks` and more, or, if that is 0, for a first guess where there is none; but for at most `max_chunks`.
-  /// Before every launch. Errors: those of `reserve`.
-  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, const Reserve& reserve);
-  /// Queues the choice. by_row: the order is one of the scene's rows, otherwise one of drawn rows, and has ranks. Errors:
-  /// device_failed.
-  Status launch(const SceneStorage& scene, const cuda::CutEye& eye, bool by_row, CudaStream stream) const;
+  /// `splats` gets room for as many. Before every launch. Errors: those of `reserve`.
+  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, DeviceBuffer& splats,
+                 const Reserve& reserve);
+  /// What a frame draws, and how.
+  struct Choice {
+    cuda::CutEye eye;
+    cuda::ViewParameters view;
+    bool by_view;  ///< leave out what is not in view, which holds for tiles that a Gaussian's ellipse touches
+    bool by_row;   ///< the order is one of the scene's rows, otherwise one of drawn rows, and has ranks
+  };
+  /// Queues the choice. Errors: device_failed.
+  Status launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const;
 
   /// Of the frame queued last, once the device has come so far.
   const cuda::CutCounts& seen() const { return *seen_.get(); }
@@ -35,18 +42,20 @@ class CutStage {
   bool fits() const { return seen().chunks <= capacity_; }
 
   std::uint64_t capacity() const { return capacity_; }  ///< chunks
-  cuda::DrawnChunks drawn(const SceneStorage& scene) const;
+  cuda::DrawnChunks drawn() const;
   cuda::TieOrder ties() const { return {order_.as<std::uint32_t>(), rank_.as<std::uint32_t>()}; }
   std::uint64_t bytes() const;
 
  private:
-  std::uint64_t held(const SceneStorage& scene) const;
+  std::uint64_t held(const SceneStorage& scene, const DeviceBuffer& splats) const;
 
   std::uint64_t capacity_ = 0;
   PageLocked<cuda::CutCounts> seen_;
-  DeviceBuffer sums_;    ///< of blocks, and of the frame behind them
-  DeviceBuffer chunks_;  ///< [capacity]
-  DeviceBuffer places_;  ///< [all chunks]
+  DeviceBuffer counts_;   ///< [2 + blocks] what is chosen, what is listed, and sums of blocks
+  DeviceBuffer chosen_;   ///< [all chunks]
+  DeviceBuffer in_view_;  ///< sums of blocks
+  DeviceBuffer chunks_;   ///< [capacity]
+  DeviceBuffer places_;   ///< [all chunks]
   DeviceBuffer bits_, bit_sums_;
   DeviceBuffer order_, rank_;  ///< [rows]
 };

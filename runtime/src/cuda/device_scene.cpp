@@ -221,7 +221,7 @@ Result<DeviceScene> DeviceScene::upload(const PagedFile& file, const UploadOptio
     if (const auto ok = check_size(plan.n_rows()); !ok) return tl::unexpected(ok.error());
     const auto start = Clock::now();
     auto storage = std::make_shared<SceneStorage>();
-    storage->n = plan.finest_rows;
+    storage->n = plan.n_finest;
     storage->sh_degree = header.sh_degree;
     storage->declarations = head.declarations();
     storage->origin = storage->declarations->origin;
@@ -229,7 +229,6 @@ Result<DeviceScene> DeviceScene::upload(const PagedFile& file, const UploadOptio
     pages.n_pages = plan.n_pages;
     pages.chunk_size = plan.chunk_size;
     pages.n_chunks = plan.n_chunks();
-    pages.finest_chunks = plan.finest_chunks;
     const std::vector<cuda::CutPage> table = plan.table(file);
     const std::uint64_t table_bytes = table.size() * sizeof(cuda::CutPage);
     const auto memory = detail::DeviceMemory::create(options.allocator);

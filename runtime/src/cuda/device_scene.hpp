@@ -20,8 +20,7 @@ struct ScenePages {
   DeviceBuffer table;  ///< cuda::CutPage [n_pages]
   std::uint32_t n_pages = 0;
   std::uint32_t chunk_size = 0;
-  std::uint64_t n_chunks = 0;       ///< of all pages
-  std::uint64_t finest_chunks = 0;  ///< of the pages that are drawn at detail 0
+  std::uint64_t n_chunks = 0;  ///< of all pages
 };
 
 struct SceneStorage {

@@ -109,9 +109,12 @@ struct FrameState {
   /// those of the other reserve().
   Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
-    const bool draws_finest = n_chunks == 0 && f.cut->detail_px == 0;
-    return cut.reserve(*f.scene, draws_finest ? f.scene->pages->finest_chunks : n_chunks, f.max_chunks(),
+    return cut.reserve(*f.scene, n_chunks, f.max_chunks(), splats,
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
+  }
+  /// Queues the cut of a frame that has one. by_row: see CutStage.
+  Status launch_cut(const Frame& f, bool by_row) const {
+    return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, by_row}, f.stream);
   }
   /// Gaussians that the front end must have room for.
   std::uint64_t n_drawn(const Frame& f) const { return f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n(); }

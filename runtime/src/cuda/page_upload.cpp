@@ -216,6 +216,12 @@ Status PageUpload::run() {
 
 }  // namespace
 
+// Whether all children of a page are there, so that it can give way to them.
+bool PagePlan::has_children(const PagedFile& file, std::uint32_t page) const {
+  const lod::Page& p = file.pages()[page];
+  return p.n_children != 0 && std::uint64_t{p.first_child} + p.n_children <= n_pages;
+}
+
 PagePlan::PagePlan(const PagedFile& file) : n_pages(file.n_present()), chunk_size(file.head().header().chunk_size) {
   first_chunk.resize(std::size_t{n_pages} + 1), first_set.resize(std::size_t{n_pages} + 1);
   for (std::uint32_t page = 0; page < n_pages; ++page) {
@@ -223,10 +229,10 @@ PagePlan::PagePlan(const PagedFile& file) : n_pages(file.n_present()), chunk_siz
     const std::uint64_t chunks = (std::uint64_t{p.count} + chunk_size - 1) / chunk_size;
     first_chunk[page + 1] = first_chunk[page] + chunks;
     first_set[page + 1] = first_set[page] + file.stored(page).n_step_sets;
-    if (std::uint64_t{p.first_child} + p.n_children <= n_pages && p.n_children != 0) continue;
-    const bool gave_way =
-        page == 0 || std::uint64_t{file.pages()[p.parent].first_child} + file.pages()[p.parent].n_children <= n_pages;
-    if (gave_way) finest_chunks += chunks, finest_rows += p.count;
+    // The finest: without children, and a page that has given way to it.
+    if (page == 0 ? !has_children(file, 0) : !has_children(file, page) && has_children(file, p.parent)) {
+      n_finest += p.count;
+    }
   }
 }
 
@@ -239,10 +245,9 @@ std::vector<cuda::CutPage> PagePlan::table(const PagedFile& file) const {
   std::vector<cuda::CutPage> table(n_pages);
   for (std::uint32_t i = 0; i < n_pages; ++i) {
     const lod::Page& page = file.pages()[i];
-    const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_pages;
     const auto& [low, high] = page.bounds;
     table[i] = {{low[0], low[1], low[2]},
-                has_children ? page.error : 0.0F,
+                has_children(file, i) ? page.error : 0.0F,
                 {high[0], high[1], high[2]},
                 page.parent == lod::kNoPage ? cuda::kNoCutPage : page.parent,
                 static_cast<std::uint32_t>(first_chunk[i]),

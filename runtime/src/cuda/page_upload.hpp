@@ -20,8 +20,7 @@ struct PagePlan {
   std::uint32_t n_pages = 0;
   std::uint32_t chunk_size = 0;
   std::vector<std::uint64_t> first_chunk, first_set;  ///< [n_pages + 1] chunks and SH step sets of the pages before
-  std::uint64_t finest_chunks = 0;                    ///< of the pages that are drawn at detail 0
-  std::uint64_t finest_rows = 0;                      ///< Gaussians of these
+  std::uint64_t n_finest = 0;                         ///< Gaussians of the pages that are drawn at detail 0
 
   std::uint64_t n_chunks() const { return first_chunk.back(); }
   std::uint64_t n_rows() const { return n_chunks() * chunk_size; }
@@ -29,6 +28,9 @@ struct PagePlan {
   std::array<std::uint64_t, 5> section_bytes(int sh_degree) const;
   /// The pages as the choice of them reads them.
   std::vector<cuda::CutPage> table(const PagedFile& file) const;
+
+ private:
+  bool has_children(const PagedFile& file, std::uint32_t page) const;
 };
 
 /// Decodes and checks all pages that are there, on all threads, a few at a time, and copies them to `places`; waits for that.

@@ -41,7 +41,7 @@ Status SortedPipeline::choose(const Frame& f) {
   if (!f.cut) return {};
   Status ok = state_.reserve_cut(f);
   for (;;) {
-    if (ok) ok = state_.cut.launch(*f.scene, *f.cut, true, f.stream);
+    if (ok) ok = state_.launch_cut(f, true);
     if (ok) ok = state_.wait(f.stream);
     if (!ok) return ok;
     const std::uint64_t n_chunks = state_.cut.seen().chunks;
@@ -55,7 +55,7 @@ Status SortedPipeline::choose(const Frame& f) {
 }
 
 Status SortedPipeline::reserve_scene(const Frame& f) {
-  const std::uint64_t n = n_;
+  const std::uint64_t n = state_.n_drawn(f);  // with room that a cut may grow into
   const auto reserve = [&](DeviceBuffer& b, std::uint64_t bytes) { return state_.reserve(b, bytes, f.stream); };
   Status ok = reserve(counters_, sizeof(cuda::Counters));
   if (ok) ok = reserve(state_.splats, n * sizeof(cuda::ScreenSplat));

@@ -156,11 +156,11 @@ Status TurboPipeline::launch(const Frame& f) {
     ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
                        "the frame's state could not be cleared");
   }
-  if (ok && f.cut) ok = state_.cut.launch(*f.scene, *f.cut, false, on);
+  if (ok && f.cut) ok = state_.launch_cut(f, false);
   if (ok) {
     ok = cuda::launch_turbo_emit(
         {f.attributes(), static_cast<std::uint32_t>(state_.n_drawn(f)), f.view, state_.splats.as<cuda::ScreenSplat>(),
-         arrays, f.cut ? state_.cut.drawn(*f.scene) : cuda::DrawnChunks{}},
+         arrays, f.cut ? state_.cut.drawn() : cuda::DrawnChunks{}},
         on);
   }
   if (ok) ok = state_.mark(kProjected, f, on);

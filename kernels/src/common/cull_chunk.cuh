@@ -55,30 +55,58 @@ inline CullPlanes cull_planes(const ViewParameters& v) {
            plane(-1, 0, -left, 0, reach_x), plane(0, 1, -bottom, 0, reach_y), plane(0, -1, -top, 0, reach_y)}};
 }
 
-/// FP32 attributes have no chunks.
-__device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const math::View<float>&,
-                                     const CullPlanes&) {
-  return true;
-}
+/// The box of a chunk's means from the camera, in the world's axes.
+struct ChunkBox {
+  math::Vec3<float> center, half;
+  float size;    ///< sum of all their coordinates' magnitudes
+  float radius;  ///< three standard deviations of its largest Gaussian
+};
 
-/// False only if no Gaussian of the chunk of Gaussian i can be listed in a tile. All lanes of a warp call it, with
-/// Gaussians of one chunk: each asks one plane.
-__device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const math::View<float>& view,
-                                     const CullPlanes& planes) {
-  const auto* const entry = reinterpret_cast<const float4*>(a.chunks + 12 * (i / a.chunk_size));
+__device__ inline ChunkBox load_chunk_box(const std::uint32_t* chunks, std::uint32_t chunk,
+                                          const math::View<float>& view) {
+  const auto* const entry = reinterpret_cast<const float4*>(chunks + 12 * chunk);
   const float4 first = __ldg(entry);  // x, y, z; w: three standard deviations
   const float4 last = __ldg(entry + 1);
   const math::Vec3<float> low = math::from_camera(view, {first.x, first.y, first.z});
   const math::Vec3<float> high = math::from_camera(view, {last.x, last.y, last.z});
   const math::Vec3<float> center{0.5F * (low.x + high.x), 0.5F * (low.y + high.y), 0.5F * (low.z + high.z)};
   const math::Vec3<float> half{0.5F * (high.x - low.x), 0.5F * (high.y - low.y), 0.5F * (high.z - low.z)};
-  const float size = fabsf(center.x) + fabsf(center.y) + fabsf(center.z) + half.x + half.y + half.z;
-  const CullPlanes::Plane& p = planes.plane[math::min(threadIdx.x % 32, 5u)];
-  const float distance = fmaf(p.normal.x, center.x, fmaf(p.normal.y, center.y, fmaf(p.normal.z, center.z, p.offset)));
-  const float reach = fmaf(p.reach, first.w, p.rounding * size);
+  return {center, half, fabsf(center.x) + fabsf(center.y) + fabsf(center.z) + half.x + half.y + half.z, first.w};
+}
+
+__device__ inline bool is_beyond(const CullPlanes::Plane& p, const ChunkBox& box) {
+  const math::Vec3<float>&c = box.center, &h = box.half;
+  const float distance = fmaf(p.normal.x, c.x, fmaf(p.normal.y, c.y, fmaf(p.normal.z, c.z, p.offset)));
+  const float reach = fmaf(p.reach, box.radius, p.rounding * box.size);
   // The comparison with a box whose numbers overflow leaves it in view.
-  const bool beyond = distance > fmaf(p.extent.x, half.x, fmaf(p.extent.y, half.y, fmaf(p.extent.z, half.z, reach)));
-  return !__any_sync(0xFFFFFFFFu, beyond);
+  return distance > fmaf(p.extent.x, h.x, fmaf(p.extent.y, h.y, fmaf(p.extent.z, h.z, reach)));
+}
+
+/// False only if no Gaussian of the chunk can be listed in a tile. A thread's own.
+__device__ inline bool chunk_in_view(const std::uint32_t* chunks, std::uint32_t chunk, const math::View<float>& view,
+                                     const CullPlanes& planes) {
+  const ChunkBox box = load_chunk_box(chunks, chunk, view);
+  bool beyond = false;
+#pragma unroll
+  for (const CullPlanes::Plane& plane : planes.plane) beyond = beyond || is_beyond(plane, box);
+  return !beyond;
+}
+
+/// The same of the chunk of Gaussian i. All lanes of a warp call it, with Gaussians of one chunk: each asks one plane.
+__device__ inline bool chunk_in_view(const CompactAttributes& a, std::uint32_t i, const math::View<float>& view,
+                                     const CullPlanes& planes) {
+  const ChunkBox box = load_chunk_box(a.chunks, i / a.chunk_size, view);
+  return !__any_sync(0xFFFFFFFFu, is_beyond(planes.plane[math::min(threadIdx.x % 32, 5u)], box));
+}
+
+/// FP32 attributes have no chunks; those of pages in view are all that is listed.
+__device__ inline bool chunk_in_view(const Fp32Attributes&, std::uint32_t, const math::View<float>&,
+                                     const CullPlanes&) {
+  return true;
+}
+__device__ inline bool chunk_in_view(const PagedAttributes&, std::uint32_t, const math::View<float>&,
+                                     const CullPlanes&) {
+  return true;
 }
 
 }  // namespace rgs::cuda

@@ -1,0 +1,79 @@
+// cull.cu - of the chunks of pages that a frame draws, those in its view: a thread a chunk.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Math    common/cull_chunk.cuh
+// In/Out  chosen [n], CHNK -> chunks [in view], places [all chunks], counts
+// Cost    36 B a chunk that is chosen, gathered, twice; 12 B written a chunk in view
+// Launch  256 threads, a block for 256 chunks of the scene, of which those beyond what is chosen end at once; twice: one kernel
+//         counts, one writes
+// Shared  sums of warps
+// Order   deterministic: chunks stay in their order
+//
+// What lies outside the view takes no room among the drawn rows and none of the work on their tie order.
+#include <cstdint>
+
+#include "common/block_scan.cuh"
+#include "common/cull_chunk.cuh"
+#include "common/cut.hpp"
+#include "common/launch.cuh"
+
+namespace rgs::cuda {
+namespace {
+
+constexpr int kThreads = 256;
+
+__device__ bool is_listed(const CullArguments& a, const CullPlanes& planes, std::uint32_t i, std::uint32_t n) {
+  return i < n && (!a.by_view || chunk_in_view(a.entries, a.chosen[i], a.view.view, planes));
+}
+
+__global__ void __launch_bounds__(kThreads)
+    count_kernel(const __grid_constant__ CullArguments a, const __grid_constant__ CullPlanes planes) {
+  const std::uint32_t n = a.counts->chunks, first = blockIdx.x * kThreads;
+  if (first >= n) return;
+  const int listed = __syncthreads_count(is_listed(a, planes, first + threadIdx.x, n));
+  if (threadIdx.x == 0) a.sums[blockIdx.x] = static_cast<std::uint32_t>(listed);
+}
+
+__global__ void __launch_bounds__(kThreads)
+    write_kernel(const __grid_constant__ CullArguments a, const __grid_constant__ CullPlanes planes) {
+  __shared__ std::uint32_t sums_before[kThreads / 32], warp_sums[kThreads / 32];
+  const std::uint32_t n = a.counts->chunks, first = blockIdx.x * kThreads;
+  if (first >= n) return;
+  std::uint32_t before = 0;
+  for (std::uint32_t b = threadIdx.x; b < blockIdx.x; b += kThreads) before += a.sums[b];
+  before = warp_sum(before);
+  if (threadIdx.x % 32 == 0) sums_before[threadIdx.x / 32] = before;
+  const bool listed = is_listed(a, planes, first + threadIdx.x, n);
+  // Past the barrier in it everybody sees the sums.
+  std::uint32_t end = inclusive_block_sum<kThreads>(listed ? 1 : 0, warp_sums);
+#pragma unroll
+  for (const std::uint32_t sum : sums_before) end += sum;
+  if (listed) {
+    const std::uint32_t chunk = a.chosen[first + threadIdx.x];
+    if (end <= a.capacity) a.chunks[end - 1] = chunk;
+    a.places[chunk] = end - 1;
+  }
+  if (n - first <= kThreads && threadIdx.x == kThreads - 1) {
+    const CutCounts all{a.counts->gaussians, a.counts->pages, end};
+    *a.listed = all;
+    *a.seen = all;
+    __threadfence_system();
+  }
+}
+
+}  // namespace
+
+std::uint32_t cull_blocks(std::uint32_t n_chunks) {
+  return blocks_for(n_chunks, kThreads);
+}
+
+Status launch_cull(const CullArguments& a, Stream stream) {
+  const CullPlanes planes = cull_planes(a.view);
+  const std::uint32_t blocks = cull_blocks(a.n_chunks);
+  count_kernel<<<blocks, kThreads, 0, stream>>>(a, planes);
+  if (const auto ok = launched("the chunks in view could not be counted"); !ok) return ok;
+  write_kernel<<<blocks, kThreads, 0, stream>>>(a, planes);
+  return launched("the chunks in view could not be listed");
+}
+
+}  // namespace rgs::cuda
