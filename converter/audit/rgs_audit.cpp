@@ -229,7 +229,9 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary")->group(machine);
   app.set_version_flag("--version", "rgs-audit " RGS_VERSION);
   app.footer("Conditions of --fail-below:" + names +
-             "\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 5 a condition failed.");
+             "\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 5 a condition failed, "
+             "6 the end of a "
+             "file with levels of detail is missing.");
 }
 
 }  // namespace

@@ -134,9 +134,6 @@ tl::expected<LoadedScenes, int> load_scenes(const Options& o, Report& report) {
   const auto file = rgs::MappedFile::open(o.scene);
   if (!file) return failed(o.scene, file.error());
   const bool has_levels = rgs::has_levels(file->bytes());
-  if (has_levels && o.detail_px > 0 && o.asks_baseline)
-    return tl::unexpected<int>(
-        tool::report_usage("baseline draws the leaves alone: --detail 0, or --mode paper,turbo without --ablate"));
   auto compact = has_levels ? upload_levels(file->bytes(), o, report) : upload_plain(file->bytes(), o);
   if (!compact) return failed(o.scene, compact.error());
   scenes.compact = *compact;
@@ -326,9 +323,18 @@ tl::expected<std::vector<tool::ImageSize>, int> parse_sizes(const Options& o) {
   return sizes;
 }
 
+// Found before the device is asked for anything. A file that cannot be read is reported when it is its turn.
+bool asks_baseline_of_levels(const Options& o) {
+  if (o.detail_px == 0 || !o.asks_baseline) return false;
+  const auto file = rgs::MappedFile::open(o.scene);
+  return file && rgs::has_levels(file->bytes());
+}
+
 int bench(const Options& o) {
   const auto sizes = parse_sizes(o);
   if (!sizes) return sizes.error();
+  if (asks_baseline_of_levels(o))
+    return tool::report_usage("baseline draws the leaves alone: --detail 0, or --mode paper,turbo without --ablate");
   tool::InputFiles inputs;
   inputs.add(o.scene);
   inputs.add(o.source);

@@ -26,6 +26,7 @@
 #include "rgs/camera_file.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/file.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/version.hpp"
 
 namespace {
@@ -101,6 +102,37 @@ rgs::Status forget(const std::string& path) {
   return {};
 }
 
+// A file's head, with or without levels of detail.
+struct Head {
+  std::optional<rgs::PagedFile> levels;
+  rgs::FileView view;  // without levels
+
+  static Result<Head> open(std::span<const std::byte> bytes, const rgs::DecodeLimits& limits) {
+    Head head;
+    if (rgs::has_levels(bytes)) {
+      auto levels = rgs::PagedFile::open(bytes, limits);
+      if (!levels) return tl::unexpected(levels.error());
+      head.levels = *std::move(levels);
+      return head;
+    }
+    auto view = rgs::FileView::open(bytes, limits);
+    if (!view) return tl::unexpected(view.error());
+    head.view = *std::move(view);
+    return head;
+  }
+  const rgs::FileView& file() const { return levels ? levels->head() : view; }
+  const char* profile() const {
+    const rgs::Codec codec = levels                      ? levels->codec()
+                             : view.archive() != nullptr ? rgs::Codec::archive
+                             : view.coded()              ? rgs::Codec::planes
+                                                         : rgs::Codec::none;
+    return codec == rgs::Codec::archive ? "archive" : codec == rgs::Codec::planes ? "packed" : "direct";
+  }
+  Result<rgs::DeviceScene> upload(const rgs::UploadOptions& options) const {
+    return levels ? rgs::DeviceScene::upload(*levels, options) : rgs::DeviceScene::upload(view, options);
+  }
+};
+
 Result<Steps> open_once(Bench& bench, const std::string& path, bool decode_on_host) {
   if (bench.options.is_cold) {
     if (const auto ok = forget(path); !ok) return tl::unexpected(ok.error());
@@ -109,23 +141,22 @@ Result<Steps> open_once(Bench& bench, const std::string& path, bool decode_on_ho
   const auto start = Clock::now();
   const auto file = rgs::MappedFile::open(path);
   if (!file) return tl::unexpected(file.error());
-  const auto view = rgs::FileView::open(file->bytes(), bench.options.limits);
-  if (!view) return tl::unexpected(view.error());
+  const auto head = Head::open(file->bytes(), bench.options.limits);
+  if (!head) return tl::unexpected(head.error());
   steps.open = ms_since(start);
   rgs::UploadTimes times;
-  const auto scene = rgs::DeviceScene::upload(*view, {.decode_on_host = decode_on_host, .times = &times});
+  const auto scene = head->upload({.decode_on_host = decode_on_host, .times = &times});
   if (!scene) return tl::unexpected(scene.error());
   steps.setup = times.setup_ms, steps.host = times.host_ms, steps.device = times.device_ms;
   const auto uploaded = Clock::now();
-  const rgs::Declarations& declared = view->declarations();
+  const rgs::Declarations& declared = head->file().declarations();
   const rgs::Camera camera =
       bench.camera ? *bench.camera
                    : rgs::default_view(rgs::declared_bounds(declared), {bench.size.width, bench.size.height, 60},
                                        rgs::declared_up(declared));
   rgs::RenderOptions how;
   how.pipeline = rgs::Pipeline::turbo;
-  const auto stats =
-      bench.renderer.render(*scene, camera, bench.picture.target(), rgs::with_declarations(how, declared));
+  const auto stats = bench.renderer.render(*scene, camera, bench.picture.target(), how);
   if (!stats) return tl::unexpected(stats.error());
   if (const auto ok = bench.picture.download(); !ok) return tl::unexpected(ok.error());
   steps.frame = ms_since(uploaded);
@@ -146,10 +177,6 @@ Steps median(std::span<const Steps> runs) {
   return result;
 }
 
-const char* profile_name(const rgs::FileView& view) {
-  return view.archive() != nullptr ? "archive" : (view.coded() ? "packed" : "direct");
-}
-
 nlohmann::ordered_json measured_json(std::span<const Steps> runs, std::uint64_t file_bytes) {
   nlohmann::ordered_json json;
   const Steps middle = median(runs);
@@ -166,13 +193,13 @@ tl::expected<nlohmann::ordered_json, int> measure_file(Bench& bench, const std::
   {
     const auto file = rgs::MappedFile::open(path);
     if (!file) return tl::unexpected<int>(tool::report(path, file.error()));
-    const auto view = rgs::FileView::open(file->bytes(), bench.options.limits);
-    if (!view) return tl::unexpected<int>(tool::report(path, view.error()));
+    const auto head = Head::open(file->bytes(), bench.options.limits);
+    if (!head) return tl::unexpected<int>(tool::report(path, head.error()));
     json = {{"name", std::filesystem::path(path).filename().string()},
             {"bytes", file->bytes().size()},
-            {"profile", profile_name(*view)},
-            {"gaussians", view->header().n_gaussians},
-            {"sh_degree", view->header().sh_degree}};
+            {"profile", head->profile()},
+            {"gaussians", head->file().header().n_gaussians},
+            {"sh_degree", head->file().header().sh_degree}};
   }
   const auto name = tool::printable(json["name"].get<std::string>());
   for (const std::string& decode : bench.options.decode) {

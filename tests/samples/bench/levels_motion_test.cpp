@@ -16,6 +16,8 @@
 #include "rgs/encode.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
+#include "sanitized.hpp"
+#include "skip.hpp"
 #include "town_generator.hpp"
 
 using namespace rgs;
@@ -78,6 +80,7 @@ TEST_CASE("a dolly goes straight back from a point, by one factor a frame") {
 }
 
 TEST_CASE("levels of detail do not pop: a dolly to 16 times as far and an orbit, beside the supersampled truth") {
+  if (kSanitized) return skip("a thousand pictures take too long with sanitizers");
   const Scene scene = scene_with_levels(120000);
   REQUIRE(scene.levels()->n_levels() >= 3);
   const auto set = parse_camera_json(town_cameras_json(1, 96, 54));

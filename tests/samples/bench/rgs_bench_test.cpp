@@ -23,6 +23,7 @@ using rgs::test::read_text;
 using rgs::test::TemporaryFolder;
 
 const std::string kScene = RGS_SOURCE_DIR "/tests/golden/degree3.rgs";
+const std::string kLevels = RGS_SOURCE_DIR "/tests/golden/levels_packed.rgs";  // 300 Gaussians, 3 levels in 8 pages
 
 struct Stage {
   TemporaryFolder folder;
@@ -78,6 +79,57 @@ TEST_CASE("rgs-bench keeps outputs that exist, and finds out before it measures"
   CHECK(result.out.empty());
   CHECK(read_text(output) == "mine");
   CHECK(stage.run({"--csv", stage.folder.file("no/such/folder.csv")}).exit_code == 3);
+}
+
+TEST_CASE("rgs-bench refuses the baseline of levels of detail, but of their leaves") {
+  const Stage stage;
+  const auto blind = [] { ::setenv("CUDA_VISIBLE_DEVICES", "", 1); };
+  for (const std::vector<std::string>& more :
+       std::vector<std::vector<std::string>>{{"--mode", "baseline,turbo"}, {"--ablate"}}) {
+    const ProgramResult refused = stage.run(more, kLevels, blind);
+    CHECK(refused.exit_code == 2);
+    CHECK(refused.err.find("--detail 0") != std::string::npos);
+    std::vector<std::string> leaves = more;
+    leaves.insert(leaves.end(), {"--detail", "0"});
+    CHECK(stage.run(leaves, kLevels, blind).exit_code == 3);  // no device
+    CHECK(stage.run(more, kScene, blind).exit_code == 3);
+  }
+}
+
+TEST_CASE("rgs-bench draws files with levels of detail, and says of what each camera's picture is made") {
+  int n_devices = 0;
+  if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0) return rgs::test::skip("no CUDA device answers");
+  const Stage stage;
+  const std::string json = stage.folder.file("levels.json"), leaves_json = stage.folder.file("leaves.json");
+  const ProgramResult result = stage.run(
+      {"--quality-cameras", stage.cameras, "--size", "64x48", "--frames", "2", "--detail", "1e4", "--json", json},
+      kLevels);
+  REQUIRE_MESSAGE(result.exit_code == 0, result.err);
+  const auto report = nlohmann::json::parse(read_text(json));
+  CHECK(report["scene"]["gaussians"] == 300);
+  CHECK(report["scene"]["levels"]["levels"] == 3);
+  CHECK(report["scene"]["levels"]["pages"] == 8);
+  CHECK(report["detail_px"] == 1e4);
+  REQUIRE(report["modes"].size() == 2);
+  CHECK(report["modes"][0]["name"] == "paper");
+  for (const auto& row : report["sizes"][0]["results"]) {
+    REQUIRE(row["drawn"].size() == 1);
+    CHECK(row["drawn"][0]["camera"] == "a.jpg");
+    CHECK(row["drawn"][0]["pages"] == 1);  // the root
+    CHECK(row["drawn"][0]["gaussians"].get<int>() < 100);
+    CHECK(row["gaussians"] == row["drawn"][0]["gaussians"]);
+  }
+  CHECK(result.out.find("drawn at detail 10000") != std::string::npos);
+  const ProgramResult leaves =
+      stage.run({"--size", "64x48", "--frames", "2", "--detail", "0", "--json", leaves_json}, kLevels);
+  REQUIRE_MESSAGE(leaves.exit_code == 0, leaves.err);
+  const auto all = nlohmann::json::parse(read_text(leaves_json));
+  REQUIRE(all["modes"].size() == 3);
+  CHECK(all["modes"][0]["name"] == "baseline");
+  for (const auto& row : all["sizes"][0]["results"]) {
+    CHECK(row["gaussians"] == 300);
+    CHECK_FALSE(row.contains("drawn"));
+  }
 }
 
 TEST_CASE("without a device rgs-bench says so and writes nothing") {
