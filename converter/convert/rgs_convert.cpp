@@ -404,7 +404,7 @@ std::optional<std::string> check_arguments(Arguments& a) {
   if (a.lod_quality && !a.lod) return "--lod-quality is of --lod";
   if (!a.lod && a.convert.memory_bytes != rgs::lod::kDefaultMemory) return "--memory is of --lod";
   if (!a.lod && !a.convert.scratch.empty()) return "--scratch is of --lod";
-  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 256MiB";
+  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 128MiB";
   if (a.lod) a.convert.levels = a.lod_quality.value_or(rgs::lod::Quality::fast);
   if (a.convert.scratch.empty() && a.output() != "-")
     a.convert.scratch = std::filesystem::path(a.output()).parent_path().string();
@@ -651,7 +651,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->transform(tool::one_of(std::map<std::string, rgs::lod::Quality>{{"fast", rgs::lod::Quality::fast},
                                                                         {"best", rgs::lod::Quality::best}}));
   app.add_option("--memory", a.convert.memory_bytes,
-                 "Memory that --lod may take for inputs in PLY, 256MiB and more [2GiB]")
+                 "Memory that --lod may take for inputs in PLY, 128MiB and more [2GiB]")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES");
   app.add_option("--scratch", a.convert.scratch,
