@@ -655,7 +655,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES");
   app.add_option("--scratch", a.convert.scratch,
-                 "Folder for temporary files of --lod, 1.2 times the size of the input at most [the output's]");
+                 "Folder for temporary files of --lod, about 1.2 times the size of a PLY [the output's]");
   app.add_option("--sh-degree", e.sh_degree, "Strip SH above this degree")->check(CLI::Range(0, 3));
   app.add_option("--on-bad", e.on_bad, "Damaged Gaussians; by default they are dropped if at most 1 % are damaged")
       ->transform(tool::one_of(policies))
