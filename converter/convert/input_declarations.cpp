@@ -108,8 +108,10 @@ InputDeclarations declared_by(const SplatFile& file, const std::string& name, do
   return input;
 }
 
-InputDeclarations declared_by(const PlyFile& ply, const std::string& name) {
+InputDeclarations declared_by(const PlyFile& ply, const std::string& name, double scale) {
   InputDeclarations input{name, keep_declarations({}, ply.declarations()), false};
+  float& metres = input.stated.metres_per_unit;
+  metres = static_cast<float>(static_cast<double>(metres) / scale);
   input.stated.depth.reset();  // a PLY states none
   input.stated.depth_mapping = EncodeOptions().depth_mapping;
   return input;

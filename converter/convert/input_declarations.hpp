@@ -32,7 +32,7 @@ struct InputDeclarations {
 };
 /// `scale`: units of the output in a unit of the input.
 InputDeclarations declared_by(const SplatFile& file, const std::string& name, double scale);
-InputDeclarations declared_by(const PlyFile& ply, const std::string& name);
+InputDeclarations declared_by(const PlyFile& ply, const std::string& name, double scale = 1);
 InputDeclarations declared_by(const FileView& view, const std::string& name);
 
 /// What a conversion has to tell of declarations, see ConvertSummary.

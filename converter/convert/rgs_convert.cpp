@@ -24,11 +24,13 @@
 #include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
+#include "rgs/checksum.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
 #include "sibling_program.hpp"
 #include "stage_clock.hpp"
+#include "tile_stream.hpp"
 
 namespace {
 
@@ -176,13 +178,13 @@ Failure explained(Failure failure, const std::deque<Input>& inputs) {
 
 // Axes of what is written. Formats that prescribe theirs get them. An .rgs can declare any: it keeps those of its
 // source, unless the source had no choice either; scenes are then brought into the frame that cameras of 3DGS are in.
-rgs::Axes target_axes(const Arguments& arguments, const rgs::SplatFile& first, SplatFormat to) {
-  const bool undeclared = first.axes[0] == rgs::Axis::undeclared && arguments.n_inputs() == 1;
-  if (undeclared && !arguments.to_axes_given) return first.axes;  // nothing turns it
+rgs::Axes target_axes(const Arguments& arguments, const rgs::Axes& axes, SplatFormat from, SplatFormat to) {
+  const bool undeclared = axes[0] == rgs::Axis::undeclared && arguments.n_inputs() == 1;
+  if (undeclared && !arguments.to_axes_given) return axes;  // nothing turns it
   if (to == SplatFormat::spz || to == SplatFormat::glb) return rgs::format_axes(to);
   if (arguments.to_axes_given) return rgs::parse_axes(arguments.to_axes).value();
-  const bool prescribed = first.format == SplatFormat::spz || first.format == SplatFormat::glb;
-  return to == SplatFormat::rgs && (!prescribed || arguments.axes_given) ? first.axes : rgs::kAxes3dgs;
+  const bool prescribed = from == SplatFormat::spz || from == SplatFormat::glb;
+  return to == SplatFormat::rgs && (!prescribed || arguments.axes_given) ? axes : rgs::kAxes3dgs;
 }
 
 const std::string& of_input(const std::vector<std::string>& texts, std::size_t input) {
@@ -225,7 +227,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     auto file = inputs[i].read(read_options(arguments));
     if (!file) return failed(inputs[i].path(), file.error());
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
-    if (i == 0) encode.axes = target_axes(arguments, *file, to);
+    if (i == 0) encode.axes = target_axes(arguments, file->axes, file->format, to);
     scene.format = i == 0 ? rgs::format_name(file->format) : "merged";
     scene.bytes += file->bytes;
     scene.n_source += file->cloud.size();
@@ -265,6 +267,84 @@ SplatFormat format_of_input(const Arguments& arguments, const Input& input) {
   return arguments.from != SplatFormat::unknown ? arguments.from : rgs::detect_format(input.bytes());
 }
 
+// Whether levels are made of inputs that need not be in memory together: several, or one that is moved. What looks at all
+// Gaussians at once has them in memory, and so has an .rgs alone, which may name a source of its own.
+bool streams_tiles(const Arguments& arguments, const std::deque<Input>& inputs, SplatFormat to) {
+  return to == SplatFormat::rgs && arguments.lod && arguments.filter.keeps_all() && !arguments.level_of_detail &&
+         (inputs.size() > 1 || format_of_input(arguments, inputs.front()) == SplatFormat::ply);
+}
+
+// The same as load_scene() and then convert_scene(), tile by tile.
+Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Input>& inputs, rgs::DeclaredLoss& loss,
+                                           const rgs::StageObserver& observer) {
+  rgs::EncodeOptions& encode = arguments.convert.encode;
+  std::vector<rgs::Tile> tiles(inputs.size());
+  std::vector<rgs::InputDeclarations> declared;
+  std::vector<std::string> unused;
+  std::uint64_t bytes = 0;
+  SplatFormat first_format = SplatFormat::unknown;
+  for (std::size_t i = 0; i < inputs.size(); ++i) {
+    const Input& input = inputs[i];
+    rgs::Tile& tile = tiles[i];
+    tile.placed = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
+                                        of_input(arguments.scale, i))
+                      .value();
+    SplatFormat format = format_of_input(arguments, input);
+    if (format == SplatFormat::ply) {
+      auto ply = rgs::PlyFile::open(input.bytes());
+      if (!ply) return failed(input.path(), ply.error());
+      tile.axes = ply->declarations().axes;
+      declared.push_back(rgs::declared_by(*ply, input.name(), tile.placed.scale));
+      tile.ply.emplace(std::move(*ply));
+      if (input.file().bytes().data() == input.bytes().data()) tile.file = &input.file();
+      bytes += input.bytes().size();
+    } else {
+      const auto file = input.read(read_options(arguments));
+      if (!file) return failed(input.path(), file.error());
+      tile.axes = file->axes;
+      format = file->format;
+      bytes += file->bytes;
+      unused.insert(unused.end(), file->unused.begin(), file->unused.end());
+      declared.push_back(rgs::declared_by(*file, input.name(), tile.placed.scale));
+      tile.load = [&input, &arguments] { return input.read(read_options(arguments)); };
+    }
+    if (i == 0) first_format = format;
+    if (arguments.axes_given) tile.axes = rgs::parse_axes(arguments.axes).value();
+    if (i == 0) encode.axes = target_axes(arguments, tile.axes, format, SplatFormat::rgs);
+  }
+  std::size_t tile = 0;
+  const auto scene = rgs::TileStream::open(std::move(tiles), encode.axes, tile);
+  if (!scene) return failed(inputs[tile].path(), scene.error());
+  if (auto s = rgs::declare_scene(encode, declared, arguments.asked, loss.notes); !s)
+    return failed(inputs.front().path(), s.error());
+  encode.n_source = scene->size();
+  encode.n_repaired = 0;
+  rgs::StreamFacts facts;
+  facts.bytes = bytes;
+  facts.origin = scene->origin();
+  facts.hash = [&inputs] {
+    constexpr std::size_t kPart = std::size_t{16} << 20;
+    rgs::Hasher hash;
+    for (const Input& input : inputs) {
+      for (std::size_t first = 0; first < input.bytes().size(); first += kPart) {
+        hash.update(input.bytes().subspan(first, std::min(kPart, input.bytes().size() - first)));
+        input.file().advise(rgs::MappedFile::Access::done, first, kPart);
+      }
+    }
+    return hash.digest();
+  };
+  auto summary = rgs::convert_to_levels(scene->stream(), facts, arguments.output(), arguments.convert, observer);
+  if (!summary) {
+    const rgs::Error& error = summary.error();
+    return failed(concerns_output(error.code) ? arguments.output() : inputs.front().path(), error);
+  }
+  summary->source_format = inputs.size() == 1 ? rgs::format_name(first_format) : "merged";
+  summary->position_rounding = scene->position_rounding();
+  summary->unused = std::move(unused);
+  summary->notes = std::move(loss.notes);
+  return std::move(*summary);
+}
+
 Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to,
                                      const rgs::StageObserver& observer) {
   const Input& first = inputs.front();
@@ -298,6 +378,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
                                              rgs::stated_by(encode, view->declarations())));
     }
   }
+  if (streams_tiles(arguments, inputs, to)) return convert_tiles(arguments, inputs, loss, observer);
   std::vector<std::pair<const char*, double>> seconds;
   rgs::StageClock clock(observer, seconds);
   clock.begin("read", 0, "");
@@ -323,7 +404,7 @@ std::optional<std::string> check_arguments(Arguments& a) {
   if (a.lod_quality && !a.lod) return "--lod-quality is of --lod";
   if (!a.lod && a.convert.memory_bytes != rgs::lod::kDefaultMemory) return "--memory is of --lod";
   if (!a.lod && !a.convert.scratch.empty()) return "--scratch is of --lod";
-  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 256MiB";
+  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 128MiB";
   if (a.lod) a.convert.levels = a.lod_quality.value_or(rgs::lod::Quality::fast);
   if (a.convert.scratch.empty() && a.output() != "-")
     a.convert.scratch = std::filesystem::path(a.output()).parent_path().string();
@@ -570,11 +651,11 @@ void add_options(CLI::App& app, Arguments& a) {
       ->transform(tool::one_of(std::map<std::string, rgs::lod::Quality>{{"fast", rgs::lod::Quality::fast},
                                                                         {"best", rgs::lod::Quality::best}}));
   app.add_option("--memory", a.convert.memory_bytes,
-                 "Memory that --lod may take for inputs in PLY, 256MiB and more [2GiB]")
+                 "Memory that --lod may take for inputs in PLY, 128MiB and more [2GiB]")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES");
   app.add_option("--scratch", a.convert.scratch,
-                 "Folder for temporary files of --lod, 1.2 times the size of the input at most [the output's]");
+                 "Folder for temporary files of --lod, about 1.2 times the size of a PLY [the output's]");
   app.add_option("--sh-degree", e.sh_degree, "Strip SH above this degree")->check(CLI::Range(0, 3));
   app.add_option("--on-bad", e.on_bad, "Damaged Gaussians; by default they are dropped if at most 1 % are damaged")
       ->transform(tool::one_of(policies))

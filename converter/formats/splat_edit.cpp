@@ -90,20 +90,9 @@ bool inside(const WorldBox& box, const float* mean, const Origin& origin) {
   return true;
 }
 
-// Whether FP32 means would lose more than 6 bits to the translation.
-bool is_far(const glm::dvec3& translation, const SplatCloud& cloud, double scale) {
-  if (translation == glm::dvec3(0)) return false;
-  std::vector<float> magnitudes;
-  magnitudes.reserve(cloud.mean.size());
-  for (const float x : cloud.mean) {
-    if (std::isfinite(x)) magnitudes.push_back(std::fabs(x));
-  }
-  if (magnitudes.empty()) return false;
-  const auto middle = magnitudes.begin() + static_cast<std::ptrdiff_t>(magnitudes.size() / 2);
-  std::nth_element(magnitudes.begin(), middle, magnitudes.end());
+double farthest(const glm::dvec3& translation) {
   const glm::dvec3 size = glm::abs(translation);
-  const double farthest = std::max({size.x, size.y, size.z});
-  return farthest > 64 * scale * static_cast<double>(*middle) && farthest <= kMaxOrigin;
+  return std::max({size.x, size.y, size.z});
 }
 
 // Logarithm of opacity times the two largest scales: about what a Gaussian covers.
@@ -164,13 +153,30 @@ void transform_splats(SplatCloud& cloud, const Similarity& similarity) {
 }
 
 void transform_splats(SplatCloud& cloud, Origin& origin, const Similarity& similarity) {
-  if (origin == kNoOrigin && !is_far(similarity.translation, cloud, similarity.scale)) {
-    return transform_splats(cloud, similarity);
+  if (origin == kNoOrigin) {
+    FarMove move(similarity);
+    move.add(cloud.mean);
+    if (!move.is_far()) return transform_splats(cloud, similarity);
   }
   const glm::dvec3 moved =
       similarity.rotation * glm::make_vec3(origin.data()) * similarity.scale + similarity.translation;
   transform_splats(cloud, {similarity.rotation, similarity.scale, {0, 0, 0}});
   origin = {moved.x + 0.0, moved.y + 0.0, moved.z + 0.0};
+}
+
+void FarMove::add(std::span<const float> means) {
+  const double limit = farthest(similarity_.translation);
+  for (const float x : means) {
+    if (!std::isfinite(x)) continue;
+    ++n_;
+    if (limit > 64 * similarity_.scale * static_cast<double>(std::fabs(x))) ++n_small_;
+  }
+}
+
+// Whether FP32 means would lose more than 6 bits to the translation: the median is among the small ones.
+bool FarMove::is_far() const {
+  const double limit = farthest(similarity_.translation);
+  return limit > 0 && limit <= kMaxOrigin && n_small_ > n_ / 2;
 }
 
 double rebase_splats(SplatCloud& cloud, const Origin& from, const Origin& to) {

@@ -49,7 +49,7 @@ class Search {
     const int axis = tree_.axis[middle];
     const float d = to_[axis] - tree_.cut[middle];
     d < 0 ? look(begin, middle) : look(middle, end);
-    if (d * d > distance_[kNeighbours - 1]) return;
+    if (d * d >= distance_[kNeighbours - 1]) return;  // equal ones too: many may lie in one place
     d < 0 ? look(middle, end) : look(begin, middle);
   }
   const Neighbours& found() const { return found_; }

@@ -488,11 +488,12 @@ Result<WrittenScene> write_tree(const StreamedLevels& levels, const SceneScan& s
     }
     if (encode.keep_permutation) with_positions.source_index = positions;
     with_positions.n_source = std::max(encode.n_source, scan.n_source());
+    with_positions.n_repaired += scan.n_repaired();
     std::vector<std::uint64_t> firsts;  // of a page within its level
     for (std::size_t level = levels.pages.size(); level-- > 0;) {
       for (const Page& page : levels.pages[level]) firsts.push_back(page.first);
     }
-    auto writer = LevelsWriter::create(sink, scan, with_positions, join_levels(levels.pages));
+    auto writer = LevelsWriter::create(sink, scan.of_kept(), with_positions, join_levels(levels.pages));
     if (!writer) return tl::unexpected(writer.error());
     options.begin("encode", levels.n_stored(), "Gaussians");
     const std::uint64_t n_pages = firsts.size(), at_once = 8 * most_at_once(options, 8 * kPageBytes);

@@ -34,7 +34,7 @@ struct SplatStream {
 };
 
 inline constexpr std::uint64_t kDefaultMemory = std::uint64_t{2} << 30;
-inline constexpr std::uint64_t kLeastMemory = std::uint64_t{256} << 20;
+inline constexpr std::uint64_t kLeastMemory = std::uint64_t{128} << 20;
 
 struct StreamOptions {
   BuildOptions build;                           ///< but chunk_size, which is the file's

@@ -1,4 +1,5 @@
-// rgs_make_scene.cpp - rgs-make-scene: writes a deterministic synthetic scene of any size as a 3DGS PLY.
+// rgs_make_scene.cpp - rgs-make-scene: writes a deterministic synthetic scene of any size as a 3DGS PLY, or as an .rgs
+// with levels of detail.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 #include <tbb/blocked_range.h>
@@ -8,6 +9,7 @@
 
 #include <algorithm>
 #include <array>
+#include <filesystem>
 #include <mutex>
 #include <string>
 #include <thread>
@@ -15,6 +17,7 @@
 
 #include "command_line.hpp"
 #include "console.hpp"
+#include "convert.hpp"
 #include "input_files.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/version.hpp"
@@ -30,7 +33,8 @@ constexpr std::uint64_t kBatch = 2048;  // Gaussians: 0.5 MB as Splat, as much a
 struct Options {
   std::string output, cameras, camera_path, gaussians = "200k";
   rgs::Origin origin = rgs::kNoOrigin;
-  std::uint64_t seed = 1;
+  std::string scratch;
+  std::uint64_t seed = 1, memory_bytes = rgs::lod::kDefaultMemory;
   int degree = 3, blocks = 0;
   unsigned threads = 0;
   bool town = false, overwrite = false, quiet = false, no_sync = false;
@@ -114,7 +118,88 @@ rgs::Status write_town(const rgs::TownGenerator& town, rgs::PlyWriter& writer, t
   return status;
 }
 
+// The Gaussians of `source`, from place `before` in the stream on, block by block.
+template <class Source>
+rgs::Status visit_blocks(const Source& source, std::uint64_t before, std::uint64_t count,
+                         const rgs::lod::SplatStream::Visit& visit) {
+  constexpr std::uint64_t kRows = 32 * kBatch;
+  std::vector<rgs::Splat> rows;
+  for (std::uint64_t first = 0; first < count; first += kRows) {
+    rows.resize(std::min(kRows, count - first));
+    tbb::parallel_for(std::uint64_t{0}, (rows.size() + kBatch - 1) / kBatch, [&](std::uint64_t batch) {
+      const std::uint64_t start = batch * kBatch;
+      source.generate(first + start, std::span(rows).subspan(start, std::min(kBatch, rows.size() - start)));
+    });
+    if (rgs::Status s = visit(before + first, rows); !s) return s;
+  }
+  return {};
+}
+
+rgs::lod::SplatStream stream_of(const Options& options, std::uint64_t n) {
+  if (!options.town) {
+    return {n, options.degree, [scene = rgs::SceneGenerator(options.seed, n, options.degree), n](const auto& visit) {
+              return visit_blocks(scene, 0, n, visit);
+            }};
+  }
+  const rgs::TownGenerator town(options.seed, n, options.degree, options.blocks);
+  return {n, options.degree, [town](const rgs::lod::SplatStream::Visit& visit) -> rgs::Status {
+            for (std::uint64_t k = 0; k < town.n_ranges(); ++k) {
+              const rgs::TownRange range = town.range(k);
+              if (rgs::Status s = visit_blocks(range, town.first(k), range.size(), visit); !s) return s;
+            }
+            return {};
+          }};
+}
+
+// The scene as an .rgs with levels, which is never there as a whole: it is made anew for each pass of the builder.
+int write_levels(const Options& options, std::uint64_t n, const rgs::AtomicFile::Options& file_options) {
+  rgs::ConvertOptions convert;
+  convert.encode.profile = rgs::Profile::packed;
+  convert.encode.metres_per_unit = options.town ? 1.F : 0.F;
+  convert.levels = rgs::lod::Quality::fast;
+  convert.memory_bytes = options.memory_bytes;
+  convert.scratch =
+      options.scratch.empty() ? std::filesystem::path(options.output).parent_path().string() : options.scratch;
+  convert.output = file_options;
+  rgs::StreamFacts facts;
+  facts.origin = options.origin;
+  rgs::Result<rgs::ConvertSummary> summary;
+  {
+    tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+    rgs::StageObserver observer;
+    observer.begin = [&](const char* stage, std::uint64_t total, const char* unit) {
+      progress.begin(stage, total, unit);
+    };
+    observer.advance = [&](std::uint64_t units) { progress.advance(units); };
+    observer.finish = [&] { progress.finish(); };
+    summary = rgs::convert_to_levels(stream_of(options, n), facts, options.output, convert, observer);
+  }
+  if (!summary) return tool::report(options.output, summary.error());
+  if (!options.quiet) {
+    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, seed {}, {} levels in {} pages, {}\n",
+                            tool::printable(options.output), tool::format_count(n), options.degree, options.seed,
+                            summary->n_levels, tool::format_count(summary->n_pages),
+                            tool::format_bytes(summary->output_bytes)));
+  }
+  return tool::kSuccess;
+}
+
+int write_views(const Options& options, TextFile& cameras, TextFile& camera_path) {
+  const int width = 1280, height = 720;
+  if (const int code = cameras.write(options.town ? rgs::town_cameras_json(options.seed, width, height, options.origin)
+                                                  : rgs::scene_cameras_json(width, height, options.origin));
+      code != tool::kSuccess)
+    return code;
+  if (!options.town) return tool::kSuccess;
+  return camera_path.write(rgs::town_path_json(options.seed, width, height, options.origin));
+}
+
 int make_scene(const Options& options, std::uint64_t n) {
+  const bool levels = options.output.ends_with(".rgs");
+  if (levels && n == 0) return tool::report_usage("an .rgs with levels of detail has at least one Gaussian");
+  if (options.memory_bytes < rgs::lod::kLeastMemory) return tool::report_usage("--memory takes at least 128MiB");
+  if (!levels && (!options.scratch.empty() || options.memory_bytes != rgs::lod::kDefaultMemory))
+    return tool::report_usage("--memory and --scratch are for .rgs outputs");
   const rgs::AtomicFile::Options file_options{options.overwrite, !options.no_sync};
   const bool piped =
       options.output == "-" || options.cameras == "-" || options.camera_path == "-";  // then text goes elsewhere
@@ -130,6 +215,13 @@ int make_scene(const Options& options, std::uint64_t n) {
   TextFile cameras, camera_path;
   if (const int code = cameras.create(options.cameras, file_options); code != tool::kSuccess) return code;
   if (const int code = camera_path.create(options.camera_path, file_options); code != tool::kSuccess) return code;
+  if (levels) {
+    // Cameras first, as below, but not before it is clear that the scene can have its name.
+    if (const auto probe = rgs::AtomicFile::create(options.output, file_options); !probe)
+      return tool::report(options.output, probe.error());
+    if (const int code = write_views(options, cameras, camera_path); code != tool::kSuccess) return code;
+    return write_levels(options, n, file_options);
+  }
   rgs::Result<rgs::PlyWriter> writer = rgs::PlyWriter::create(options.output, n, options.degree, file_options, stated);
   if (!writer) return tool::report(options.output, writer.error());
   tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -139,16 +231,7 @@ int make_scene(const Options& options, std::uint64_t n) {
                    : write_batches(rgs::SceneGenerator(options.seed, n, options.degree), 0, n, *writer, progress);
   if (!rows) return tool::report(options.output, rows.error());
   // Cameras first: a failure there leaves no scene without the cameras that were asked for.
-  const int width = 1280, height = 720;
-  if (const int code = cameras.write(options.town ? rgs::town_cameras_json(options.seed, width, height, options.origin)
-                                                  : rgs::scene_cameras_json(width, height, options.origin));
-      code != tool::kSuccess)
-    return code;
-  if (options.town) {
-    if (const int code = camera_path.write(rgs::town_path_json(options.seed, width, height, options.origin));
-        code != tool::kSuccess)
-      return code;
-  }
+  if (const int code = write_views(options, cameras, camera_path); code != tool::kSuccess) return code;
   if (rgs::Result<double> synced = writer->commit(); !synced) return tool::report(options.output, synced.error());
   progress.finish();
 
@@ -164,9 +247,12 @@ int make_scene(const Options& options, std::uint64_t n) {
 
 int parse_and_make_scene(int argc, char** argv) {
   Options options;
-  CLI::App app{"Writes a deterministic synthetic scene (a house in a garden, or a town) as a 3DGS PLY.",
-               "rgs-make-scene"};
-  app.add_option("output", options.output, "PLY file to write")->required();
+  CLI::App app{
+      "Writes a deterministic synthetic scene (a house in a garden, or a town) as a 3DGS PLY, or as an "
+      ".rgs with levels of detail.",
+      "rgs-make-scene"};
+  app.add_option("output", options.output, "file to write: .rgs with levels of detail (docs/LEVELS.md), else PLY")
+      ->required();
   app.add_option("--seed", options.seed, "another seed, another scene")->capture_default_str();
   app.add_option("--gaussians", options.gaussians,
                  "number of Gaussians, 0 to 200M, of a town to 1G; suffixes k, M and G")
@@ -195,6 +281,10 @@ int parse_and_make_scene(int argc, char** argv) {
       ->delimiter(',')
       ->check(CLI::Range(-rgs::kMaxOrigin, rgs::kMaxOrigin))
       ->option_text("X,Y,Z");
+  app.add_option("--memory", options.memory_bytes, "memory that an .rgs may take, 128MiB and more [2GiB]")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES");
+  app.add_option("--scratch", options.scratch, "folder for temporary files of an .rgs [the output's]");
   app.add_option("--threads", options.threads, "threads, 0 for all cores; the output does not depend on it")
       ->check(CLI::Range(0U, 1024U))
       ->capture_default_str();

@@ -61,6 +61,8 @@ class SceneScan {
   /// Examines one Gaussian, mends it under BadPolicy::repair, and says whether it is kept.
   bool add(Splat& splat);
   void merge(const SceneScan& other);
+  /// Of the Gaussians that were kept alone, as they are after being mended.
+  SceneScan of_kept() const;
 
   int sh_degree() const { return sh_degree_; }
   std::uint64_t n_source() const { return n_source_; }

@@ -137,6 +137,14 @@ bool SceneScan::add(Splat& s) {
   return true;
 }
 
+SceneScan SceneScan::of_kept() const {
+  SceneScan kept = *this;
+  kept.n_source_ = n_kept_;
+  kept.n_repaired_ = 0;
+  kept.defects_ = {};
+  return kept;
+}
+
 void SceneScan::merge(const SceneScan& other) {
   assert(sh_degree_ == other.sh_degree_ && on_bad_ == other.on_bad_);
   n_source_ += other.n_source_;

@@ -1,6 +1,7 @@
 // convert_levels_test.cpp - rgs-convert of files with levels of detail: leaves, a level, a cut, a missing end.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
+#include <sys/resource.h>
 
 #include <array>
 #include <filesystem>
@@ -12,6 +13,7 @@
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
 #include "run_program.hpp"
+#include "sanitized.hpp"
 #include "temporary_folder.hpp"
 #include "trivial_levels.hpp"
 
@@ -135,6 +137,72 @@ TEST_CASE("--lod makes levels beside the Gaussians, which stay what they are wit
   CHECK(rgs_convert({"--lod", ply, folder.file("no.ply")}).exit_code == 2);
   CHECK(rgs_convert({"--lod-quality", "best", ply, folder.file("no.rgs")}).exit_code == 2);
   CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
+}
+
+TEST_CASE("tiles, each at its place, get levels without being in memory together") {
+  const TemporaryFolder folder;
+  const std::string a = write_scene(folder.file("a.ply"), ordinary_cloud(4000, 1, 3)),
+                    b = write_scene(folder.file("b.ply"), damaged(ordinary_cloud(3000, 2, 4), 700)),
+                    c = folder.file("c.spz"), plain = folder.file("plain.rgs"), levels = folder.file("levels.rgs"),
+                    back = folder.file("back.rgs");
+  REQUIRE(rgs_convert({"--on-bad", "drop", b, c}).exit_code == 0);
+  const std::vector<std::vector<std::string>> cases{
+      {"--merge", a, b, c},
+      {"--merge", "--translate", "1,2,3", "--rotate", "10,20,30", "--scale", "2", a, b},
+      {"--merge", "--translate", "0,0,0", "--translate", "4e6,5e5,1", "--translate", "3,0,0", a, b, c},
+      {"--merge", "--to-axes", "opengl", "--metres-per-unit", "2", "--keep-permutation", c, a},
+      {"--translate", "1e7,0,0", "--keep-order", a}};
+  for (const auto& arguments : cases) {
+    CAPTURE(arguments.back());
+    const auto convert = [&](std::vector<std::string> more, const std::string& out) {
+      more.insert(more.end(), {"--on-bad", "repair"});
+      more.insert(more.end(), arguments.begin(), arguments.end());
+      more.push_back(out);
+      return rgs_convert(more);
+    };
+    REQUIRE(convert({}, plain).exit_code == 0);
+    const ProgramResult run = convert({"--lod"}, levels);
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    std::vector<std::string> leaves{levels, back};
+    for (const char* option : {"--keep-permutation", "--keep-order"}) {
+      if (std::ranges::find(arguments, option) != arguments.end()) leaves.insert(leaves.begin(), option);
+    }
+    REQUIRE(rgs_convert(leaves).exit_code == 0);
+    CHECK(read_bytes(back) == read_bytes(plain));
+    const Bytes bytes = read_bytes(levels);
+    REQUIRE(
+        convert({"--lod", "--threads", "1", "--memory", "128MiB", "--scratch", folder.file("")}, levels).exit_code ==
+        0);
+    CHECK(read_bytes(levels) == bytes);
+  }
+  const ProgramResult missing = rgs_convert({"--merge", "--lod", a, folder.file("missing.ply"), levels});
+  CHECK(missing.exit_code == 3);
+  CHECK(missing.err.find("missing.ply") != std::string::npos);
+  CHECK(rgs_convert({"--lod", "--memory", "100MiB", a, levels}).exit_code == 2);
+  CHECK(rgs_convert({"--memory", "1GiB", a, levels}).exit_code == 2);
+  CHECK(rgs_convert({"--scratch", folder.file(""), a, levels}).exit_code == 2);
+}
+
+TEST_CASE("--lod takes no more than --memory, leaves nothing in --scratch, and says what is wrong with it") {
+  if (kSanitized) return;  // sanitizers take memory of their own
+  // Gaussians of 92 bytes, 64 MB; the levels before took 2.4 times that and the mapped input on top.
+  const TemporaryFolder folder, scratch;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(700'000, 1, 3)),
+                    levels = folder.file("levels.rgs");
+  const ProgramResult none =
+      rgs_convert({"--lod", "--memory", "128MiB", "--scratch", scratch.file("missing"), ply, levels});
+  CHECK(none.exit_code == 3);
+  CHECK(none.err.find("--scratch") != std::string::npos);
+  CHECK_FALSE(std::filesystem::exists(levels));
+  const ProgramResult run =
+      rgs_convert({"--lod", "--memory", "128MiB", "--scratch", scratch.path().string(), "--threads", "2", ply, levels});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  rusage usage{};  // of all children so far, which only makes it stricter
+  ::getrusage(RUSAGE_CHILDREN, &usage);
+  CHECK(usage.ru_maxrss < 128 * 1024);
+  CHECK(std::filesystem::is_empty(scratch.path()));
 }
 
 TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any format") {

@@ -447,6 +447,29 @@ TEST_CASE("SIGINT and SIGKILL at random points leave the old output, none, or th
   }
 }
 
+TEST_CASE("SIGKILL while levels are built leaves the old output, and nothing in the scratch folder") {
+  const TemporaryFolder source, folder, scratch;
+  const std::string ply = write_scene(source.file("scene.ply"), golden_cloud(160'000, 3, 78)),  // 38 MB of rows
+      out = folder.file("out.rgs");
+  write_text(out, kOld);
+  int n_midway = 0;
+  for (int i = 0; i < 6; ++i) {
+    CAPTURE(i);
+    Program program({RGS_CONVERT, "--quiet", "--no-sync", "--overwrite", "--lod", "--memory", "128MiB", "--scratch",
+                     scratch.path().string(), ply, out});
+    pause(0.03 + 0.1 * i);
+    CHECK(fs::is_empty(scratch.path()));  // what is there has no name
+    n_midway += !temporaries(folder.path()).empty();
+    program.send(SIGKILL);
+    const ProgramResult run = program.wait();
+    if (run.signal != SIGKILL) break;  // a fast machine has made it
+    CHECK(is_old(out));
+    CHECK(fs::is_empty(scratch.path()));
+    for (const std::string& path : temporaries(folder.path())) fs::remove(path);
+  }
+  CHECK(n_midway >= 1);  // else the test has not tested
+}
+
 TEST_CASE("anonymous memory stays within 64 MB + 48 bytes a Gaussian") {
   if (kSanitized) return skip("sanitizers take memory of their own");
   // The limit counts every private writable page, touched or not, thread stacks included: stricter than what is

@@ -23,6 +23,8 @@
 
 #include "rgs/camera_file.hpp"
 #include "rgs/checksum.hpp"
+#include "rgs/decode.hpp"
+#include "rgs/encode.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 
@@ -456,6 +458,39 @@ TEST_CASE("rgs-make-scene --town answers bad arguments with exit code 2 and no f
   CHECK(test::run_shell(plain + "--blocks 2 " + ply).exit_code == 2);
   CHECK(!std::filesystem::exists(ply));
   CHECK(!std::filesystem::exists(path));
+}
+
+TEST_CASE("rgs-make-scene --town writes an .rgs with levels, whose leaves are the town") {
+  const test::TemporaryFolder folder;
+  const std::string rgs = folder.file("town.rgs"), again = folder.file("again.rgs");
+  const std::string arguments = "--gaussians 6k --blocks 1 --degree 1 ";
+  REQUIRE(make_town(arguments + rgs) == 0);
+  REQUIRE(make_town(arguments + "--threads 1 --memory 128MiB --scratch " + folder.path().string() + " " + again) == 0);
+  CHECK(contents(rgs) == contents(again));
+  const TownGenerator town(1, 6000, 1, 1);
+  SplatCloud cloud;
+  cloud.resize(town.size(), 1);
+  for (std::uint64_t k = 0; k < town.n_ranges(); ++k) {
+    const std::vector<Splat> splats = range_of(town, k);
+    for (std::uint64_t i = 0; i < splats.size(); ++i) cloud.set(town.first(k) + i, splats[i]);
+  }
+  EncodeOptions options;
+  options.profile = Profile::packed;
+  options.metres_per_unit = 1;
+  const auto plain = encode(cloud.view(), options);
+  REQUIRE(plain);
+  const std::string bytes = contents(rgs);
+  const auto leaves = decode(std::as_bytes(std::span(bytes))), expected = decode(*plain);
+  REQUIRE(leaves);
+  REQUIRE(expected);
+  CHECK(leaves->mean == expected->mean);
+  CHECK(leaves->log_scale == expected->log_scale);
+  CHECK(leaves->sh == expected->sh);
+  CHECK(make_town(arguments + "--cameras " + folder.file("views.json") + " " + rgs) == 3);  // exists
+  CHECK_FALSE(std::filesystem::exists(folder.file("views.json")));
+  CHECK(make_town("--memory 100MiB " + folder.file("b.rgs")) == 2);
+  CHECK(make_town("--memory 1GiB " + folder.file("b.ply")) == 2);
+  CHECK(make_town("--gaussians 0 " + folder.file("b.rgs")) == 2);
 }
 
 TEST_CASE("rgs-make-scene --town needs little memory, however large the town") {

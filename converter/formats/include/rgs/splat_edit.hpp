@@ -39,6 +39,19 @@ void transform_splats(SplatCloud& cloud, const Similarity& similarity);
 /// would lose more than 6 of their 24 bits.
 void transform_splats(SplatCloud& cloud, Origin& origin, const Similarity& similarity);
 
+/// Whether transform_splats() gives a scene without an origin one, for whoever moves a scene in parts.
+class FarMove {
+ public:
+  explicit FarMove(const Similarity& similarity) : similarity_(similarity) {}
+  /// Means before they are moved, all of the scene's in any split.
+  void add(std::span<const float> means);
+  bool is_far() const;
+
+ private:
+  Similarity similarity_;
+  std::uint64_t n_ = 0, n_small_ = 0;  // coordinates, and those that the translation is far beyond
+};
+
 /// Makes means that are relative to `from` relative to `to`, in FP64. Returns the largest rounding of a coordinate, world
 /// units; nothing changes and 0 is returned if both are equal.
 double rebase_splats(SplatCloud& cloud, const Origin& from, const Origin& to);

@@ -1,0 +1,197 @@
+// stream_levels_test.cpp - levels by way of scratch files: the bytes of those made in memory, whatever memory there is.
+// SPDX-License-Identifier: Apache-2.0
+#include "stream_levels.hpp"
+
+#include <doctest/doctest.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <filesystem>
+#include <limits>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "lod_scenes.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/paged_file.hpp"
+#include "temporary_folder.hpp"
+
+namespace {
+
+using namespace rgs;
+using namespace rgs::lod;
+
+constexpr std::uint64_t kBlock = 777;
+
+SplatStream stream_of(const SplatCloud& cloud) {
+  return {cloud.size(), cloud.sh_degree, [&cloud](const SplatStream::Visit& visit) -> Status {
+            std::vector<Splat> rows;
+            for (std::uint64_t first = 0; first < cloud.size(); first += kBlock) {
+              rows.clear();
+              for (std::uint64_t i = first; i < std::min(first + kBlock, cloud.size()); ++i) {
+                rows.push_back(cloud.view().splat(i));
+              }
+              if (Status s = visit(first, rows); !s) return s;
+            }
+            return {};
+          }};
+}
+
+Result<std::vector<std::byte>> streamed(const SplatStream& stream, const EncodeOptions& encode,
+                                        const StreamOptions& options) {
+  SceneScan scan(stream.sh_degree, encode.on_bad);
+  std::uint64_t first_damaged = 0;
+  if (Status s = scan_stream(stream, options, scan, first_damaged); !s) return tl::unexpected(s.error());
+  StreamedLevels levels;
+  if (Status s = order_leaves(stream, scan, encode, options, levels); !s) return tl::unexpected(s.error());
+  if (Status s = build_upper(encode, options, levels); !s) return tl::unexpected(s.error());
+  std::vector<std::byte> bytes;
+  const auto written = write_tree(levels, scan, encode, options, bytes);
+  if (!written) return tl::unexpected(written.error());
+  return bytes;
+}
+
+// A wall of 120 x 120 Gaussians, three of them damaged, or of another length.
+SplatCloud scene(std::uint64_t side = 120) {
+  test::SplitMix random(5);
+  SplatCloud cloud = test::wall(side, 2, random);
+  const std::uint64_t n = cloud.size();
+  for (const std::uint64_t i : {n / 3, n / 2}) cloud.opacity_logit[i] = std::numeric_limits<float>::quiet_NaN();
+  cloud.rotation[4 * (n / 4)] = std::numeric_limits<float>::infinity();
+  return cloud;
+}
+
+}  // namespace
+
+TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads, and are those of levels in memory") {
+  const SplatCloud cloud = scene();
+  const test::TemporaryFolder folder;
+  for (const Order order : {Order::morton, Order::input}) {
+    EncodeOptions encode;
+    encode.profile = Profile::packed;
+    encode.chunk_size = 64;
+    encode.order = order;
+    encode.keep_permutation = order == Order::morton;
+    encode.on_bad = order == Order::morton ? BadPolicy::repair : BadPolicy::drop;
+    StreamOptions options;
+    options.scratch = folder.path();
+    const auto whole = streamed(stream_of(cloud), encode, options);
+    REQUIRE(whole);
+    for (const std::uint64_t memory : {1'500'000U, 4'000'000U, 40'000'000U}) {
+      for (const int threads : {1, 2}) {
+        CAPTURE(memory);
+        CAPTURE(threads);
+        options.memory_bytes = memory;
+        Result<std::vector<std::byte>> parts;
+        tbb::task_arena(threads).execute([&] { parts = streamed(stream_of(cloud), encode, options); });
+        REQUIRE(parts);
+        CHECK(*parts == *whole);
+      }
+    }
+    CHECK(std::filesystem::is_empty(folder.path()));
+
+    // Leaves are those of a file without levels, and levels those of build_levels().
+    const auto plain = rgs::encode(cloud.view(), encode);
+    REQUIRE(plain);
+    const auto leaves = decode(*plain), back = decode(*whole);
+    REQUIRE(leaves);
+    REQUIRE(back);
+    CHECK(leaves->mean == back->mean);
+    CHECK(leaves->sh == back->sh);
+    const auto file = PagedFile::open(*whole);
+    REQUIRE(file);
+    CHECK(validate(*file));
+    std::vector<std::uint32_t> rows(cloud.size());
+    const auto view = FileView::open(*plain);
+    if (order != Order::morton) continue;
+    SplatCloud sorted;
+    sorted.resize(leaves->size(), cloud.sh_degree);
+    SceneScan mender(cloud.sh_degree, encode.on_bad);
+    std::vector<std::uint32_t> positions;
+    for (std::uint64_t i = 0; i < leaves->size(); ++i) {
+      positions.push_back(static_cast<std::uint32_t>(view->source_index(i)));
+      Splat splat = cloud.view().splat(positions.back());
+      REQUIRE(mender.add(splat));
+      sorted.set(i, splat);
+    }
+    encode.source_index = positions;
+    encode.n_source = cloud.size();
+    encode.n_repaired = mender.n_repaired();
+    std::vector<std::byte> in_memory;
+    REQUIRE(write_levels(build_levels(sorted.view(), {.chunk_size = 64}), encode, in_memory));
+    CHECK(in_memory == *whole);
+  }
+}
+
+TEST_CASE("what cannot be sorted in so little memory is said, and what changes meanwhile") {
+  SplatCloud cloud = scene();
+  EncodeOptions encode;
+  StreamOptions options;
+  const test::TemporaryFolder folder;
+  options.scratch = folder.path();
+  options.memory_bytes = 2'000'000;
+  SplatCloud crowd = cloud;
+  for (std::uint64_t i = 0; i < 10'000; ++i) std::copy_n(&crowd.mean[0], 3, &crowd.mean[3 * i]);
+  CHECK(streamed(stream_of(crowd), encode, options).error().code == Errc::limit_exceeded);
+  encode.order = Order::input;
+  CHECK(streamed(stream_of(crowd), encode, options));
+  encode.order = Order::morton;
+  options.memory_bytes = 20'000'000;
+  CHECK(streamed(stream_of(crowd), encode, options));
+
+  // From one pass to the next: shorter, longer, elsewhere.
+  for (const std::uint64_t memory : {2'000'000U, 20'000'000U}) {
+    options.memory_bytes = memory;
+    for (const int change : {0, 1, 2}) {
+      for (const int pass : {1, 2}) {
+        if (memory > 10'000'000 && pass == 2) continue;    // there are two passes
+        if (memory > 10'000'000 && change == 2) continue;  // seen by writers only where it leaves the scene's box
+        CAPTURE(change);
+        CAPTURE(pass);
+        SplatCloud other = cloud;
+        if (change == 0) other.resize(cloud.size() - 3000, cloud.sh_degree);
+        if (change == 1) other = scene(130);
+        if (change == 2) std::reverse(other.mean.begin(), other.mean.begin() + 20'000);
+        int n_passes = 0;
+        SplatStream changing = stream_of(cloud);
+        changing.read = [&](const SplatStream::Visit& visit) {
+          return stream_of(n_passes++ < pass ? cloud : other).read(visit);
+        };
+        const auto bytes = streamed(changing, encode, options);
+        if (change == 2 && bytes) continue;  // as many in each range: other Gaussians, whole all the same
+        REQUIRE_FALSE(bytes);
+        CHECK(bytes.error().code == Errc::read_failed);
+      }
+    }
+  }
+
+  options.memory_bytes = 1'000'000;
+  options.scratch = folder.file("missing");
+  const auto nowhere = streamed(stream_of(cloud), encode, options);
+  REQUIRE_FALSE(nowhere);
+  CHECK(nowhere.error().code == Errc::open_failed);
+}
+
+TEST_CASE("scratch files give back what was written, and leave nothing behind") {
+  const test::TemporaryFolder folder;
+  std::vector<std::byte> bytes(1000, std::byte{7}), back(500);
+  for (const bool on_disk : {false, true}) {
+    ScratchFile file;
+    if (on_disk) {
+      auto created = ScratchFile::create(folder.path());
+      REQUIRE(created);
+      file = std::move(*created);
+    }
+    REQUIRE(file.write(5000, bytes));
+    bytes[0] = std::byte{9};
+    REQUIRE(file.write(100, bytes));
+    REQUIRE(file.read(5500, back));
+    CHECK(std::ranges::count(back, std::byte{7}) == 500);
+    REQUIRE(file.read(100, back));
+    CHECK(back[0] == std::byte{9});
+    CHECK(file.read(5501, back).error().code == Errc::read_failed);
+    bytes[0] = std::byte{7};
+    CHECK(std::filesystem::is_empty(folder.path()));
+  }
+}
