@@ -15,6 +15,7 @@ struct FitOptions {
   int n_steps = 12;
   int n_directions = 12;  ///< from which pictures are compared, one a step
   int supersampling = 2;  ///< of the pictures that are aimed at
+  int n_color_steps = 0;  ///< of fit_colors()
 };
 
 /// What a group looks like through `frame`: drawn at so many times the size, and averaged.
@@ -31,5 +32,8 @@ Difference difference(const Picture& truth, const Picture& drawn);
 /// Draws `gaussians` from many sides, one a step, and moves them downhill (Adam) towards what `group` looks like
 /// in pixels of `pixel`. Those that reach beyond a picture's edge stay as they are there.
 void fit(const Gaussians& group, Gaussians& gaussians, float pixel, const FitOptions& options);
+
+/// The same for opacities and harmonics alone, in small steps, in pixels of `pixel` and of twice that.
+void fit_colors(const Gaussians& group, Gaussians& gaussians, float pixel, const FitOptions& options);
 
 }  // namespace rgs::lod
