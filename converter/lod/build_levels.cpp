@@ -131,7 +131,7 @@ void append(SplatCloud& to, const SplatView& from) {
 }  // namespace
 
 FitOptions fit_options(Quality quality) {
-  return quality == Quality::best ? FitOptions{400, 64, 4, 4, 4} : FitOptions{};
+  return quality == Quality::best ? FitOptions{400, 64, 4, 4, 4, 96} : FitOptions{};
 }
 
 ChunkBoxes::ChunkBoxes() : means(empty_box()), bounds(empty_box()) {}

@@ -62,7 +62,7 @@ std::vector<Page> join_levels(std::span<const std::vector<Page>> levels);
 
 /// All levels of a scene, up to one page. `leaves`: consistent, finite, at least one Gaussian, in the order of a file without
 /// levels. Same bytes for any number of threads. Memory: 1.4 times the leaves', twice while the result is put together, and
-/// that of a group a thread. Levels::quality_db is 0: what Page::error promises is relative, see kAllowed.
+/// that of a group a thread. Levels::quality_db is 0: what Page::error promises is relative, see allowed_squared().
 Levels build_levels(const SplatView& leaves, const BuildOptions& options = {});
 
 }  // namespace rgs::lod

@@ -7,6 +7,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <span>
 #include <vector>
 
 #include "rgs/math/sh.hpp"
@@ -25,7 +26,10 @@ constexpr float kLogitStep = 0.06F;
 constexpr float kDcStep = 0.03F;
 constexpr float kShStep = 0.008F;
 constexpr float kDecay1 = 0.9F, kDecay2 = 0.99F;
-constexpr float kLeastLogit = -5.3F, kMostLogit = 4.6F;  // opacities of 0.005 and 0.99
+constexpr float kLeastLogit = -9.2F, kMostLogit = 4.6F;  // opacities of 0.0001 and 0.99
+// Of fit_colors(). Steps as long as those of fit() would spoil the many Gaussians that are right as they are.
+constexpr int kColorDirections = 32;
+constexpr float kColorRate = 0.1F;
 
 // Squared difference over all backgrounds b: the mean of (dc + dt b)^2 for b in [0, 1] is dc^2 + dc dt + dt^2 / 3.
 void differentiate(const Picture& truth, const Picture& drawn, Picture& by) {
@@ -87,6 +91,65 @@ void turn(Gaussians& gaussians, std::size_t i, const float by[3]) {
   for (int k = 0; k < 4; ++k) gaussians.of(kRotation + k)[i] = r[k] * factor;
 }
 
+// Steps over pictures in front of `frames`, `rate` of the sizes above; shapes move only if asked.
+void descend(const Gaussians& group, Gaussians& out, float pixel, std::span<const Frame> frames, int n_steps,
+             int supersampling, bool shapes, float rate) {
+  const auto n_directions = static_cast<int>(frames.size());
+  Projection projection;
+  Picture fine, drawn, by, scratch;
+  std::vector<Picture> truths(frames.size());
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    true_picture(group, frames[i], supersampling, projection, fine, truths[i]);
+  }
+  const std::size_t n = out.padded();
+  const int n_sh = 3 * sh_coefficients(out.sh_degree());
+  Adam adam(static_cast<std::size_t>(10 + n_sh), n);
+  std::vector<float> log_scale(3 * n), logit(n), turns(3 * n), by_logit(n), slopes;
+  for (std::size_t i = 0; i < n; ++i) {
+    for (int k = 0; k < 3; ++k) log_scale[static_cast<std::size_t>(k) * n + i] = std::log(out.of(kScale + k)[i]);
+    const float opacity = std::clamp(out.of(kOpacity)[i], 1.02e-4F, 0.99F);
+    logit[i] = std::log(opacity / (1 - opacity));
+  }
+  // A stride through the directions that visits all of them, neighbours far apart in time.
+  const int stride = n_directions % 29 == 0 ? 31 : 29;
+  for (int step = 0; step < n_steps; ++step) {
+    const auto view = static_cast<std::size_t>(step * stride % n_directions);
+    const Frame& frame = frames[view];
+    project(out, frame, kDrawn, projection);
+    drawn.resize(frame.width, frame.height);
+    draw(projection.dots, drawn);
+    differentiate(truths[view], drawn, by);
+    gradients(out, frame, kDrawn, projection.dots, by, drawn, scratch, slopes);
+    adam.begin_step(rate * std::pow(0.1F, static_cast<float>(step) / static_cast<float>(n_steps)));
+    const auto slope = [&](int gradient) { return &slopes[static_cast<std::size_t>(gradient) * n]; };
+    for (int k = 0; k < 3 && shapes; ++k) {
+      const auto row = static_cast<std::size_t>(k);
+      adam.step(row, slope(kByMean + k), pixel, kMeanStep,
+                [&, mean = out.of(kMean + k)](std::size_t i, float d) { mean[i] += d * pixel; });
+      adam.step(3 + row, slope(kByLogScale + k), 1, kLogScaleStep,
+                [at = &log_scale[row * n]](std::size_t i, float d) { at[i] += d; });
+      adam.step(6 + row, slope(kByTurn + k), 1, kTurnStep,
+                [at = &turns[row * n]](std::size_t i, float d) { at[i] = d; });
+    }
+    for (std::size_t i = 0; i < n; ++i) by_logit[i] = slope(kByLogOpacity)[i] * (1 - out.of(kOpacity)[i]);
+    adam.step(9, by_logit.data(), 1, kLogitStep,
+              [&](std::size_t i, float d) { logit[i] = std::clamp(logit[i] + d, kLeastLogit, kMostLogit); });
+    const float* const d = frame.axes.forward;
+    const auto basis = math::sh_basis(out.sh_degree(), math::Vec3<float>{d[0], d[1], d[2]});
+    for (int k = 0; k < n_sh; ++k) {
+      adam.step(static_cast<std::size_t>(10 + k), slope(kByColor + k % 3), basis.y[k / 3], k < 3 ? kDcStep : kShStep,
+                [sh = out.of(kSh + k)](std::size_t i, float change) { sh[i] += change; });
+    }
+    for (std::size_t i = 0; i < out.size(); ++i) {
+      out.of(kOpacity)[i] = 1 / (1 + std::exp(-logit[i]));
+      if (!shapes) continue;
+      for (int k = 0; k < 3; ++k) out.of(kScale + k)[i] = std::exp(log_scale[static_cast<std::size_t>(k) * n + i]);
+      const float by_turn[3] = {turns[i], turns[n + i], turns[2 * n + i]};
+      turn(out, i, by_turn);
+    }
+  }
+}
+
 }  // namespace
 
 void true_picture(const Gaussians& gaussians, const Frame& frame, int supersampling, Projection& projection,
@@ -118,61 +181,20 @@ Difference difference(const Picture& truth, const Picture& drawn) {
 }
 
 void fit(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& options) {
-  const int n_directions = options.n_directions, n_steps = options.n_steps;
-  Projection projection;
-  Picture fine, drawn, by, scratch;
   std::vector<Frame> frames;
-  std::vector<Picture> truths(static_cast<std::size_t>(n_directions));
-  for (int i = 0; i < n_directions; ++i) {
-    frames.push_back(frame_around(group, direction(i, n_directions), pixel, kMostPixels));
-    true_picture(group, frames.back(), options.supersampling, projection, fine, truths[static_cast<std::size_t>(i)]);
+  for (int i = 0; i < options.n_directions; ++i) {
+    frames.push_back(frame_around(group, direction(i, options.n_directions), pixel, kMostPixels));
   }
-  const std::size_t n = out.padded();
-  const int n_sh = 3 * sh_coefficients(out.sh_degree());
-  Adam adam(static_cast<std::size_t>(10 + n_sh), n);
-  std::vector<float> log_scale(3 * n), logit(n), turns(3 * n), by_logit(n), slopes;
-  for (std::size_t i = 0; i < n; ++i) {
-    for (int k = 0; k < 3; ++k) log_scale[static_cast<std::size_t>(k) * n + i] = std::log(out.of(kScale + k)[i]);
-    const float opacity = std::clamp(out.of(kOpacity)[i], 0.005F, 0.99F);
-    logit[i] = std::log(opacity / (1 - opacity));
+  descend(group, out, pixel, frames, options.n_steps, options.supersampling, true, 1);
+}
+
+void fit_colors(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& options) {
+  const int n = std::min(options.n_directions, kColorDirections);
+  std::vector<Frame> frames;
+  for (int i = 0; i < n; ++i) {
+    frames.push_back(frame_around(group, direction(i, n), i % 2 == 0 ? pixel : 2 * pixel, kMostPixels));
   }
-  // A stride through the directions that visits all of them, neighbours far apart in time.
-  const int stride = n_directions % 29 == 0 ? 31 : 29;
-  for (int step = 0; step < n_steps; ++step) {
-    const auto view = static_cast<std::size_t>(step * stride % n_directions);
-    const Frame& frame = frames[view];
-    project(out, frame, kDrawn, projection);
-    drawn.resize(frame.width, frame.height);
-    draw(projection.dots, drawn);
-    differentiate(truths[view], drawn, by);
-    gradients(out, frame, kDrawn, projection.dots, by, drawn, scratch, slopes);
-    adam.begin_step(std::pow(0.1F, static_cast<float>(step) / static_cast<float>(n_steps)));
-    const auto slope = [&](int gradient) { return &slopes[static_cast<std::size_t>(gradient) * n]; };
-    for (int k = 0; k < 3; ++k) {
-      const auto row = static_cast<std::size_t>(k);
-      adam.step(row, slope(kByMean + k), pixel, kMeanStep,
-                [&, mean = out.of(kMean + k)](std::size_t i, float d) { mean[i] += d * pixel; });
-      adam.step(3 + row, slope(kByLogScale + k), 1, kLogScaleStep,
-                [at = &log_scale[row * n]](std::size_t i, float d) { at[i] += d; });
-      adam.step(6 + row, slope(kByTurn + k), 1, kTurnStep,
-                [at = &turns[row * n]](std::size_t i, float d) { at[i] = d; });
-    }
-    for (std::size_t i = 0; i < n; ++i) by_logit[i] = slope(kByLogOpacity)[i] * (1 - out.of(kOpacity)[i]);
-    adam.step(9, by_logit.data(), 1, kLogitStep,
-              [&](std::size_t i, float d) { logit[i] = std::clamp(logit[i] + d, kLeastLogit, kMostLogit); });
-    const float* const d = frame.axes.forward;
-    const auto basis = math::sh_basis(out.sh_degree(), math::Vec3<float>{d[0], d[1], d[2]});
-    for (int k = 0; k < n_sh; ++k) {
-      adam.step(static_cast<std::size_t>(10 + k), slope(kByColor + k % 3), basis.y[k / 3], k < 3 ? kDcStep : kShStep,
-                [sh = out.of(kSh + k)](std::size_t i, float change) { sh[i] += change; });
-    }
-    for (std::size_t i = 0; i < out.size(); ++i) {
-      for (int k = 0; k < 3; ++k) out.of(kScale + k)[i] = std::exp(log_scale[static_cast<std::size_t>(k) * n + i]);
-      out.of(kOpacity)[i] = 1 / (1 + std::exp(-logit[i]));
-      const float by_turn[3] = {turns[i], turns[n + i], turns[2 * n + i]};
-      turn(out, i, by_turn);
-    }
-  }
+  descend(group, out, pixel, frames, options.n_color_steps, options.supersampling, false, kColorRate);
 }
 
 }  // namespace rgs::lod

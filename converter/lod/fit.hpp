@@ -17,6 +17,7 @@ struct FitOptions {
   int supersampling = 2;  ///< of the pictures that are aimed at
   /// Of the pictures by which the error is measured: at twice the size it is within 4% of that at four times.
   int n_error_directions = 3, error_supersampling = 2;
+  int n_color_steps = 0;  ///< of fit_colors()
 };
 
 /// What a group looks like through `frame`: drawn at so many times the size, and averaged.
@@ -33,5 +34,8 @@ Difference difference(const Picture& truth, const Picture& drawn);
 /// Draws `gaussians` from many sides, one a step, and moves them downhill (Adam) towards what `group` looks like
 /// in pixels of `pixel`. Those that reach beyond a picture's edge stay as they are there.
 void fit(const Gaussians& group, Gaussians& gaussians, float pixel, const FitOptions& options);
+
+/// The same for opacities and harmonics alone, in small steps, in pixels of `pixel` and of twice that.
+void fit_colors(const Gaussians& group, Gaussians& gaussians, float pixel, const FitOptions& options);
 
 }  // namespace rgs::lod

@@ -24,12 +24,24 @@ constexpr float kCoarseness = 2;     // pixels a Gaussian: see footprint_of()
 constexpr float kLarge = 2.5F;       // pixels of the longest standard deviation from which on a Gaussian stays alone
 constexpr float kMostKept = 0.6F;    // of the result
 constexpr int kCoverageRounds = 3;
-constexpr float kMostOpacity = 0.98F, kLeastOpacity = 0.005F;
-constexpr int kFootprints = 3;  // at which the error is measured, each twice the one before
-constexpr int kClasses = 12;    // of size, each four times the one before
+constexpr float kMostOpacity = 0.98F, kLeastOpacity = 1e-4F;
+constexpr float kMostOfFrame = 250;  // pixels of a group in those of fit_colors()
+constexpr int kFootprints = 3;       // at which the error is measured, each twice the one before
+constexpr int kClasses = 12;         // of size, each four times the one before
 
 float longest(const Gaussians& gaussians, std::size_t i) {
   return std::max({gaussians.of(kScale)[i], gaussians.of(kScale + 1)[i], gaussians.of(kScale + 2)[i]});
+}
+
+// Of the means, along the longest axis.
+float extent(const Gaussians& gaussians) {
+  float most = 0;
+  for (int k = 0; k < 3; ++k) {
+    const float* const x = gaussians.of(kMean + k);
+    const auto [low, high] = std::minmax_element(x, x + gaussians.size());
+    most = std::max(most, *high - *low);
+  }
+  return most;
 }
 
 std::vector<std::uint32_t> all_of(const Gaussians& gaussians) {
@@ -238,7 +250,7 @@ float error_of(const Measured& m, std::span<const double> covered, float pixel) 
   if (std::all_of(m.of_result, m.of_result + kFootprints, [](double x) { return x <= 0; })) return 0;
   double ratio[kFootprints];
   for (int k = 0; k < kFootprints; ++k) {
-    const double allowed = std::max(kAllowed * m.of_group[k], kAllowedSquared * covered[static_cast<std::size_t>(k)]);
+    const double allowed = allowed_squared(m.of_group[k], covered[static_cast<std::size_t>(k)]);
     ratio[k] = m.of_result[k] <= 0 ? 0 : m.of_result[k] / std::max(allowed, 1e-300);
   }
   int k = kFootprints;  // good from there on
@@ -252,6 +264,12 @@ float error_of(const Measured& m, std::span<const double> covered, float pixel) 
 }
 
 }  // namespace
+
+double allowed_squared(double of_group, double covered) {
+  const double inexact = kInexactSquared * covered;
+  const double share = of_group <= inexact ? 1 : std::pow(inexact / of_group, kGrowthOfInexact);
+  return std::max(kAllowed * share * of_group, kAllowedSquared * covered);
+}
 
 Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& options) {
   const std::vector<float> visible = visible_areas(group);
@@ -268,30 +286,42 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
     const int of_size = size > 1 ? 1 + static_cast<int>(std::log2(std::min(size, 1e9F)) / 2) : 0;
     classes[static_cast<std::size_t>(std::min(of_size, kClasses - 1))].push_back(i);
   }
-  std::vector<Measured> measured(kClasses);
+  struct Piece {
+    std::size_t of_class;
+    float pixel;
+    std::vector<std::uint32_t> items, members;  // of the result, of the group
+  };
+  std::vector<Piece> pieces;
   std::vector<float> wanted;
-  std::vector<std::uint32_t> members;
-  for (int c = 0; c < kClasses; ++c) {
-    const float p = pixel * static_cast<float>(std::int64_t{1} << (2 * std::max(c - 1, 0)));
-    Measured& of_class = measured[static_cast<std::size_t>(c)];
-    for (const auto& piece : cut_by_place(out.gaussians, classes[static_cast<std::size_t>(c)], kPieceLength * p)) {
+  for (std::size_t c = 0; c < classes.size(); ++c) {
+    const float p = pixel * static_cast<float>(std::int64_t{1} << (2 * std::max<std::size_t>(c, 1) - 2));
+    for (auto& items : cut_by_place(out.gaussians, classes[c], kPieceLength * p)) {
+      Piece piece{c, p, std::move(items), {}};
       wanted.clear();
-      members.clear();
-      for (const std::uint32_t i : piece) {
+      for (const std::uint32_t i : piece.items) {
         const Cluster& cluster = clusters.all[i];
         wanted.push_back(clusters.is_single(cluster) ? -1 : cluster.weight);
-        clusters.each_member(cluster, [&](std::uint32_t member) { members.push_back(member); });
+        clusters.each_member(cluster, [&](std::uint32_t member) { piece.members.push_back(member); });
       }
-      if (members.size() == piece.size()) continue;  // nothing was merged
-      Gaussians part = subset(out.gaussians, piece);
-      const Gaussians below = subset(group, members);
+      const bool merged = piece.members.size() > piece.items.size();
+      if (merged || options.n_color_steps > 0) pieces.push_back(piece);
+      if (!merged) continue;
+      Gaussians part = subset(out.gaussians, piece.items);
       restore_coverage(part, wanted, p);
-      if (options.n_steps > 0 && c == 0) fit(below, part, p, options);
-      measure(below, part, pixel, p, options, of_class);
-      for (int v = 0; v < part.n_values(); ++v) {
-        for (std::size_t i = 0; i < piece.size(); ++i) out.gaussians.of(v)[piece[i]] = part.of(v)[i];
-      }
+      if (options.n_steps > 0 && c == 0) fit(subset(group, piece.members), part, p, options);
+      for (std::size_t i = 0; i < piece.items.size(); ++i) out.gaussians.copy(piece.items[i], part, i);
     }
+  }
+  // All together: what one piece or class hides of another, and what is lost of those that are not fitted. A group that takes
+  // much larger pixels to fit on a picture would lose by it.
+  const float whole = extent(group) / kMostOfFrame;
+  if (options.n_color_steps > 0 && whole < 2 * pixel) {
+    fit_colors(group, out.gaussians, std::max(pixel, whole), options);
+  }
+  std::vector<Measured> measured(kClasses);
+  for (const Piece& piece : pieces) {
+    measure(subset(group, piece.members), subset(out.gaussians, piece.items), pixel, piece.pixel, options,
+            measured[piece.of_class]);
   }
   // By class: what small Gaussians may get wrong is no excuse for large ones.
   double covered[kFootprints] = {};

@@ -120,15 +120,23 @@ float footprint(const Page& page, const Camera& camera) {
       rgs::lod::footprint(page.core, {{eye[0], eye[1], eye[2]}, std::max(camera.fx, camera.fy), 0.2}));
 }
 
+bool is_drawn(const Levels& levels, const Page& page, const Camera& camera, float detail) {
+  const auto fine = [&](const Page& p) { return p.error <= detail * footprint(p, camera); };
+  return fine(page) && (page.parent == rgs::lod::kNoPage || !fine(levels.pages[page.parent]));
+}
+
+double drawn_of(const Levels& levels, const Camera& camera, float detail) {
+  double n = 0;
+  for (const Page& page : levels.pages) n += is_drawn(levels, page, camera, detail) ? page.count : 0;
+  return n;
+}
+
 Scene cut(const Levels& levels, const Camera& camera, float detail, std::array<std::uint64_t, 8>& by_level) {
   SplatCloud out;
   out.resize(0, levels.splats.sh_degree);
   const auto n_sh = static_cast<std::ptrdiff_t>(3 * rgs::sh_coefficients(out.sh_degree));
   for (const Page& page : levels.pages) {
-    const bool fine = page.error <= detail * footprint(page, camera);
-    const bool needed = page.parent == rgs::lod::kNoPage ||
-                        levels.pages[page.parent].error > detail * footprint(levels.pages[page.parent], camera);
-    if (!fine || !needed) continue;
+    if (!is_drawn(levels, page, camera, detail)) continue;
     by_level[std::min<std::uint32_t>(page.level, 7)] += page.count;
     const auto copy = [&page](const std::vector<float>& from, std::ptrdiff_t width, std::vector<float>& to) {
       const auto first = static_cast<std::ptrdiff_t>(page.first), n = static_cast<std::ptrdiff_t>(page.count);
@@ -215,6 +223,28 @@ int main(int argc, char** argv) {
       std::printf("\n");
       std::fflush(stdout);
     }
+  }
+  // The detail at which no more than a share of all Gaussians is drawn, the mean over views.
+  for (const auto& [far, share] : {std::pair{4, 0.25}, std::pair{8, 0.125}}) {
+    float least = 1.F / 16, most = 64;
+    std::array<std::uint64_t, 8> by_level{};
+    const auto drawn_at = [&](float detail) {
+      double drawn = 0;
+      for (const Camera& camera : cameras) drawn += drawn_of(levels, scaled(camera, 1.0 / far), detail);
+      return drawn / static_cast<double>(cameras.size()) / n;
+    };
+    for (int k = 0; k < 20; ++k) {
+      const float middle = std::sqrt(least * most);
+      (drawn_at(middle) > share ? least : most) = middle;
+    }
+    double db = 0;
+    for (std::size_t v = 0; v < cameras.size(); ++v) {
+      const Camera camera = scaled(cameras[v], 1.0 / far);
+      db += measure.compare(measure.draw(cut(levels, camera, most, by_level), camera, mip), v, far);
+    }
+    std::printf("at most %g of the Gaussians, %dx: detail %.2f, %.2f dB, %.3f\n", share, far, static_cast<double>(most),
+                db / static_cast<double>(cameras.size()), drawn_at(most));
+    std::fflush(stdout);
   }
   if (argc > 4) {
     // The photograph, averaged, is the truth from afar.

@@ -57,7 +57,7 @@ TEST_CASE("a quarter of a wall's Gaussians looks like the wall from its error on
     CHECK(simple.error < 0.25F);  // of a wall of 1 x 1
     const Seen whole = seen(group, group, simple.error), fewer = seen(group, simple.gaussians, simple.error);
     INFO("error ", simple.error, " squared ", fewer.squared, " of the group itself ", whole.squared);
-    CHECK(fewer.squared <= 1.5 * std::max(kAllowed * whole.squared, kAllowedSquared));  // other directions
+    CHECK(fewer.squared <= 1.5 * allowed_squared(whole.squared, 1));  // other directions
     CHECK(std::abs(fewer.covered / fewer.of_truth - 1) < 0.03);
   }
 }
