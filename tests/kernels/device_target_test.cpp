@@ -97,6 +97,39 @@ TEST_CASE("targets: a pitch of 0 is that of rows that follow each other") {
   CHECK(arrays.pitch.packed == 75 * 8);
 }
 
+TEST_CASE("targets: colours alone are those that come with alpha, also in a frame that follows a nearly empty one") {
+  if (!device_answers()) return;
+  const DeviceScene full = scene_for_targets();
+  const auto upload = [](const std::vector<Splat>& splats) {
+    auto scene = DeviceScene::upload(scene_of(cloud_of(splats)).view().value());
+    require_ok(scene);
+    return *std::move(scene);
+  };
+  const DeviceScene speck = upload({splat_at(0.3, 0.2, 5, 0.02, 0.9)});  // in one tile or two
+  // So many of turbo's tiles that a speck leaves a frame nearly empty; with and without a rest at the borders.
+  const std::pair<int, int> sizes[] = {{256, 192}, {250, 190}, {257, 191}};
+  for (const auto& [width, height] : sizes) {
+    CAPTURE(width);
+    const Camera camera = front_camera(width, height);
+    const auto n = static_cast<std::size_t>(3 * width) * static_cast<std::size_t>(height);
+    for (RenderOptions options : pipelines()) {
+      if (race_sizes() && (width != 250 || options.pipeline != Pipeline::turbo)) continue;
+      options.background = {0.3F, 0.2F, 0.1F};
+      CudaRenderer used = renderer();
+      const DeviceScene none;
+      for (const DeviceScene* scene : {&none, &speck, &speck, &full, &none, &full}) {
+        const DeviceArray<float> alone(n), colors(n), alphas(n / 3);
+        require_ok(used.render(*scene, camera, {.rgb = alone.data()}, options));
+        CudaRenderer fresh = renderer();
+        require_ok(fresh.render(*scene, camera, {.rgb = colors.data(), .alpha = alphas.data()}, options));
+        CHECK(alone.download() == colors.download());
+        require_ok(used.render(*scene, camera, {.rgb = alone.data(), .alpha = alphas.data()}, options));
+        CHECK(alone.download() == colors.download());
+      }
+    }
+  }
+}
+
 TEST_CASE("targets: rows with room between them hold the bytes of rows that follow each other, and the room nothing") {
   if (!device_answers()) return;
   constexpr std::size_t kWidth = 75, kHeight = 33;  // no multiple of a tile

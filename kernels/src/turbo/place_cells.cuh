@@ -23,6 +23,11 @@ __device__ inline std::uint32_t rank_of(std::uint32_t own_class_begin, std::uint
   return __shfl_sync(kFullWarp, own_class_begin, turbo_class(n_entries)) + in_class;
 }
 
+/// Tiles that have lists: the first ranks.
+__device__ inline std::uint32_t listed_tiles(const TurboArrays& a) {
+  return a.n_tiles - a.state->class_size[kTurboClasses - 1];
+}
+
 __device__ inline void write_cell(const TurboArrays& a, math::TileGrid grid, std::uint32_t rank, std::uint32_t tile,
                                   std::uint32_t cell, std::uint32_t begin, std::uint32_t n) {
   const TurboCorner corner = cell_corner(grid, tile, cell);

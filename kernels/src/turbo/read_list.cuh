@@ -25,7 +25,8 @@ struct TurboRuns {
   template <int Threads>
   struct Places {
     std::uint32_t run_begin[Threads], run_end[Threads];  // of so many runs: first entry, inclusive sums of their sizes
-    std::uint32_t warp_sums[Threads / 32];
+    alignas(
+        16) std::uint32_t warp_sums[Threads / 32];  // else ptxas reads them with the word before, which others write
   };
 
   /// Calls f(entry, position) for every entry. All threads of the block call it. Four loads of a thread are on their way

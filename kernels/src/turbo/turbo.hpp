@@ -157,6 +157,12 @@ RGS_HD constexpr int turbo_class(std::uint32_t length) {
 }
 static_assert(turbo_class(kTurboRound) < turbo_class(kTurboRound - 1), "long lists have the first ranks");
 
+/// A frame whose runs are not more than these is sparse: most of its tiles are empty, and blocks of their own would cost more
+/// than all else.
+RGS_HD constexpr std::uint32_t sparse_tiles(std::uint32_t n_tiles) {
+  return n_tiles / 8 + 1;
+}
+
 /// Device state of a frame, zeroed before it. Arrays [tiles] follow it in the same memory: see TurboState::bytes().
 struct TurboState {
   Counters counters;
@@ -281,7 +287,9 @@ Status launch_turbo_lists(const TurboArrays& arrays, math::TileGrid grid, TurboS
 /// Orders the lists that are not long by depth, then in tie order, and deals them out to their tiles' cells. Cells of tiles
 /// that do not fit are empty. `seen`, see above, gets the Gaussians of all cells once both this and
 /// launch_turbo_long_lists() have found places for theirs. Errors: device_failed.
-Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, Stream stream);
+/// `is_sparse`: few tiles have lists, says the frame before; this one's may have any number.
+Status launch_turbo_order(const TurboArrays& arrays, math::TileGrid grid, TurboState* seen, bool is_sparse,
+                          Stream stream);
 
 /// The same for the long lists; the two may run side by side. Moves them to scratch memory, cut in units. Errors:
 /// device_failed.
@@ -297,6 +305,7 @@ struct TurboBlendArguments {
   math::Vec3<float> background;
   PixelArrays target;
   bool count_pairs;  ///< into the state's counters.evaluated and .blended
+  bool is_filled;    ///< with what tiles without Gaussians show, by launch_turbo_fill()
 
   bool has_details() const {
     return target.depth != nullptr || target.evaluated != nullptr || target.blended != nullptr || count_pairs;
@@ -305,7 +314,10 @@ struct TurboBlendArguments {
 /// Blends each cell in FP32. Errors: device_failed.
 Status launch_turbo_blend(const TurboBlendArguments& arguments, Stream stream);
 
-/// The same by FP16 matrix products, without details. The cells of the lists that are not long, once they are ordered; those of
+/// Writes to all pixels what shows where no Gaussian is; without details. Errors: device_failed.
+Status launch_turbo_fill(const TurboBlendArguments& arguments, Stream stream);
+
+/// The same as launch_turbo_blend() by FP16 matrix products, without details. The cells of the lists that are not long, once they are ordered; those of
 /// the long lists, once their units are: the two may run side by side. Errors: device_failed.
 Status launch_turbo_tensor(const TurboBlendArguments& arguments, Stream stream);
 Status launch_turbo_tensor_long(const TurboBlendArguments& arguments, Stream stream);

@@ -498,20 +498,37 @@ __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads)) turbo_
   deal_out_units(s, a);
 }
 
-__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
-    turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
-  __shared__ Shared s;
-  const std::uint32_t rank = blockIdx.x;
+__device__ inline void order_tile(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
+                                  TurboState* seen) {
   const TurboRankedList list = a.ranked[rank];
   if (list.n_entries == 0 || list.n_entries >= kTurboRound) return;  // empty, or a long list
   deal_out_short(s, a, grid, rank, list);
   if (threadIdx.x == 0) end_tile(a, seen);
 }
 
+__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
+    turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+  __shared__ Shared s;
+  order_tile(s, a, grid, blockIdx.x, seen);
+}
+__global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
+    turbo_order_sparse_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
+  __shared__ Shared s;
+  const std::uint32_t end = listed_tiles(a);
+  for (std::uint32_t rank = blockIdx.x; rank < end; rank += gridDim.x) {
+    order_tile(s, a, grid, rank, seen);
+    __syncthreads();
+  }
+}
+
 }  // namespace
 
-Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, Stream stream) {
-  turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
+Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
+  if (is_sparse) {
+    turbo_order_sparse_kernel<<<sparse_tiles(a.n_tiles), kThreads, 0, stream>>>(a, grid, seen);
+  } else {
+    turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
+  }
   return launched("the kernel that orders the lists could not be launched");
 }
 

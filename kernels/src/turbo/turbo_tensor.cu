@@ -35,6 +35,7 @@
 #include "common/launch.cuh"
 #include "common/store_pixel.cuh"
 #include "rgs/quantize.hpp"
+#include "turbo/place_cells.cuh"
 #include "turbo/turbo.hpp"
 
 namespace rgs::cuda {
@@ -363,6 +364,15 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_kernel(Turbo
   __shared__ Staging staged[kWarps];
   if (blockIdx.x >= kTurboCells * a.arrays.state->n_long_lists) blend_cell(a, blockIdx.x, staged);
 }
+// Of a picture that is filled: tiles without Gaussians have what they show.
+__global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_sparse_kernel(TurboBlendArguments a) {
+  __shared__ Staging staged[kWarps];
+  const std::uint32_t first = kTurboCells * a.arrays.state->n_long_lists, end = kTurboCells * listed_tiles(a.arrays);
+  for (std::uint32_t number = first + blockIdx.x; number < end; number += gridDim.x) {
+    blend_cell(a, number, staged);
+    __syncthreads();
+  }
+}
 __global__ void __launch_bounds__(kThreads, kResident) turbo_tensor_long_kernel(TurboBlendArguments a) {
   __shared__ Staging staged[kWarps];
   __shared__ std::uint32_t next;
@@ -507,10 +517,36 @@ __global__ void __launch_bounds__(kThreads, kResident) turbo_segment_kernel(Turb
   }
 }
 
+// ---- pictures that are mostly background
+
+constexpr int kFillThreads = 256;
+
+// A row a block, until there are no more.
+__global__ void __launch_bounds__(kFillThreads) turbo_fill_kernel(TurboBlendArguments a) {
+  for (int y = static_cast<int>(blockIdx.x); y < a.height; y += static_cast<int>(gridDim.x)) {
+    for (int x = static_cast<int>(threadIdx.x); x < a.width; x += kFillThreads) store(a, x, y, {0, 0, 0, 1});
+  }
+}
+
 }  // namespace
 
+Status launch_turbo_fill(const TurboBlendArguments& a, Stream stream) {
+  const auto n = multiprocessors();
+  if (!n) return tl::unexpected(n.error());
+  // Few: memory is busy with them, and what finds out what there is to see has room beside them.
+  const std::uint32_t blocks = math::min(2 * *n, static_cast<std::uint32_t>(a.height));
+  turbo_fill_kernel<<<blocks, kFillThreads, 0, stream>>>(a);
+  return launched("the kernel that fills the picture could not be launched");
+}
+
 Status launch_turbo_tensor(const TurboBlendArguments& a, Stream stream) {
-  turbo_tensor_kernel<<<a.arrays.n_tiles * kTurboCells, kThreads, 0, stream>>>(a);
+  if (a.is_filled) {
+    const auto blocks = resident_grid<turbo_tensor_sparse_kernel>(kThreads);
+    if (!blocks) return tl::unexpected(blocks.error());
+    turbo_tensor_sparse_kernel<<<*blocks, kThreads, 0, stream>>>(a);
+  } else {
+    turbo_tensor_kernel<<<a.arrays.n_tiles * kTurboCells, kThreads, 0, stream>>>(a);
+  }
   return launched(kNotLaunched);
 }
 

@@ -19,7 +19,7 @@ constexpr std::uint64_t kLargeBytes = sizeof(cuda::TurboLargeGaussian) + sizeof(
 
 Status TurboPipeline::create() {
   Status ok = seen_.create();
-  for (Event* event : {&counted_, &counted_long_, &listed_, &done_long_}) {
+  for (Event* event : {&counted_, &counted_long_, &begun_, &filled_, &listed_, &done_long_}) {
     if (ok) ok = event->create();
   }
   int least = 0, greatest = 0;
@@ -120,10 +120,23 @@ cuda::TurboArrays TurboPipeline::arrays_for(const Frame& f) const {
   return a;
 }
 
+// Whether the last frame was nearly empty: then this one most likely is, too, and is filled before its Gaussians are known.
+bool TurboPipeline::fills(const cuda::TurboBlendArguments& a) const {
+  return a.arrays.n_tiles == last_.n_tiles && last_.runs < cuda::sparse_tiles(last_.n_tiles);
+}
+
+// Beside all that comes before blending, which reads and computes, and leaves memory time to write.
+Status TurboPipeline::fill(const Frame& f, const cuda::TurboBlendArguments& a) {
+  Status ok = begun_.record(f.stream);
+  if (ok) ok = begun_.hold(beside_.get());
+  if (ok) ok = cuda::launch_turbo_fill(a, beside_.get());
+  const Status recorded = filled_.record(beside_.get());
+  return ok ? recorded : ok;
+}
+
 // Long lists are few and take several steps: beside the others, which would have to wait for them.
-Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArguments& a) {
+Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArguments& a, bool is_tensor) {
   auto* const on = f.stream;
-  const bool is_tensor = f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass && !a.has_details();
   Status ok = listed_.record(on);
   if (ok) ok = listed_.hold(beside_.get());
   if (!ok) return ok;
@@ -133,7 +146,7 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
   if (ok && is_tensor) ok = cuda::launch_turbo_tensor_long(a, beside_.get());
   // Joined after an error, too: the next frame waits for `on` alone.
   Status joined = done_long_.record(beside_.get());
-  if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, seen_.get(), on);
+  if (ok) ok = cuda::launch_turbo_order(a.arrays, a.grid, seen_.get(), a.is_filled, on);
   if (ok) ok = counted_.record(on);
   for (const Mark m : {kSorted, kRanged}) {
     if (ok) ok = state_.mark(m, f, on);
@@ -148,8 +161,14 @@ Status TurboPipeline::order_and_blend(const Frame& f, const cuda::TurboBlendArgu
 // The frame's kernels. Nothing is waited for.
 Status TurboPipeline::launch(const Frame& f) {
   const cuda::TurboArrays arrays = arrays_for(f);
+  cuda::TurboBlendArguments a{
+      arrays,   state_.splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height, f.background(),
+      f.target, f.settings.cuda.count_pairs,           false};
+  const bool is_tensor = f.settings.cuda.tensor_cores && f.settings.low_pass >= kTensorLowPass && !a.has_details();
+  a.is_filled = is_tensor && fills(a);
   auto* const on = f.stream;
   Status ok = state_.mark(kStart, f, on);
+  if (ok && a.is_filled) ok = fill(f, a);
   if (ok) {
     ok = device_status(cudaMemsetAsync(arrays.state, 0, cuda::TurboState::bytes(arrays.n_tiles), on),
                        "the frame's state could not be cleared");
@@ -161,9 +180,9 @@ Status TurboPipeline::launch(const Frame& f) {
   if (ok) ok = state_.mark(kProjected, f, on);
   if (ok) ok = cuda::launch_turbo_lists(arrays, f.view.grid, seen_.get(), on);
   if (ok) ok = state_.mark(kDuplicated, f, on);
-  if (!ok) return ok;
-  ok = order_and_blend(f, {arrays, state_.splats.as<cuda::ScreenSplat>(), f.view.grid, f.width, f.height,
-                           f.background(), f.target, f.settings.cuda.count_pairs});
+  // Also after an error: the next frame waits for `on` alone.
+  if (const Status joined = a.is_filled ? filled_.hold(on) : Status(); ok) ok = joined;
+  if (ok) ok = order_and_blend(f, a, is_tensor);
   return ok ? state_.mark(kBlended, f, on) : ok;
 }
 
@@ -189,7 +208,10 @@ Result<std::uint64_t> TurboPipeline::settle(const Frame& f) {
         seen.n_large_gaussians <= arrays.large_capacity;  // otherwise the others' entries are not counted
     const bool all_listed = all_large && n <= arrays.entry_capacity && seen.runs <= arrays.run_capacity;
     if (std::max(n, seen.in_cells) > kMaxPairs) return std::max(n, seen.in_cells);
-    if (all_listed && seen.in_cells <= arrays.cell_capacity) return n;
+    if (all_listed && seen.in_cells <= arrays.cell_capacity) {
+      last_ = {seen.runs, arrays.n_tiles};
+      return n;
+    }
     if (ok = state_.finished->wait(); !ok) return tl::unexpected(ok.error());  // it uses the workspace until then
     // Counts without all large Gaussians are too low to be worth memory.
     ok = all_large ? reserve_lists(n, seen.runs, 0, seen.in_cells, f.stream)

@@ -38,13 +38,19 @@ class TurboPipeline {
   std::uint64_t cell_capacity() const;
   cuda::TurboLongListSizes long_sizes() const { return cuda::TurboLongListSizes::of(entry_capacity(), run_capacity()); }
   cuda::TurboArrays arrays_for(const Frame& frame) const;
-  Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments);
+  bool fills(const cuda::TurboBlendArguments& arguments) const;
+  Status fill(const Frame& frame, const cuda::TurboBlendArguments& arguments);
+  Status order_and_blend(const Frame& frame, const cuda::TurboBlendArguments& arguments, bool is_tensor);
   Status launch(const Frame& frame);
 
   FrameState& state_;
   Event counted_, counted_long_;  // the frame has counted its pairs: both
-  OwnedStream beside_;            // for long lists; `listed_` begins what is queued there, `done_long_` ends it
-  Event listed_, done_long_;
+  OwnedStream beside_;  // for what `begun_` begins and `filled_` ends, and for long lists: `listed_`, `done_long_`
+  Event begun_, filled_, listed_, done_long_;
+  struct Settled {
+    std::uint64_t runs = 0;
+    std::uint32_t n_tiles = 0;
+  } last_;  // frame
   PageLocked<cuda::TurboState> seen_;
   DeviceBuffer turbo_state_, entries_, scratch_, runs_, tile_runs_, large_, lists_, ranked_;
   DeviceBuffer long_lists_, cells_, cell_gaussians_, long_cells_;

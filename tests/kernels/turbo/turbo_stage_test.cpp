@@ -45,6 +45,7 @@ struct Lists {
 struct Room {
   std::uint64_t entries = 0, runs = 0, large = 0;
   std::uint64_t in_cells = 0;  // 0: for all
+  bool is_sparse = false;      // ordered as if few tiles had lists
 };
 
 template <class T>
@@ -169,7 +170,7 @@ Lists run(const cuda::Attributes& attributes, std::uint32_t n, const cuda::ViewP
   require_ok(cuda::launch_turbo_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_long_lists(arrays, v.grid, seen.state(), nullptr));
   require_ok(cuda::launch_turbo_units(arrays, nullptr));
-  require_ok(cuda::launch_turbo_order(arrays, v.grid, seen.state(), nullptr));
+  require_ok(cuda::launch_turbo_order(arrays, v.grid, seen.state(), room.is_sparse, nullptr));
   synchronize();
 
   Lists out;
@@ -303,6 +304,7 @@ Lists check(const cuda::Attributes& attributes, const SceneView& scene, const Ca
   room.runs *= 2;
   Lists lists = run(attributes, n, v, room);
   CHECK(lists.state.counters.instances == room.entries);
+  (void)run(attributes, n, v, {.entries = room.entries, .runs = room.runs, .large = room.large, .is_sparse = true});
   if (lists.state.in_cells > 1) {
     (void)run(attributes, n, v, {room.entries, room.runs, room.large, lists.state.in_cells - 1});
   }
