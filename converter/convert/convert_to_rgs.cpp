@@ -200,7 +200,15 @@ Result<WrittenScene> write_with_levels(const SplatSource& source, AtomicFile& fi
   summary.n_levels = levels.pages.front().level + 1;
   summary.n_pages = static_cast<std::uint32_t>(levels.pages.size());
   summary.n_stored = levels.splats.size();
-  return write_levels(levels, encode, file, static_cast<unsigned>(tbb::this_task_arena::max_concurrency()));
+  auto written = write_levels(levels, encode, file, static_cast<unsigned>(tbb::this_task_arena::max_concurrency()));
+  if (!written && written.error().code == Errc::bad_value) {
+    // What it names is a leaf, or a Gaussian that the source does not have.
+    Error error = written.error();
+    error.offset = Error::kNone;
+    if (error.found < indices.size()) error.found = indices[error.found];
+    return tl::unexpected(error);
+  }
+  return written;
 }
 
 }  // namespace
