@@ -382,7 +382,15 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   if (const Status s = lod::order_leaves(stream, scan, encode, stages, levels); !s) return tl::unexpected(s.error());
   if (const Status s = lod::build_upper(encode, stages, levels); !s) return tl::unexpected(s.error());
   auto written = lod::write_tree(levels, scan, encode, stages, *file);
-  if (!written) return tl::unexpected(written.error());
+  if (!written) {
+    Error error = written.error();
+    if (error.code ==
+        Errc::bad_value) {  // its place is one in a page; what it names, a leaf, if it is one of the source
+      error.offset = Error::kNone;
+      error.found = error.found < levels.positions.size() ? levels.positions[error.found] : Error::kNone;
+    }
+    return tl::unexpected(error);
+  }
   const auto synced = commit(*file, *written, options, clock);
   if (!synced) return tl::unexpected(synced.error());
   summary.sync_seconds = *synced;

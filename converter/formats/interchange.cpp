@@ -79,6 +79,10 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
   const auto paged = PagedFile::open(bytes, options.limits);
   if (!paged) return tl::unexpected(paged.error());
   std::vector<std::uint32_t> pages;
+  if (paged->n_present() == 0) {
+    return make_error(Errc::pages_missing, bytes.size(), "the end of the file is missing, and with it all pages",
+                      paged->n_pages(), 0);
+  }
   if (options.level_of_detail) {
     if (*options.level_of_detail >= paged->n_levels()) {
       return make_error(Errc::bad_argument, Error::kNone, "the file has no such level of detail (0 is the finest)",
@@ -95,6 +99,16 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
     }
   }
   if (std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; })) {
+    if (!paged->complete() && !options.max_count) {
+      return make_error(
+          Errc::pages_missing, bytes.size(),
+          paged->n_present() < paged->n_pages()
+              ? "the end of the file is missing, and with it some of the scene's own Gaussians "
+                "(--max-count takes what is there)"
+              : "the end of the file is missing, and with it positions in the source, though all Gaussians "
+                "are there (--max-count takes them)",
+          paged->head().header().file_bytes, bytes.size());
+    }
     // All that is checked of a file without levels is checked of the leaves.
     const auto plain = leaves_as_file(*paged, {.validate = false});
     if (!plain) return tl::unexpected(plain.error());

@@ -276,13 +276,14 @@ std::vector<LevelReport> level_reports(const PagedFile& file) {
 }
 
 // Opens a file with levels. Its leaves are read where their values are wanted.
-Status open_levels(std::span<const std::byte> bytes, const InfoOptions& options, bool statistics, InfoReport& report) {
+Status open_levels(std::span<const std::byte> bytes, const InfoOptions& options, bool leaves_wanted,
+                   InfoReport& report) {
   auto paged = PagedFile::open(bytes, options.limits);
   if (!paged) return tl::unexpected(paged.error());
   report.view = paged->head();
   report.paged = *std::move(paged);
   report.levels = level_reports(*report.paged);
-  if (!statistics || !report.paged->complete()) return {};
+  if (!leaves_wanted || !report.paged->complete()) return {};
   auto leaves = leaves_as_file(*report.paged, {.validate = false});
   if (!leaves) return tl::unexpected(leaves.error());
   report.leaf_bytes = std::make_shared<const std::vector<std::byte>>(*std::move(leaves));
@@ -320,7 +321,7 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
   const bool statistics =
       options.statistics.value_or(options.chunk || (bytes.size() <= kStatisticsBytes && !options.page));
   if (has_levels(bytes)) {
-    const Status opened = open_levels(bytes, options, statistics, report);
+    const Status opened = open_levels(bytes, options, statistics || options.chunk, report);
     if (!opened) failed(opened.error());
   } else {
     keep(FileView::open(bytes, options.limits), report.view);
@@ -331,13 +332,6 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
     report.verified = status.has_value();
     if (!status) failed(status.error());
   }
-  if (options.page) {
-    if (!report.paged || *options.page >= report.paged->n_pages()) {
-      failed({Errc::bad_argument, Error::kNone, "the file has no such page of levels of detail; --page counts from 0",
-              Error::kNone, *options.page});
-    }
-    return report;
-  }
   if (report.paged && !report.paged->complete()) {
     const std::uint32_t n = report.paged->n_present();
     const bool all = n == report.paged->n_pages();
@@ -347,6 +341,13 @@ InfoReport inspect(const std::string& path, std::span<const std::byte> bytes, co
                   : Error{Errc::pages_missing, bytes.size(),
                          "the end of the file is missing; the pages that are there are a whole scene in less detail",
                          report.paged->n_pages(), n});
+  }
+  if (options.page) {
+    if (!report.paged || *options.page >= report.paged->n_pages()) {
+      failed({Errc::bad_argument, Error::kNone, "the file has no such page of levels of detail; --page counts from 0",
+              Error::kNone, *options.page});
+    }
+    return report;
   }
   if (report.paged && !report.leaves) return report;
   const FileView& view = report.leaves ? *report.leaves : *report.view;

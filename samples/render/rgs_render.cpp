@@ -21,6 +21,7 @@
 #include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
+#include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
@@ -268,6 +269,15 @@ nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, cons
           {"frames", std::move(pictures)}};
 }
 
+void warn_of_missing_pages(const std::string& path, const rgs::Scene& scene) {
+  const rgs::PagedFile* levels = scene.levels();
+  if (levels == nullptr || levels->n_present() == levels->n_pages()) return;
+  tool::print_error(
+      fmt::format("rgs-render: {}: the end of the file is missing: drawn are the {} of its {} pages that are there, in "
+                  "less detail\n",
+                  tool::printable(path), levels->n_present(), levels->n_pages()));
+}
+
 // Of the frame whose depth key is coarsest.
 void warn_of_coarse_depths(const std::vector<Frame>& frames) {
   const auto coarsest =
@@ -299,6 +309,7 @@ int render(const Options& options) {
   if (!scene) return tool::report(options.scene, scene.error());
   if (!prepared) return tool::report(options.scene, prepared.error());
   const double load_seconds = seconds_since(start);
+  if (!options.quiet) warn_of_missing_pages(options.scene, scene->scene);
 
   std::vector<Shot> shots;
   if (const int code = make_shots(options, *scene, shots); code != tool::kSuccess) return code;

@@ -22,7 +22,7 @@ struct Files {
 };
 
 /// 3,000 Gaussians in the order of the file without levels, and with them: pages of two chunks of 32.
-Files files(Profile profile = Profile::direct) {
+Files files(Profile profile = Profile::direct, bool keep_permutation = false) {
   EncodeOptions options;
   options.chunk_size = 32;
   options.profile = profile;
@@ -33,6 +33,7 @@ Files files(Profile profile = Profile::direct) {
   auto cloud = decode(files.plain);
   REQUIRE(cloud);
   options.order = Order::morton;
+  options.keep_permutation = keep_permutation;
   REQUIRE(write_levels(trivial_levels(*cloud, {.chunk_size = 32, .page_chunks = 2}), options, files.levels));
   return files;
 }
@@ -159,6 +160,10 @@ TEST_CASE("the beginning of a file with levels is drawn as far as it goes") {
     CHECK(render(scene, camera, at_detail(0)).stats.gaussians == scene.size());
     CHECK(render(scene, camera, at_detail(1)).stats.pages >= 1);
   }
+  // All pages but nothing of the positions behind them.
+  Files behind = files(Profile::direct, true);
+  behind.levels.resize(behind.levels.size() - 1);
+  CHECK(load(behind.levels).size() == whole->head().header().n_gaussians);
   const auto first = static_cast<std::ptrdiff_t>(whole->stored(0).offset);
   const auto nothing = Scene::load(std::span(of.levels).first(static_cast<std::size_t>(first)));
   REQUIRE(!nothing);

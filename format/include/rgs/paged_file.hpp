@@ -129,7 +129,8 @@ Result<SplatCloud> read_pages(const PagedFile& file, std::span<const std::uint32
                               const LoadOptions& options = {});
 
 /// The leaves as a file of Profile::direct without levels, in memory: the same Gaussians, chunks, steps, declarations,
-/// provenance and positions, for what reads such files alone. Errors: those of read_pages().
+/// provenance and positions, for what reads such files alone. Positions and provenance that are missing at the end of the file
+/// are left out. Errors: those of read_pages(); checksum_mismatch (positions).
 Result<std::vector<std::byte>> leaves_as_file(const PagedFile& file, const LoadOptions& options = {});
 
 /// Checks all that validate() checks of a file without levels, of every page, and that pages hold what their boxes say. Of

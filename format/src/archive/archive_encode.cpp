@@ -126,10 +126,14 @@ class Encoder {
   }
 
   Result<WrittenScene> run(Sink sink, std::span<const std::uint32_t> source_index) {
-    if (const auto huge = std::ranges::find_if(splats_.sh, [](float x) { return !(std::abs(x) <= kLargestSh); });
-        huge != splats_.sh.end()) {
-      const auto value = static_cast<std::size_t>(huge - splats_.sh.begin());
-      return too_large(name_in_source(source_index, value / (3 + tables_.n_sh)));
+    // Leaves first: what stands above them has it from there, and no place in the source.
+    const std::size_t stride = 3 + tables_.n_sh;
+    const auto is_huge = [](float x) { return !(std::abs(x) <= kLargestSh); };
+    for (const auto& sh : {splats_.sh.subspan(stride * first_leaf_), splats_.sh.first(stride * first_leaf_)}) {
+      if (const auto huge = std::ranges::find_if(sh, is_huge); huge != sh.end()) {
+        const auto value = static_cast<std::size_t>(&*huge - splats_.sh.data());
+        return too_large(name_in_source(source_index, value / stride));
+      }
     }
     fit();
     if (Status s = each_frame([this](Frame& f) { return order_frame(f); }); !s) return tl::unexpected(s.error());

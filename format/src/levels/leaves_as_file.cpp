@@ -62,7 +62,7 @@ class PlainFile {
 Result<std::vector<std::byte>> leaves_as_file(const PagedFile& file, const LoadOptions& options) {
   return guard_memory([&]() -> Result<std::vector<std::byte>> {
     const FileView& head = file.head();
-    if (!file.complete()) {
+    if (file.n_present() < file.n_pages()) {
       return make_error(Errc::pages_missing, head.bytes().size(),
                         "the end of the file is missing, and with it some of the scene's own Gaussians", file.n_pages(),
                         file.n_present());
@@ -77,14 +77,22 @@ Result<std::vector<std::byte>> leaves_as_file(const PagedFile& file, const LoadO
                                        entry_of(SectionType::means, h.n_gaussians * kMeanBytes, true),
                                        entry_of(SectionType::geometry, h.n_gaussians * kGeometryBytes, true),
                                        entry_of(SectionType::sh, h.n_gaussians * stride, true)};
+    // Of those that are not whole nothing is kept. Provenance was checked when the file was opened.
+    std::vector<const SectionEntry*> kept;
     for (const SectionType type : {SectionType::permutation, SectionType::provenance}) {
-      if (const SectionEntry* entry = head.find(type)) sections.push_back(entry_of(type, entry->stored_bytes, false));
+      const SectionEntry* entry = head.find(type);
+      if (entry == nullptr || entry->offset + entry->stored_bytes > head.bytes().size()) continue;
+      if (type == SectionType::permutation && xxh3(head.stored(*entry)) != entry->xxh3) {
+        return make_error(Errc::checksum_mismatch, entry->offset, "a section's checksum does not match", entry->xxh3,
+                          xxh3(head.stored(*entry)));
+      }
+      kept.push_back(entry);
+      sections.push_back(entry_of(type, entry->stored_bytes, false));
     }
     PlainFile plain(h, std::move(sections));
     std::ranges::copy(write_declarations(head.declarations()), plain.section(SectionType::declarations).begin());
-    for (const SectionType type : {SectionType::permutation, SectionType::provenance}) {
-      if (const SectionEntry* entry = head.find(type))
-        std::ranges::copy(head.stored(*entry), plain.section(type).begin());
+    for (const SectionEntry* entry : kept) {
+      std::ranges::copy(head.stored(*entry), plain.section(static_cast<SectionType>(entry->type)).begin());
     }
     const std::array arrays{plain.section(SectionType::sh_steps), plain.section(SectionType::chunks),
                             plain.section(SectionType::means), plain.section(SectionType::geometry),

@@ -169,7 +169,10 @@ Status LevelsWriter::Encoder::encode(std::uint32_t page, const SplatView& splats
              Splat& s = b.splats[i] = splats.splat(i);
              const std::uint32_t defects = find_defects(s, degree);
              if (defects != 0 && !(leaf && plan.mends && repair(s, defects))) {
-               return leaf ? source_changed() : make_error(Errc::bad_value, i, "a Gaussian of a page cannot be drawn");
+               return leaf ? source_changed()
+                           : make_error(
+                                 Errc::bad_value, i,
+                                 "a Gaussian above the finest level cannot be drawn: its place or size is beyond FP32");
              }
              for (const float value : s.log_scale) {
                smallest = std::min(smallest, value);

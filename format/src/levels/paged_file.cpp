@@ -91,8 +91,9 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
   const auto entry_of = [&](const SectionEntry* entry) {
     return section_entry_offset(static_cast<std::uint64_t>(entry - head->sections().data()));
   };
-  auto table = parse_page_table(table_bytes, {head->header(), *levels, *pages, entry_of(levels), entry_of(pages)},
-                                limits, head->header().file_bytes);
+  const std::uint64_t pages_entry = entry_of(pages);
+  auto table = parse_page_table(table_bytes, {head->header(), *levels, *pages, entry_of(levels), pages_entry}, limits,
+                                head->header().file_bytes);
   if (!table) return tl::unexpected(table.error());
   PagedFile file;
   file.codec_ = static_cast<Codec>(pages->codec);
@@ -102,6 +103,17 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
   file.page_chunks_ = table->page_chunks;
   file.quality_db_ = table->quality_db;
   file.head_ = *std::move(head);
+  if (file.codec_ != Codec::none && !file.complete()) {
+    // What file_bytes allows counts bytes that are not there.
+    std::uint64_t decoded = 0;
+    const std::uint32_t n = file.n_present();
+    for (std::uint32_t i = 0; i < n; ++i) decoded += file.decoded_bytes(i);
+    if (decoded > limits.decoded_bytes(bytes.size())) {
+      return make_error(Errc::limit_exceeded, pages_entry + 32,
+                        "pages decode to more than the caller allows for so many bytes (max_expansion)",
+                        limits.decoded_bytes(bytes.size()), decoded);
+    }
+  }
   return file;
 }
 
@@ -190,7 +202,7 @@ Status validate(const PagedFile& file, unsigned threads) {
   return guard_memory([&]() -> Status {
     const FileView& head = file.head();
     for (const SectionEntry& s : head.sections()) {
-      // Pages have their own hashes.
+      // Pages have their own hashes, and come first.
       if (s.type == static_cast<std::uint32_t>(SectionType::pages) || s.offset > head.bytes().size() ||
           s.stored_bytes > head.bytes().size() - s.offset) {
         continue;
@@ -211,6 +223,11 @@ Status validate(const PagedFile& file, unsigned threads) {
       return check_page_rows(file, page, *rows, file.pages()[page].level == 0 ? leaves[worker] : above);
     });
     if (!checked || !file.complete()) return checked;
+    // Last: which page is damaged says more.
+    const SectionEntry& pages = *head.find(SectionType::pages);
+    if (const std::uint64_t hash = xxh3(head.stored(pages)); hash != pages.xxh3) {
+      return make_error(Errc::checksum_mismatch, pages.offset, "a section's checksum does not match", pages.xxh3, hash);
+    }
     ValueTotals totals;
     for (const ValueTotals& part : leaves) totals.add(part);
     if (Status s = check_declarations(head, totals); !s) return s;

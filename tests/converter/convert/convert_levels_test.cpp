@@ -268,6 +268,9 @@ TEST_CASE("of a file whose end is missing only levels that are there are convert
   // A cut takes what is there.
   REQUIRE(rgs_convert({"--max-count", "2000", part, out}).exit_code == 0);
   CHECK(size_of(out) <= 2000);
+  bytes.resize(whole->stored(0).offset + 1);
+  CHECK(rgs_convert({"--overwrite", "--max-count", "100", write_file(folder.file("no_root.rgs"), bytes), out})
+            .exit_code == 6);
   bytes.resize(300);
   const ProgramResult head = rgs_convert({write_file(folder.file("head.rgs"), bytes), out});
   CHECK(head.exit_code == 4);

@@ -452,6 +452,8 @@ TEST_CASE("levels of detail are listed, page by page if asked") {
     CHECK(chunk["first"] == 32);
     CHECK(chunk["stored"]["PAGE"]["page"] == lod::pages_of_level(file->pages(), 0)[0]);
     CHECK(f.run(path + " --chunk 1").exit_code == 0);
+    // --no-stats leaves out values, not what is asked for.
+    CHECK(f.json(path + " --chunk 1 --no-stats")["chunk"]["first"] == 32);
   }
   CHECK(f.run(f.write(encoded(10, 0)) + " --page 0").exit_code == 2);
 }
@@ -477,6 +479,7 @@ TEST_CASE("a missing end of a file with levels is a warning with an exit code of
   CHECK(j["error"]["code"] == "pages_missing");
   CHECK(j["error"]["exit_code"] == 6);
   CHECK(j["error"]["offset"] == part.size());
+  CHECK(f.run(f.write(part) + " --page 0").exit_code == 6);
   // What is there is checked all the same.
   part[file->stored(2).offset + 30] ^= std::byte{1};
   const nlohmann::json damaged = f.json(f.write(part) + " --verify", 4);

@@ -13,6 +13,7 @@
 #include "rgs/decode.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
+#include "trivial_levels.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
@@ -262,9 +263,15 @@ TEST_CASE("every beginning of a file that holds its root is a scene, and says wh
         CHECK(missing.error().code == Errc::pages_missing);
         CHECK(missing.error().offset == size);
       }
-      for (const auto& refused : {leaves_as_file(*file)}) {
-        REQUIRE_FALSE(refused);
-        CHECK(refused.error().code == Errc::pages_missing);
+      const auto leaves = leaves_as_file(*file);
+      if (n == file->n_pages()) {
+        // What is behind the pages counts as absent.
+        REQUIRE(leaves);
+        CHECK(FileView::open(*leaves)->find(SectionType::permutation) == nullptr);
+        CHECK(decode(*leaves)->size() == scene.leaves.size());
+      } else {
+        REQUIRE_FALSE(leaves);
+        CHECK(leaves.error().code == Errc::pages_missing);
       }
       CHECK(decode(bytes).error().code == Errc::pages_missing);
     }
@@ -534,4 +541,56 @@ TEST_CASE("readers of one kind of file say what the other is") {
   const auto file = PagedFile::open(plain);
   REQUIRE_FALSE(file);
   CHECK(file.error().code == Errc::missing_section);
+}
+
+TEST_CASE("of a beginning limits count the bytes that are there, not those that its head states") {
+  SplatCloud equal;
+  equal.resize(30'000, 3);
+  SplitMix random(61);
+  const Splat one = random_cloud(1, 3, random).view().splat(0);
+  for (std::uint64_t i = 0; i < equal.size(); ++i) equal.set(i, one);
+  EncodeOptions options;
+  options.profile = Profile::packed;
+  options.keep_permutation = true;
+  Bytes bytes;
+  REQUIRE(write_levels(trivial_levels(equal), options, bytes));
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  DecodeLimits limits;
+  limits.max_expansion =
+      (file->head().find(SectionType::pages)->decoded_bytes - (std::uint64_t{1} << 20)) / bytes.size() + 1;
+  CHECK(PagedFile::open(bytes, limits));
+  bytes.resize(file->stored(file->n_pages() - 1).offset + file->stored(file->n_pages() - 1).stored_bytes);
+  bytes.shrink_to_fit();
+  CHECK(PagedFile::open(bytes));
+  const auto refused = PagedFile::open(bytes, limits);
+  REQUIRE_FALSE(refused);
+  CHECK(refused.error().code == Errc::limit_exceeded);
+  CHECK(refused.error().offset == entry_of(bytes, "PAGE") + 32);
+}
+
+TEST_CASE("positions and pages are held to the hashes of their sections by whoever reads the leaves") {
+  GoldenLevels scene = golden_levels("", Profile::packed, 300, 1, 62);
+  scene.options.keep_permutation = true;
+  scene.options.source_index = {};
+  const Bytes sound = encode_levels(scene);
+  for (const char* type : {"PERM", "PAGE"}) {
+    CAPTURE(type);
+    Bytes bytes = sound;
+    const std::uint64_t hash_at = entry_of(bytes, type) + 40;
+    put(bytes, hash_at, get<std::uint64_t>(bytes, hash_at) ^ 1);
+    const std::uint64_t table_end = entry_at(get<std::uint32_t>(bytes, 52));
+    put(bytes, table_end, xxh3(std::span<const std::byte>(bytes).first(table_end)));
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    const Status status = validate(*file);
+    REQUIRE_FALSE(status);
+    CHECK(status.error().code == Errc::checksum_mismatch);
+    CHECK(status.error().offset == section_of(bytes, type));
+    if (type == std::string_view("PAGE")) continue;  // each page has been held to its own
+    const auto leaves = leaves_as_file(*file);
+    REQUIRE_FALSE(leaves);
+    CHECK(leaves.error().code == Errc::checksum_mismatch);
+    CHECK(leaves.error().offset == section_of(bytes, type));
+  }
 }
