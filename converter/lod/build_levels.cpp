@@ -23,6 +23,7 @@ namespace {
 constexpr float kRoundingMargin = 1.004F;
 constexpr float kBoundSigmas = 3;
 // A page's error over the largest of its children.
+constexpr std::uint64_t kKeptOf1000 = 880;  // of a page, for each of its children
 constexpr float kErrorGrowth = 1.01F;
 constexpr float kMostError = 1e30F;
 // A run of boxes has a gap where the box around it is longer than this many of their lengths together.
@@ -223,7 +224,8 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
   const float centre[3] = {mean[0], mean[1], mean[2]};
   const Gaussians group = activate(splats, from, n, centre);
   const std::uint64_t most = static_cast<std::uint64_t>(options.chunk_size) * options.page_chunks;
-  const std::uint64_t wanted = std::min(most, (n + options.children - 1) / options.children);
+  // Less than all pages have room for: what a file with levels takes beyond one without is the sum of all powers of it.
+  const std::uint64_t wanted = std::min(most, (n * kKeptOf1000 / options.children + 999) / 1000);
   const std::size_t before = out.size();
   float error = 0;
   if (wanted < n) {

@@ -21,7 +21,7 @@ struct BuildOptions {
   Quality quality = Quality::fast;
   std::uint32_t chunk_size = 256;           ///< of the file: leaf pages are whole chunks
   std::uint32_t page_chunks = kPageChunks;  ///< most chunks of a page
-  std::uint32_t children = 4;               ///< most pages that become one, of a quarter as many Gaussians
+  std::uint32_t children = 4;               ///< most pages that become one, of less than a quarter as many Gaussians
 };
 FitOptions fit_options(Quality quality);
 
