@@ -116,8 +116,8 @@ TEST_CASE("levels of detail do not pop: a dolly to 16 times as far and an orbit,
     std::fill(details.begin() + kFrames / 2, details.end(), 1e6F);
     const auto popped = motion.levels(path, details);
     REQUIRE(popped);
-    const Jump pop = largest_jump(popped->steps, truth->steps);
-    CHECK(pop.mean > 1.2);
-    CHECK(pop.mean_frame == kFrames / 2);
+    CHECK(largest_jump(popped->steps, truth->steps).mean > 1.2);
+    const std::size_t to_root = kFrames / 2 - 1;
+    CHECK(popped->steps[to_root].mean > 1.2 * truth->steps[to_root].mean);
   }
 }
