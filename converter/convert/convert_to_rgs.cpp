@@ -356,7 +356,8 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   }
   if (const Status s = check_encodable(scan, encode); !s) return tl::unexpected(s.error());
   if (scan.n_kept() == 0) {
-    return make_error(Errc::bad_argument, Error::kNone, "a scene without Gaussians has no levels of detail: convert it without --lod");
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "a scene without Gaussians has no levels of detail: convert it without --lod");
   }
   // About 300 bytes a Gaussian beside the Gaussians themselves, see LevelsWriter.
   const std::uint64_t all_bytes =

@@ -28,6 +28,7 @@
 #include "rgs/paged_file.hpp"
 #include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
+#include "scratch_file.hpp"
 #include "sibling_program.hpp"
 #include "stage_clock.hpp"
 #include "tile_stream.hpp"
@@ -274,6 +275,12 @@ bool streams_tiles(const Arguments& arguments, const std::deque<Input>& inputs, 
          (inputs.size() > 1 || format_of_input(arguments, inputs.front()) == SplatFormat::ply);
 }
 
+// The file, or folder of scratch files, that an error is about.
+std::string concerned(const Arguments& arguments, const Input& input, const rgs::Error& error) {
+  if (!rgs::lod::concerns_scratch(error)) return concerns_output(error.code) ? arguments.output() : input.path();
+  return arguments.convert.scratch.empty() ? "." : arguments.convert.scratch;
+}
+
 // The same as load_scene() and then convert_scene(), tile by tile.
 Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Input>& inputs, rgs::DeclaredLoss& loss,
                                            const rgs::StageObserver& observer) {
@@ -335,8 +342,7 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   };
   auto summary = rgs::convert_to_levels(scene->stream(), facts, arguments.output(), arguments.convert, observer);
   if (!summary) {
-    const rgs::Error& error = summary.error();
-    return failed(concerns_output(error.code) ? arguments.output() : inputs.front().path(), error);
+    return failed(concerned(arguments, inputs.front(), summary.error()), summary.error());
   }
   summary->source_format = inputs.size() == 1 ? rgs::format_name(first_format) : "merged";
   summary->position_rounding = scene->position_rounding();
@@ -351,8 +357,7 @@ Outcome<rgs::ConvertSummary> convert(Arguments& arguments, std::deque<Input>& in
   const SplatFormat from = format_of_input(arguments, first);
   const auto outcome = [&](rgs::Result<rgs::ConvertSummary> summary) -> Outcome<rgs::ConvertSummary> {
     if (summary) return std::move(*summary);
-    const rgs::Error& error = summary.error();
-    return failed(concerns_output(error.code) ? arguments.output() : inputs.front().path(), error);
+    return failed(concerned(arguments, first, summary.error()), summary.error());
   };
   rgs::DeclaredLoss loss;
   const auto declare = [&](const rgs::InputDeclarations& by_input) {

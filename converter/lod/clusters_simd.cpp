@@ -128,7 +128,8 @@ RGS_LOD_INLINE V products(const Clusters8& a, const Clusters8& b, V blur) {
             vv = a.covariance.of[p.vv] + b.covariance.of[p.vv] + blur;
     const V det = uu * vv - uv * uv;
     const V q = (vv * du * du - set(2) * uv * du * dv + uu * dv * dv) / det;
-    const V near = select(q > set(40), set(40), q);
+    // Rounding may leave less than nothing of it, or no number, where both are one point.
+    const V near = select(q > set(40), set(40), select(q > set(0), q, set(0)));
     total += select(q > set(40), set(0), exp2(set(-0.5F * math::kLog2E) * near) / root(det));
   }
   V colors = set(0);

@@ -7,11 +7,24 @@
 
 #include <algorithm>
 #include <cerrno>
+#include <string_view>
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
 
 namespace rgs::lod {
+namespace {
+
+constexpr const char* kNotMade = "no scratch file can be made; name a folder that can be written with --scratch";
+constexpr const char* kNotWritten = "a scratch file cannot be written; name a folder with more room with --scratch";
+constexpr const char* kNotRead = "a scratch file cannot be read";
+
+}  // namespace
+
+bool concerns_scratch(const Error& error) {
+  const std::string_view what = error.what;
+  return what == kNotMade || what == kNotWritten || what == kNotRead;
+}
 
 Result<ScratchFile> ScratchFile::create(const std::string& folder) {
   const std::string in = folder.empty() ? "." : folder;
@@ -23,9 +36,7 @@ Result<ScratchFile> ScratchFile::create(const std::string& folder) {
     if (file.fd_ >= 0) ::unlink(path.c_str());
   }
   if (file.fd_ < 0) {
-    return make_error(Errc::open_failed, Error::kNone,
-                      "no scratch file can be made; name a folder that can be written with --scratch", Error::kNone,
-                      Error::kNone, errno);
+    return make_error(Errc::open_failed, Error::kNone, kNotMade, Error::kNone, Error::kNone, errno);
   }
   return file;
 }
@@ -55,9 +66,8 @@ Status ScratchFile::write(std::uint64_t offset, std::span<const std::byte> bytes
     const ssize_t n = ::pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
     if (n < 0 && errno == EINTR) continue;
     if (n <= 0) {
-      return make_error(Errc::write_failed, Error::kNone,
-                        "a scratch file cannot be written; name a folder with more room with --scratch", Error::kNone,
-                        Error::kNone, n == 0 ? ENOSPC : errno);
+      return make_error(Errc::write_failed, Error::kNone, kNotWritten, Error::kNone, Error::kNone,
+                        n == 0 ? ENOSPC : errno);
     }
     bytes = bytes.subspan(static_cast<std::size_t>(n));
     offset += static_cast<std::uint64_t>(n);
@@ -77,8 +87,7 @@ Status ScratchFile::read(std::uint64_t offset, std::span<std::byte> bytes) const
     const ssize_t n = ::pread(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
     if (n < 0 && errno == EINTR) continue;
     if (n <= 0) {
-      return make_error(Errc::read_failed, Error::kNone, "a scratch file cannot be read", Error::kNone, Error::kNone,
-                        n == 0 ? 0 : errno);
+      return make_error(Errc::read_failed, Error::kNone, kNotRead, Error::kNone, Error::kNone, n == 0 ? 0 : errno);
     }
     bytes = bytes.subspan(static_cast<std::size_t>(n));
     offset += static_cast<std::uint64_t>(n);

@@ -33,4 +33,7 @@ class ScratchFile {
   std::vector<std::byte> memory_;
 };
 
+/// Whether it is an error of a scratch file, and so of the folder that it is in: not of an input or the output.
+bool concerns_scratch(const Error& error);
+
 }  // namespace rgs::lod

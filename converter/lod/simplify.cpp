@@ -193,6 +193,15 @@ void restore_coverage(Gaussians& gaussians, std::span<const float> wanted, float
   }
 }
 
+// Not so where colours are so large that squares of their differences are beyond FP32.
+bool is_finite(const Gaussians& gaussians) {
+  for (int v = 0; v < gaussians.n_values(); ++v) {
+    const float* const values = gaussians.of(v);
+    if (!std::all_of(values, values + gaussians.size(), [](float x) { return std::isfinite(x); })) return false;
+  }
+  return true;
+}
+
 // Squared differences from the supersampled pictures at footprints pixel * 2^k, world units squared.
 struct Measured {
   double of_group[kFootprints] = {}, of_result[kFootprints] = {}, covered[kFootprints] = {};
@@ -308,7 +317,11 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
       if (!merged) continue;
       Gaussians part = subset(out.gaussians, piece.items);
       restore_coverage(part, wanted, p);
-      if (options.n_steps > 0 && c == 0) fit(subset(group, piece.members), part, p, options);
+      if (options.n_steps > 0 && c == 0) {
+        Gaussians fitted = part;
+        fit(subset(group, piece.members), fitted, p, options);
+        if (is_finite(fitted)) part = std::move(fitted);
+      }
       for (std::size_t i = 0; i < piece.items.size(); ++i) out.gaussians.copy(piece.items[i], part, i);
     }
   }
@@ -316,7 +329,9 @@ Simplified simplify(const Gaussians& group, std::size_t n, const FitOptions& opt
   // much larger pixels to fit on a picture would lose by it.
   const float whole = extent(group) / kMostOfFrame;
   if (options.n_color_steps > 0 && whole < 2 * pixel) {
-    fit_colors(group, out.gaussians, std::max(pixel, whole), options);
+    Gaussians fitted = out.gaussians;
+    fit_colors(group, fitted, std::max(pixel, whole), options);
+    if (is_finite(fitted)) out.gaussians = std::move(fitted);
   }
   std::vector<Measured> measured(kClasses);
   for (const Piece& piece : pieces) {

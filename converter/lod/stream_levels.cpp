@@ -416,6 +416,7 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
   return detail::guard_memory([&]() -> Status {
     BuildOptions build = options.build;
     build.chunk_size = encode.chunk_size;
+    build.page_chunks = std::clamp(kMaxPageRows / build.chunk_size, 1U, build.page_chunks);  // of large chunks fewer
     const int sh_degree = out.rows.front().sh_degree();
     out.pages.assign(1, cut_chunks(out.chunks, out.n_leaves, build));
     out.chunks = {};
@@ -482,11 +483,15 @@ Result<WrittenScene> write_tree(const StreamedLevels& levels, const SceneScan& s
                                 const StreamOptions& options, Sink sink) {
   return detail::guard_memory([&]() -> Result<WrittenScene> {
     EncodeOptions with_positions = encode;
-    std::vector<std::uint32_t> positions = levels.positions;
+    std::vector<std::uint32_t> positions;
     if (!encode.source_index.empty()) {
+      positions = levels.positions;
       for (std::uint32_t& position : positions) position = encode.source_index[position];
     }
-    if (encode.keep_permutation) with_positions.source_index = positions;
+    if (encode.keep_permutation) {
+      with_positions.source_index =
+          encode.source_index.empty() ? std::span(levels.positions) : std::span<const std::uint32_t>(positions);
+    }
     with_positions.n_source = std::max(encode.n_source, scan.n_source());
     with_positions.n_repaired += scan.n_repaired();
     std::vector<std::uint64_t> firsts;  // of a page within its level

@@ -53,7 +53,7 @@ Frame frame_around(const Gaussians& gaussians, const Axes3& axes, float pixel, i
       high = std::max(high, x);
     }
     const float wanted = std::ceil((high - low) / pixel + 2 * kMargin);
-    sides[side] = wanted < static_cast<float>(most) ? static_cast<int>(wanted) : most;
+    sides[side] = wanted < static_cast<float>(most) ? static_cast<int>(std::max(wanted, 1.F)) : most;
     firsts[side] = (low + high) / 2 - static_cast<float>(sides[side]) * pixel / 2;
   }
   frame.left = firsts[0];

@@ -7,6 +7,7 @@
 #include <glm/matrix.hpp>
 #include <limits>
 
+#include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
 
 namespace rgs {
@@ -71,7 +72,9 @@ Result<std::vector<std::uint32_t>> drawn_pages(const Scene& scene, const Camera&
   const PagedFile* const file = scene.levels();
   if (file == nullptr) return make_error(Errc::bad_argument, Error::kNone, "the scene has no levels of detail");
   const lod::Eye eye = detail::eye_of(camera, scene.origin(), scene.declarations()->z_near);
-  return lod::drawn_pages(file->pages(), eye, detail_px, file->n_present());
+  return detail::guard_memory([&]() -> Result<std::vector<std::uint32_t>> {
+    return lod::drawn_pages(file->pages(), eye, detail_px, file->n_present());
+  });
 }
 
 PaperSteps steps_of(const RenderOptions& options, Backend backend) {

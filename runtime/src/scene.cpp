@@ -288,6 +288,7 @@ Status Scene::Storage::expand_pages() const {
   const Arrays to(memory.get(), rows, sh_degree);
   std::mutex failing;
   Status status;
+  std::uint32_t failed = n_present;  // the first page that is damaged, whichever thread comes upon one first
   const auto decode = [&](std::uint64_t begin, std::uint64_t end) {
     PageDecoder decoder(*levels);
     std::vector<std::byte> bytes(levels->largest_decoded_bytes() + 16);
@@ -307,7 +308,7 @@ Status Scene::Storage::expand_pages() const {
       }
       if (ok) continue;
       const std::scoped_lock lock(failing);
-      if (status) status = ok;
+      if (page < failed) failed = page, status = ok;
       return;
     }
   };

@@ -24,9 +24,10 @@ RGS_HD inline double pixel_footprint(const float* low, const float* high, const 
   return (distance < z_near ? z_near : distance) / focal_px;
 }
 
-/// Whether a page of such an error may be drawn for what is below it.
+/// Whether a page of such an error may be drawn for what is below it. Without an error it always may: where the footprint is
+/// infinite, a detail of 0 times it is not a number.
 RGS_HD inline bool is_fine_enough(float error, float detail_px, double footprint) {
-  return static_cast<double>(error) <= static_cast<double>(detail_px) * footprint;
+  return error <= 0 || static_cast<double>(error) <= static_cast<double>(detail_px) * footprint;
 }
 
 }  // namespace rgs::lod

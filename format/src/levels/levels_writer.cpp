@@ -134,7 +134,9 @@ Result<WrittenScene> LevelsWriter::finish() {
     return make_error(Errc::bad_argument, Error::kNone, "pages are missing", s.pages().size(), s.n_added);
   }
   return guard_memory([&]() -> Result<WrittenScene> {
-    std::vector<std::uint32_t> given(s.archive() || s.plan.options.keep_permutation ? s.plan.header.n_gaussians : 0);
+    const EncodeOptions& o = s.plan.options;
+    const bool is_numbered = s.archive() || (o.keep_permutation && o.source_index.empty());
+    std::vector<std::uint32_t> given(is_numbered ? s.plan.header.n_gaussians : 0);
     std::iota(given.begin(), given.end(), 0u);
     if (s.archive()) return write_archive_levels(s.sink, s.plan, s.scene.view(), s.table, given);
     Declarations d = s.plan.declarations;
@@ -142,7 +144,9 @@ Result<WrittenScene> LevelsWriter::finish() {
       return tl::unexpected(source_changed().error());
     }
     s.leaves.counts.declare(d);
-    return s.file->finish(d, positions_in_source(given, s.plan.options));
+    // Not copied: they take 4 bytes a Gaussian.
+    const bool is_mapped = o.keep_permutation && !o.source_index.empty();
+    return s.file->finish(d, is_mapped ? o.source_index : std::span<const std::uint32_t>(given));
   });
 }
 

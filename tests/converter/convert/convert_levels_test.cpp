@@ -194,6 +194,7 @@ TEST_CASE("--lod takes no more than --memory, leaves nothing in --scratch, and s
       rgs_convert({"--lod", "--memory", "128MiB", "--scratch", scratch.file("missing"), ply, levels});
   CHECK(none.exit_code == 3);
   CHECK(none.err.find("--scratch") != std::string::npos);
+  CHECK(none.err.find(scratch.file("missing")) != std::string::npos);
   CHECK_FALSE(std::filesystem::exists(levels));
   const ProgramResult run =
       rgs_convert({"--lod", "--memory", "128MiB", "--scratch", scratch.path().string(), "--threads", "2", ply, levels});
@@ -203,6 +204,16 @@ TEST_CASE("--lod takes no more than --memory, leaves nothing in --scratch, and s
   ::getrusage(RUSAGE_CHILDREN, &usage);
   CHECK(usage.ru_maxrss < 128 * 1024);
   CHECK(std::filesystem::is_empty(scratch.path()));
+}
+
+TEST_CASE("--lod takes chunks of any size, and colours far beyond those of a picture") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(70'000, 0, 5);
+  for (std::size_t k = 0; k < 3000; ++k) cloud.sh[k] = k % 2 == 0 ? 2.7e26F : -1e5F;
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), levels = folder.file("levels.rgs");
+  const ProgramResult run = rgs_convert({"--lod", "--chunk-size", "16384", ply, levels});
+  CAPTURE(run.err);
+  CHECK(run.exit_code == 0);
 }
 
 TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any format") {
