@@ -157,7 +157,8 @@ TEST_CASE("quality by distance is that of the pages that a view draws, against t
     CHECK((*view)["width"] == smaller.width);
     const std::pair<const char*, RenderOptions> drawn[] = {
         {"leaves", reference()}, {"compensated", compensated}, {"levels", levels}};
-    for (const auto& [key, options] : drawn) {
+    for (const auto& [name, options] : drawn) {
+      const auto& key = name;  // clang 14 lets no lambda have a binding
       INFO(key << ", " << times << " times as far");
       const Image image = draw(asset, smaller, options);
       CHECK((*view)[key]["psnr"].get<double>() == doctest::Approx(difference(truth, image)->psnr).epsilon(1e-4));
