@@ -289,6 +289,7 @@ Levels build_levels(const SplatView& leaves, const BuildOptions& options) {
   Levels out;
   out.splats.sh_degree = leaves.sh_degree;
   std::vector<std::vector<Page>> pages;
+  pages.reserve(levels.size());
   for (Level& level : levels) pages.push_back(std::move(level.pages));
   out.pages = join_levels(pages);
   for (std::size_t i = levels.size(); i-- > 0;) {

@@ -182,6 +182,7 @@ Difference difference(const Picture& truth, const Picture& drawn) {
 
 void fit(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& options) {
   std::vector<Frame> frames;
+  frames.reserve(static_cast<std::size_t>(options.n_directions));
   for (int i = 0; i < options.n_directions; ++i) {
     frames.push_back(frame_around(group, direction(i, options.n_directions), pixel, kMostPixels));
   }
@@ -191,6 +192,7 @@ void fit(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& 
 void fit_colors(const Gaussians& group, Gaussians& out, float pixel, const FitOptions& options) {
   const int n = std::min(options.n_directions, kColorDirections);
   std::vector<Frame> frames;
+  frames.reserve(static_cast<std::size_t>(n));
   for (int i = 0; i < n; ++i) {
     frames.push_back(frame_around(group, direction(i, n), i % 2 == 0 ? pixel : 2 * pixel, kMostPixels));
   }

@@ -77,7 +77,7 @@ std::vector<float> visible_areas(const Gaussians& group) {
   if (!(pixel > 0) || !std::isfinite(pixel)) return out;
   Projection projection;
   Picture picture;
-  for (const auto& piece : cut_by_place(group, all_of(group), static_cast<float>(kMostPixels / 2) * pixel)) {
+  for (const auto& piece : cut_by_place(group, all_of(group), 0.5F * static_cast<float>(kMostPixels) * pixel)) {
     const Gaussians part = subset(group, piece);
     sums.assign(part.padded(), 0.F);
     for (int view = 0; view < kViews; ++view) {
