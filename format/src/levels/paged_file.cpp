@@ -213,6 +213,7 @@ Status validate(const PagedFile& file, unsigned threads) {
     }
     if (Status s = check_padding(file); !s) return s;
     const std::uint32_t n = file.n_present();
+    threads = threads_for(head.header().n_gaussians * 64, threads);
     std::vector<PageWorker> workers = page_workers(file, n, threads);
     std::vector<ValueTotals> leaves(workers.size());
     const Status checked = run_jobs(n, threads, [&](unsigned worker, std::uint64_t job) -> Status {
