@@ -5,6 +5,7 @@ target_compile_features(rgs_compile_options INTERFACE cxx_std_20)
 # -ffp-contract=off: a*b+c rounds twice everywhere, so that gcc, clang, Debug and Release give the same bits.
 target_compile_options(rgs_compile_options INTERFACE
   $<$<COMPILE_LANGUAGE:CXX>:-Wall -Wextra -Wpedantic -Wshadow -Wconversion -Wsign-conversion -ffp-contract=off>
+  $<$<COMPILE_LANG_AND_ID:CXX,Clang>:-Wreserved-identifier>
   $<$<AND:$<COMPILE_LANGUAGE:CXX>,$<BOOL:${RGS_WERROR}>>:-Werror>
   # gcc 12 reports overlapping copies inside std::string's own insert and assign at -O3 (its bugs 105329 and 105651).
   $<$<AND:$<COMPILE_LANG_AND_ID:CXX,GNU>,$<VERSION_LESS:$<CXX_COMPILER_VERSION>,13>>:-Wno-restrict>
