@@ -283,9 +283,13 @@ TEST_CASE("every single-byte change of a file with levels is an error or a valid
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     const GoldenLevels scene = golden_levels("", profile, 70, 0, 43, 1);
     const Bytes sound = encode_levels(scene);
+    const std::uint64_t pages = section_of(sound, "PAGE");
+    const std::uint64_t pages_end = pages + get<std::uint64_t>(sound, entry_of(sound, "PAGE") + 24);
     std::size_t n_errors = 0, n_valid = 0;
     for (std::size_t i = 0; i < sound.size(); ++i) {
       for (const unsigned flip : {1u, 0x80u}) {
+        // Of a page's bytes the highest bit changes and the lowest, in turn; of all others both do.
+        if (i >= pages && i < pages_end && (i % 2 == 0) == (flip == 1)) continue;
         Bytes bytes = sound;
         bytes[i] ^= static_cast<std::byte>(flip);
         const auto as_it_is = decode(bytes);
