@@ -2,7 +2,7 @@
 #   rgs_discover_tests(TARGET LABEL)   -> tests "LABEL: test case"
 # Cases are selected by their number in --list-test-cases, so that a name may hold any character; doctest's own module
 # selects by name, which breaks at ';' and ','. Names must differ within a program. A test that skips (tests/support/skip.hpp)
-# ends with 77, unless something in it failed.
+# ends with 77, unless something in it failed. The longest ones begin first: at the end they would run alone.
 # SPDX-License-Identifier: Apache-2.0
 if(NOT CMAKE_SCRIPT_MODE_FILE)
   set(RGS_DISCOVER_TESTS_SCRIPT ${CMAKE_CURRENT_LIST_FILE})
@@ -24,6 +24,23 @@ execute_process(COMMAND ${PROGRAM} --list-test-cases --no-colors
 if(NOT status EQUAL 0)
   message(FATAL_ERROR "${PROGRAM} --list-test-cases: ${status}\n${listing}")
 endif()
+string(JOIN "|" slow
+  "convert: --lod takes no more"
+  "convert: a streamed conversion writes the bytes"
+  "faults: SIGINT and SIGKILL"
+  "format: every single-byte change"
+  "format: files of Gaussians that are all alike"
+  "interchange: .glb: time is linear"
+  "interchange: all formats are read"
+  "lod: what cannot be sorted"
+  "memory: writing and reading levels"
+  "motion: levels of detail do not pop"
+  "programs: a program that gets no more memory"
+  "programs: names and values from outside"
+  "render: what a file declares"
+  "runtime: a scene on a grid"
+  "runtime: a scene whose depths"
+  "runtime: images of one pixel")
 set(script "")
 set(number 0)
 set(seen "\n")
@@ -40,8 +57,12 @@ while(listing MATCHES "^([^\n]*)\n(.*)$")
     message(FATAL_ERROR "${PROGRAM}: two test cases are named '${name}'")
   endif()
   string(APPEND seen "${name}\n")
+  set(cost "")
+  if("${LABEL}: ${name}" MATCHES "^(${slow})")
+    set(cost " COST 10")
+  endif()
   string(APPEND script "add_test([==[${LABEL}: ${name}]==] [==[${PROGRAM}]==] --first=${number} --last=${number})\n"
-    "set_tests_properties([==[${LABEL}: ${name}]==] PROPERTIES LABELS ${LABEL} TIMEOUT 300\n"
+    "set_tests_properties([==[${LABEL}: ${name}]==] PROPERTIES LABELS ${LABEL} TIMEOUT 300${cost}\n"
     "  ENVIRONMENT RGS_SKIP_RETURN_CODE=77 SKIP_RETURN_CODE 77)\n")
 endwhile()
 file(WRITE ${TESTS} "${script}")
