@@ -1,6 +1,7 @@
 #!/bin/sh
 # fuzz.sh - builds the libFuzzer targets and runs each one: sh scripts/fuzz.sh SECONDS [NAME...]
-# Starts from tests/fuzz/corpus/NAME; what it finds grows in build/fuzz/corpus/NAME, crashes in build/fuzz/crashes.
+# As many run at a time as there are processors (RGS_JOBS). Starts from tests/fuzz/corpus/NAME; what it finds grows in
+# build/fuzz/corpus/NAME, crashes in build/fuzz/crashes.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
@@ -16,8 +17,8 @@ preset=fuzz
 . scripts/quiet.sh
 
 quiet packages sh scripts/install-deps.sh
-quiet configure cmake --preset fuzz
-quiet build cmake --build build/fuzz --parallel "$jobs"
+quiet configure cmake --preset "$preset"
+quiet build cmake --build "build/$preset" --parallel "$jobs" --target rgs_fuzzers
 
 [ $# -gt 0 ] || set -- $(ls build/fuzz/bin | sed -n 's/^rgs_fuzz_//p')
 if [ $# = 0 ]; then
@@ -25,25 +26,22 @@ if [ $# = 0 ]; then
   exit 1
 fi
 mkdir -p build/fuzz/crashes
-failed=0
-for name in "$@"; do
+printf '%s\n' "$@" | xargs -P "$jobs" -n 1 sh -c '
+  log=$0/$2.log seconds=$1 name=$2
   grown=build/fuzz/corpus/$name
   mkdir -p "$grown"
-  corpus="$grown"
+  corpus=$grown
   seeds=$name
   [ "$name" = info ] && seeds=reader # the same files
   [ -d "tests/fuzz/corpus/$seeds" ] && corpus="$grown tests/fuzz/corpus/$seeds"
-  log=$log_folder/$name.log
+  verdict=ok
   # shellcheck disable=SC2086  # a list of folders
-  if "build/fuzz/bin/rgs_fuzz_$name" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \
-    -artifact_prefix="build/fuzz/crashes/$name-" $corpus >"$log" 2>&1 </dev/null; then
-    verdict=ok
-  else
-    verdict=FAILED
-    failed=1
-    tail -n 40 "$log" >&2
-  fi
-  executions=$(sed -n 's/^stat::number_of_executed_units: *//p' "$log")
+  "build/fuzz/bin/rgs_fuzz_$name" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 -print_final_stats=1 \
+    -artifact_prefix="build/fuzz/crashes/$name-" $corpus >"$log" 2>&1 </dev/null || verdict=FAILED
+  executions=$(sed -n "s/^stat::number_of_executed_units: *//p" "$log")
   echo "fuzz: $name: ${executions:-unknown} executions, $verdict"
-done
-exit $failed
+  [ "$verdict" = ok ] || {
+    tail -n 40 "$log" >&2
+    exit 1
+  }
+' "$log_folder" "$seconds" || exit 1

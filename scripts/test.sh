@@ -1,6 +1,7 @@
 #!/bin/sh
 # test.sh - installs, configures, builds and runs every test: sh scripts/test.sh [PRESET [CTEST-ARGUMENTS...]]
 # PRESET (or RGS_PRESET) is release by default; dev runs under AddressSanitizer and UBSan, tsan under ThreadSanitizer.
+# RGS_TARGETS names the targets to build, all by default: CTEST-ARGUMENTS should then choose their tests.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
@@ -10,7 +11,8 @@ preset=${1:-${RGS_PRESET:-release}}
 
 quiet packages sh scripts/install-deps.sh test
 quiet configure cmake --preset "$preset"
-quiet build cmake --build "build/$preset" --parallel "$jobs"
+# shellcheck disable=SC2086  # a list of targets
+quiet build cmake --build "build/$preset" --parallel "$jobs" ${RGS_TARGETS:+--target $RGS_TARGETS}
 set -- ctest --preset "$preset" --parallel "$jobs" "$@"
 # ThreadSanitizer of gcc 12 and clang 14 needs fewer random address bits than Linux 6 uses.
 [ "$preset" != tsan ] || set -- setarch "$(uname -m)" --addr-no-randomize "$@"
