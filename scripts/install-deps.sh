@@ -5,7 +5,7 @@
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 
-packages="g++ clang clang-format clang-tidy libclang-rt-14-dev cmake ninja-build ccache git ca-certificates
+packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-build ccache git ca-certificates
   libexpected-dev libfmt-dev libcli11-dev nlohmann-json3-dev libxxhash-dev libzstd-dev libdraco-dev libglm-dev
   zlib1g-dev libwebp-dev libzip-dev libopenimageio-dev libtbb-dev libhwy-dev doctest-dev libbenchmark-dev
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
