@@ -310,7 +310,8 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     }
   } waiter{s, view};
   for (;;) {
-    const Residency::Cut cut = s.cut(view, false);
+    // Its lists too: the frame that follows shall need no more room.
+    const Residency::Cut cut = s.cut(view, true);
     s.stats.pages_missing = cut.missing;
     s.stats.detail_reached_px = cut.reached_px;
     if (cut.missing == 0) return true;
