@@ -24,6 +24,8 @@ constexpr double kMostTurn = 1;           // radians ahead
 constexpr std::size_t kFirstDrawn = 256;  // pages
 /// A block of memory costs its allocator some bytes of its own.
 constexpr std::uint64_t kAllocationBytes = 32;
+/// A large one is whole pages of the system's.
+constexpr std::uint64_t kLargeBlock = 64 << 10, kSystemPage = 4096;
 constexpr int kLastingTrouble = 3;  // reads that failed one after the other
 
 bool is_more(const WantList::Want& a, const WantList::Want& b) {
@@ -98,8 +100,9 @@ std::uint64_t StreamedState::least_view_bytes() {
 }
 
 std::uint64_t StreamedState::page_bytes(std::uint32_t page) const {
-  return file->pages()[page].count * SplatArrays::floats(file->head().header().sh_degree) * sizeof(float) +
-         kAllocationBytes;
+  const std::uint64_t n =
+      file->pages()[page].count * SplatArrays::floats(file->head().header().sh_degree) * sizeof(float);
+  return n + kAllocationBytes + (n >= kLargeBlock ? kSystemPage : 0);
 }
 
 std::uint64_t StreamedState::group_bytes(std::uint32_t group) const {
