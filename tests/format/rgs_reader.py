@@ -616,7 +616,8 @@ def check_tree(h: Record, pages: list[Record]) -> None:
         if leaf:
             rule(len(children) == 0 and p["first_child"] == 0, "first_child", "a leaf has no children")
         else:
-            follows = children.start == (1 if above is None else above["first_child"] + above["n_children"])
+            follows = above is None or above["level"] != p["level"] or children.start == (
+                above["first_child"] + above["n_children"])
             rule(len(children) > 0 and i < children.start and children.stop <= len(pages) and follows, "first_child",
                  "children follow each other")
             rule(all(pages[c]["parent"] == i for c in children), "first_child", "children name their parent")

@@ -103,7 +103,8 @@ class PagedFile {
   bool is_verified() const { return !unread_; }
   /// Bytes that it holds, without those of open(): 120 a page, the tables of an archive, itself.
   std::uint64_t memory_bytes() const;
-  /// What that becomes once all pages are known. The head of LODS says how many: compare it with what there is to spend.
+  /// What that becomes once all pages are known, of which the head of LODS says how many. To be compared with what there is to
+  /// spend before reserve(): the head may say anything.
   std::uint64_t whole_memory_bytes() const;
 
   /// Header, declarations, provenance, sections, archive parameters. Header and declarations speak of the leaves, as those of

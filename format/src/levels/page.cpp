@@ -128,14 +128,16 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     if (page.n_children == 0 || page.n_children > kMaxChildren) {
       return {PageField::children, "a page above the leaves has not 1 to 255 children"};
     }
-    // Those of a level's first page follow the last of the level above, which are the pages of this level. So no page is claimed
-    // twice, and of children that are not known yet nothing has to be remembered.
-    const std::uint64_t first_child = root ? 1 : std::uint64_t{before->first_child} + before->n_children;
-    if (page.first_child != first_child || page.first_child <= index || page.first_child >= n ||
-        page.n_children > n - page.first_child) {
+    // The first page of the level below follows the last of this one. Of children that are still to come nothing has to be
+    // remembered: what a level's first page claims follows what the level above claimed, which is this level.
+    const std::uint64_t next = root ? 1 : std::uint64_t{before->first_child} + before->n_children;
+    const bool continues = !root && before->level == page.level;
+    const bool to_come = std::uint64_t{page.first_child} + page.n_children > pages.size();
+    if (page.first_child <= index || page.first_child >= n || page.n_children > n - page.first_child ||
+        ((continues || to_come) && page.first_child != next)) {
       return {PageField::children, "the children of pages do not follow each other"};
     }
-    const std::size_t known = std::min<std::size_t>(pages.size(), first_child + page.n_children);
+    const std::size_t known = std::min<std::size_t>(pages.size(), std::size_t{page.first_child} + page.n_children);
     for (std::size_t child = page.first_child; child < known; ++child) {
       if (pages[child].parent != index) return {PageField::children, "a page's child names another page as its parent"};
     }
