@@ -9,6 +9,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
@@ -24,10 +25,16 @@
 
 namespace rgs::test {
 
+/// Whatever the environment says, these servers are asked without a proxy.
+inline void use_no_proxy() {
+  ::setenv("no_proxy", "127.0.0.1,localhost", 1);
+}
+
 /// hostile_server.py, which says what addresses do.
 class HostileServer {
  public:
   HostileServer() : program_({RGS_PYTHON, "-B", RGS_SOURCE_DIR "/tests/support/hostile_server.py"}) {
+    use_no_proxy();
     for (int i = 0; i < 1000 && port_ == 0; ++i) {
       std::istringstream(log()).ignore(5) >> port_;
       if (port_ == 0) std::this_thread::sleep_for(std::chrono::milliseconds(10));
@@ -64,6 +71,7 @@ class Nginx {
 
   /// `ssl`: https, with HTTP/2 and a certificate of its own, for 127.0.0.1. `directives` go into its server block.
   explicit Nginx(bool ssl, const std::string& directives = "") : ssl_(ssl) {
+    use_no_proxy();
     std::filesystem::create_directory(folder_.file("files"));
     if (ssl) {
       const auto made = run_shell(

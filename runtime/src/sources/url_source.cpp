@@ -118,8 +118,9 @@ struct Request {
   std::span<std::byte> out;
   bool opens = false;  // the first of all: it pins the file
   std::size_t done = 0;
-  int failures = 0;  // in a row without a byte
-  bool at_origin = false;
+  int failures = 0;        // in a row without a byte
+  bool at_origin = false;  // ask where redirects began
+  bool over_new_connection = false;
   Clock::time_point not_before{};
   Request* next = nullptr;  // in the queue
   bool finished = false;
@@ -429,8 +430,8 @@ class UrlSource final : public ByteSource {
     if (::curl_easy_setopt(easy, CURLOPT_URL, slot.url.c_str()) != CURLE_OK ||
         ::curl_easy_setopt(easy, CURLOPT_RANGE, range.c_str()) != CURLE_OK ||
         ::curl_easy_setopt(easy, CURLOPT_PIPEWAIT, wait_for_pipe) != CURLE_OK ||
-        // After a failure not over what may be a dead connection.
-        ::curl_easy_setopt(easy, CURLOPT_FRESH_CONNECT, request.failures > 0 ? 1L : 0L) != CURLE_OK ||
+        // Not over what may be a dead connection.
+        ::curl_easy_setopt(easy, CURLOPT_FRESH_CONNECT, request.over_new_connection ? 1L : 0L) != CURLE_OK ||
         ::curl_easy_setopt(easy, CURLOPT_FORBID_REUSE, 0L) != CURLE_OK) {
       return detail::out_of_memory();
     }
@@ -482,6 +483,7 @@ class UrlSource final : public ByteSource {
       if (code == CURLE_COULDNT_CONNECT) error.system = static_cast<int>(system);
       // A server that cannot be reached in the first place is more likely a wrong address than a passing trouble.
       if (!may_pass(code) || (request.opens && !slot.connected)) return tl::unexpected(error);
+      request.over_new_connection = true;
       return retry(slot, error, 0);
     });
     if (!s) give_back(slot, s);

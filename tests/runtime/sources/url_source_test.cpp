@@ -5,6 +5,7 @@
 #include <array>
 #include <cerrno>
 #include <chrono>
+#include <cstdlib>
 #include <filesystem>
 #include <limits>
 #include <string_view>
@@ -410,6 +411,15 @@ TEST_CASE("another host is told no password") {
   CHECK(other.requests("auth= ") == 2);
   CHECK(read_from(server.url("/plain?after")).status);
   CHECK(server.requests("auth=Basic") == 3);
+}
+
+TEST_CASE("the proxy of the environment is asked") {
+  const HostileServer proxy;
+  ::setenv("http_proxy", proxy.url("").c_str(), 1);
+  const Outcome outcome = read_from("http://roofgs.invalid/plain");
+  ::unsetenv("http_proxy");
+  CHECK(outcome.status);
+  CHECK(proxy.requests("GET http://roofgs.invalid/plain range=") == 2);
 }
 
 TEST_CASE("cancelling wakes who reads, at whatever stage") {
