@@ -13,29 +13,15 @@
 #include <thread>
 #include <vector>
 
+#include "made_bytes.hpp"
 #include "rgs/byte_source.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
+using test::are_bytes_from;
+using test::write_bytes;
 
 namespace {
-
-std::byte byte_at(std::uint64_t offset) {
-  return static_cast<std::byte>((offset * 2654435761u) >> 13);
-}
-
-void write_bytes(const std::string& path, std::uint64_t n) {
-  std::string text(n, '\0');
-  for (std::uint64_t i = 0; i < n; ++i) text[i] = static_cast<char>(byte_at(i));
-  std::ofstream(path, std::ios::binary) << text;
-}
-
-bool right(std::uint64_t offset, const std::vector<std::byte>& bytes) {
-  for (std::uint64_t i = 0; i < bytes.size(); ++i) {
-    if (bytes[i] != byte_at(offset + i)) return false;
-  }
-  return true;
-}
 
 // Times of change have the granularity of the kernel's clock tick.
 void wait_for_the_clock() {
@@ -60,7 +46,7 @@ TEST_CASE("a file is read by ranges, and not beyond its end") {
     CAPTURE(offset);
     std::vector<std::byte> bytes(n);
     REQUIRE(source->read(offset, bytes));
-    CHECK(right(offset, bytes));
+    CHECK(are_bytes_from(offset, bytes));
   }
   for (const auto& [offset, n] :
        {std::pair<std::uint64_t, std::uint64_t>{kSize, 1}, {kSize - 1, 2}, {~std::uint64_t{0}, 2}, {kSize + 1, 0}}) {
@@ -86,7 +72,7 @@ TEST_CASE("several threads read one file") {
       for (std::uint64_t i = 0; i < 200; ++i) {
         std::vector<std::byte> bytes(3001);
         const std::uint64_t offset = (t * 7919 + i * 104729) % (kSize - bytes.size());
-        if (!source->read(offset, bytes) || !right(offset, bytes)) ++wrong[t];
+        if (!source->read(offset, bytes) || !are_bytes_from(offset, bytes)) ++wrong[t];
       }
     });
   }
@@ -136,12 +122,12 @@ TEST_CASE("a file that shrinks, grows or is written to is an error of the next r
             .code == Errc::read_failed);
   // The old file is there until it is closed.
   CHECK(read_after([&] { std::filesystem::remove(path); }));
-  CHECK(right(50000, bytes));
+  CHECK(are_bytes_from(50000, bytes));
   CHECK(read_after([&] {
     write_bytes(folder.file("new"), 5);
     std::filesystem::rename(folder.file("new"), path);
   }));
-  CHECK(right(50000, bytes));
+  CHECK(are_bytes_from(50000, bytes));
 }
 
 TEST_CASE("a cancelled source reads nothing more") {
