@@ -23,6 +23,10 @@ namespace RGS_API rgs {
 /// Whether the head of a file speaks of levels of detail, so that PagedFile is what opens it. Looks at the head alone and
 /// checks nothing of it; false for what is no .rgs file.
 bool has_levels(std::span<const std::byte> bytes);
+/// Whether it names a section of that type. Looks at the head alone as well.
+bool names_section(std::span<const std::byte> bytes, SectionType type);
+/// Most that opening a file makes of its section ARCH, which is in memory_bytes() then.
+inline constexpr std::uint64_t kMostArchiveMemory = 5 << 20;
 
 /// How a page lies in its file.
 struct StoredPage {

@@ -91,16 +91,21 @@ Status check_archive_bytes(const SectionEntry& entry) {
 
 }  // namespace
 
-bool has_levels(std::span<const std::byte> bytes) {
+bool names_section(std::span<const std::byte> bytes, SectionType wanted) {
   const auto header = parse_header(bytes);
-  if (!header || header->version_minor < 4) return false;
+  if (!header) return false;
   for (std::uint32_t i = 0; i < header->n_sections; ++i) {
     const std::uint64_t at = section_entry_offset(i);
     if (at > bytes.size() || bytes.size() - at < kSectionEntryBytes) return false;
     const std::uint32_t type = ByteReader(bytes.subspan(at)).u32();
-    if (type == static_cast<std::uint32_t>(SectionType::levels)) return true;
+    if (type == static_cast<std::uint32_t>(wanted)) return true;
   }
   return false;
+}
+
+bool has_levels(std::span<const std::byte> bytes) {
+  const auto header = parse_header(bytes);
+  return header && header->version_minor >= 4 && names_section(bytes, SectionType::levels);
 }
 
 Result<PagedFile> PagedFile::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {

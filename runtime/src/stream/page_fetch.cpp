@@ -15,6 +15,8 @@ using namespace std::chrono_literals;
 
 constexpr StreamClock::duration kFirstPause = 250ms, kLongestPause = 8s;  // after reads that failed
 constexpr std::uint32_t kMostGroups = 64;                                 // of a run
+constexpr std::uint64_t kRecordBytes = 112;                               // of a page, in the file's table
+constexpr std::uint64_t kLeastTableBytes = 64 << 10;                      // of a read
 constexpr float kSideShare = 0.25F;  // of the first group's worth, that its neighbours must have
 /// Wants for which room is looked for among other pages, each of which takes a look at all of them.
 constexpr int kMostLooks = 8;
@@ -59,6 +61,12 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
     if (residency->state(want.group) != Residency::State::absent || !residency->has(want.group)) continue;
     const Worth own = worth(want.group);
     if (own.px <= 0) continue;
+    if (!residency->is_known(want.group)) {
+      if (is_extending || !can_extend()) continue;
+      const lod::Page& above = file->pages()[want.group];
+      run.table_bytes = (above.first_child + above.n_children - file->n_pages() + 1) * kRecordBytes;
+      return Choice::table;
+    }
     const std::uint64_t n = group_bytes(want.group);
     if (pool->left() < n && ++looks > kMostLooks) continue;
     const StreamPoolState::Room room = pool->take(n, own);
@@ -81,6 +89,11 @@ StreamedState::Choice StreamedState::choose(Run& run) {
   Choice choice = choose_among(true, run);
   // What is about to be seen waits for what is waited for, and takes no room from it.
   if (choice == Choice::nothing && prefetches && n_waiting == 0) choice = choose_among(false, run);
+  // With the last of it, its hash is compared.
+  if (choice == Choice::nothing && n_waiting == 0 && !is_extending && can_extend()) {
+    run.table_bytes = traits.most_bytes;
+    choice = Choice::table;
+  }
   if (choice == Choice::pinned) pool->waits_for_pins = true;
   if (choice == Choice::nothing || choice == Choice::no_room) settled_at = pool->changes;
   return choice;
@@ -105,12 +118,12 @@ void StreamedState::extend(Run& run, const Worth& best) {
     return true;
   };
   std::uint64_t begin = begin_of(run.first), end = end_of(run.first);
-  for (std::uint32_t next = run.first + 1; next < residency->n_groups(); ++next) {
+  for (std::uint32_t next = run.first + 1; next < residency->n_groups() && residency->is_known(next); ++next) {
     if (!takes(next, begin, end_of(next), begin_of(next) - end)) break;
     end = end_of(next);
   }
   while (run.first > 0) {
-    const std::uint32_t before = run.first - 1;
+    const std::uint32_t before = run.first - 1;  // known, as what is behind it
     // Room for one neighbour may have been found among those on the other side.
     if (!takes(before, begin_of(before), end, begin - end_of(before))) break;
     begin = begin_of(before);
@@ -119,12 +132,15 @@ void StreamedState::extend(Run& run, const Worth& best) {
 }
 
 void StreamedState::fetch(PageReader& reader, const Run& run) {
-  const std::vector<lod::Page>& pages = file->pages();
-  const lod::Page& last = pages[run.first + run.n - 1];
+  const auto page_of = [this](std::uint32_t group) {
+    const std::shared_lock lock(table);
+    return file->pages()[group];
+  };
+  const lod::Page last = page_of(run.first + run.n - 1);
   const std::uint32_t end = last.first_child + last.n_children;
   reader.begin_run();
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
-    const lod::Page& above = pages[group];
+    const lod::Page above = page_of(group);
     const Status read = guard_memory([&]() -> Status {
       for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
         auto block = reader.read(child, end);
@@ -163,14 +179,50 @@ void StreamedState::fetch(PageReader& reader, const Run& run) {
         if (const float px = residency->wanted_px(again, *view->now); px > 0) view->wants.insert(again, px);
       }
     }
-    trouble = read;
-    const auto pause = kFirstPause * (1 << std::min(n_failures, 5));
-    retry_at = StreamClock::now() + std::min(pause, kLongestPause);
-    ++n_failures;
-    pool->changed();
-    if (n_waiting > 0) pool->news.notify_all();
+    fail(read);
     return;
   }
+}
+
+// Asks again after a pause, which grows.
+void StreamedState::fail(const Status& read) {
+  trouble = read;
+  const auto pause = kFirstPause * (1 << std::min(n_failures, 5));
+  retry_at = StreamClock::now() + std::min(pause, kLongestPause);
+  ++n_failures;
+  pool->changed();
+  if (n_waiting > 0) pool->news.notify_all();
+}
+
+bool StreamedState::can_extend() const {
+  return !file->is_verified() && !residency->is_broken();
+}
+
+void StreamedState::extend_table(PageReader& reader, std::uint64_t n) {
+  FileRange unread;
+  {
+    const std::shared_lock lock(table);
+    unread = file->unread_table();
+  }
+  const auto part = reader.read_table(unread, std::max(n, kLeastTableBytes));
+  const std::scoped_lock lock(pool->mutex);
+  stats.bytes_read += reader.take_bytes_read();
+  is_extending = false;
+  if (!part) return fail(tl::unexpected(part.error()));
+  n_failures = 0;
+  trouble = {};
+  Status extended;
+  {
+    // Waits for pages that are being decoded.
+    const std::unique_lock alone(table);
+    extended = file->extend(*part);
+    residency->extend();
+  }
+  if (!extended) {
+    residency->end_here();
+    if (damage) damage = extended;
+  }
+  pool->changed();
 }
 
 void StreamedState::work_until_stopped(PageReader& reader) {
@@ -178,11 +230,16 @@ void StreamedState::work_until_stopped(PageReader& reader) {
   while (!is_stopping) {
     Run run;
     const Choice choice = choose(run);
-    if (choice == Choice::run) {
+    if (choice == Choice::run || choice == Choice::table) {
       ++n_at_work;
+      is_extending = is_extending || choice == Choice::table;
       work.notify_one();  // there may be more to do
       lock.unlock();
-      fetch(reader, run);
+      if (choice == Choice::table) {
+        extend_table(reader, run.table_bytes);
+      } else {
+        fetch(reader, run);
+      }
       lock.lock();
       --n_at_work;
       continue;

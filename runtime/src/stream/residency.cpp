@@ -7,15 +7,6 @@
 #include <limits>
 
 namespace rgs::detail {
-namespace {
-
-std::size_t n_above_leaves(const std::vector<lod::Page>& pages) {
-  const auto leaves = std::ranges::partition_point(pages, [](const lod::Page& page) { return page.level > 0; });
-  return static_cast<std::size_t>(leaves - pages.begin());
-}
-
-}  // namespace
-
 float error_px(const lod::Page& page, double footprint) {
   if (page.error <= 0) return 0;
   using Limits = std::numeric_limits<float>;
@@ -23,10 +14,13 @@ float error_px(const lod::Page& page, double footprint) {
   return static_cast<float>(std::clamp(px, static_cast<double>(Limits::min()), static_cast<double>(Limits::max())));
 }
 
-Residency::Residency(const std::vector<lod::Page>& pages) : pages_(pages), groups_(n_above_leaves(pages)) {}
+Residency::Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages) : pages_(pages), groups_(n_pages) {
+  extend();
+}
 
-std::uint64_t Residency::bytes(const std::vector<lod::Page>& pages) {
-  return n_above_leaves(pages) * sizeof(Group);
+// Pages above the leaves come first.
+void Residency::extend() {
+  while (n_groups_ < pages_.size() && pages_[n_groups_].level > 0) ++n_groups_;
 }
 
 void Residency::add_below(std::uint32_t group, int n) {

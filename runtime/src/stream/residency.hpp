@@ -42,12 +42,22 @@ class Residency {
     refused,  ///< damaged: never asked for again
   };
 
-  /// `pages` must outlive it.
-  explicit Residency(const std::vector<lod::Page>& pages);
+  /// `pages` must outlive it; more of them may come, up to `n_pages`.
+  Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages);
   /// Memory that it takes for a tree.
-  static std::uint64_t bytes(const std::vector<lod::Page>& pages);
+  static std::uint64_t bytes(std::uint32_t n_pages) { return n_pages * sizeof(Group); }
+  /// More pages have come.
+  void extend();
+  /// No more pages come: those that are not known never will be.
+  void end_here() { is_broken_ = true; }
+  bool is_broken() const { return is_broken_; }
 
-  std::uint32_t n_groups() const { return static_cast<std::uint32_t>(groups_.size()); }
+  /// Of pages that are known and not leaves.
+  std::uint32_t n_groups() const { return n_groups_; }
+  /// Whether the records of the group's pages are there.
+  bool is_known(std::uint32_t group) const {
+    return std::uint64_t{pages_[group].first_child} + pages_[group].n_children <= pages_.size();
+  }
   State state(std::uint32_t group) const { return groups_[group].state; }
   /// Whether a page is there.
   bool has(std::uint32_t page) const { return page == 0 || state(pages_[page].parent) == State::resident; }
@@ -80,7 +90,7 @@ class Residency {
     bool fits = true;  ///< draw() took all
     std::uint64_t gaussians = 0;
     std::uint64_t missing = 0;  ///< pages that the view wants and are not there
-    std::uint64_t damaged = 0;  ///< of these, refused
+    std::uint64_t damaged = 0;  ///< of these, refused, or never to be known
     double reached_px = 0;      ///< largest projected error
   };
   /// Calls draw(page), until it says false, and want(group, px) for what is absent. Pages that cannot show are left out. `tick`: the time,
@@ -107,7 +117,9 @@ class Residency {
   void add_below(std::uint32_t group, int n);
 
   const std::vector<lod::Page>& pages_;
-  std::vector<Group> groups_;  // [pages above the leaves], which come first
+  std::vector<Group> groups_;  // [n_pages]; leaves have none
+  std::uint32_t n_groups_ = 0;
+  bool is_broken_ = false;
   std::uint64_t n_resident_ = 1;
 };
 
@@ -153,7 +165,7 @@ Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Dr
       cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
       if (!is_fine) {
         cut.missing += page.n_children;
-        if (groups_[i].state == State::refused) cut.damaged += page.n_children;
+        if (groups_[i].state == State::refused || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
         if (groups_[i].state == State::absent) want(i, px);
       }
     }

@@ -16,9 +16,7 @@ using namespace detail;
 namespace {
 
 constexpr std::uint64_t kFirstBytes = 64 << 10;  // of a file; enough for the head of any
-constexpr std::uint64_t kRecordBytes = 112;      // of a page, in the file's table
-constexpr std::uint64_t kPageBytes = sizeof(lod::Page) + sizeof(StoredPage);
-/// Sections, declarations, an archive's tables, what threads and locks take.
+/// Sections, declarations, pages of the first bytes, what threads and locks take.
 constexpr std::uint64_t kSceneBytes = 256 << 10;
 constexpr std::uint64_t kLeastReadBytes = 256 << 10;
 constexpr std::uint64_t kReadersShare = 8;  // of the budget, that threads may take
@@ -38,50 +36,68 @@ Status StreamedState::take(std::uint64_t n) {
   return {};
 }
 
-// Reads twice as much until the tables are there: where they end is said by nothing before them.
+// The head, the beginning of the table of pages, and what else is needed before a page can be decoded.
 Status StreamedState::read_tables(const DecodeLimits& limits) {
   if (Status taken = take(kSceneBytes); !taken) return taken;
-  for (std::uint64_t n = std::min(kFirstBytes, source->size());; n = std::min(2 * n, source->size())) {
-    if (Status taken = take(n); !taken) return taken;
-    std::vector<std::byte> longer(n);
-    std::ranges::copy(head, longer.begin());
-    const std::uint64_t before = head.size();
-    if (Status read = source->read(before, std::span(longer).subspan(before)); !read) return read;
-    stats.bytes_read += n - before;
-    head = std::move(longer);
-    const std::uint64_t most_pages = n / kRecordBytes * kPageBytes;
-    if (Status taken = take(most_pages); !taken) return taken;
-    auto opened = PagedFile::open(head, limits);
-    {
-      const std::scoped_lock lock(pool->mutex);
-      const std::uint64_t given = before + most_pages - (opened ? opened->n_pages() * kPageBytes : 0);
-      pool->give(given);
-      bytes -= given;
+  std::vector<std::vector<std::byte>> memory;
+  std::vector<FilePart> parts;
+  std::uint64_t part_bytes = 0;
+  const auto read = [&](const FileRange& range) -> Status {
+    if (range.offset > source->size() || range.bytes > source->size() - range.offset) {
+      return make_error(Errc::truncated, source->size(), "the file ends before its first page",
+                        range.offset + range.bytes, source->size());
     }
-    if (opened) {
-      file = *std::move(opened);
-      declarations = file->head().declarations();
-      return {};
+    if (Status taken = take(range.bytes); !taken) return taken;
+    part_bytes += range.bytes;
+    memory.emplace_back(range.bytes);
+    parts.push_back({range.offset, memory.back()});
+    stats.bytes_read += range.bytes;
+    return source->read(range.offset, memory.back());
+  };
+  if (Status done = read({0, std::min(kFirstBytes, source->size())}); !done) return done;
+  for (;;) {
+    const auto needed = PagedFile::needs(parts, limits);
+    if (!needed) return tl::unexpected(needed.error());
+    if (needed->empty()) break;
+    for (const FileRange& range : *needed) {
+      if (Status done = read(range); !done) return done;
     }
-    const bool is_short = opened.error().code == Errc::truncated && n < source->size();
-    if (is_short && has_levels(head)) continue;
-    if (is_short) {
-      return make_error(
-          Errc::missing_section, Error::kNone,
-          "the file has no levels of detail, by which it could be streamed: rgs-convert --lod makes them");
-    }
-    return tl::unexpected(opened.error());
   }
+  const std::uint64_t archive = names_section(parts.front().bytes, SectionType::archive) ? kMostArchiveMemory : 0;
+  if (Status taken = take(archive); !taken) return taken;
+  auto opened = PagedFile::open_beginning(parts, limits);
+  if (!opened) return tl::unexpected(opened.error());
+  if (opened->head().header().file_bytes < source->size()) {
+    return make_error(Errc::trailing_bytes, opened->head().header().file_bytes,
+                      "the file is longer than its header says", opened->head().header().file_bytes, source->size());
+  }
+  // Room for all of the table is taken now, so that none is needed when it comes. An archive's tables have theirs.
+  const std::uint64_t whole = opened->whole_memory_bytes();
+  if (Status taken = take(whole - std::min(whole, archive)); !taken) return taken;
+  file = *std::move(opened);
+  declarations = file->head().declarations();
+  if (Status reserved = file->reserve(); !reserved) return reserved;
+  for (const FilePart& part : parts) {
+    const FileRange unread = file->unread_table();
+    if (unread.bytes == 0 || part.offset > unread.offset || part.offset + part.bytes.size() <= unread.offset) continue;
+    if (Status extended = file->extend(part); !extended) return extended;
+  }
+  memory.clear();
+  const std::scoped_lock lock(pool->mutex);
+  const std::uint64_t given = part_bytes + archive - std::min(whole, archive);
+  pool->give(given);
+  bytes -= given;
+  return {};
 }
 
 // Threads take a share of the budget at most, and what is needed at least.
 Status StreamedState::make_room_for_pages() {
   traits = source->traits();
-  const std::uint64_t needed = Residency::bytes(file->pages()) + file->n_pages() * sizeof(blocks[0]);
-  if (Status taken = take(needed); !taken) return taken;
-  residency.emplace(file->pages());
-  blocks.resize(file->n_pages());
-  const std::uint64_t least = PageReader::largest_stored(*file), share = pool->budget / kReadersShare;
+  const std::uint32_t n_pages = file->n_pages_in_all();
+  if (Status taken = take(Residency::bytes(n_pages) + n_pages * sizeof(blocks[0])); !taken) return taken;
+  residency.emplace(file->pages(), n_pages);
+  blocks.resize(n_pages);
+  const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
   std::uint64_t read_bytes = std::max(least, traits.most_bytes);
   auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
   while (n > 1 && n * PageReader::bytes(*file, read_bytes) > share) {
@@ -94,7 +110,8 @@ Status StreamedState::make_room_for_pages() {
   if (PageReader::bytes(*file, read_bytes) > share) read_bytes = least;
   traits.most_bytes = read_bytes;
   if (Status taken = take(n * PageReader::bytes(*file, read_bytes)); !taken) return taken;
-  for (std::uint64_t i = 0; i < n; ++i) readers.push_back(std::make_unique<PageReader>(*file, *source, read_bytes));
+  for (std::uint64_t i = 0; i < n; ++i)
+    readers.push_back(std::make_unique<PageReader>(*file, table, *source, read_bytes));
   return {};
 }
 
@@ -165,7 +182,6 @@ StreamedState::~StreamedState() {
   views.clear(), readers.clear();
   blocks = decltype(blocks)();
   residency.reset(), file.reset();
-  head = decltype(head)();
   pool->give(given);
   pool->forget(this);
 }

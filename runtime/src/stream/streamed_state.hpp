@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <shared_mutex>
 #include <span>
 #include <thread>
 #include <vector>
@@ -93,8 +94,8 @@ struct StreamedState {
   // Set by open(), then constant.
   std::shared_ptr<StreamPoolState> pool;
   std::unique_ptr<ByteSource> source;
-  std::vector<std::byte> head;  // of the file, up to its pages
-  std::optional<PagedFile> file;
+  std::optional<PagedFile> file;  // more of its table comes with both pool->mutex and `table`
+  std::shared_mutex table;
   std::optional<Declarations> declarations;
   bool prefetches = true;
   ByteSource::Traits traits;
@@ -107,9 +108,10 @@ struct StreamedState {
   std::condition_variable work;  // for threads that read: `pool->changes` grew
   Status damage, trouble;        // of a page; of reading, while it lasts
   StreamClock::time_point retry_at{};
-  int n_failures = 0;  // reads, one after the other
-  int n_at_work = 0;   // threads that read or decode
-  int n_waiting = 0;   // callers that wait for a view
+  int n_failures = 0;         // reads, one after the other
+  int n_at_work = 0;          // threads that read or decode
+  int n_waiting = 0;          // callers that wait for a view
+  bool is_extending = false;  // a thread reads more of the table
   bool is_stopping = false;
   /// Value of pool->changes when the threads last found nothing that they could do.
   std::uint64_t settled_at = 0;
@@ -151,9 +153,11 @@ struct StreamedState {
   // Threads that read. All but fetch() and work_until_stopped() with the lock.
   struct Run {
     std::uint32_t first = 0, n = 0;  // groups, one after the other
+    std::uint64_t table_bytes = 0;   // Choice::table
   };
   enum class Choice : std::uint8_t {
     run,
+    table,    // more of it has to be read
     nothing,  // is missing
     no_room,  // for what is missing
     pinned,   // is what would give it room
@@ -164,6 +168,9 @@ struct StreamedState {
   void extend(Run& run, const Worth& best);
   void placed(std::uint32_t group);
   void fetch(PageReader& reader, const Run& run);
+  void extend_table(PageReader& reader, std::uint64_t n);
+  void fail(const Status& read);
+  bool can_extend() const;  ///< the table
   void work_until_stopped(PageReader& reader);
 };
 

@@ -38,19 +38,21 @@ TEST_CASE("a pool never holds more than its budget, by the count of every alloca
   const std::vector<Camera> cameras = flight(7, 160);
   for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
     for (const int sh_degree : {0, 3}) {
-      const Bytes bytes = town({.profile = profile, .n = 30000, .sh_degree = sh_degree});
+      const Bytes bytes = town({.profile = profile, .n = 60000, .sh_degree = sh_degree});
+      // An archive's tables take more while it is opened.
+      const std::uint64_t base = profile == Profile::archive ? kMostArchiveMemory : 0;
       Renderer renderer = cpu_renderer();
       std::vector<Frame> frames(1, Frame::of(cameras.front()));
       {
         // The renderer's own memory is as large as it will be.
         const Scene all = whole(bytes);
         for (const Camera& camera : cameras) {
-          for (const float detail : {0.0F, 0.3F, 1.0F, 4.0F, 1e9F})
+          for (const float detail : {0.0F, 0.02F, 0.3F, 1.0F, 4.0F, 1e9F})
             REQUIRE(renderer.render(all, camera, frames[0].target(), at_detail(detail)));
         }
       }
-      for (const std::uint64_t memory :
-           {std::uint64_t{2} << 20, std::uint64_t{3} << 20, std::uint64_t{6} << 20, std::uint64_t{40} << 20}) {
+      for (const std::uint64_t kib : {1600u, 3000u, 6000u, 40000u}) {
+        const std::uint64_t memory = base + (kib << 10);
         CAPTURE(static_cast<int>(profile));
         CAPTURE(sh_degree);
         CAPTURE(memory);
@@ -66,14 +68,14 @@ TEST_CASE("a pool never holds more than its budget, by the count of every alloca
                        {.pool = *pool, .traits = {.reads_at_once = 3, .most_bytes = 256 << 10, .gap_bytes = 4096}});
           CHECK(peak_bytes() - before <= static_cast<std::int64_t>(memory) + kBeside);
           for (std::size_t i = 0; i < cameras.size(); ++i) {
-            const RenderOptions options = at_detail(0.3F);
+            const RenderOptions options = at_detail(0.02F);
             if (i % 16 == 0) REQUIRE(renderer.refine(scene, cameras[i], 5, options));
             REQUIRE(renderer.render(scene, cameras[i], frames[0].target(), options));
             most = std::max(most, pool->host_bytes());
             REQUIRE(pool->host_bytes() <= memory);
           }
           CHECK(scene.status());
-          if (memory <= std::uint64_t{3} << 20) CHECK(scene.stats().bytes_evicted > 0);
+          if (kib == 1600) CHECK(scene.stats().bytes_evicted > 0);
           MESSAGE("budget ", memory, ", counted by the pool ", most, ", held at most ", peak_bytes() - before,
                   ", evicted ", scene.stats().bytes_evicted, ", pages ", scene.stats().pages_resident);
         }
@@ -110,7 +112,10 @@ TEST_CASE("a long random flight with a pool that is far too small: no growth, no
       const Frame frame = draw(renderer, scene, camera, options);
       REQUIRE(frame.stats.pages <= frame.stats.stream.pages_resident);
       if (other) draw(renderer, *other, camera, options);
-      if (n_frames % 50 == 0) REQUIRE(renderer.refine(scene, camera, 0.2, options).has_value());
+      if (n_frames % 50 == 0) {
+        const auto complete = renderer.refine(scene, camera, 0.2, options);
+        if (!complete) REQUIRE(complete.error().code == Errc::read_failed);
+      }
       REQUIRE(pool->host_bytes() <= pool->host_memory());
       ++n_frames;
     }

@@ -13,6 +13,7 @@
 #include <memory>
 #include <mutex>
 #include <span>
+#include <string>
 #include <thread>
 #include <utility>
 #include <vector>
@@ -160,7 +161,7 @@ inline Result<StreamedScene> try_streaming(const Bytes& bytes, std::shared_ptr<S
 inline StreamedScene streamed(const Bytes& bytes, std::shared_ptr<Script> script = std::make_shared<Script>(),
                               const OpenOptions& o = {}) {
   auto scene = try_streaming(bytes, std::move(script), o);
-  if (!scene) MESSAGE(scene.error().what);
+  if (!scene) MESSAGE(std::string(scene.error().what), " ", scene.error().expected);
   REQUIRE(scene);
   return *std::move(scene);
 }
