@@ -15,7 +15,8 @@ set(rgs_component_runtime rgs_runtime)
 
 # Namespace of imported targets, package that an outside project must find to have them, module of pkg-config.
 foreach(row "tl;tl-expected;" "TBB;TBB;tbb" "hwy;hwy;libhwy" "glm;glm;glm" "draco;draco;draco" "zstd;zstd;libzstd"
-    "Threads;Threads;" "CUDA;CUDAToolkit;" "xxHash;xxHash;libxxhash" "ZLIB;ZLIB;zlib" "WebP;WebP;libwebp" "LibZip;LibZip;libzip")
+    "Threads;Threads;" "CUDA;CUDAToolkit;" "xxHash;xxHash;libxxhash" "ZLIB;ZLIB;zlib" "WebP;WebP;libwebp" "LibZip;LibZip;libzip"
+    "CURL;CURL;libcurl")
   list(GET row 0 space)
   list(GET row 1 rgs_package_of_${space})
   list(GET row 2 rgs_pc_of_${space})

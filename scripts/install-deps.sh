@@ -1,16 +1,17 @@
 #!/bin/sh
 # install-deps.sh - installs the Debian 12 packages that RoofGS is built with; silent when all are there.
-# `install-deps.sh test` adds those that only tests need (pkgconf, and a browser: 80 MB, about 20 s).
+# `install-deps.sh test` adds those that only tests need (pkgconf, nginx, openssl, and a browser: 80 MB, about 20 s).
 # Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 
 packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-build ccache git ca-certificates
   libexpected-dev libfmt-dev libcli11-dev nlohmann-json3-dev libxxhash-dev libzstd-dev libdraco-dev libglm-dev
-  zlib1g-dev libwebp-dev libzip-dev libopenimageio-dev libtbb-dev libhwy-dev doctest-dev libbenchmark-dev
+  zlib1g-dev libwebp-dev libzip-dev libopenimageio-dev libtbb-dev libhwy-dev
+  libcurl4-openssl-dev doctest-dev libbenchmark-dev
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
-[ "${1:-}" != test ] || packages="$packages chromium pkgconf"
+[ "${1:-}" != test ] || packages="$packages chromium pkgconf nginx-light openssl"
 
 [ "${RGS_SKIP_INSTALL:-0}" = 1 ] && exit 0
 

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/renderer.hpp"
 
+#include <atomic>
 #include <optional>
 #include <string>
 #include <utility>
@@ -11,8 +12,14 @@
 #include "cuda/cuda_backend.hpp"
 #include "render_options.hpp"
 #include "rgs/guard_memory.hpp"
+#include "stream/streamed_state.hpp"
 
 namespace rgs {
+namespace {
+
+constexpr std::uint64_t kMaxDrawn = std::uint64_t{1} << 31;
+
+}  // namespace
 
 struct Renderer::Impl {
   std::optional<detail::ReferenceRenderer> reference;  // one of the two
@@ -25,8 +32,17 @@ struct Renderer::Impl {
     Scene scene = {};
   } cut;
 
+  // Of streamed scenes: which renderer looks at them.
+  std::uint64_t identity = next_identity();
+
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
+  Result<detail::StreamRule> rule_of(const StreamedScene& scene, const Camera& camera,
+                                     const RenderOptions& options) const;
+  static std::uint64_t next_identity() {
+    static std::atomic<std::uint64_t> last{0};
+    return ++last;
+  }
 };
 
 Renderer::Renderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -110,6 +126,55 @@ Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& came
     stats->depth_resolution = detail::depth_resolution(*settings, stats->depth_bits, camera, scene.declarations());
   }
   return stats;
+}
+
+// How a streamed scene is drawn: as one with levels that is there as a whole.
+Result<detail::StreamRule> Renderer::Impl::rule_of(const StreamedScene& scene, const Camera& camera,
+                                                   const RenderOptions& options) const {
+  if (cuda) {
+    return make_error(Errc::unavailable, Error::kNone,
+                      "streamed scenes are drawn by the CPU so far: Backend::cpu, or open the file as a Scene");
+  }
+  if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
+  const auto detail = detail::drawn_detail(options, true);
+  if (!detail) return tl::unexpected(detail.error());
+  const auto settings = detail::resolve(detail::with_levels(options, *detail), scene.declarations(), Backend::cpu);
+  if (!settings) return tl::unexpected(settings.error());
+  return detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *detail};
+}
+
+Result<FrameStats> Renderer::render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
+                                    const RenderOptions& options) {
+  const auto rule = impl_->rule_of(scene, camera, options);
+  if (!rule) return tl::unexpected(rule.error());
+  if (const auto ok = detail::validate(target, camera); !ok) return tl::unexpected(ok.error());
+  if (!target.contributions.empty()) {
+    return make_error(Errc::bad_argument, Error::kNone,
+                      "contributions are counted of a scene that is there as a whole: open the file as a Scene");
+  }
+  return detail::guard_memory([&]() -> Result<FrameStats> {
+    const auto frame = detail::StreamFrame::begin(scene.state_, impl_->identity, camera, *rule);
+    if (!frame) return tl::unexpected(frame.error());
+    if (frame->cut().gaussians >= kMaxDrawn) {
+      return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxDrawn - 1,
+                        frame->cut().gaussians);
+    }
+    auto stats =
+        impl_->reference->render({scene.sh_degree(), scene.origin(), frame->parts()}, camera, target, rule->settings);
+    if (!stats) return stats;
+    stats->pages = frame->parts().size();
+    stats->stream = frame->stats();
+    stats->depth_resolution = detail::depth_resolution(rule->settings, stats->depth_bits, camera, scene.declarations());
+    return stats;
+  });
+}
+
+Result<bool> Renderer::refine(const StreamedScene& scene, const Camera& camera, double seconds,
+                              const RenderOptions& options) {
+  const auto rule = impl_->rule_of(scene, camera, options);
+  if (!rule) return tl::unexpected(rule.error());
+  return detail::guard_memory(
+      [&] { return detail::refine_view(*scene.state_, impl_->identity, camera, *rule, seconds); });
 }
 
 Backend Renderer::backend() const {

@@ -20,6 +20,7 @@
 #include "rgs/guard_memory.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/quantize.hpp"
+#include "splat_arrays.hpp"
 
 namespace rgs {
 namespace {
@@ -102,58 +103,37 @@ void activate(SplatCloud& s) {
   });
 }
 
-// Not cleared: the threads that fill it touch its pages first.
-std::unique_ptr<float[]> memory_of(std::uint64_t n, int sh_degree) {
-  return std::make_unique_for_overwrite<float[]>(n * static_cast<std::uint64_t>(11 + 3 * sh_coefficients(sh_degree)));
+using Arrays = detail::SplatArrays;
+
+// Rows of these pages, one page after the other.
+void gather(const Arrays& to, const Arrays& from, const std::vector<lod::Page>& pages,
+            std::span<const std::uint32_t> chosen) {
+  std::vector<std::uint64_t> first;
+  std::uint64_t end = 0;
+  for (const std::uint32_t page : chosen) first.push_back(std::exchange(end, end + pages[page].count));
+  detail::parallel_ranges(chosen.size(), 16, [&](std::uint64_t begin, std::uint64_t last) {
+    for (std::uint64_t k = begin; k < last; ++k) {
+      const std::uint64_t at = pages[chosen[k]].first, count = pages[chosen[k]].count, i = first[k];
+      std::copy_n(&from.mean[3 * at], 3 * count, &to.mean[3 * i]);
+      std::copy_n(&from.rotation[4 * at], 4 * count, &to.rotation[4 * i]);
+      std::copy_n(&from.scale[3 * at], 3 * count, &to.scale[3 * i]);
+      std::copy_n(&from.opacity[at], count, &to.opacity[i]);
+      std::copy_n(&from.sh[from.sh_floats * at], from.sh_floats * count, &to.sh[to.sh_floats * i]);
+    }
+  });
 }
 
-// The FP32 arrays of n Gaussians, one after the other.
-struct Arrays {
-  std::uint64_t sh_floats;
-  float *mean, *rotation, *scale, *opacity, *sh;
-
-  Arrays(float* memory, std::uint64_t n, int sh_degree)
-      : sh_floats(static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree))),
-        mean(memory),
-        rotation(mean + 3 * n),
-        scale(rotation + 4 * n),
-        opacity(scale + 3 * n),
-        sh(opacity + n) {}
-  void set(std::uint64_t i, const ActivatedSplat& s) const {
-    std::copy_n(s.mean, 3, &mean[3 * i]);
-    std::copy_n(s.rotation, 4, &rotation[4 * i]);
-    std::copy_n(s.scale, 3, &scale[3 * i]);
-    opacity[i] = s.opacity;
-    std::copy_n(s.sh, sh_floats, &sh[sh_floats * i]);
-  }
-  // Rows of these pages, one page after the other.
-  void gather(const Arrays& from, const std::vector<lod::Page>& pages, std::span<const std::uint32_t> chosen) const {
-    std::vector<std::uint64_t> first;
-    std::uint64_t end = 0;
-    for (const std::uint32_t page : chosen) first.push_back(std::exchange(end, end + pages[page].count));
-    detail::parallel_ranges(chosen.size(), 16, [&](std::uint64_t begin, std::uint64_t last) {
-      for (std::uint64_t k = begin; k < last; ++k) {
-        const std::uint64_t at = pages[chosen[k]].first, count = pages[chosen[k]].count, i = first[k];
-        std::copy_n(&from.mean[3 * at], 3 * count, &mean[3 * i]);
-        std::copy_n(&from.rotation[4 * at], 4 * count, &rotation[4 * i]);
-        std::copy_n(&from.scale[3 * at], 3 * count, &scale[3 * i]);
-        std::copy_n(&from.opacity[at], count, &opacity[i]);
-        std::copy_n(&from.sh[sh_floats * at], sh_floats * count, &sh[sh_floats * i]);
-      }
-    });
-  }
-  // Gaussians first .. first + n - 1 of them.
-  SceneView view(std::uint64_t first, std::uint64_t n, int sh_degree, const Origin& origin) const {
-    return {n,
-            sh_degree,
-            {mean + 3 * first, 3 * n},
-            {rotation + 4 * first, 4 * n},
-            {scale + 3 * first, 3 * n},
-            {opacity + first, n},
-            {sh + sh_floats * first, sh_floats * n},
-            origin};
-  }
-};
+// Gaussians first .. first + n - 1 of them.
+SceneView view_of(const Arrays& a, std::uint64_t first, std::uint64_t n, int sh_degree, const Origin& origin) {
+  return {n,
+          sh_degree,
+          {a.mean + 3 * first, 3 * n},
+          {a.rotation + 4 * first, 4 * n},
+          {a.scale + 3 * first, 3 * n},
+          {a.opacity + first, n},
+          {a.sh + a.sh_floats * first, a.sh_floats * n},
+          origin};
+}
 
 }  // namespace
 
@@ -228,7 +208,7 @@ Status Scene::Storage::expand() const {
   if (levels) return expand_leaves();
   const auto data = take_direct();
   if (!data) return tl::unexpected(data.error());
-  auto memory = memory_of(n, sh_degree);
+  auto memory = Arrays::memory(n, sh_degree);
   const Arrays to(memory.get(), n, sh_degree);
   const auto fill = [&](std::uint64_t begin, std::uint64_t end) {
     std::array<ActivatedSplat, 64> buffer;
@@ -242,7 +222,7 @@ Status Scene::Storage::expand() const {
   // Isolated: a task of the caller's that this thread took up while it waits might want the mutex.
   tbb::this_task_arena::isolate([&] { detail::parallel_ranges(n, kGrain, fill); });
   expanded = std::move(memory);
-  arrays = to.view(0, n, sh_degree, origin());
+  arrays = view_of(to, 0, n, sh_degree, origin());
   return {};
 }
 
@@ -269,13 +249,13 @@ std::vector<std::uint32_t> Scene::Storage::finest_present() const {
 Status Scene::Storage::expand_leaves() const {
   if (const auto ok = expand_pages(); !ok) return ok;
   if (levels->n_present() == levels->n_pages()) {
-    arrays = Arrays(paged.get(), n_paged, sh_degree).view(n_paged - n, n, sh_degree, origin());
+    arrays = view_of(Arrays(paged.get(), n_paged, sh_degree), n_paged - n, n, sh_degree, origin());
     return {};
   }
-  expanded = memory_of(n, sh_degree);
+  expanded = Arrays::memory(n, sh_degree);
   const Arrays to(expanded.get(), n, sh_degree);
-  to.gather(Arrays(paged.get(), n_paged, sh_degree), levels->pages(), finest_present());
-  arrays = to.view(0, n, sh_degree, origin());
+  gather(to, Arrays(paged.get(), n_paged, sh_degree), levels->pages(), finest_present());
+  arrays = view_of(to, 0, n, sh_degree, origin());
   return {};
 }
 
@@ -284,28 +264,18 @@ Status Scene::Storage::expand_pages() const {
   const std::uint32_t n_present = levels->n_present();
   std::uint64_t rows = 0;
   for (std::uint32_t page = 0; page < n_present; ++page) rows += levels->pages()[page].count;
-  auto memory = memory_of(rows, sh_degree);
+  auto memory = Arrays::memory(rows, sh_degree);
   const Arrays to(memory.get(), rows, sh_degree);
   std::mutex failing;
   Status status;
   std::uint32_t failed = n_present;  // the first page that is damaged, whichever thread comes upon one first
   const auto decode = [&](std::uint64_t begin, std::uint64_t end) {
     PageDecoder decoder(*levels);
-    std::vector<std::byte> bytes(levels->largest_decoded_bytes() + 16);
-    std::array<ActivatedSplat, 64> buffer;
+    const detail::PageMemory page_memory(levels->largest_decoded_bytes());
     for (auto page = static_cast<std::uint32_t>(begin); page < end; ++page) {
-      void* aligned = bytes.data();
-      std::size_t room = bytes.size();
-      std::align(16, levels->decoded_bytes(page), aligned, room);
-      const auto page_rows =
-          decoder.decode(page, levels->bytes(page), {static_cast<std::byte*>(aligned), levels->decoded_bytes(page)});
-      Status ok = page_rows ? check_page_values(*levels, page, *page_rows) : Status(tl::unexpected(page_rows.error()));
-      const lod::Page& at = levels->pages()[page];
-      for (std::uint32_t first = 0; ok && first < at.count; first += static_cast<std::uint32_t>(buffer.size())) {
-        const auto part = std::span(buffer).first(std::min<std::size_t>(buffer.size(), at.count - first));
-        ok = read_page(*levels, page, *page_rows, first, part);
-        for (std::uint64_t k = 0; ok && k < part.size(); ++k) to.set(at.first + first + k, part[k]);
-      }
+      const auto page_rows = decoder.decode(page, levels->bytes(page), page_memory.first(levels->decoded_bytes(page)));
+      const Status ok = page_rows ? to.set_page(*levels, page, *page_rows, levels->pages()[page].first)
+                                  : Status(tl::unexpected(page_rows.error()));
       if (ok) continue;
       const std::scoped_lock lock(failing);
       if (page < failed) failed = page, status = ok;
@@ -487,10 +457,10 @@ Result<Scene> Scene::pages(std::span<const std::uint32_t> pages) const {
     storage->n = n;
     storage->sh_degree = sh_degree();
     storage->declarations = declarations();
-    storage->expanded = memory_of(n, sh_degree());
+    storage->expanded = Arrays::memory(n, sh_degree());
     const Arrays to(storage->expanded.get(), n, sh_degree());
-    to.gather(Arrays(storage_->paged.get(), storage_->n_paged, sh_degree()), all, pages);
-    storage->arrays = to.view(0, n, sh_degree(), origin());
+    gather(to, Arrays(storage_->paged.get(), storage_->n_paged, sh_degree()), all, pages);
+    storage->arrays = view_of(to, 0, n, sh_degree(), origin());
     Scene scene;
     scene.storage_ = std::move(storage);
     return scene;

@@ -12,6 +12,7 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "camera_choice.hpp"
@@ -20,9 +21,11 @@
 #include "image_file.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
+#include "rgs/byte_source.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
+#include "rgs/streamed_scene.hpp"
 #include "rgs/version.hpp"
 #include "scene_file.hpp"
 
@@ -41,6 +44,9 @@ struct Options {
   std::vector<float> depth_range;
   std::string key = "exact";
   bool has_arithmetic = false;  // an option that excludes --mode is there
+  // Of scenes that are streamed: from addresses, and from paths where a budget is given.
+  std::optional<std::uint64_t> host_memory;
+  std::optional<double> wait, realtime;  // seconds; frames a second
   rgs::RendererOptions renderer;
   // The steps are those of the image's definition, which single options change; without any, they are not read.
   rgs::RenderOptions render{.paper = {.depth_order = rgs::math::DepthOrder::exact,
@@ -58,7 +64,15 @@ struct Shot {
 struct Frame {
   const Shot* shot;
   rgs::FrameStats stats;
+  // Of a streamed scene, ms: for what was missing; when it was to begin, and when it did, after the first.
+  double wait_ms = 0, due_ms = 0, begin_ms = 0;
 };
+
+constexpr double kDefaultWait = 60;  // seconds a frame
+
+bool is_streamed(const Options& options) {
+  return options.host_memory || rgs::is_url(options.scene);
+}
 
 double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
@@ -172,7 +186,9 @@ struct Picture {
   rgs::Image colour, depth;
 };
 
-rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const rgs::Scene& scene, const Shot& shot,
+// `scene`: rgs::Scene or rgs::StreamedScene.
+template <class AnyScene>
+rgs::Result<Picture> render_shot(rgs::Renderer& renderer, const AnyScene& scene, const Shot& shot,
                                  const rgs::RenderOptions& options, bool with_alpha, rgs::FrameStats& stats) {
   Picture picture;
   const int width = shot.camera.width, height = shot.camera.height;
@@ -225,7 +241,32 @@ double median_ms(const std::vector<Frame>& frames) {
   return *middle;
 }
 
-nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, const rgs::Renderer& renderer,
+// What is said of the scene.
+struct SceneFacts {
+  std::uint64_t file_bytes, gaussians, memory_bytes;
+  int sh_degree;
+  std::uint64_t budget = 0;  // of a streamed scene
+};
+
+nlohmann::json stream_json(const Options& options, const Frame& frame) {
+  const rgs::StreamStats& s = frame.stats.stream;
+  nlohmann::json stream{{"pages_resident", s.pages_resident},
+                        {"pages_missing", s.pages_missing},
+                        {"bytes_read", s.bytes_read},
+                        {"bytes_decoded", s.bytes_decoded},
+                        {"bytes_uploaded", s.bytes_uploaded},
+                        {"bytes_evicted", s.bytes_evicted},
+                        {"detail_reached_px", s.detail_reached_px}};
+  if (options.realtime) {
+    stream["due_ms"] = frame.due_ms;
+    stream["begin_ms"] = frame.begin_ms;
+  } else {
+    stream["wait_ms"] = frame.wait_ms;
+  }
+  return stream;
+}
+
+nlohmann::json summary(const Options& options, const SceneFacts& scene, const rgs::Renderer& renderer,
                        const std::vector<Frame>& frames, double load_seconds, double first_frame_ms,
                        double total_seconds) {
   nlohmann::json pictures = nlohmann::json::array();
@@ -249,24 +290,70 @@ nlohmann::json summary(const Options& options, const rgs::SceneFile& scene, cons
                            {"workspace_bytes", s.bytes},
                            {"depth_bits", s.depth_bits},
                            {"depth_resolution", s.depth_resolution}};
+    if (is_streamed(options)) picture["stream"] = stream_json(options, frame);
     if (!frame.shot->out.empty()) picture["file"] = frame.shot->out;
     if (!frame.shot->depth.empty()) picture["depth_file"] = frame.shot->depth;
     pictures.push_back(std::move(picture));
   }
-  return {{"program", "rgs-render"},
-          {"version", RGS_VERSION},
-          {"scene",
-           {{"file", options.scene},
-            {"bytes", scene.file_bytes},
-            {"gaussians", scene.scene.size()},
-            {"sh_degree", scene.scene.sh_degree()},
-            {"memory_bytes", scene.scene.bytes()}}},
-          {"backend", renderer.backend_name()},
-          {"load_seconds", load_seconds},
-          {"first_frame_ms", first_frame_ms},
-          {"total_seconds", total_seconds},
-          {"median_ms", median_ms(frames)},
-          {"frames", std::move(pictures)}};
+  nlohmann::json all{{"program", "rgs-render"},
+                     {"version", RGS_VERSION},
+                     {"scene",
+                      {{"file", options.scene},
+                       {"bytes", scene.file_bytes},
+                       {"gaussians", scene.gaussians},
+                       {"sh_degree", scene.sh_degree},
+                       {"memory_bytes", scene.memory_bytes}}},
+                     {"backend", renderer.backend_name()},
+                     {"load_seconds", load_seconds},
+                     {"first_frame_ms", first_frame_ms},
+                     {"total_seconds", total_seconds},
+                     {"median_ms", median_ms(frames)},
+                     {"frames", std::move(pictures)}};
+  if (is_streamed(options)) {
+    all["host_memory"] = scene.budget;
+    if (options.realtime) {
+      all["realtime_fps"] = *options.realtime;
+    } else {
+      all["wait_seconds"] = options.wait.value_or(kDefaultWait);
+    }
+  }
+  return all;
+}
+
+void print_summary(const Options& options, const SceneFacts& scene, const rgs::Renderer& renderer,
+                   const std::vector<Frame>& frames, double load_seconds, double first_frame_ms, double total_seconds) {
+  if (options.json) {
+    const auto text = summary(options, scene, renderer, frames, load_seconds, first_frame_ms, total_seconds)
+                          .dump(2, ' ', true, nlohmann::json::error_handler_t::replace);
+    tool::print(text + "\n");
+  } else if (!options.quiet) {
+    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, {} in {}\n", tool::printable(options.scene),
+                            tool::format_count(scene.gaussians), scene.sh_degree,
+                            is_streamed(options) ? "opened" : "loaded", tool::format_seconds(load_seconds)));
+    for (const Frame& frame : frames) {
+      tool::print(fmt::format("{}  {}x{}  {}  {} visible", tool::printable(frame.shot->out), frame.shot->camera.width,
+                              frame.shot->camera.height, tool::format_seconds(frame.stats.total_ms * 1e-3),
+                              tool::format_count(frame.stats.visible)));
+      const rgs::StreamStats& s = frame.stats.stream;
+      if (is_streamed(options)) {
+        tool::print(
+            fmt::format("  {} of {} pages{}  error {:.3g} px", tool::format_count(frame.stats.pages),
+                        tool::format_count(s.pages_resident),
+                        s.pages_missing == 0 ? "" : fmt::format(", {} missing", tool::format_count(s.pages_missing)),
+                        s.detail_reached_px));
+      }
+      tool::print("\n");
+    }
+    if (is_streamed(options)) {
+      const rgs::StreamStats& s = frames.back().stats.stream;
+      tool::print(fmt::format("read {}, decoded {}, evicted {}; {} of {} held\n", tool::format_bytes(s.bytes_read),
+                              tool::format_bytes(s.bytes_decoded), tool::format_bytes(s.bytes_evicted),
+                              tool::format_bytes(scene.memory_bytes), tool::format_bytes(scene.budget)));
+    }
+    tool::print(fmt::format("{} {}: median {} a frame, {} in all\n", frames.size(),
+                            frames.size() == 1 ? "picture" : "pictures", tool::format_seconds(median_ms(frames) * 1e-3),
+                            tool::format_seconds(total_seconds)));
+  }
 }
 
 void warn_of_missing_pages(const std::string& path, const rgs::Scene& scene) {
@@ -344,28 +431,124 @@ int render(const Options& options) {
 
   if (!options.quiet) warn_of_coarse_depths(frames);
   const double total_seconds = seconds_since(start);
-  if (options.json) {
-    const auto text = summary(options, *scene, *renderer, frames, load_seconds, first_frame_ms, total_seconds)
-                          .dump(2, ' ', true, nlohmann::json::error_handler_t::replace);
-    tool::print(text + "\n");
-  } else if (!options.quiet) {
-    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, loaded in {}\n", tool::printable(options.scene),
-                            tool::format_count(scene->scene.size()), scene->scene.sh_degree(),
-                            tool::format_seconds(load_seconds)));
-    for (const Frame& frame : frames)
-      tool::print(fmt::format("{}  {}x{}  {}  {} visible\n", tool::printable(frame.shot->out), frame.shot->camera.width,
-                              frame.shot->camera.height, tool::format_seconds(frame.stats.total_ms * 1e-3),
-                              tool::format_count(frame.stats.visible)));
-    tool::print(fmt::format("{} {}: median {} a frame, {} in all\n", frames.size(),
-                            frames.size() == 1 ? "picture" : "pictures", tool::format_seconds(median_ms(frames) * 1e-3),
-                            tool::format_seconds(total_seconds)));
-  }
+  const SceneFacts facts{scene->file_bytes, scene->scene.size(), scene->scene.bytes(), scene->scene.sh_degree()};
+  print_summary(options, facts, *renderer, frames, load_seconds, first_frame_ms, total_seconds);
   return tool::kSuccess;
+}
+
+// A file that cannot be streamed, and what to do with it. Returns an exit code.
+int report_not_streamed(const Options& options, const rgs::Error& error) {
+  const bool is_other = error.code == rgs::Errc::missing_section || error.code == rgs::Errc::bad_magic;
+  if (!is_other) return tool::report(options.scene, error);
+  if (rgs::is_url(options.scene)) {
+    return tool::report(options.scene,
+                        {rgs::Errc::unsupported_feature, rgs::Error::kNone,
+                         "is no .rgs file with levels of detail, which alone are read from a web server: "
+                         "download it first"});
+  }
+  return tool::report_usage("--host-memory streams .rgs files with levels of detail, which '" + options.scene +
+                            "' is not: rgs-convert --lod makes one, and without --host-memory it is drawn as a whole");
+}
+
+void warn_of_incomplete_frame(const Frame& frame, const rgs::Status& why) {
+  const rgs::StreamStats& s = frame.stats.stream;
+  tool::print_error(fmt::format("rgs-render: {}: {} pages are missing, its error is {:.3g} px{}{}\n",
+                                tool::printable(frame.shot->camera.name), s.pages_missing, s.detail_reached_px,
+                                why ? "" : ": ", why ? "" : tool::describe(why.error())));
+}
+
+// Frames of a scene of which a part is in memory: each complete, or each at its time.
+int render_streamed(const Options& options) {
+  const auto start = Clock::now();
+  tool::InputFiles inputs;
+  if (!rgs::is_url(options.scene)) inputs.add_scene(options.scene);
+  inputs.add_cameras(options.cameras);
+  inputs.add_cameras(options.path);
+  rgs::RendererOptions how = options.renderer;
+  if (how.backend == rgs::Backend::automatic) how.backend = rgs::Backend::cpu;
+  if (how.backend == rgs::Backend::cuda)
+    return tool::report_usage(
+        "scenes are streamed to the CPU so far: --backend cpu, or no --host-memory and no address");
+  auto renderer = rgs::Renderer::create(how);
+  if (!renderer) return tool::report("", renderer.error());
+  const auto opened = Clock::now();
+  rgs::StreamPoolOptions budget;
+  if (options.host_memory) budget.host_memory = *options.host_memory;
+  const auto pool = rgs::StreamPool::create(budget);
+  if (!pool) return tool::report("", pool.error());
+  auto source = rgs::open_source(options.scene);
+  if (!source) return tool::report(options.scene, source.error());
+  const std::uint64_t file_bytes = (*source)->size();
+  const auto scene = rgs::StreamedScene::open(*std::move(source), {.pool = *pool, .limits = options.limits});
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
+  if (!scene) return report_not_streamed(options, scene.error());
+  const double load_seconds = seconds_since(start);
+
+  rgs::SceneFile placed;  // for views without cameras
+  placed.bounds = rgs::declared_bounds(*scene->declarations());
+  placed.up = rgs::declared_up(*scene->declarations());
+  std::vector<Shot> shots;
+  if (const int code = make_shots(options, placed, shots); code != tool::kSuccess) return code;
+  std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
+  for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
+  if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
+  const rgs::RenderOptions render_how = render_options(options);
+
+  tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+  progress.begin("rendering", shots.size(), "frames");
+  std::vector<Frame> frames;
+  double first_frame_ms = 0;
+  bool is_complete = true;
+  std::future<int> writing;
+  const auto flight = Clock::now();
+  for (const Shot& shot : shots) {
+    Frame frame{&shot, {}};
+    rgs::Status why;
+    if (options.realtime) {
+      frame.due_ms = 1e3 * static_cast<double>(frames.size()) / *options.realtime;
+      std::this_thread::sleep_until(
+          flight + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1e-3 * frame.due_ms)));
+      frame.begin_ms = 1e3 * seconds_since(flight);
+    } else {
+      const auto waiting = Clock::now();
+      const auto refined = renderer->refine(*scene, shot.camera, options.wait.value_or(kDefaultWait), render_how);
+      // What is wrong with the request is wrong with the frame too; what is wrong with the file leaves a picture.
+      if (!refined) why = tl::unexpected(refined.error());
+      frame.wait_ms = 1e3 * seconds_since(waiting);
+    }
+    auto picture = render_shot(*renderer, *scene, shot, render_how, options.alpha, frame.stats);
+    if (!picture) return tool::report(shot.camera.name, picture.error());
+    if (frames.empty()) first_frame_ms = 1e3 * seconds_since(opened);
+    if (!options.realtime && frame.stats.stream.pages_missing > 0) {
+      is_complete = false;
+      if (!options.quiet) warn_of_incomplete_frame(frame, why);
+    }
+    if (writing.valid())
+      if (const int code = writing.get(); code != tool::kSuccess) return code;
+    writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
+      return write_shot(shot, done, options.overwrite);
+    });
+    frames.push_back(frame);
+    progress.advance(1);
+  }
+  if (const int code = writing.get(); code != tool::kSuccess) return code;
+  progress.finish();
+  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
+  if (!options.quiet) warn_of_coarse_depths(frames);
+  const SceneFacts facts{file_bytes, scene->size(), pool->host_bytes(), scene->sh_degree(), pool->host_memory()};
+  print_summary(options, facts, *renderer, frames, load_seconds, first_frame_ms, seconds_since(start));
+  if (const rgs::Status status = scene->status(); !status && options.realtime && !options.quiet)
+    tool::print_error(
+        fmt::format("rgs-render: {}: {}\n", tool::printable(options.scene), tool::describe(status.error())));
+  return is_complete ? tool::kSuccess : tool::kIncomplete;
 }
 
 void add_options(CLI::App& app, Options& o) {
   using namespace rgs::math;
-  app.add_option("scene", o.scene, "scene to render, " RGS_SCENE_FORMATS "; its content decides")->required();
+  app.add_option("scene", o.scene,
+                 "scene to render, " RGS_SCENE_FORMATS
+                 "; its content decides. Or the http(s) address of an .rgs with levels of detail")
+      ->required();
   app.add_option("--out,-o", o.out, "picture (.png .jpg .tif .exr) or folder for pictures")->required();
   app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--view", o.view, "camera by name or index in the split, or all [all for a folder, 0 for a file]");
@@ -383,6 +566,22 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option("--depth", o.depth, "also expected depth: picture (.exr .tif) or folder");
   app.add_flag("--alpha", o.alpha, "transparent background: pictures with an alpha channel (.png .tif .exr)");
   app.add_flag("--overwrite", o.overwrite, "replace existing pictures");
+
+  const std::string stream = "Streaming, of .rgs files with levels of detail (docs/STREAMING.md)";
+  app.add_option(
+         "--host-memory", o.host_memory,
+         "read of the file what the views need, within so much memory [of addresses 2GiB; of paths all is read]")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->group(stream);
+  auto* const wait = app.add_option("--wait", o.wait, "seconds a frame, after which it is drawn incomplete [60]")
+                         ->check(CLI::Range(0.0, 1e6))
+                         ->group(stream);
+  app.add_option("--realtime", o.realtime, "so many frames of --path a second, drawn from what is there by then")
+      ->check(CLI::Range(0.001, 1e4))
+      ->needs("--path")
+      ->excludes(wait)
+      ->group(stream);
 
   const std::string image = "Image";
   app.add_option("--background", o.render.background, "R,G,B behind the scene, 0 to 1 [0,0,0]")
@@ -465,7 +664,9 @@ void add_options(CLI::App& app, Options& o) {
   app.add_flag("--json", o.json, "summary as JSON on standard output")->group(machine);
   app.add_flag("--quiet,-q", o.quiet, "no progress, no summary and no warnings")->group(machine);
   app.set_version_flag("--version", "rgs-render " RGS_VERSION);
-  app.footer("Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input.");
+  app.footer(
+      "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 a streamed "
+      "frame stayed incomplete.");
 }
 
 // Contradictions that can be told without reading a file; empty if there is none.
@@ -479,6 +680,9 @@ std::string contradiction(const Options& o) {
   if (const auto depth = rgs::image_format(o.depth);
       depth && (*depth == rgs::ImageFormat::png || *depth == rgs::ImageFormat::jpeg))
     return "depth needs floating point: name the file .exr or .tif";
+  if (o.host_memory == std::uint64_t{0}) return "--host-memory of 0 bytes holds no scene";
+  if ((o.wait || o.realtime) && !is_streamed(o))
+    return "--wait and --realtime are of streamed scenes: give --host-memory, or an address";
   for (const float v : o.render.background)
     if (!std::isfinite(v)) return "--background takes three finite numbers";
   return {};
@@ -495,6 +699,6 @@ int main(int argc, char** argv) {
     options.renderer.simd = !options.scalar;
     for (const auto* option : app.get_option("--mode")->get_excludes()) options.has_arithmetic |= option->count() > 0;
     if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);
-    return render(options);
+    return is_streamed(options) ? render_streamed(options) : render(options);
   });
 }

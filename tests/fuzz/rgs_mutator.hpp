@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "edit_file.hpp"
+#include "rgs/layout.hpp"
 
 extern "C" std::size_t LLVMFuzzerMutate(std::uint8_t* data, std::size_t size, std::size_t max_size);
 
@@ -94,8 +95,8 @@ class RgsMutator {
     const std::uint64_t levels = place("LODS"), pages = place("PAGE");
     if (levels == 0 || pages == 0 || pages == pages_) return;
     const std::uint64_t n = file.size() - levels < 64 ? 0 : get<std::uint32_t>(file, levels);
-    for (std::uint64_t i = 0; i < n && 64 + 96 * (i + 1) <= file.size() - levels; ++i) {
-      const std::uint64_t at = levels + 64 + 96 * i;
+    for (std::uint64_t i = 0; i < n && 64 + kPageRecordBytes * (i + 1) <= file.size() - levels; ++i) {
+      const std::uint64_t at = levels + 64 + kPageRecordBytes * i;
       put(std::span(file), at, get<std::uint64_t>(file, at) + pages - pages_);
     }
   }

@@ -5,6 +5,7 @@
 #include <fcntl.h>
 #include <signal.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -64,6 +65,9 @@ class Program {
   /// Signals the child; harmless if it has ended.
   void send(int signal_number) const { ::kill(id_, signal_number); }
 
+  /// What it has printed to its standard output so far.
+  std::string out() const { return contents(out_); }
+
   ProgramResult wait() {
     const int status = reap();
     ProgramResult result;
@@ -82,8 +86,11 @@ class Program {
     id_ = -1;
     return status;
   }
+  // The place in the file is left alone: the child writes there.
   static std::string contents(int fd) {
-    std::string text(static_cast<std::size_t>(::lseek(fd, 0, SEEK_END)), '\0');
+    struct stat info {};
+    if (::fstat(fd, &info) != 0) return {};
+    std::string text(static_cast<std::size_t>(info.st_size), '\0');
     const ssize_t n = ::pread(fd, text.data(), text.size(), 0);
     text.resize(n > 0 ? static_cast<std::size_t>(n) : 0);
     return text;

@@ -49,6 +49,16 @@ struct LoadOptions {
   unsigned threads = 0;  ///< 0: as many as the machine runs at once
 };
 
+/// A range of a file.
+struct FileRange {
+  std::uint64_t offset = 0, bytes = 0;
+};
+/// Bytes of a file that are in memory, and where in the file they are.
+struct FilePart {
+  std::uint64_t offset = 0;
+  std::span<const std::byte> bytes;
+};
+
 class DirectData;
 class FileView;
 
@@ -114,12 +124,13 @@ class FileView {
  private:
   friend class PagedFile;
   friend const detail::ArchiveTables* detail::archive_tables(const FileView& view);
-  static Result<FileView> parse(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels);
+  static Result<FileView> parse_head(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels);
+  static Result<FileView> parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels);
   std::span<const std::byte> table(SectionType type) const;
-  bool has(const SectionEntry& entry) const;
-  Status parse_declarations();
+  static std::optional<std::span<const std::byte>> bytes_of(const SectionEntry& entry, std::span<const FilePart> parts);
+  Status parse_declarations(std::span<const FilePart> parts);
   Status open_coded(const DecodeLimits& limits);
-  Status open_archive();
+  Status open_archive(std::span<const std::byte> bytes);
 
   std::span<const std::byte> bytes_;
   Header header_;

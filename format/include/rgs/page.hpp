@@ -61,6 +61,9 @@ struct Levels {
   }
 };
 
+// Of a tree of which only the first pages are known (PagedFile::open_beginning()), `pages` may be these: others count as not
+// present.
+
 /// Pages of one level, in their order: all that is drawn where that level is. Level 0: the leaves.
 std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::uint32_t level);
 
@@ -90,8 +93,10 @@ struct PageFault {
   PageField field = PageField::count;
   const char* what = nullptr;
 };
-/// Checks page `index` against the pages before it and its parent. A tree is sound if all its pages are.
-PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size);
+/// Checks page `index` against the pages before it and its parent. A tree is sound if all its pages are. `n_pages`: of the
+/// whole tree, where `pages` are the first of it; kNoPage: there are no more.
+PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size,
+                     std::uint32_t n_pages = kNoPage);
 
 /// Checks all pages, and Page::first. `chunk_size`: leaves but the last are whole chunks. Errors: bad_value; `offset` is the
 /// page's index.

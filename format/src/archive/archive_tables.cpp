@@ -144,4 +144,10 @@ Result<ArchiveTables> parse_archive_tables(std::span<const std::byte> bytes, std
   return t;
 }
 
+std::uint64_t memory_bytes(const ArchiveTables& t) {
+  const auto held = [](const auto& vector) { return vector.capacity() * sizeof(vector.front()); };
+  return sizeof t + held(t.parameters.classes) + held(t.sh_centre) + held(t.sh_matrix) + held(t.map) +
+         held(t.frequencies) + t.rans.memory_bytes();
+}
+
 }  // namespace rgs::detail

@@ -45,6 +45,7 @@ class RansTables {
  public:
   /// frequencies [n, kRansTokens]; false if a row does not sum to kRansTotal.
   bool assign(std::span<const std::uint16_t> frequencies);
+  std::uint64_t memory_bytes() const { return slots_.capacity() * sizeof(std::uint32_t); }
   const std::uint32_t* of(std::uint8_t distribution) const { return &slots_[std::size_t{distribution} * kRansTotal]; }
 
  private:

@@ -209,8 +209,8 @@ Status check_sizes(const FileView& view) {
   return {};
 }
 
-Status check_hash(const FileView& view, const SectionEntry& s) {
-  const std::uint64_t hash = xxh3(view.stored(s));
+Status check_hash(std::span<const std::byte> bytes, const SectionEntry& s) {
+  const std::uint64_t hash = xxh3(bytes);
   if (hash != s.xxh3)
     return make_error(Errc::checksum_mismatch, s.offset, "a section's checksum does not match", s.xxh3, hash);
   return {};
@@ -236,19 +236,30 @@ std::span<const std::byte> FileView::stored(SectionType type) const {
 }
 
 Result<FileView> FileView::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  return detail::guard_memory([&] { return parse(bytes, limits, false); });
+  return detail::guard_memory([&] {
+    const FilePart whole{0, bytes};
+    return parse({&whole, 1}, limits, false);
+  });
 }
 
-// Whether the section is there: bytes may be missing at the end of a file with levels.
-bool FileView::has(const SectionEntry& entry) const {
-  return entry.offset <= bytes_.size() && entry.stored_bytes <= bytes_.size() - entry.offset;
+// Stored bytes of a section that lies in one of the parts, as a whole.
+std::optional<std::span<const std::byte>> FileView::bytes_of(const SectionEntry& entry,
+                                                             std::span<const FilePart> parts) {
+  for (const FilePart& part : parts) {
+    const std::uint64_t size = part.bytes.size(), skipped = entry.offset - part.offset;
+    if (part.offset <= entry.offset && skipped <= size && entry.stored_bytes <= size - skipped) {
+      return part.bytes.subspan(skipped, entry.stored_bytes);
+    }
+  }
+  return {};
 }
 
-Status FileView::parse_declarations() {
+Status FileView::parse_declarations(std::span<const FilePart> parts) {
   const SectionEntry& entry = *find(SectionType::declarations);
-  if (!has(entry)) return too_short(*this);
-  if (const Status s = check_hash(*this, entry); !s) return s;
-  const auto declarations = detail::parse_declarations(stored(entry), entry.offset, header_.version_minor);
+  const auto bytes = bytes_of(entry, parts);
+  if (!bytes) return too_short(*this);
+  if (const Status s = check_hash(*bytes, entry); !s) return s;
+  const auto declarations = detail::parse_declarations(*bytes, entry.offset, header_.version_minor);
   if (!declarations) return tl::unexpected(declarations.error());
   declarations_ = *declarations;
   if (declarations_.n_dropped > declarations_.n_source ||
@@ -260,8 +271,8 @@ Status FileView::parse_declarations() {
   return {};
 }
 
-// With `levels` of a file that may have levels of detail, and then of its beginning.
-Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels) {
+// Header and table of sections. With `levels` of a file that must have levels of detail, and may be its beginning.
+Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels) {
   const auto header = detail::parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->file_bytes > limits.max_file_bytes) {
@@ -307,31 +318,42 @@ Result<FileView> FileView::parse(std::span<const std::byte> bytes, const DecodeL
                       "the file has levels of detail, which this program does not read: rgs-convert writes its finest "
                       "level, or another one, as a file without");
   }
-  if (!named && bytes.size() < header->file_bytes) {
-    return make_error(Errc::truncated, bytes.size(), "the file is shorter than its header says", header->file_bytes,
-                      bytes.size());
+  if (!named && levels) {
+    return make_error(Errc::missing_section, kHeaderBytes, "the file has no levels of detail",
+                      static_cast<std::uint64_t>(SectionType::levels));
   }
   if (const Status s = check_placement(bytes, header->file_bytes, view.sections_, head_bytes); !s)
     return tl::unexpected(s.error());
-
   if (const Status s = check_sizes(view); !s) return tl::unexpected(s.error());
-  if (const Status s = view.parse_declarations(); !s) return tl::unexpected(s.error());
+  return view;
+}
+
+// Of a file without levels all of it is the only part; with `levels` the first is its beginning.
+Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels) {
+  auto parsed = parse_head(parts.front().bytes, limits, levels);
+  if (!parsed) return parsed;
+  FileView view = *std::move(parsed);
+  if (const Status s = view.parse_declarations(parts); !s) return tl::unexpected(s.error());
   if (const SectionEntry* entry = view.find(SectionType::permutation)) {
     const auto index = static_cast<std::size_t>(entry - view.sections_.data());
     const std::uint64_t index_bytes = (view.declarations_.n_source >> 32) != 0 ? 8 : 4;
-    if (const Status s = check_size(view, index, header->n_gaussians, index_bytes); !s)
+    if (const Status s = check_size(view, index, view.header_.n_gaussians, index_bytes); !s)
       return tl::unexpected(s.error());
   }
-  if (const SectionEntry* entry = view.find(SectionType::provenance); entry != nullptr && view.has(*entry)) {
-    if (const Status s = check_hash(view, *entry); !s) return tl::unexpected(s.error());
-    auto provenance = detail::parse_provenance(view.stored(*entry), entry->offset);
-    if (!provenance) return tl::unexpected(provenance.error());
-    view.provenance_ = std::move(*provenance);
+  if (const SectionEntry* entry = view.find(SectionType::provenance)) {
+    if (const auto stored = bytes_of(*entry, parts)) {
+      if (const Status s = check_hash(*stored, *entry); !s) return tl::unexpected(s.error());
+      auto provenance = detail::parse_provenance(*stored, entry->offset);
+      if (!provenance) return tl::unexpected(provenance.error());
+      view.provenance_ = std::move(*provenance);
+    }
   }
-  if (named) {
+  if (levels) {
     const SectionEntry* tables = view.find(SectionType::archive);
-    if (tables != nullptr && !view.has(*tables)) return tl::unexpected(too_short(view).error());
-    if (const Status s = view.open_archive(); !s) return tl::unexpected(s.error());
+    if (tables == nullptr) return view;
+    const auto stored = bytes_of(*tables, parts);
+    if (!stored) return tl::unexpected(too_short(view).error());
+    if (const Status s = view.open_archive(*stored); !s) return tl::unexpected(s.error());
     return view;
   }
   if (const Status s = view.open_coded(limits); !s) return tl::unexpected(s.error());

@@ -54,6 +54,7 @@ std::vector<std::uint32_t> pages_of_level(const std::vector<Page>& pages, std::u
 
 std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint64_t max_count,
                                       std::uint32_t n_present) {
+  n_present = static_cast<std::uint32_t>(std::min<std::size_t>(n_present, pages.size()));
   // From the root downwards, largest error first: each page gives way to its children. Those of one error do so together,
   // as they would for any e.
   std::vector<std::uint32_t> by_error;
@@ -71,8 +72,11 @@ std::vector<std::uint32_t> finest_cut(const std::vector<Page>& pages, std::uint6
       const Page& page = pages[by_error[i]];
       count -= page.count;
       for (std::uint32_t child = page.first_child; child < page.first_child + page.n_children; ++child) {
-        count += pages[child].count;
-        present = present && child < n_present;
+        if (child < n_present) {
+          count += pages[child].count;
+        } else {
+          present = false;
+        }
       }
     }
     if (!present) break;
@@ -92,17 +96,20 @@ double footprint(const Box& core, const Eye& eye) {
 std::vector<std::uint32_t> drawn_pages(const std::vector<Page>& pages, const Eye& eye, float detail_px,
                                        std::uint32_t n_present) {
   if (n_present == 0) return {};
+  n_present = static_cast<std::uint32_t>(std::min<std::size_t>(n_present, pages.size()));
   return pages_until(pages, [&](const Page& page) {
     const bool has_children = std::uint64_t{page.first_child} + page.n_children <= n_present;
     return !has_children || is_fine_enough(page.error, detail_px, footprint(page.core, eye));
   });
 }
 
-PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size) {
+PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uint32_t chunk_size,
+                     std::uint32_t n_pages) {
+  const std::size_t n = n_pages == kNoPage ? pages.size() : n_pages;
   const Page& page = pages[index];
   const bool root = index == 0, leaf = page.level == 0;
   if (page.count == 0) return {PageField::count, "a page has no Gaussians"};
-  const bool last = index + 1 == pages.size();
+  const bool last = index + 1 == n;
   if (leaf && !last && page.count % chunk_size != 0) {
     return {PageField::count, "a leaf page that is not the last is not whole chunks"};
   }
@@ -121,14 +128,17 @@ PageFault check_page(const std::vector<Page>& pages, std::size_t index, std::uin
     if (page.n_children == 0 || page.n_children > kMaxChildren) {
       return {PageField::children, "a page above the leaves has not 1 to 255 children"};
     }
-    // The first page of the level below follows the last of this one.
-    const bool continues = before != nullptr && before->level == page.level;
-    if (page.first_child <= index || page.first_child >= pages.size() ||
-        page.n_children > pages.size() - page.first_child ||
-        (continues && page.first_child != before->first_child + before->n_children)) {
+    // The first page of the level below follows the last of this one. Of children that are still to come nothing has to be
+    // remembered: what a level's first page claims follows what the level above claimed, which is this level.
+    const std::uint64_t next = root ? 1 : std::uint64_t{before->first_child} + before->n_children;
+    const bool continues = !root && before->level == page.level;
+    const bool to_come = std::uint64_t{page.first_child} + page.n_children > pages.size();
+    if (page.first_child <= index || page.first_child >= n || page.n_children > n - page.first_child ||
+        ((continues || to_come) && page.first_child != next)) {
       return {PageField::children, "the children of pages do not follow each other"};
     }
-    for (std::size_t child = page.first_child; child < std::size_t{page.first_child} + page.n_children; ++child) {
+    const std::size_t known = std::min<std::size_t>(pages.size(), std::size_t{page.first_child} + page.n_children);
+    for (std::size_t child = page.first_child; child < known; ++child) {
       if (pages[child].parent != index) return {PageField::children, "a page's child names another page as its parent"};
     }
   }

@@ -88,12 +88,13 @@ Status parse_record(ByteReader& in, const PageContext& context, std::uint32_t pa
   return {};
 }
 
-// Pages lie one behind the other, and fill their section.
-Status check_places(const PageContext& context, const PageTable& table) {
+// Pages from `from` on lie one behind the other, and the last fills their section.
+Status check_places(const PageContext& context, const PageTable& table, std::size_t from) {
   const bool direct = context.pages.codec == static_cast<std::uint32_t>(Codec::none);
   const std::uint64_t section_end = context.pages.offset + context.pages.stored_bytes;
-  std::uint64_t end = context.pages.offset;
-  for (std::size_t i = 0; i < table.stored.size(); ++i) {
+  std::uint64_t end =
+      from == 0 ? context.pages.offset : table.stored[from - 1].offset + table.stored[from - 1].stored_bytes;
+  for (std::size_t i = from; i < table.stored.size(); ++i) {
     const StoredPage& page = table.stored[i];
     const std::uint64_t at = record_at(context.levels.offset, i);
     const std::uint64_t start = direct ? align_up(end, kPageAlignment) : end;
@@ -120,33 +121,45 @@ Status check_places(const PageContext& context, const PageTable& table) {
     }
     end = page.offset + page.stored_bytes;
   }
-  if (end != section_end) {
+  if (table.stored.size() == table.n_pages && end != section_end) {
     return make_error(Errc::size_mismatch, end, "bytes after the last page", section_end, end);
   }
   return {};
 }
 
-Status check_tree(const PageContext& context, PageTable& table) {
-  std::uint64_t first = 0, leaves = 0;
-  for (std::size_t i = 0; i < table.pages.size(); ++i) {
+Status check_tree(const PageContext& context, PageTable& table, std::size_t from) {
+  std::uint64_t first = from == 0 ? 0 : table.pages[from - 1].first + table.pages[from - 1].count;
+  for (std::size_t i = from; i < table.pages.size(); ++i) {
     lod::Page& page = table.pages[i];
-    const lod::PageFault fault = lod::check_page(table.pages, i, context.header.chunk_size);
+    const lod::PageFault fault = lod::check_page(table.pages, i, context.header.chunk_size, table.n_pages);
     if (fault.what != nullptr) {
       return make_error(Errc::bad_value, record_at(context.levels.offset, i) + field_of(fault.field), fault.what);
     }
     page.first = first;
     first += page.count;
-    if (page.level == 0) leaves += page.count;
   }
-  if (first != table.n_stored) {
+  const bool all = table.pages.size() == table.n_pages;
+  if (all ? first != table.n_stored : first > table.n_stored) {
     return make_error(Errc::bad_value, context.levels.offset + 16,
                       "the pages' Gaussians do not add up to those of LODS", table.n_stored, first);
   }
-  if (leaves != context.header.n_gaussians) {
-    return make_error(Errc::bad_value, context.levels.offset + 16, "the leaves' Gaussians are not those of the header",
-                      context.header.n_gaussians, leaves);
-  }
   return {};
+}
+
+Status append(std::span<const std::byte> records, const PageContext& context, PageTable& table) {
+  const std::size_t from = table.pages.size(), n = from + records.size() / kPageRecordBytes;
+  // No more than has come, and never more than there will be.
+  const std::size_t room = std::min<std::size_t>(std::max(n, 2 * from), table.n_pages);
+  if (n > table.pages.capacity()) table.pages.reserve(room);
+  if (n > table.stored.capacity()) table.stored.reserve(room);
+  table.pages.resize(n);
+  table.stored.resize(n);
+  ByteReader in(records, record_at(context.levels.offset, from));
+  for (std::size_t i = from; i < n; ++i) {
+    if (Status s = parse_record(in, context, table.page_chunks, table.pages[i], table.stored[i]); !s) return s;
+  }
+  if (Status s = check_places(context, table, from); !s) return s;
+  return check_tree(context, table, from);
 }
 
 }  // namespace
@@ -184,8 +197,8 @@ std::vector<std::byte> write_page_table(const PageTable& table) {
   return out.take();
 }
 
-Result<PageTable> parse_page_table(std::span<const std::byte> bytes, const PageContext& context,
-                                   const DecodeLimits& limits, std::uint64_t file_bytes) {
+Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const PageContext& context,
+                                    const DecodeLimits& limits) {
   const std::uint64_t at = context.levels.offset;
   const Header& h = context.header;
   ByteReader in(bytes, at);
@@ -196,10 +209,10 @@ Result<PageTable> parse_page_table(std::span<const std::byte> bytes, const PageC
   table.n_stored = in.u64();
   table.quality_db = in.f32();
   const bool zeros = in.zeros(kLevelsHeadBytes - 28);
-  if (!in.ok() || bytes.size() != kLevelsHeadBytes + n_pages * kPageRecordBytes) {
+  if (!in.ok() || context.levels.stored_bytes != kLevelsHeadBytes + n_pages * kPageRecordBytes) {
     return make_error(Errc::size_mismatch, context.levels_entry + 32,
                       "the size of LODS contradicts its number of pages", kLevelsHeadBytes + n_pages * kPageRecordBytes,
-                      bytes.size());
+                      context.levels.stored_bytes);
   }
   if (reserved != 0) return make_error(Errc::reserved_bits, at + 12, "a reserved field of LODS is set");
   if (!zeros) return make_error(Errc::reserved_bits, at + 28, "reserved bytes of LODS are not zero");
@@ -221,34 +234,52 @@ Result<PageTable> parse_page_table(std::span<const std::byte> bytes, const PageC
   if (!(table.quality_db >= 0 && std::isfinite(table.quality_db))) {
     return make_error(Errc::bad_value, at + 24, "the quality that pages promise is negative or not finite");
   }
-  table.pages.resize(n_pages);
-  table.stored.resize(n_pages);
-  for (std::uint32_t i = 0; i < n_pages; ++i) {
-    if (Status s = parse_record(in, context, table.page_chunks, table.pages[i], table.stored[i]); !s)
-      return tl::unexpected(s.error());
-  }
-  if (Status s = check_places(context, table); !s) return tl::unexpected(s.error());
-  if (Status s = check_tree(context, table); !s) return tl::unexpected(s.error());
-  if (table.pages.front().level + 1 != n_levels) {
-    return make_error(Errc::bad_value, at + 4, "the number of levels is not that of the pages",
-                      table.pages.front().level + 1, n_levels);
-  }
-  if (context.pages.codec != static_cast<std::uint32_t>(Codec::none)) {
-    std::uint64_t decoded = 0;  // at most 2^32 pages of at most 2^24 bytes
-    for (std::uint32_t i = 0; i < n_pages; ++i) {
-      decoded += page_layout(table.pages[i].count, h.chunk_size, table.stored[i].n_step_sets, h.sh_degree).bytes;
-    }
-    if (context.pages.decoded_bytes != decoded) {
-      return make_error(Errc::size_mismatch, context.pages_entry + 32, "a section's size contradicts its pages' counts",
-                        decoded, context.pages.decoded_bytes);
-    }
-    if (decoded > limits.decoded_bytes(file_bytes)) {
-      return make_error(Errc::limit_exceeded, context.pages_entry + 32,
-                        "pages decode to more than the caller allows for a file of this size (max_expansion)",
-                        limits.decoded_bytes(file_bytes), decoded);
-    }
-  }
+  table.n_pages = n_pages;
+  table.n_levels = n_levels;
   return table;
+}
+
+Status append_pages(std::span<const std::byte> records, const PageContext& context, PageTable& table) {
+  const std::size_t before = table.pages.size();
+  Status appended = append(records, context, table);
+  if (!appended) {
+    table.pages.resize(before);
+    table.stored.resize(before);
+  }
+  return appended;
+}
+
+Status check_page_table(const PageTable& table, const PageContext& context) {
+  const Header& h = context.header;
+  std::uint64_t leaves = 0, decoded = 0;  // at most 2^32 pages of at most 2^24 bytes
+  for (std::size_t i = 0; i < table.pages.size(); ++i) {
+    const lod::Page& page = table.pages[i];
+    if (page.level == 0) leaves += page.count;
+    decoded += page_layout(page.count, h.chunk_size, table.stored[i].n_step_sets, h.sh_degree).bytes;
+  }
+  if (leaves != h.n_gaussians) {
+    return make_error(Errc::bad_value, context.levels.offset + 16, "the leaves' Gaussians are not those of the header",
+                      h.n_gaussians, leaves);
+  }
+  if (table.pages.front().level + 1 != table.n_levels) {
+    return make_error(Errc::bad_value, context.levels.offset + 4, "the number of levels is not that of the pages",
+                      table.pages.front().level + 1, table.n_levels);
+  }
+  if (context.pages.codec != static_cast<std::uint32_t>(Codec::none) && context.pages.decoded_bytes != decoded) {
+    return make_error(Errc::size_mismatch, context.pages_entry + 32, "a section's size contradicts its pages' counts",
+                      decoded, context.pages.decoded_bytes);
+  }
+  return {};
+}
+
+Status check_decoded_bytes(const PageContext& context, const DecodeLimits& limits, std::uint64_t file_bytes) {
+  if (context.pages.codec != static_cast<std::uint32_t>(Codec::none) &&
+      context.pages.decoded_bytes > limits.decoded_bytes(file_bytes)) {
+    return make_error(Errc::limit_exceeded, context.pages_entry + 32,
+                      "pages decode to more than the caller allows for a file of this size (max_expansion)",
+                      limits.decoded_bytes(file_bytes), context.pages.decoded_bytes);
+  }
+  return {};
 }
 
 PageRows page_rows(std::span<const std::byte> out, const PageLayout& l, std::uint32_t n, int scale_exponent,

@@ -15,15 +15,6 @@
 
 namespace rgs::detail {
 
-/// Content of LODS.
-struct PageTable {
-  std::uint32_t page_chunks = 0;
-  std::uint64_t n_stored = 0;
-  float quality_db = 0;
-  std::vector<lod::Page> pages;
-  std::vector<StoredPage> stored;
-};
-
 /// What a page's record is checked against.
 struct PageContext {
   const Header& header;
@@ -33,9 +24,19 @@ struct PageContext {
 };
 
 std::vector<std::byte> write_page_table(const PageTable& table);
-/// `bytes`: the section. Errors: size_mismatch, reserved_bits, bad_value, section_overlap, section_gap, limit_exceeded.
-Result<PageTable> parse_page_table(std::span<const std::byte> bytes, const PageContext& context,
-                                   const DecodeLimits& limits, std::uint64_t file_bytes);
+
+// The section is read from front to back: its head, its records as they come, and what only all of them show. All these give the
+// errors size_mismatch, reserved_bits, bad_value, section_overlap, section_gap, limit_exceeded.
+
+/// A table without pages. `bytes`: the section or, if it has as many, its first kLevelsHeadBytes.
+Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const PageContext& context,
+                                    const DecodeLimits& limits);
+/// Appends the next pages, from whole records. After an error the table is as before.
+Status append_pages(std::span<const std::byte> records, const PageContext& context, PageTable& table);
+/// Of a table that has all its pages.
+Status check_page_table(const PageTable& table, const PageContext& context);
+/// That pages decode to no more than a file of `file_bytes` may.
+Status check_decoded_bytes(const PageContext& context, const DecodeLimits& limits, std::uint64_t file_bytes);
 
 constexpr std::uint64_t chunks_of(std::uint64_t rows, std::uint32_t chunk_size) {
   return (rows + chunk_size - 1) / chunk_size;

@@ -6,6 +6,7 @@
 #include <limits>
 #include <utility>
 
+#include "archive/archive_tables.hpp"
 #include "file/layout_io.hpp"
 #include "file/value_checks.hpp"
 #include "file/workers.hpp"
@@ -52,18 +53,59 @@ Status check_padding(const PagedFile& file) {
   return {};
 }
 
+// What section LODS of a file whose head is sound is checked against.
+PageContext context_of(const FileView& head) {
+  const auto place_of = [&](const SectionEntry* entry) {
+    return section_entry_offset(static_cast<std::uint64_t>(entry - head.sections().data()));
+  };
+  const SectionEntry* levels = head.find(SectionType::levels);
+  const SectionEntry* pages = head.find(SectionType::pages);
+  return {head.header(), *levels, *pages, place_of(levels), place_of(pages)};
+}
+
+Status check_hash(const SectionEntry& entry, std::uint64_t hash) {
+  if (hash == entry.xxh3) return {};
+  return make_error(Errc::checksum_mismatch, entry.offset, "a section's checksum does not match", entry.xxh3, hash);
+}
+
+Status too_short(std::span<const std::byte> bytes, const Header& header) {
+  return make_error(Errc::truncated, bytes.size(), "the file ends before its first page", header.file_bytes,
+                    bytes.size());
+}
+
+// The most of the file's beginning that is one part.
+std::span<const std::byte> beginning_of(std::span<const FilePart> parts) {
+  std::span<const std::byte> most;
+  for (const FilePart& part : parts) {
+    if (part.offset == 0 && part.bytes.size() > most.size()) most = part.bytes;
+  }
+  return most;
+}
+
+// Tables have at most 73 KB before they are compressed: what says more would make a reader fetch what it cannot use.
+Status check_archive_bytes(const SectionEntry& entry) {
+  constexpr std::uint64_t kMost = std::uint64_t{1} << 20;
+  if (entry.stored_bytes <= kMost) return {};
+  return make_error(Errc::limit_exceeded, entry.offset, "section ARCH has more than 1 MiB", kMost, entry.stored_bytes);
+}
+
 }  // namespace
 
-bool has_levels(std::span<const std::byte> bytes) {
+bool names_section(std::span<const std::byte> bytes, SectionType wanted) {
   const auto header = parse_header(bytes);
-  if (!header || header->version_minor < 4) return false;
+  if (!header) return false;
   for (std::uint32_t i = 0; i < header->n_sections; ++i) {
     const std::uint64_t at = section_entry_offset(i);
     if (at > bytes.size() || bytes.size() - at < kSectionEntryBytes) return false;
     const std::uint32_t type = ByteReader(bytes.subspan(at)).u32();
-    if (type == static_cast<std::uint32_t>(SectionType::levels)) return true;
+    if (type == static_cast<std::uint32_t>(wanted)) return true;
   }
   return false;
+}
+
+bool has_levels(std::span<const std::byte> bytes) {
+  const auto header = parse_header(bytes);
+  return header && header->version_minor >= 4 && names_section(bytes, SectionType::levels);
 }
 
 Result<PagedFile> PagedFile::open(std::span<const std::byte> bytes, const DecodeLimits& limits) {
@@ -71,45 +113,31 @@ Result<PagedFile> PagedFile::open(std::span<const std::byte> bytes, const Decode
 }
 
 Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const DecodeLimits& limits) {
-  auto head = FileView::parse(bytes, limits, true);
+  const FilePart whole{0, bytes};
+  auto head = FileView::parse({&whole, 1}, limits, true);
   if (!head) return tl::unexpected(head.error());
-  const SectionEntry* levels = head->find(SectionType::levels);
-  const SectionEntry* pages = head->find(SectionType::pages);
-  if (levels == nullptr || pages == nullptr) {
-    return make_error(Errc::missing_section, kHeaderBytes, "the file has no levels of detail",
-                      static_cast<std::uint64_t>(SectionType::levels));
-  }
-  if (levels->offset > bytes.size() || levels->stored_bytes > bytes.size() - levels->offset) {
-    return make_error(Errc::truncated, bytes.size(), "the file ends before its first page", head->header().file_bytes,
-                      bytes.size());
-  }
-  const auto table_bytes = head->stored(*levels);
-  if (const std::uint64_t hash = xxh3(table_bytes); hash != levels->xxh3) {
-    return make_error(Errc::checksum_mismatch, levels->offset, "a section's checksum does not match", levels->xxh3,
-                      hash);
-  }
-  const auto entry_of = [&](const SectionEntry* entry) {
-    return section_entry_offset(static_cast<std::uint64_t>(entry - head->sections().data()));
-  };
-  const std::uint64_t pages_entry = entry_of(pages);
-  auto table = parse_page_table(table_bytes, {head->header(), *levels, *pages, entry_of(levels), pages_entry}, limits,
-                                head->header().file_bytes);
-  if (!table) return tl::unexpected(table.error());
   PagedFile file;
-  file.codec_ = static_cast<Codec>(pages->codec);
-  file.pages_ = std::move(table->pages);
-  file.stored_ = std::move(table->stored);
-  file.n_stored_ = table->n_stored;
-  file.page_chunks_ = table->page_chunks;
-  file.quality_db_ = table->quality_db;
   file.head_ = *std::move(head);
+  const PageContext context = context_of(file.head_);
+  const auto section = FileView::bytes_of(context.levels, {&whole, 1});
+  if (!section) return tl::unexpected(too_short(bytes, file.head_.header()).error());
+  if (Status s = check_hash(context.levels, xxh3(*section)); !s) return tl::unexpected(s.error());
+  auto table = parse_levels_head(*section, context, limits);
+  if (!table) return tl::unexpected(table.error());
+  file.table_ = *std::move(table);
+  if (Status s = append_pages(section->subspan(kLevelsHeadBytes), context, file.table_); !s)
+    return tl::unexpected(s.error());
+  if (Status s = check_page_table(file.table_, context); !s) return tl::unexpected(s.error());
+  if (Status s = check_decoded_bytes(context, limits, file.head_.header().file_bytes); !s)
+    return tl::unexpected(s.error());
+  file.codec_ = static_cast<Codec>(context.pages.codec);
   if (file.codec_ != Codec::none && !file.complete()) {
     // What file_bytes allows counts bytes that are not there.
     std::uint64_t decoded = 0;
     const std::uint32_t n = file.n_present();
     for (std::uint32_t i = 0; i < n; ++i) decoded += file.decoded_bytes(i);
     if (decoded > limits.decoded_bytes(bytes.size())) {
-      return make_error(Errc::limit_exceeded, pages_entry + 32,
+      return make_error(Errc::limit_exceeded, context.pages_entry + 32,
                         "pages decode to more than the caller allows for so many bytes (max_expansion)",
                         limits.decoded_bytes(bytes.size()), decoded);
     }
@@ -117,22 +145,160 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
   return file;
 }
 
-std::uint32_t PagedFile::n_present() const {
-  const std::uint64_t size = head_.bytes().size();
+Result<std::vector<FileRange>> PagedFile::needs(std::span<const FilePart> parts, const DecodeLimits& limits) {
+  return guard_memory([&]() -> Result<std::vector<FileRange>> {
+    const auto beginning = beginning_of(parts);
+    if (beginning.size() < kHeaderBytes) {
+      // What is no .rgs file says so as early as it can.
+      const auto header = parse_header(beginning);
+      if (!header && header.error().code != Errc::truncated) return tl::unexpected(header.error());
+      return std::vector<FileRange>{{0, kHeaderBytes}};
+    }
+    const auto header = parse_header(beginning);
+    if (!header) return tl::unexpected(header.error());
+    const std::uint64_t head_bytes = section_entry_offset(header->n_sections) + kHeadChecksumBytes;
+    if (beginning.size() < head_bytes) return std::vector<FileRange>{{0, head_bytes}};
+    const auto head = FileView::parse_head(beginning, limits, true);
+    if (!head) return tl::unexpected(head.error());
+    std::vector<FileRange> missing;
+    for (SectionEntry entry : head->sections()) {
+      const auto type = static_cast<SectionType>(entry.type);
+      if (type == SectionType::pages) break;
+      if (type == SectionType::levels) {
+        entry.stored_bytes = std::min(entry.stored_bytes, kLevelsHeadBytes + kPageRecordBytes);
+      } else if (type == SectionType::archive) {
+        if (Status s = check_archive_bytes(entry); !s) return tl::unexpected(s.error());
+      } else if (type != SectionType::declarations) {
+        continue;
+      }
+      if (!FileView::bytes_of(entry, parts)) missing.push_back({entry.offset, entry.stored_bytes});
+    }
+    return missing;
+  });
+}
+
+Result<PagedFile> PagedFile::open_beginning(std::span<const FilePart> parts, const DecodeLimits& limits) {
+  return guard_memory([&] { return parse_beginning(parts, limits); });
+}
+
+Result<PagedFile> PagedFile::parse_beginning(std::span<const FilePart> parts, const DecodeLimits& limits) {
+  std::vector<FilePart> from_front{{0, beginning_of(parts)}};
+  from_front.insert(from_front.end(), parts.begin(), parts.end());
+  auto head = FileView::parse(from_front, limits, true);
+  if (!head) return tl::unexpected(head.error());
+  PagedFile file;
+  file.head_ = *std::move(head);
+  file.head_.bytes_ = {};
+  const PageContext context = context_of(file.head_);
+  if (const SectionEntry* archive = file.head_.find(SectionType::archive)) {
+    if (Status s = check_archive_bytes(*archive); !s) return tl::unexpected(s.error());
+  }
+  SectionEntry first = context.levels;
+  first.stored_bytes = std::min(first.stored_bytes, kLevelsHeadBytes + kPageRecordBytes);
+  const auto section = FileView::bytes_of(first, parts);
+  if (!section) return tl::unexpected(too_short(from_front.front().bytes, file.head_.header()).error());
+  auto table = parse_levels_head(*section, context, limits);
+  if (!table) return tl::unexpected(table.error());
+  if (Status s = check_decoded_bytes(context, limits, file.head_.header().file_bytes); !s)
+    return tl::unexpected(s.error());
+  file.table_ = *std::move(table);
+  file.codec_ = static_cast<Codec>(context.pages.codec);
+  file.unread_.emplace();
+  file.unread_->hash.update(section->first(kLevelsHeadBytes));
+  for (const FilePart& part : parts) {
+    if (part.offset > file.unread_table().offset) continue;
+    if (Status s = file.extend(part); !s) return tl::unexpected(s.error());
+  }
+  return file;
+}
+
+FileRange PagedFile::unread_table() const {
+  const SectionEntry& levels = *head_.find(SectionType::levels);
+  const std::uint64_t end = levels.offset + levels.stored_bytes;
+  if (!unread_) return {end, 0};
+  const std::uint64_t next = levels.offset + kLevelsHeadBytes + table_.pages.size() * kPageRecordBytes;
+  return {next, end - next};
+}
+
+Status PagedFile::extend(const FilePart& part) {
+  if (!unread_) return {};
+  if (!unread_->failed) return unread_->failed;
+  const FileRange unread = unread_table();
+  if (part.offset > unread.offset) {
+    return make_error(Errc::bad_argument, unread.offset, "bytes of the table of pages before these are missing",
+                      unread.offset, part.offset);
+  }
+  const std::uint64_t skipped = unread.offset - part.offset;
+  if (skipped >= part.bytes.size()) return {};
+  const std::uint64_t bytes = std::min(unread.bytes, part.bytes.size() - skipped);
+  const auto records = part.bytes.subspan(skipped, bytes / kPageRecordBytes * kPageRecordBytes);
+  return guard_memory([&] { return read_records(records); });
+}
+
+Status PagedFile::read_records(std::span<const std::byte> records) {
+  const PageContext context = context_of(head_);
+  const std::size_t before = table_.pages.size();
+  const bool last = before + records.size() / kPageRecordBytes == table_.n_pages;
+  Hasher hash = unread_->hash;
+  hash.update(records);
+  Status read;
+  if (last) read = check_hash(context.levels, hash.digest());
+  if (read) read = append_pages(records, context, table_);
+  if (read && last) read = check_page_table(table_, context);
+  if (!read) {
+    table_.pages.resize(before);
+    table_.stored.resize(before);
+    unread_->failed = read;
+    return read;
+  }
+  unread_->hash = hash;
+  if (last) unread_.reset();
+  return {};
+}
+
+Status PagedFile::reserve() {
+  return guard_memory([&]() -> Status {
+    table_.pages.reserve(table_.n_pages);
+    table_.stored.reserve(table_.n_pages);
+    return {};
+  });
+}
+
+std::uint64_t PagedFile::memory_bytes() const {
+  std::uint64_t bytes = sizeof *this + head_.sections_.capacity() * sizeof(SectionEntry) +
+                        table_.pages.capacity() * sizeof(lod::Page) + table_.stored.capacity() * sizeof(StoredPage);
+  if (head_.archive_ != nullptr) bytes += detail::memory_bytes(*head_.archive_);
+  if (head_.provenance_) bytes += head_.provenance_->source_name.capacity() + head_.provenance_->tool.capacity();
+  return bytes;
+}
+
+std::uint64_t PagedFile::whole_memory_bytes() const {
+  const std::uint64_t n = table_.n_pages;
+  return memory_bytes() + (n - std::min<std::uint64_t>(n, table_.pages.capacity())) * sizeof(lod::Page) +
+         (n - std::min<std::uint64_t>(n, table_.stored.capacity())) * sizeof(StoredPage);
+}
+
+std::uint32_t PagedFile::n_within(std::uint64_t file_bytes) const {
   const auto end = std::ranges::partition_point(
-      stored_, [size](const StoredPage& page) { return page.offset + page.stored_bytes <= size; });
-  return static_cast<std::uint32_t>(end - stored_.begin());
+      table_.stored, [file_bytes](const StoredPage& page) { return page.offset + page.stored_bytes <= file_bytes; });
+  return static_cast<std::uint32_t>(end - table_.stored.begin());
 }
 
 std::uint32_t PagedFile::finest_present() const {
   const std::uint32_t n = n_present();
   if (n == n_pages()) return 0;
-  return pages_[n].level + 1;  // the first page that is missing is of the level below
+  return table_.pages[n].level + 1;  // the first page that is missing is of the level below
 }
 
 std::uint64_t PagedFile::decoded_bytes(std::uint32_t page) const {
   const Header& h = head_.header();
-  return page_layout(pages_[page].count, h.chunk_size, stored_[page].n_step_sets, h.sh_degree).bytes;
+  return page_layout(table_.pages[page].count, h.chunk_size, table_.stored[page].n_step_sets, h.sh_degree).bytes;
+}
+
+std::uint64_t PagedFile::most_decoded_bytes() const {
+  const Header& h = head_.header();
+  return page_layout(std::uint64_t{table_.page_chunks} * h.chunk_size, h.chunk_size, table_.page_chunks, h.sh_degree)
+      .bytes;
 }
 
 std::uint64_t PagedFile::largest_decoded_bytes() const {
@@ -142,13 +308,13 @@ std::uint64_t PagedFile::largest_decoded_bytes() const {
 }
 
 std::span<const std::byte> PagedFile::bytes(std::uint32_t page) const {
-  return head_.bytes().subspan(stored_[page].offset, stored_[page].stored_bytes);
+  return head_.bytes().subspan(table_.stored[page].offset, table_.stored[page].stored_bytes);
 }
 
 PageRows PagedFile::rows(std::uint32_t page, std::span<const std::byte> decoded) const {
   const Header& h = head_.header();
-  const StoredPage& s = stored_[page];
-  const std::uint32_t n = pages_[page].count;
+  const StoredPage& s = table_.stored[page];
+  const std::uint32_t n = table_.pages[page].count;
   return page_rows(decoded, page_layout(n, h.chunk_size, s.n_step_sets, h.sh_degree), n, s.scale_exponent, h.sh_degree);
 }
 

@@ -129,7 +129,7 @@ const ArchiveTables* archive_tables(const FileView& view) {
 
 }  // namespace detail
 
-Status FileView::open_archive() {
+Status FileView::open_archive(std::span<const std::byte> bytes) {
   const SectionEntry* entry = find(SectionType::archive);
   if (entry == nullptr || header_.version_minor < 2) return {};
   const std::uint32_t rows = frames(SectionType::means).rows;  // 0 where the Gaussians are in pages
@@ -139,7 +139,6 @@ Status FileView::open_archive() {
                         frames(type).rows);
     }
   }
-  const auto bytes = stored(*entry);
   if (const std::uint64_t hash = xxh3(bytes); hash != entry->xxh3) {
     return make_error(Errc::checksum_mismatch, entry->offset, "a section's checksum does not match", entry->xxh3, hash);
   }
@@ -173,7 +172,7 @@ Status FileView::open_coded(const DecodeLimits& limits) {
   }
   if (frames_.empty()) return {};
   frames_ = std::move(tables);
-  if (Status s = open_archive(); !s) return s;
+  if (Status s = open_archive(stored(SectionType::archive)); !s) return s;
   auto decoded_tables = std::make_shared<Tables>();
   for (const auto& [type, place] :
        {std::pair(SectionType::chunks, &Tables::chunks), std::pair(SectionType::sh_steps, &Tables::scales)}) {

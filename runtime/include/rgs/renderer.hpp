@@ -14,6 +14,7 @@
 #include "rgs/math/options.hpp"
 #include "rgs/result.hpp"
 #include "rgs/scene.hpp"
+#include "rgs/streamed_scene.hpp"
 
 namespace RGS_API rgs {
 
@@ -147,6 +148,7 @@ struct FrameStats {
   /// middle of the box that the scene declares lies in front of the camera and outside the range, at least that of the end
   /// bin that it falls in, which reaches to the box's end. 0: exact order. Steps of FP32 itself, 6e-8, are not counted.
   double depth_resolution = 0;
+  StreamStats stream;  ///< of a StreamedScene
 };
 
 /// Renders frames. Holds the workspace, which grows and is reused; one Renderer serves one thread at a time, and any
@@ -171,6 +173,15 @@ class Renderer {
   /// device_failed; of a scene that has to be brought there first, those of prepare().
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
+
+  /// The same of what is there of a streamed scene: the frame waits for no input, and FrameStats::stream says what it lacks. Errors: also
+  /// unavailable (CUDA, which draws whole scenes so far).
+  Result<FrameStats> render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
+                            const RenderOptions& options = {});
+  /// Waits until nothing is missing that this view wants; then render() gives the picture of the whole file, byte for byte. False: `seconds` are over, or the pool
+  /// has no room for the rest of the view. Errors: those of StreamedScene::status() that keep the view from being complete, and of render().
+  Result<bool> refine(const StreamedScene& scene, const Camera& camera, double seconds,
+                      const RenderOptions& options = {});
 
   Backend backend() const;           ///< the backend in use, never automatic
   const char* backend_name() const;  ///< e.g. "cpu AVX3_SPR", "cpu scalar"

@@ -83,6 +83,34 @@ class Scratch {
   std::uint64_t capacity_ = 0;
 };
 
+// Finds the part that a Gaussian is in: Gaussians are counted over the parts, one after the other.
+class PartIndex {
+ public:
+  void build(std::span<const ScenePart> parts) {
+    begin_.resize(parts.size() + 1);
+    begin_[0] = 0;
+    for (std::size_t i = 0; i < parts.size(); ++i) begin_[i + 1] = begin_[i] + parts[i].n;
+    first_.resize(n_blocks());
+    std::uint32_t part = 0;
+    for (std::uint64_t b = 0; b < first_.size(); ++b) {
+      while (begin_[part + 1] <= b * kBlock) ++part;
+      first_[b] = part;
+    }
+  }
+  std::uint64_t n() const { return begin_.back(); }
+  std::uint64_t n_blocks() const { return (n() + kBlock - 1) / kBlock; }
+  std::uint32_t part_of(std::uint64_t gaussian) const {
+    std::uint32_t part = first_[gaussian / kBlock];
+    while (begin_[part + 1] <= gaussian) ++part;
+    return part;
+  }
+  std::uint64_t begin(std::uint32_t part) const { return begin_[part]; }
+
+ private:
+  std::vector<std::uint64_t> begin_;  // [parts + 1]
+  std::vector<std::uint32_t> first_;  // [blocks] part of the block's first Gaussian
+};
+
 class Stopwatch {
  public:
   double lap_ms() {
@@ -103,9 +131,9 @@ struct ReferenceRenderer::Workspace {
   explicit Workspace(int threads)
       : arena(threads > 0 ? std::min(threads, tbb::info::default_concurrency()) : tbb::task_arena::automatic) {}
 
-  void project(const SceneView& scene, const math::View<float>& view, const FrameSettings& settings);
+  void project(const SceneParts& scene, const math::View<float>& view, const FrameSettings& settings);
   void sort_by_depth();
-  void order_ties(const SceneView& scene);
+  void order_ties(const SceneParts& scene);
   void list_by_tile();
   template <class BlendTile>
   void blend(const math::View<float>& view, const RenderTarget& target, const FrameSettings& settings,
@@ -129,6 +157,7 @@ struct ReferenceRenderer::Workspace {
   TileGrid grid{0, 0};
   math::DepthQuantizer quantizer{};
   bool quantized = false;
+  PartIndex part_index;
   std::vector<Block> blocks;
   Scratch<ScreenSplat> splats;            // [blocks * kBlock], the visible ones of a block at its start
   Scratch<SortItem> order, spare;         // [n_visible]
@@ -172,9 +201,7 @@ void append_spans(const math::Projected<float>& p, math::Extent extent, TileGrid
   splat.n_rows = static_cast<std::uint16_t>(spans.size() - splat.spans);
 }
 
-math::Vec3<float> color_of(const SceneView& scene, std::uint64_t i, const math::View<float>& view,
-                           const math::Vec3<float>& mean, int degree) {
-  const float* sh = &scene.sh[static_cast<std::uint64_t>(3 * sh_coefficients(scene.sh_degree)) * i];
+math::Vec3<float> color_of(const float* sh, const math::View<float>& view, const math::Vec3<float>& mean, int degree) {
   return math::sh_color<float>(degree, math::sh_basis(degree, math::view_direction(view, mean)), [sh](int k) {
     return math::Vec3<float>{sh[3 * k], sh[3 * k + 1], sh[3 * k + 2]};
   });
@@ -182,9 +209,10 @@ math::Vec3<float> color_of(const SceneView& scene, std::uint64_t i, const math::
 
 }  // namespace
 
-void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::View<float>& view,
+void ReferenceRenderer::Workspace::project(const SceneParts& scene, const math::View<float>& view,
                                            const FrameSettings& settings) {
-  const std::uint64_t n_blocks = (scene.n + kBlock - 1) / kBlock;
+  part_index.build(scene.parts);
+  const std::uint64_t n_blocks = part_index.n_blocks();
   blocks.resize(n_blocks);
   ScreenSplat* const all = splats.at_least(n_blocks * kBlock);
   const int degree = std::min(scene.sh_degree, settings.sh_degree_limit);
@@ -197,32 +225,39 @@ void ReferenceRenderer::Workspace::project(const SceneView& scene, const math::V
     block.spans.clear();
     if (n_listed.load(std::memory_order_relaxed) > kMaxInstances) return;  // the frame is refused: spend no more on it
     ScreenSplat* out = all + b * kBlock;
-    for (std::uint64_t i = b * kBlock; i < std::min(scene.n, (b + 1) * kBlock); ++i) {
-      // Harmonics are most of the bytes: they arrive while the geometry of the Gaussians before is computed.
-      if (const std::uint64_t next = (i + kAhead) * sh_floats; next + sh_floats <= scene.sh.size()) {
-        for (std::uint64_t k = 0; k < sh_floats; k += 16) hwy::Prefetch(&scene.sh[next + k]);
+    const std::uint64_t end = std::min(part_index.n(), (b + 1) * kBlock);
+    std::uint64_t first = b * kBlock;
+    for (std::uint32_t p = part_index.part_of(first); first < end; ++p) {
+      const ScenePart& part = scene.parts[p];
+      const std::uint64_t begin = part_index.begin(p), part_end = std::min(end - begin, part.n);
+      for (std::uint64_t i = first - begin; i < part_end; ++i) {
+        // Harmonics are most of the bytes: they arrive while the geometry of the Gaussians before is computed.
+        if (const std::uint64_t next = i + kAhead; next < part.n) {
+          for (std::uint64_t k = 0; k < sh_floats; k += 16) hwy::Prefetch(&part.sh[next * sh_floats + k]);
+        }
+        const float* m = &part.mean[3 * i];
+        const float* r = &part.rotation[4 * i];
+        const float* s = &part.scale[3 * i];
+        const math::Vec3<float> mean{m[0], m[1], m[2]};
+        const auto projected = math::project<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]},
+                                                    part.opacity[i], settings.low_pass, settings.anti_aliasing);
+        if (!projected.footprint.valid) continue;
+        const float cutoff = math::power_cutoff(projected.footprint.opacity);
+        const auto ellipse = math::ellipse(projected.mean, projected.footprint, cutoff);
+        append_spans(projected, settings.extent, grid, ellipse, block.spans, *out, block.n_instances);
+        if (out->n_rows == 0) continue;
+        out->mean = projected.mean;
+        out->conic = projected.footprint.conic;
+        out->opacity = projected.footprint.opacity;
+        out->cutoff = cutoff;
+        out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
+        out->z = projected.z;
+        out->color = color_of(&part.sh[sh_floats * i], view, mean, degree);
+        out->gaussian = static_cast<std::uint32_t>(begin + i);
+        ++out;
+        ++block.n;
       }
-      const float* m = &scene.mean[3 * i];
-      const float* r = &scene.rotation[4 * i];
-      const float* s = &scene.scale[3 * i];
-      const math::Vec3<float> mean{m[0], m[1], m[2]};
-      const auto p = math::project<float>(view, mean, {r[0], r[1], r[2], r[3]}, {s[0], s[1], s[2]}, scene.opacity[i],
-                                          settings.low_pass, settings.anti_aliasing);
-      if (!p.footprint.valid) continue;
-      const float cutoff = math::power_cutoff(p.footprint.opacity);
-      const auto ellipse = math::ellipse(p.mean, p.footprint, cutoff);
-      append_spans(p, settings.extent, grid, ellipse, block.spans, *out, block.n_instances);
-      if (out->n_rows == 0) continue;
-      out->mean = p.mean;
-      out->conic = p.footprint.conic;
-      out->opacity = p.footprint.opacity;
-      out->cutoff = cutoff;
-      out->log2_opacity = math::kLog2AlphaMin - math::kLog2E * cutoff;
-      out->z = p.z;
-      out->color = color_of(scene, i, view, mean, degree);
-      out->gaussian = static_cast<std::uint32_t>(i);
-      ++out;
-      ++block.n;
+      first = begin + part_end;
     }
     n_listed.fetch_add(block.n_instances, std::memory_order_relaxed);
   });
@@ -283,23 +318,39 @@ namespace {
 
 // A scene as the tie order reads it.
 struct TieValues {
-  const SceneView& scene;
+  const SceneParts& scene;
+  const PartIndex& index;
 
+  struct Place {
+    const ScenePart& part;
+    std::uint64_t row;
+  };
+  Place place(std::uint32_t i) const {
+    const std::uint32_t part = index.part_of(i);
+    return {scene.parts[part], i - index.begin(part)};
+  }
   float mean(std::uint32_t i, int axis) const {
-    return scene.mean[3 * std::uint64_t{i} + static_cast<std::uint64_t>(axis)];
+    const Place at = place(i);
+    return at.part.mean[3 * at.row + static_cast<std::uint64_t>(axis)];
   }
   math::Vec3<float> scale(std::uint32_t i) const {
-    const float* s = &scene.scale[3 * std::uint64_t{i}];
+    const Place at = place(i);
+    const float* s = &at.part.scale[3 * at.row];
     return {s[0], s[1], s[2]};
   }
-  float opacity(std::uint32_t i) const { return scene.opacity[i]; }
+  float opacity(std::uint32_t i) const {
+    const Place at = place(i);
+    return at.part.opacity[at.row];
+  }
   math::Quaternion<float> rotation(std::uint32_t i) const {
-    const float* q = &scene.rotation[4 * std::uint64_t{i}];
+    const Place at = place(i);
+    const float* q = &at.part.rotation[4 * at.row];
     return {q[0], q[1], q[2], q[3]};
   }
   int n_sh() const { return 3 * sh_coefficients(scene.sh_degree); }
   float sh(std::uint32_t i, int k) const {
-    return scene.sh[static_cast<std::uint64_t>(n_sh()) * i + static_cast<std::uint64_t>(k)];
+    const Place at = place(i);
+    return at.part.sh[static_cast<std::uint64_t>(n_sh()) * at.row + static_cast<std::uint64_t>(k)];
   }
 };
 
@@ -329,7 +380,7 @@ void sort_tied(std::span<TiedItem> items, const TieValues& values) {
 }  // namespace
 
 // All ties are found before any is put in order: threads read their neighbours' items.
-void ReferenceRenderer::Workspace::order_ties(const SceneView& scene) {
+void ReferenceRenderer::Workspace::order_ties(const SceneParts& scene) {
   SortItem* const items = order.get();
   const auto same_key = [items](std::uint64_t i) { return items[i - 1] >> 32 == items[i] >> 32; };
   const std::uint64_t n_parts = parts(1);
@@ -344,7 +395,7 @@ void ReferenceRenderer::Workspace::order_ties(const SceneView& scene) {
       ties[part].push_back({begin, i});
     }
   });
-  const TieValues values{scene};
+  const TieValues values{scene, part_index};
   parallel_blocks(n_parts, [&](std::uint64_t part) {
     std::vector<TiedItem> tied;
     std::size_t first = 0;  // tie whose items come first in `tied`
@@ -499,6 +550,13 @@ const char* ReferenceRenderer::name() const {
 
 Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
                                              const FrameSettings& settings) {
+  const ScenePart whole{
+      scene.n, scene.mean.data(), scene.rotation.data(), scene.scale.data(), scene.opacity.data(), scene.sh.data()};
+  return render({scene.sh_degree, scene.origin, std::span(&whole, 1)}, camera, target, settings);
+}
+
+Result<FrameStats> ReferenceRenderer::render(const SceneParts& scene, const Camera& camera, const RenderTarget& target,
+                                             const FrameSettings& settings) {
   FrameStats stats;
   Workspace& w = *workspace_;
   w.grid = math::tile_grid(camera.width, camera.height);
@@ -535,7 +593,7 @@ Result<FrameStats> ReferenceRenderer::render(const SceneView& scene, const Camer
     return make_error(Errc::limit_exceeded, Error::kNone, "too many (tile, Gaussian) pairs in one frame", kMaxInstances,
                       w.n_instances);
   }
-  stats.gaussians = scene.n;
+  stats.gaussians = w.part_index.n();
   stats.visible = w.n_visible;
   stats.instances = w.n_instances;
   stats.bytes = w.n_visible * (sizeof(ScreenSplat) + 2 * sizeof(SortItem)) + w.n_instances * sizeof(std::uint32_t) +

@@ -2,7 +2,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstdint>
 #include <memory>
+#include <span>
 
 #include "render_options.hpp"
 #include "rgs/camera.hpp"
@@ -13,6 +15,22 @@
 
 namespace rgs::detail {
 
+/// Some Gaussians, as SceneView has them.
+struct ScenePart {
+  std::uint64_t n = 0;
+  const float* mean = nullptr;      ///< [n, 3]
+  const float* rotation = nullptr;  ///< [n, 4]
+  const float* scale = nullptr;     ///< [n, 3]
+  const float* opacity = nullptr;   ///< [n]
+  const float* sh = nullptr;        ///< [n, sh_coefficients(sh_degree), 3]
+};
+/// A scene in pieces, which are drawn as if they lay one after the other. Fewer than 2^31 Gaussians.
+struct SceneParts {
+  int sh_degree = 0;
+  Origin origin = kNoOrigin;
+  std::span<const ScenePart> parts;
+};
+
 class ReferenceRenderer {
  public:
   ReferenceRenderer(int threads, bool simd);
@@ -22,6 +40,8 @@ class ReferenceRenderer {
 
   /// Camera, settings and target are valid (the caller has checked them). Errors: limit_exceeded.
   Result<FrameStats> render(const SceneView& scene, const Camera& camera, const RenderTarget& target,
+                            const FrameSettings& settings);
+  Result<FrameStats> render(const SceneParts& scene, const Camera& camera, const RenderTarget& target,
                             const FrameSettings& settings);
   const char* name() const;
 

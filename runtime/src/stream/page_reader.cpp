@@ -1,0 +1,82 @@
+// page_reader.cpp - reads pages, several at once where they lie side by side.
+// SPDX-License-Identifier: Apache-2.0
+#include "stream/page_reader.hpp"
+
+#include <algorithm>
+#include <span>
+
+namespace rgs::detail {
+
+std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes) {
+  // What a decoder keeps from page to page: contents of a frame or codes of an archive, up to twice what the largest takes, and
+  // its tables.
+  constexpr std::uint64_t kTables = 320 << 10;
+  const std::uint64_t largest = file.most_decoded_bytes();
+  const std::uint64_t times = file.codec() == Codec::none ? 0 : file.codec() == Codec::planes ? 2 : 3;
+  return sizeof(PageReader) + read_bytes + (1 + times) * largest + (times > 0 ? kTables : 4096);
+}
+
+Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
+  begin_ = end_ = 0;
+  std::uint64_t begin = 0, read_end = 0;
+  {
+    const std::shared_lock lock(table_);
+    begin = read_end = file_.stored(page).offset;
+    for (std::uint32_t next = page; next < end; ++next) {
+      const StoredPage& stored = file_.stored(next);
+      if (stored.offset + stored.stored_bytes - begin > capacity_) break;
+      read_end = stored.offset + stored.stored_bytes;
+    }
+  }
+  if (read_end == begin) {
+    return make_error(Errc::limit_exceeded, begin, "a page's stored bytes are more than it decodes to", capacity_);
+  }
+  if (read_end > source_.size()) {
+    return make_error(Errc::truncated, source_.size(), "the end of the file is missing, and with it pages", read_end,
+                      source_.size());
+  }
+  if (Status read = source_.read(begin, {stored_.get(), read_end - begin}); !read) return read;
+  begin_ = begin;
+  end_ = read_end;
+  bytes_read_ += read_end - begin;
+  return {};
+}
+
+Result<std::unique_ptr<float[]>> PageReader::decode(std::uint32_t page) {
+  const std::shared_lock lock(table_);
+  const StoredPage& stored = file_.stored(page);
+  const std::span<const std::byte> bytes(stored_.get() + (stored.offset - begin_), stored.stored_bytes);
+  const auto rows = decoder_.decode(page, bytes, decoded_.first(file_.decoded_bytes(page)));
+  if (!rows) return tl::unexpected(rows.error());
+  const int sh_degree = file_.head().header().sh_degree;
+  auto block = SplatArrays::memory(rows->n, sh_degree);
+  const Status set = SplatArrays(block.get(), rows->n, sh_degree).set_page(file_, page, *rows, 0);
+  if (!set) return tl::unexpected(set.error());
+  return block;
+}
+
+Result<std::unique_ptr<float[]>> PageReader::read(std::uint32_t page, std::uint32_t end) {
+  const auto is_there = [&] {
+    const std::shared_lock lock(table_);
+    const StoredPage& stored = file_.stored(page);
+    return stored.offset >= begin_ && stored.offset + stored.stored_bytes <= end_;
+  };
+  if (!is_there()) {
+    if (const Status filled = fill(page, end); !filled) return tl::unexpected(filled.error());
+  }
+  auto block = decode(page);
+  if (block || block.error().code == Errc::host_out_of_memory) return block;
+  // Bytes may be damaged on their way.
+  if (const Status filled = fill(page, page + 1); !filled) return tl::unexpected(filled.error());
+  return decode(page);
+}
+
+Result<FilePart> PageReader::read_table(const FileRange& unread, std::uint64_t n) {
+  begin_run();
+  const std::span<std::byte> bytes(stored_.get(), std::min({n, unread.bytes, capacity_}));
+  if (Status read = source_.read(unread.offset, bytes); !read) return tl::unexpected(read.error());
+  bytes_read_ += bytes.size();
+  return FilePart{unread.offset, bytes};
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,62 @@
+// page_reader.hpp - pages from their source to FP32 arrays: what one thread needs for it.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <shared_mutex>
+#include <utility>
+
+#include "rgs/byte_source.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/result.hpp"
+#include "splat_arrays.hpp"
+
+namespace rgs::detail {
+
+class PageReader {
+ public:
+  /// `read_bytes`: of one read, at least least_bytes(file). `table` guards the file's table of pages, which may grow. All must outlive it.
+  PageReader(const PagedFile& file, std::shared_mutex& table, ByteSource& source, std::uint64_t read_bytes)
+      : file_(file),
+        table_(table),
+        source_(source),
+        stored_(std::make_unique_for_overwrite<std::byte[]>(read_bytes)),
+        capacity_(read_bytes),
+        decoded_(file.most_decoded_bytes()),
+        decoder_(file) {}
+
+  /// Most memory that one takes.
+  static std::uint64_t bytes(const PagedFile& file, std::uint64_t read_bytes);
+  /// Room for any page: what coding makes larger than it is is a little larger.
+  static std::uint64_t least_bytes(const PagedFile& file) {
+    const std::uint64_t largest = file.most_decoded_bytes();
+    return largest + largest / 8 + 4096;
+  }
+
+  /// Before pages that do not follow those that were read before.
+  void begin_run() { begin_ = end_ = 0; }
+  /// SplatArrays of a page, checked. Reads along what follows of pages before `end`, for the next calls. Errors: those of
+  /// ByteSource::read(), PageDecoder::decode() and check_page_values(), the latter two of a page that was read twice.
+  Result<std::unique_ptr<float[]>> read(std::uint32_t page, std::uint32_t end);
+  /// What follows of the table of pages, `n` bytes or as many as fit, valid until the next call of any. Errors: those of
+  /// ByteSource::read().
+  Result<FilePart> read_table(const FileRange& unread, std::uint64_t n);
+  /// Since the last call.
+  std::uint64_t take_bytes_read() { return std::exchange(bytes_read_, 0); }
+
+ private:
+  Status fill(std::uint32_t page, std::uint32_t end);
+  Result<std::unique_ptr<float[]>> decode(std::uint32_t page);
+
+  const PagedFile& file_;
+  std::shared_mutex& table_;
+  ByteSource& source_;
+  std::unique_ptr<std::byte[]> stored_;  // bytes begin_ .. end_ - 1 of the file
+  std::uint64_t capacity_, begin_ = 0, end_ = 0, bytes_read_ = 0;
+  PageMemory decoded_;
+  PageDecoder decoder_;
+};
+
+}  // namespace rgs::detail

@@ -1,0 +1,83 @@
+// residency.cpp - groups of pages from one state to another.
+// SPDX-License-Identifier: Apache-2.0
+#include "stream/residency.hpp"
+
+#include <algorithm>
+#include <cassert>
+#include <limits>
+
+namespace rgs::detail {
+float error_px(const lod::Page& page, double footprint) {
+  if (page.error <= 0) return 0;
+  using Limits = std::numeric_limits<float>;
+  const double px = static_cast<double>(page.error) / footprint;
+  return static_cast<float>(std::clamp(px, static_cast<double>(Limits::min()), static_cast<double>(Limits::max())));
+}
+
+Residency::Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages) : pages_(pages), groups_(n_pages) {
+  extend();
+}
+
+// Pages above the leaves come first.
+void Residency::extend() {
+  while (n_groups_ < pages_.size() && pages_[n_groups_].level > 0) ++n_groups_;
+}
+
+void Residency::add_below(std::uint32_t group, int n) {
+  const std::uint32_t above = group_of(group);
+  if (above != kNoGroup) groups_[above].n_below = static_cast<std::uint8_t>(groups_[above].n_below + n);
+}
+
+void Residency::request(std::uint32_t group) {
+  assert(state(group) == State::absent && has(group));
+  groups_[group].state = State::requested;
+  add_below(group, 1);
+}
+
+void Residency::drop(std::uint32_t group) {
+  assert(state(group) == State::requested);
+  groups_[group].state = State::absent;
+  add_below(group, -1);
+}
+
+void Residency::refuse(std::uint32_t group) {
+  drop(group);
+  groups_[group].state = State::refused;
+}
+
+void Residency::place(std::uint32_t group) {
+  assert(state(group) == State::requested);
+  groups_[group].state = State::resident;
+  // Never younger than what is above it, which goes later.
+  if (const std::uint32_t above = group_of(group); above != kNoGroup)
+    groups_[group].last_used = groups_[above].last_used;
+  n_resident_ += pages_[group].n_children;
+}
+
+void Residency::evict(std::uint32_t group) {
+  assert(can_evict(group));
+  groups_[group].state = State::absent;
+  add_below(group, -1);
+  n_resident_ -= pages_[group].n_children;
+}
+
+void Residency::pin(std::span<const std::uint32_t> pages) {
+  for (const std::uint32_t page : pages) {
+    if (page != 0) ++groups_[group_of(page)].pins;
+  }
+}
+
+void Residency::unpin(std::span<const std::uint32_t> pages) {
+  for (const std::uint32_t page : pages) {
+    if (page != 0) --groups_[group_of(page)].pins;
+  }
+}
+
+float Residency::wanted_px(std::uint32_t group, const StreamEye& eye) const {
+  const lod::Page& page = pages_[group];
+  if (!eye.volume.may_show(page.bounds)) return 0;
+  const double footprint = lod::footprint(page.core, eye.eye);
+  return lod::is_fine_enough(page.error, eye.detail_px, footprint) ? 0 : error_px(page, footprint);
+}
+
+}  // namespace rgs::detail

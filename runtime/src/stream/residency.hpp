@@ -1,0 +1,183 @@
+// residency.hpp - which pages of a file are in memory, and which of them a view draws and misses. Owns no pages, starts no threads and
+// takes no locks: whoever has the memory, the host's or a device's, does.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "rgs/footprint.hpp"
+#include "rgs/page.hpp"
+#include "stream/view_volume.hpp"
+
+namespace rgs::detail {
+
+/// A view as pages are chosen for it.
+struct StreamEye {
+  lod::Eye eye;
+  ViewVolume volume;
+  float detail_px = 0;
+};
+
+/// What a group of pages is good for.
+struct Worth {
+  bool now = false;  ///< a view misses it or draws it or what is below it; otherwise one is about to
+  float px = 0;      ///< projected error of the page that is drawn without it; 0: nobody wants it
+};
+/// By a tenth: what is worth much the same must not take each other's place in turns.
+inline bool outranks(const Worth& a, const Worth& b) {
+  return a.now != b.now ? a.now : a.px > 1.1F * b.px;
+}
+
+/// The pages of a tree in groups: the children of one page come and go together, since none of them can be drawn without the others. Group
+/// `page` are the children of `page`; the root is there always. A group is resident only if the page above it is, and so are all ancestors:
+/// every place is covered by something that can be drawn.
+class Residency {
+ public:
+  enum class State : std::uint8_t {
+    absent,
+    requested,  ///< on its way
+    resident,
+    refused,  ///< damaged: never asked for again
+  };
+
+  /// `pages` must outlive it; more of them may come, up to `n_pages`.
+  Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages);
+  /// Memory that it takes for a tree.
+  static std::uint64_t bytes(std::uint32_t n_pages) { return n_pages * sizeof(Group); }
+  /// More pages have come.
+  void extend();
+  /// No more pages come: those that are not known never will be.
+  void end_here() { is_broken_ = true; }
+  bool is_broken() const { return is_broken_; }
+
+  /// Of pages that are known and not leaves.
+  std::uint32_t n_groups() const { return n_groups_; }
+  /// Whether the records of the group's pages are there.
+  bool is_known(std::uint32_t group) const {
+    return std::uint64_t{pages_[group].first_child} + pages_[group].n_children <= pages_.size();
+  }
+  State state(std::uint32_t group) const { return groups_[group].state; }
+  /// Whether a page is there.
+  bool has(std::uint32_t page) const { return page == 0 || state(pages_[page].parent) == State::resident; }
+  std::uint64_t n_resident() const { return n_resident_; }  ///< pages, the root among them
+  std::uint32_t last_used(std::uint32_t group) const { return groups_[group].last_used; }
+
+  // From one state to another.
+  void request(std::uint32_t group);  ///< absent -> requested
+  void drop(std::uint32_t group);     ///< requested -> absent
+  void refuse(std::uint32_t group);   ///< requested -> refused
+  void place(std::uint32_t group);    ///< requested -> resident, as old as what is above
+  void evict(std::uint32_t group);    ///< resident -> absent; can_evict()
+
+  /// Pages that a frame draws stay.
+  void pin(std::span<const std::uint32_t> pages);
+  void unpin(std::span<const std::uint32_t> pages);
+  /// Resident, nothing of it pinned, and nothing below it there or on its way.
+  bool can_evict(std::uint32_t group) const {
+    const Group& g = groups_[group];
+    return g.state == State::resident && g.pins == 0 && g.n_below == 0;
+  }
+
+  /// Calls f(group) of all groups that could be evicted one after the other, those below first, as far as may_go(group) allows, which is
+  /// asked of every resident one.
+  template <class MayGo, class F>
+  void for_each_evictable(const MayGo& may_go, const F& f);
+
+  /// What a view draws of what is there, in the order of leaves.
+  struct Cut {
+    bool fits = true;  ///< draw() took all
+    std::uint64_t gaussians = 0;
+    std::uint64_t missing = 0;  ///< pages that the view wants and are not there
+    std::uint64_t damaged = 0;  ///< of these, refused, or never to be known
+    double reached_px = 0;      ///< largest projected error
+  };
+  /// Calls draw(page), until it says false, and want(group, px) for what is absent. Pages that cannot show are left out. `tick`: the time,
+  /// for last_used().
+  template <class Draw, class Want>
+  Cut cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want);
+
+  /// What a view sees of a group: the error of its page in pixels where the page is in view and not fine enough, else 0.
+  float wanted_px(std::uint32_t group, const StreamEye& eye) const;
+
+ private:
+  struct Group {
+    std::uint32_t last_used = 0;
+    std::uint32_t pins = 0;
+    std::uint8_t n_below = 0;  // groups of its pages that are requested or resident
+    State state = State::absent;
+    bool blocked = false;  // by something below, during for_each_evictable()
+  };
+  static constexpr std::uint32_t kNoGroup = lod::kNoPage;
+
+  std::uint32_t group_of(std::uint32_t page) const {
+    return pages_[page].parent;
+  }  // that the page is in; kNoGroup: the root
+  void add_below(std::uint32_t group, int n);
+
+  const std::vector<lod::Page>& pages_;
+  std::vector<Group> groups_;  // [n_pages]; leaves have none
+  std::uint32_t n_groups_ = 0;
+  bool is_broken_ = false;
+  std::uint64_t n_resident_ = 1;
+};
+
+/// Projected error of a page, px; more than 0 if its error is.
+float error_px(const lod::Page& page, double footprint);
+
+template <class MayGo, class F>
+void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
+  // Pages below have larger numbers.
+  for (Group& g : groups_) g.blocked = false;
+  for (std::uint32_t i = n_groups(); i-- > 0;) {
+    Group& g = groups_[i];
+    const bool is_there = g.state == State::resident || g.state == State::requested;
+    if (!is_there) continue;
+    if (g.state == State::resident && may_go(i) && g.pins == 0 && !g.blocked) {
+      f(i);
+      continue;
+    }
+    if (const std::uint32_t above = group_of(i); above != kNoGroup) groups_[above].blocked = true;
+  }
+}
+
+template <class Draw, class Want>
+Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want) {
+  Cut cut;
+  std::uint32_t i = 0;
+  for (;;) {
+    const lod::Page& page = pages_[i];
+    if (eye.volume.may_show(page.bounds)) {
+      const double footprint = lod::footprint(page.core, eye.eye);
+      const bool is_fine = page.n_children == 0 || lod::is_fine_enough(page.error, eye.detail_px, footprint);
+      if (!is_fine && groups_[i].state == State::resident) {
+        groups_[i].last_used = tick;
+        i = page.first_child;
+        continue;
+      }
+      if (!draw(i)) {
+        cut.fits = false;
+        return cut;
+      }
+      const float px = error_px(page, footprint);
+      cut.gaussians += page.count;
+      cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
+      if (!is_fine) {
+        cut.missing += page.n_children;
+        if (groups_[i].state == State::refused || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
+        if (groups_[i].state == State::absent) want(i, px);
+      }
+    }
+    // The next in the order of leaves that is not below this one.
+    for (;;) {
+      if (i == 0) return cut;
+      const lod::Page& above = pages_[pages_[i].parent];
+      if (i + 1 < above.first_child + above.n_children) break;
+      i = pages_[i].parent;
+    }
+    ++i;
+  }
+}
+
+}  // namespace rgs::detail

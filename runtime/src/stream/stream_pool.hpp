@@ -1,0 +1,65 @@
+// stream_pool.hpp - a memory budget, and which pages of its scenes give room to others.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <condition_variable>
+#include <cstdint>
+#include <mutex>
+#include <vector>
+
+#include "stream/residency.hpp"
+
+namespace rgs::detail {
+
+struct StreamedState;
+struct StreamView;
+
+/// What every streamed scene holds is taken from here before it is allocated. One lock for the pool and all that its scenes know of their
+/// pages: room for one is found among the pages of all.
+struct StreamPoolState {
+  explicit StreamPoolState(std::uint64_t bytes) : budget(bytes) {}
+
+  const std::uint64_t budget;
+  std::mutex mutex;              // of all below, and of scenes' state where they say so
+  std::condition_variable news;  // for those who wait until a view is complete
+  std::uint64_t held = 0;
+  /// Grows with whatever may make a page wanted, or give room to one that had none.
+  std::uint64_t changes = 0;
+  std::uint32_t tick = 0;                 ///< of frames
+  const StreamView* last_view = nullptr;  ///< that a frame or a caller has seen, of all scenes
+  bool waits_for_pins = false;            ///< something would have room if no frame were at work
+  std::vector<StreamedState*> scenes;
+
+  enum class Room : std::uint8_t {
+    taken,
+    none,
+    pinned,  ///< some, once frames at work are done
+  };
+  /// Takes `bytes` for what is worth so much; evicts pages that are worth less, if that is enough.
+  Room take(std::uint64_t bytes, const Worth& worth);
+  void give(std::uint64_t bytes) { held -= bytes; }
+  std::uint64_t left() const { return budget - held; }
+  /// Something changed, for this scene and, with it, for those that wait for room.
+  void changed();
+  /// A scene leaves.
+  void forget(StreamedState* scene);
+
+ private:
+  struct Victim {
+    StreamedState* scene;
+    std::uint32_t group;
+    std::uint32_t last_used;
+    Worth worth;
+  };
+  static bool goes_before(const Victim& a, const Victim& b);
+  Room look_for_victims(std::uint64_t bytes, const Worth& worth);
+
+  std::array<Victim, 256> victims_;  // those that go first come last
+  std::size_t n_victims_ = 0;
+};
+
+/// Worth of what has to be there.
+inline constexpr Worth kNeeded{true, 3e38F};
+
+}  // namespace rgs::detail

@@ -1,0 +1,253 @@
+// streamed_scene.cpp - opens a streamed scene: its tables, its root, its threads; and ends it.
+// SPDX-License-Identifier: Apache-2.0
+#include "rgs/streamed_scene.hpp"
+
+#include <algorithm>
+#include <system_error>
+#include <utility>
+
+#include "rgs/guard_memory.hpp"
+#include "stream/streamed_state.hpp"
+
+namespace rgs {
+
+using namespace detail;
+
+namespace {
+
+constexpr std::uint64_t kFirstBytes = 64 << 10;  // of a file; enough for the head of any
+/// Sections, declarations, pages of the first bytes, what threads and locks take.
+constexpr std::uint64_t kSceneBytes = 256 << 10;
+constexpr std::uint64_t kLeastReadBytes = 256 << 10;
+constexpr std::uint64_t kReadersShare = 8;  // of the budget, that threads may take
+constexpr int kMostThreads = 64;
+
+tl::unexpected<Error> too_small(std::uint64_t needed, std::uint64_t budget) {
+  return make_error(Errc::limit_exceeded, Error::kNone,
+                    "the memory budget does not hold the scene's tables and its coarsest page", needed, budget);
+}
+
+}  // namespace
+
+Status StreamedState::take(std::uint64_t n) {
+  const std::scoped_lock lock(pool->mutex);
+  if (pool->take(n, kNeeded) != StreamPoolState::Room::taken) return too_small(pool->held + n, pool->budget);
+  bytes += n;
+  return {};
+}
+
+// The head, the beginning of the table of pages, and what else is needed before a page can be decoded.
+Status StreamedState::read_tables(const DecodeLimits& limits) {
+  if (Status taken = take(kSceneBytes); !taken) return taken;
+  std::vector<std::vector<std::byte>> memory;
+  std::vector<FilePart> parts;
+  std::uint64_t part_bytes = 0;
+  const auto read = [&](const FileRange& range) -> Status {
+    if (range.offset > source->size() || range.bytes > source->size() - range.offset) {
+      return make_error(Errc::truncated, source->size(), "the file ends before its first page",
+                        range.offset + range.bytes, source->size());
+    }
+    if (Status taken = take(range.bytes); !taken) return taken;
+    part_bytes += range.bytes;
+    memory.emplace_back(range.bytes);
+    parts.push_back({range.offset, memory.back()});
+    stats.bytes_read += range.bytes;
+    return source->read(range.offset, memory.back());
+  };
+  if (Status done = read({0, std::min(kFirstBytes, source->size())}); !done) return done;
+  for (;;) {
+    const auto needed = PagedFile::needs(parts, limits);
+    if (!needed) return tl::unexpected(needed.error());
+    if (needed->empty()) break;
+    for (const FileRange& range : *needed) {
+      if (Status done = read(range); !done) return done;
+    }
+  }
+  const std::uint64_t archive = names_section(parts.front().bytes, SectionType::archive) ? kMostArchiveMemory : 0;
+  if (Status taken = take(archive); !taken) return taken;
+  auto opened = PagedFile::open_beginning(parts, limits);
+  if (!opened) return tl::unexpected(opened.error());
+  if (opened->head().header().file_bytes < source->size()) {
+    return make_error(Errc::trailing_bytes, opened->head().header().file_bytes,
+                      "the file is longer than its header says", opened->head().header().file_bytes, source->size());
+  }
+  // Room for all of the table is taken now, so that none is needed when it comes. An archive's tables have theirs.
+  const std::uint64_t whole = opened->whole_memory_bytes();
+  if (Status taken = take(whole - std::min(whole, archive)); !taken) return taken;
+  file = *std::move(opened);
+  declarations = file->head().declarations();
+  if (Status reserved = file->reserve(); !reserved) return reserved;
+  for (const FilePart& part : parts) {
+    const FileRange unread = file->unread_table();
+    if (unread.bytes == 0 || part.offset > unread.offset || part.offset + part.bytes.size() <= unread.offset) continue;
+    if (Status extended = file->extend(part); !extended) return extended;
+  }
+  memory.clear();
+  const std::scoped_lock lock(pool->mutex);
+  const std::uint64_t given = part_bytes + archive - std::min(whole, archive);
+  pool->give(given);
+  bytes -= given;
+  return {};
+}
+
+// Threads take a share of the budget at most, and what is needed at least.
+Status StreamedState::make_room_for_pages() {
+  traits = source->traits();
+  const std::uint32_t n_pages = file->n_pages_in_all();
+  if (Status taken = take(Residency::bytes(n_pages) + n_pages * sizeof(blocks[0])); !taken) return taken;
+  residency.emplace(file->pages(), n_pages);
+  blocks.resize(n_pages);
+  const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
+  std::uint64_t read_bytes = std::max(least, traits.most_bytes);
+  auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
+  while (n > 1 && n * PageReader::bytes(*file, read_bytes) > share) {
+    if (read_bytes / 2 >= std::max(least, kLeastReadBytes)) {
+      read_bytes /= 2;
+    } else {
+      n -= 1;
+    }
+  }
+  if (PageReader::bytes(*file, read_bytes) > share) read_bytes = least;
+  traits.most_bytes = read_bytes;
+  if (Status taken = take(n * PageReader::bytes(*file, read_bytes)); !taken) return taken;
+  for (std::uint64_t i = 0; i < n; ++i)
+    readers.push_back(std::make_unique<PageReader>(*file, table, *source, read_bytes));
+  return {};
+}
+
+Status StreamedState::read_root() {
+  if (Status taken = take(page_bytes(0)); !taken) return taken;
+  auto block = readers.front()->read(0, 1);
+  stats.bytes_read += readers.front()->take_bytes_read();
+  if (!block) return tl::unexpected(block.error());
+  blocks[0] = *std::move(block);
+  stats.bytes_decoded += file->decoded_bytes(0);
+  // Without lists a view cannot be drawn.
+  const std::scoped_lock lock(pool->mutex);
+  if (pool->take(least_view_bytes(), kNeeded) != StreamPoolState::Room::taken)
+    return too_small(pool->held + least_view_bytes(), pool->budget);
+  pool->give(least_view_bytes());
+  return {};
+}
+
+Status StreamedState::start_threads() {
+  {
+    const std::scoped_lock lock(pool->mutex);
+    pool->scenes.push_back(this);
+  }
+  try {
+    for (const auto& reader : readers) threads.emplace_back([this, &reader] { work_until_stopped(*reader); });
+  } catch (const std::system_error& failed) {
+    if (threads.empty()) {
+      return make_error(Errc::host_out_of_memory, Error::kNone, "no thread could be started to read the scene",
+                        Error::kNone, Error::kNone, failed.code().value());
+    }
+  }
+  return {};
+}
+
+Result<std::shared_ptr<StreamedState>> StreamedState::open(std::unique_ptr<ByteSource> source,
+                                                           const StreamOptions& options,
+                                                           std::shared_ptr<StreamPoolState> pool) {
+  auto state = std::make_shared<StreamedState>();
+  state->pool = std::move(pool);
+  state->source = std::move(source);
+  state->prefetches = options.prefetch;
+  Status ok = state->read_tables(options.limits);
+  if (ok) ok = state->make_room_for_pages();
+  if (ok) ok = state->read_root();
+  if (ok) ok = state->start_threads();
+  if (!ok) return tl::unexpected(ok.error());
+  return state;
+}
+
+StreamedState::~StreamedState() {
+  {
+    const std::scoped_lock lock(pool->mutex);
+    is_stopping = true;
+    work.notify_all();
+  }
+  source->cancel();
+  for (std::thread& thread : threads) thread.join();
+  const std::scoped_lock lock(pool->mutex);
+  // Others may use the room as soon as the lock is gone: nothing is left in it by then.
+  std::uint64_t given = bytes;
+  for (const auto& view : views) {
+    given += view->bytes;
+    if (pool->last_view == view.get()) pool->last_view = nullptr;
+  }
+  for (std::uint32_t group = 0; residency && group < residency->n_groups(); ++group) {
+    if (residency->state(group) == Residency::State::resident) given += group_bytes(group);
+  }
+  views.clear(), readers.clear();
+  blocks = decltype(blocks)();
+  residency.reset(), file.reset();
+  pool->give(given);
+  pool->forget(this);
+}
+
+StreamPool::StreamPool(std::shared_ptr<StreamPoolState> state) : state_(std::move(state)) {}
+
+Result<StreamPool> StreamPool::create(const StreamPoolOptions& options) {
+  return guard_memory([&]() -> Result<StreamPool> {
+    if (options.host_memory == 0) {
+      return make_error(Errc::bad_argument, Error::kNone, "a memory budget of 0 bytes holds no scene");
+    }
+    return StreamPool(std::make_shared<StreamPoolState>(options.host_memory));
+  });
+}
+
+std::uint64_t StreamPool::host_bytes() const {
+  const std::scoped_lock lock(state_->mutex);
+  return state_->held;
+}
+std::uint64_t StreamPool::host_memory() const {
+  return state_->budget;
+}
+
+StreamedScene::StreamedScene(std::shared_ptr<StreamedState> state) : state_(std::move(state)) {}
+
+Result<StreamedScene> StreamedScene::open(std::unique_ptr<ByteSource> source, const StreamOptions& options) {
+  return guard_memory([&]() -> Result<StreamedScene> {
+    if (source == nullptr) return make_error(Errc::bad_argument, Error::kNone, "there is no source");
+    std::optional<StreamPool> pool = options.pool;
+    if (!pool) {
+      auto own = StreamPool::create();
+      if (!own) return tl::unexpected(own.error());
+      pool = *std::move(own);
+    }
+    auto state = StreamedState::open(std::move(source), options, pool->state_);
+    if (!state) return tl::unexpected(state.error());
+    return StreamedScene(*std::move(state));
+  });
+}
+
+Result<StreamedScene> StreamedScene::open(const std::string& path_or_url, const StreamOptions& options) {
+  auto source = open_source(path_or_url, options.url);
+  if (!source) return tl::unexpected(source.error());
+  return open(*std::move(source), options);
+}
+
+std::uint64_t StreamedScene::size() const {
+  return state_->file->head().header().n_gaussians;
+}
+int StreamedScene::sh_degree() const {
+  return state_->file->head().header().sh_degree;
+}
+const std::optional<Declarations>& StreamedScene::declarations() const {
+  return state_->declarations;
+}
+const Origin& StreamedScene::origin() const {
+  return state_->declarations->origin;
+}
+
+Status StreamedScene::status() const {
+  const std::scoped_lock lock(state_->pool->mutex);
+  return state_->status();
+}
+StreamStats StreamedScene::stats() const {
+  const std::scoped_lock lock(state_->pool->mutex);
+  return state_->stats_now();
+}
+
+}  // namespace rgs

@@ -1,0 +1,336 @@
+// streamed_state.cpp - views of a streamed scene: what they draw, what they want, when they are complete.
+// SPDX-License-Identifier: Apache-2.0
+#include "stream/streamed_state.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <glm/gtc/quaternion.hpp>
+#include <glm/matrix.hpp>
+#include <limits>
+#include <utility>
+
+#include "rgs/guard_memory.hpp"
+#include "splat_arrays.hpp"
+
+namespace rgs::detail {
+namespace {
+
+using namespace std::chrono_literals;
+
+constexpr auto kViewLives = 1s;           // without a frame
+constexpr double kAheadSeconds = 0.5;     // of the camera's motion
+constexpr double kMotionSeconds = 0.5;    // between frames, above which they say nothing of motion
+constexpr double kMostTurn = 1;           // radians ahead
+constexpr std::size_t kFirstDrawn = 256;  // pages
+/// A block of memory costs its allocator some bytes of its own.
+constexpr std::uint64_t kAllocationBytes = 32;
+/// A large one is whole pages of the system's.
+constexpr std::uint64_t kLargeBlock = 64 << 10, kSystemPage = 4096;
+constexpr int kLastingTrouble = 3;  // reads that failed one after the other
+
+bool is_more(const WantList::Want& a, const WantList::Want& b) {
+  return a.px > b.px;
+}
+
+bool is_same(const StreamEye& a, const StreamEye& b) {
+  return a.eye.position == b.eye.position && a.eye.focal_px == b.eye.focal_px && a.eye.z_near == b.eye.z_near &&
+         a.detail_px == b.detail_px && a.volume == b.volume;
+}
+
+std::uint64_t list_bytes(std::size_t n) {
+  return n * (sizeof(std::uint32_t) + sizeof(ScenePart)) + 2 * kAllocationBytes;
+}
+
+std::uint64_t view_bytes() {
+  return sizeof(StreamView) + 2 * WantList::kMost * sizeof(WantList::Want) + 4 * kAllocationBytes;
+}
+
+// Where a camera is after `ahead` times the motion from `before` to `now`.
+Camera moved_on(const Camera& before, const Camera& now, double ahead) {
+  const glm::dmat4 a = glm::inverse(before.world_to_camera), b = glm::inverse(now.world_to_camera);
+  const glm::dvec3 from(a[3]), to(b[3]);
+  const glm::dquat turn = glm::normalize(glm::quat_cast(glm::dmat3(b)) * glm::inverse(glm::quat_cast(glm::dmat3(a))));
+  const double sign = turn.w < 0 ? -1 : 1;
+  const glm::dvec3 axis(sign * turn.x, sign * turn.y, sign * turn.z);
+  const double sine = glm::length(axis), angle = std::min(2 * std::atan2(sine, sign * turn.w) * ahead, kMostTurn);
+  glm::dmat3 rotation(b);
+  if (sine > 1e-12) rotation = glm::mat3_cast(glm::angleAxis(angle, axis / sine)) * rotation;
+  glm::dmat4 to_world(rotation);
+  to_world[3] = glm::dvec4(to + (to - from) * ahead, 1);
+  Camera camera = now;
+  camera.world_to_camera = glm::inverse(to_world);
+  return camera;
+}
+
+}  // namespace
+
+void WantList::add(std::uint32_t group, float px) {
+  if (wants_.size() < kMost) {
+    wants_.push_back({px, group});
+    return;
+  }
+  if (!std::exchange(is_cut_off_, true)) std::ranges::make_heap(wants_, is_more);
+  if (!(px > wants_.front().px)) return;
+  std::ranges::pop_heap(wants_, is_more);
+  wants_.back() = {px, group};
+  std::ranges::push_heap(wants_, is_more);
+}
+
+void WantList::order() {
+  std::ranges::stable_sort(wants_, is_more);
+}
+
+void WantList::insert(std::uint32_t group, float px) {
+  if (wants_.size() == kMost) {
+    is_cut_off_ = true;
+    if (!(px > wants_.back().px)) return;
+    wants_.pop_back();
+  }
+  wants_.insert(std::ranges::upper_bound(wants_, Want{px, group}, is_more), {px, group});
+}
+
+void WantList::tidy(const Residency& residency) {
+  std::erase_if(wants_, [&](const Want& want) {
+    return residency.state(want.group) != Residency::State::absent || !residency.has(want.group);
+  });
+}
+
+std::uint64_t StreamedState::least_view_bytes() {
+  return view_bytes() + list_bytes(kFirstDrawn);
+}
+
+std::uint64_t StreamedState::page_bytes(std::uint32_t page) const {
+  const std::uint64_t n =
+      file->pages()[page].count * SplatArrays::floats(file->head().header().sh_degree) * sizeof(float);
+  return n + kAllocationBytes + (n >= kLargeBlock ? kSystemPage : 0);
+}
+
+std::uint64_t StreamedState::group_bytes(std::uint32_t group) const {
+  const lod::Page& above = file->pages()[group];
+  std::uint64_t sum = 0;
+  for (std::uint32_t k = 0; k < above.n_children; ++k) sum += page_bytes(above.first_child + k);
+  return sum;
+}
+
+Worth StreamedState::worth(std::uint32_t group) const {
+  Worth worth;
+  for (const auto& view : views) {
+    if (view->is_live) worth.px = std::max(worth.px, residency->wanted_px(group, *view->now));
+  }
+  worth.now = worth.px > 0;
+  if (worth.now) return worth;
+  for (const auto& view : views) {
+    if (view->is_live && view->soon) worth.px = std::max(worth.px, residency->wanted_px(group, *view->soon));
+  }
+  return worth;
+}
+
+void StreamedState::evict(std::uint32_t group) {
+  residency->evict(group);
+  const lod::Page& above = file->pages()[group];
+  for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
+    blocks[child].reset();
+    stats.bytes_evicted += file->decoded_bytes(child);
+  }
+  pool->give(group_bytes(group));
+  for (const auto& view : views) {
+    if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, px);
+  }
+  pool->changed();
+}
+
+void StreamedState::placed(std::uint32_t group) {
+  residency->place(group);
+  const lod::Page& above = file->pages()[group];
+  for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
+    stats.bytes_decoded += file->decoded_bytes(child);
+  }
+  for (const auto& view : views) {
+    view->is_soon_known = false;
+    for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
+      if (child >= residency->n_groups()) break;
+      if (const float px = residency->wanted_px(child, *view->now); px > 0) view->wants.insert(child, px);
+    }
+  }
+  pool->changed();
+}
+
+void StreamedState::look_at_clock(StreamClock::time_point now) {
+  for (const auto& view : views) {
+    view->is_live = view->n_busy > 0 || now - view->seen < kViewLives || pool->last_view == view.get();
+  }
+}
+
+void StreamedState::forget_old_views() {
+  std::erase_if(views, [&](const std::unique_ptr<StreamView>& view) {
+    if (!view->is_live) pool->give(view->bytes);
+    return !view->is_live;
+  });
+}
+
+Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule) {
+  const StreamEye eye = rule.eye(camera);
+  const auto now = StreamClock::now();
+  look_at_clock(now);
+  const auto found = std::ranges::find(views, renderer, [](const auto& view) { return view->renderer; });
+  StreamView* view = found == views.end() ? nullptr : found->get();
+  bool is_new = view == nullptr || !view->is_live;
+  if (view == nullptr) {
+    forget_old_views();
+    if (pool->take(view_bytes(), kNeeded) != StreamPoolState::Room::taken) {
+      return make_error(Errc::limit_exceeded, Error::kNone,
+                        "the memory budget has no room for another view: a larger one, or fewer renderers",
+                        pool->held + view_bytes(), pool->budget);
+    }
+    struct Given {
+      StreamPoolState* pool;
+      ~Given() {
+        if (pool != nullptr) pool->give(view_bytes());
+      }
+    } given{pool.get()};
+    view = views.emplace_back(std::make_unique<StreamView>()).get();
+    given.pool = nullptr;
+    view->bytes = view_bytes();
+    view->renderer = renderer;
+  } else if (!is_same(*view->now, eye)) {
+    const double seconds = std::chrono::duration<double>(now - view->seen).count();
+    view->soon.reset();
+    if (prefetches && seconds > 0 && seconds < kMotionSeconds) {
+      view->soon = rule.eye(moved_on(view->camera, camera, kAheadSeconds / seconds));
+    }
+    is_new = true;
+  } else {
+    view->soon.reset();
+  }
+  view->camera = camera;
+  view->now = eye;
+  view->seen = now;
+  view->is_soon_known = false;
+  view->is_live = true;
+  pool->last_view = view;
+  if (is_new) pool->changed();
+  return view;
+}
+
+// Room for twice as many pages in a view's lists.
+bool StreamedState::grow_lists(StreamView& view) {
+  const std::size_t before = view.drawn.capacity(), n = std::max(2 * before, kFirstDrawn);
+  if (pool->take(list_bytes(n), kNeeded) != StreamPoolState::Room::taken) return false;
+  const std::uint64_t old = before == 0 ? 0 : list_bytes(before);
+  view.bytes += list_bytes(n);
+  view.drawn = decltype(view.drawn)(), view.parts = decltype(view.parts)();
+  view.bytes -= old, pool->give(old);
+  view.drawn.reserve(n), view.parts.reserve(n);
+  return true;
+}
+
+Residency::Cut StreamedState::cut(StreamView& view, bool draws) {
+  StreamEye eye = *view.now;
+  for (;;) {
+    ++pool->tick;
+    view.wants.clear();
+    view.drawn.clear();
+    const auto draw = [&](std::uint32_t page) {
+      if (!draws) return true;
+      if (view.drawn.size() == view.drawn.capacity()) return false;
+      view.drawn.push_back(page);
+      return true;
+    };
+    const Residency::Cut cut =
+        residency->cut(eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, px); });
+    if (cut.fits) {
+      view.wants.order();
+      return cut;
+    }
+    // Where not even the list of pages fits, the picture is coarser. One page fits.
+    if (!grow_lists(view)) eye.detail_px = std::max(2 * eye.detail_px, 1.0F);
+  }
+}
+
+StreamStats StreamedState::stats_now() const {
+  StreamStats now = stats;
+  now.pages_resident = residency->n_resident();
+  return now;
+}
+
+Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std::uint64_t renderer,
+                                       const Camera& camera, const StreamRule& rule) {
+  StreamedState& s = *state;
+  const std::scoped_lock lock(s.pool->mutex);
+  const auto view = s.post(renderer, camera, rule);
+  if (!view) return tl::unexpected(view.error());
+  if ((*view)->drawn.capacity() == 0 && !s.grow_lists(**view)) {
+    return make_error(Errc::limit_exceeded, Error::kNone, "the memory budget has no room for a view's lists of pages",
+                      s.pool->held + list_bytes(kFirstDrawn), s.pool->budget);
+  }
+  StreamFrame frame;
+  frame.cut_ = s.cut(**view, true);
+  const std::vector<std::uint32_t>& drawn = (*view)->drawn;
+  std::vector<ScenePart>& parts = (*view)->parts;
+  parts.clear();
+  for (const std::uint32_t page : drawn) {
+    const std::uint64_t n = s.file->pages()[page].count;
+    const SplatArrays a(s.blocks[page].get(), n, s.file->head().header().sh_degree);
+    parts.push_back({n, a.mean, a.rotation, a.scale, a.opacity, a.sh});
+  }
+  s.stats.pages_missing = frame.cut_.missing;
+  s.stats.detail_reached_px = frame.cut_.reached_px;
+  frame.stats_ = s.stats_now();
+  s.residency->pin(drawn);
+  ++(*view)->n_busy;
+  frame.view_ = *view;
+  frame.state_ = std::move(state);
+  return frame;
+}
+
+StreamFrame::~StreamFrame() {
+  if (state_ == nullptr) return;
+  const std::scoped_lock lock(state_->pool->mutex);
+  state_->residency->unpin(view_->drawn);
+  view_->seen = StreamClock::now();
+  --view_->n_busy;
+  if (std::exchange(state_->pool->waits_for_pins, false)) state_->pool->changed();
+}
+
+Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera& camera, const StreamRule& rule,
+                         double seconds) {
+  constexpr double kLongest = 1e7;
+  const auto deadline =
+      StreamClock::now() + std::chrono::duration_cast<StreamClock::duration>(std::chrono::duration<double>(
+                               std::isnan(seconds) ? 0 : std::clamp(seconds, 0.0, kLongest)));
+  std::unique_lock lock(s.pool->mutex);
+  const auto posted = s.post(renderer, camera, rule);
+  if (!posted) return tl::unexpected(posted.error());
+  StreamView& view = **posted;
+  ++view.n_busy, ++s.n_waiting;
+  struct Waiter {
+    StreamedState& scene;
+    StreamView& view;
+    ~Waiter() {
+      view.seen = StreamClock::now();
+      --view.n_busy, --scene.n_waiting;
+      scene.work.notify_one();  // what is about to be seen has waited
+    }
+  } waiter{s, view};
+  for (;;) {
+    // Its lists too: the frame that follows shall need no more room.
+    const Residency::Cut cut = s.cut(view, true);
+    s.stats.pages_missing = cut.missing;
+    s.stats.detail_reached_px = cut.reached_px;
+    if (cut.missing == 0) return true;
+    const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
+    const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
+    const bool is_late = StreamClock::now() >= deadline;
+    const bool is_failing = s.n_failures >= (is_late ? 1 : kLastingTrouble);
+    if (is_failing && cut.missing > cut.damaged) return tl::unexpected(s.trouble.error());
+    if (cut.damaged > 0 && (is_settled() || is_late)) return tl::unexpected(s.damage.error());
+    if (is_settled() || is_late) return false;
+    s.pool->news.wait_until(lock, deadline, [&] {
+      if (is_settled() || s.n_failures >= kLastingTrouble) return true;
+      view.wants.tidy(*s.residency);
+      return view.wants.wants().empty() && s.residency->n_resident() != n_resident;
+    });
+  }
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,203 @@
+// streamed_state.hpp - a streamed scene: its tables, the pages that are there, the views that want more, the threads that read it.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <array>
+#include <chrono>
+#include <condition_variable>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <shared_mutex>
+#include <span>
+#include <thread>
+#include <vector>
+
+#include "cpu/reference_renderer.hpp"
+#include "render_options.hpp"
+#include "rgs/byte_source.hpp"
+#include "rgs/camera.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/streamed_scene.hpp"
+#include "stream/page_reader.hpp"
+#include "stream/residency.hpp"
+#include "stream/stream_pool.hpp"
+
+namespace rgs::detail {
+
+using StreamClock = std::chrono::steady_clock;
+
+/// Groups that a view misses, most projected error first; of very many the first.
+class WantList {
+ public:
+  struct Want {
+    float px;
+    std::uint32_t group;
+  };
+  static constexpr std::size_t kMost = 1024;
+
+  WantList() { wants_.reserve(kMost); }
+  /// Any number of add(), then order().
+  void clear() { wants_.clear(), is_cut_off_ = false; }
+  void add(std::uint32_t group, float px);
+  void order();
+  /// One more, in its place.
+  void insert(std::uint32_t group, float px);
+  /// Forgets those that are no longer absent.
+  void tidy(const Residency& residency);
+  std::span<const Want> wants() const { return wants_; }
+  /// There were more.
+  bool is_cut_off() const { return is_cut_off_; }
+
+ private:
+  std::vector<Want> wants_;
+  bool is_cut_off_ = false;
+};
+
+/// What a renderer draws of a scene, wherever its camera is.
+struct StreamRule {
+  FrameSettings settings;
+  Origin origin = kNoOrigin;
+  float z_near = 0;  ///< as the scene declares it
+  float detail_px = 0;
+
+  StreamEye eye(const Camera& camera) const {
+    return {eye_of(camera, origin, z_near), ViewVolume(make_view(camera, origin, settings), settings.low_pass),
+            detail_px};
+  }
+};
+
+/// What one renderer sees of a scene.
+struct StreamView {
+  std::uint64_t renderer = 0;
+  Camera camera;
+  StreamClock::time_point seen;  ///< when that camera came
+  std::optional<StreamEye> now;
+  std::optional<StreamEye> soon;  ///< where the camera is about to be
+  WantList wants, soon_wants;
+  bool is_soon_known = false;  ///< soon_wants are those of `soon`
+  std::size_t next_want = 0;   ///< of either list, while one is chosen
+  int n_busy = 0;              ///< frames at work, and callers that wait
+  bool is_live = true;         ///< counts: see StreamedState::look_at_clock()
+  std::vector<std::uint32_t> drawn;
+  std::vector<ScenePart> parts;
+  std::uint64_t bytes = 0;  ///< taken from the pool
+};
+
+struct StreamedState {
+  StreamedState() = default;
+  ~StreamedState();
+  StreamedState(const StreamedState&) = delete;
+  StreamedState& operator=(const StreamedState&) = delete;
+
+  // Set by open(), then constant.
+  std::shared_ptr<StreamPoolState> pool;
+  std::unique_ptr<ByteSource> source;
+  std::optional<PagedFile> file;  // more of its table comes with both pool->mutex and `table`
+  std::shared_mutex table;
+  std::optional<Declarations> declarations;
+  bool prefetches = true;
+  ByteSource::Traits traits;
+
+  // Of pool->mutex.
+  std::optional<Residency> residency;
+  std::uint64_t bytes = 0;  // taken from the pool, but for pages and views
+  std::vector<std::unique_ptr<StreamView>> views;
+  StreamStats stats;
+  std::condition_variable work;  // for threads that read: `pool->changes` grew
+  Status damage, trouble;        // of a page; of reading, while it lasts
+  StreamClock::time_point retry_at{};
+  int n_failures = 0;         // reads, one after the other
+  int n_at_work = 0;          // threads that read or decode
+  int n_waiting = 0;          // callers that wait for a view
+  bool is_extending = false;  // a thread reads more of the table
+  bool is_stopping = false;
+  /// Value of pool->changes when the threads last found nothing that they could do.
+  std::uint64_t settled_at = 0;
+
+  // A page's arrays. Those of requested groups are of the thread that reads them, the others constant.
+  std::vector<std::unique_ptr<float[]>> blocks;
+  std::vector<std::unique_ptr<PageReader>> readers;  // one a thread
+  std::vector<std::thread> threads;
+
+  /// Errors: as of StreamedScene::open().
+  static Result<std::shared_ptr<StreamedState>> open(std::unique_ptr<ByteSource> source, const StreamOptions& options,
+                                                     std::shared_ptr<StreamPoolState> pool);
+  Status read_tables(const DecodeLimits& limits);
+  Status make_room_for_pages();
+  Status read_root();
+  Status start_threads();
+  /// Takes memory that is kept as long as the scene. Errors: limit_exceeded, with what the pool would have to hold.
+  Status take(std::uint64_t n);
+
+  /// What the first frame of a view takes.
+  static std::uint64_t least_view_bytes();
+
+  // With the lock.
+  std::uint64_t page_bytes(std::uint32_t page) const;  // in memory
+  std::uint64_t group_bytes(std::uint32_t group) const;
+  Worth worth(std::uint32_t group) const;
+  void evict(std::uint32_t group);  // and gives its memory back
+  /// Views that count are those of frames at work and of the last second, and the pool's last.
+  void look_at_clock(StreamClock::time_point now);
+  void forget_old_views();
+  /// The renderer's view, of this camera from now on. Errors: limit_exceeded.
+  Result<StreamView*> post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule);
+  bool grow_lists(StreamView& view);
+  /// What the view draws; fills its lists of wants, and of pages if `draws`.
+  Residency::Cut cut(StreamView& view, bool draws);
+  StreamStats stats_now() const;
+  Status status() const { return damage ? trouble : damage; }
+
+  // Threads that read. All but fetch() and work_until_stopped() with the lock.
+  struct Run {
+    std::uint32_t first = 0, n = 0;  // groups, one after the other
+    std::uint64_t table_bytes = 0;   // Choice::table
+  };
+  enum class Choice : std::uint8_t {
+    run,
+    table,    // more of it has to be read
+    nothing,  // is missing
+    no_room,  // for what is missing
+    pinned,   // is what would give it room
+    later,    // reading failed
+  };
+  Choice choose(Run& run);
+  Choice choose_among(bool now, Run& run);
+  void extend(Run& run, const Worth& best);
+  void placed(std::uint32_t group);
+  void fetch(PageReader& reader, const Run& run);
+  void extend_table(PageReader& reader, std::uint64_t n);
+  void fail(const Status& read);
+  bool can_extend() const;  ///< the table
+  void work_until_stopped(PageReader& reader);
+};
+
+/// What a frame draws, which stays until this goes.
+class StreamFrame {
+ public:
+  /// Errors: limit_exceeded (the pool has no room for the lists of a view).
+  static Result<StreamFrame> begin(std::shared_ptr<StreamedState> state, std::uint64_t renderer, const Camera& camera,
+                                   const StreamRule& rule);
+  StreamFrame(StreamFrame&& other) noexcept = default;
+  StreamFrame& operator=(StreamFrame&&) = delete;
+  ~StreamFrame();
+
+  std::span<const ScenePart> parts() const { return view_->parts; }
+  const Residency::Cut& cut() const { return cut_; }
+  const StreamStats& stats() const { return stats_; }
+
+ private:
+  StreamFrame() = default;
+  std::shared_ptr<StreamedState> state_;  // null after a move
+  StreamView* view_ = nullptr;
+  Residency::Cut cut_;
+  StreamStats stats_;
+};
+
+/// Waits until the view is complete: true. Errors: those that keep it from being so.
+Result<bool> refine_view(StreamedState& state, std::uint64_t renderer, const Camera& camera, const StreamRule& rule,
+                         double seconds);
+
+}  // namespace rgs::detail

@@ -1,0 +1,506 @@
+// url_source_test.cpp - files behind web servers that do everything wrong: the right bytes or the right error, in time.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <array>
+#include <cerrno>
+#include <chrono>
+#include <cstdlib>
+#include <filesystem>
+#include <limits>
+#include <string_view>
+#include <thread>
+#include <vector>
+
+#include "made_bytes.hpp"
+#include "rgs/byte_source.hpp"
+#include "rgs/version.hpp"
+#include "sources/http_answer.hpp"
+#include "web_servers.hpp"
+
+using namespace rgs;
+using test::are_bytes_from;
+using test::HostileServer;
+
+namespace {
+
+constexpr std::uint64_t kSize = 300000;      // of the server's files
+constexpr std::uint64_t kBeginning = 65536;  // what opening asks for
+constexpr std::uint64_t kFrom = 100000;      // of the reads below
+constexpr std::size_t kBytes = 100000;
+
+UrlOptions quick() {
+  UrlOptions options;
+  options.retries = 1;
+  options.connect_seconds = 5;
+  options.stall_seconds = 0.5;
+  return options;
+}
+
+double seconds_of(const auto& work) {
+  const auto begin = std::chrono::steady_clock::now();
+  work();
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+bool reads_right(ByteSource& source, std::uint64_t offset, std::size_t n) {
+  std::vector<std::byte> bytes(n);
+  const Status read = source.read(offset, bytes);
+  if (!read) MESSAGE(errc_name(read.error().code), " ", read.error().what, " ", read.error().found);
+  return read && are_bytes_from(offset, bytes);
+}
+
+// Opens, then reads: the error of the one or the other; none if the bytes are right.
+struct Outcome {
+  bool opened = false;
+  Status status;
+  std::string what() const { return status ? "" : status.error().what; }
+};
+
+Outcome read_from(const std::string& url, const UrlOptions& options = quick()) {
+  Outcome outcome;
+  const auto source = open_url_source(url, options);
+  if (!source) {
+    outcome.status = tl::unexpected(source.error());
+    return outcome;
+  }
+  outcome.opened = true;
+  CHECK((*source)->size() == kSize);
+  std::vector<std::byte> bytes(kBytes);
+  outcome.status = (*source)->read(kFrom, bytes);
+  if (outcome.status) CHECK(are_bytes_from(kFrom, bytes));
+  return outcome;
+}
+
+bool has(const std::string& text, std::string_view part) {
+  return text.find(part) != std::string::npos;
+}
+
+}  // namespace
+
+TEST_CASE("Content-Range is read strictly") {
+  const auto r = detail::parse_content_range("bytes 5-9/100");
+  REQUIRE(r);
+  CHECK(r->satisfied);
+  CHECK(r->first == 5);
+  CHECK(r->last == 9);
+  CHECK(r->total == 100);
+  CHECK(detail::parse_content_range(" Bytes  0-0/1 \r\n"));
+  CHECK_FALSE(detail::parse_content_range("bytes 0-0/*")->total);
+  CHECK_FALSE(detail::parse_content_range("bytes */7")->satisfied);
+  CHECK(detail::parse_content_range("bytes 0-18446744073709551614/18446744073709551615"));
+  for (const char* text :
+       {"", "bytes", "bytes ", "bytes 5-9", "bytes 5-4/100", "bytes 5-100/100", "bytes -9/100", "bytes 5-/100",
+        "bytes 5-9/", "bytes 5-9/100x", "bytes +5-9/100", "bytes 5 - 9/100", "items 5-9/100", "bytes 5-9/-1",
+        "bytes 0-18446744073709551615/18446744073709551616", "bytes 0x1-9/100", "bytes=5-9/100"}) {
+    CAPTURE(std::string(text));
+    CHECK_FALSE(detail::parse_content_range(text));
+  }
+}
+
+TEST_CASE("a file behind a server is read by ranges, its beginning once") {
+  const HostileServer server;
+  const auto source = open_source(server.url("/plain"), quick()).value();
+  CHECK(source->size() == kSize);
+  CHECK(server.requests() == 1);
+  CHECK(reads_right(*source, 0, kBeginning));
+  CHECK(reads_right(*source, 100, 1));
+  CHECK(reads_right(*source, kSize, 0));
+  CHECK(server.requests() == 1);
+  CHECK(reads_right(*source, kBeginning - 10, 20));
+  CHECK(server.requests("range=bytes=65536-65545 ") == 1);
+  CHECK(reads_right(*source, 0, kSize));
+  CHECK(server.requests("range=bytes=65536-299999 ") == 1);
+  CHECK(reads_right(*source, kSize - 1, 1));
+  CHECK(server.requests() == 4);
+  for (const auto& [offset, n] :
+       {std::pair<std::uint64_t, std::uint64_t>{kSize, 1}, {kSize - 1, 2}, {~std::uint64_t{0}, 2}, {0, kSize + 1}}) {
+    std::vector<std::byte> bytes(n);
+    const Status read = source->read(offset, bytes);
+    REQUIRE_FALSE(read);
+    CHECK(read.error().code == Errc::read_failed);
+    CHECK(read.error().offset == offset);
+  }
+  CHECK(server.requests() == 4);
+  // What the server gets to know of us.
+  CHECK(server.requests(" auth= agent=roofgs/" RGS_VERSION " encoding=identity cookie= if-range=") == 4);
+}
+
+TEST_CASE("small and empty files") {
+  const HostileServer server;
+  for (const std::uint64_t size : {std::uint64_t{1}, kBeginning - 1, kBeginning, kBeginning + 1}) {
+    CAPTURE(size);
+    const auto source = open_url_source(server.url("/plain?size=" + std::to_string(size)), quick());
+    REQUIRE(source);
+    CHECK((*source)->size() == size);
+    CHECK(reads_right(**source, 0, size));
+  }
+  // 416, or the whole of it.
+  const auto empty = open_url_source(server.url("/status?code=416&range=bytes+*/0"), quick());
+  REQUIRE(empty);
+  CHECK((*empty)->size() == 0);
+  CHECK(open_url_source(server.url("/no-ranges?size=0"), quick()).value()->size() == 0);
+}
+
+TEST_CASE("many threads read one file, with a few requests in flight") {
+  const HostileServer server;
+  UrlOptions options = quick();
+  options.reads_at_once = 3;
+  const auto source = open_url_source(server.url("/busy"), options).value();
+  CHECK(source->traits().reads_at_once == 3);
+  std::array<int, 8> wrong{};
+  std::vector<std::thread> threads;
+  for (std::uint64_t t = 0; t < wrong.size(); ++t) {
+    threads.emplace_back([&, t] {
+      for (std::uint64_t i = 0; i < 3; ++i) {
+        std::vector<std::byte> bytes(3001);
+        const std::uint64_t offset = kBeginning + (t * 7919 + i * 104729) % (kSize - kBeginning - bytes.size());
+        if (!source->read(offset, bytes) || !are_bytes_from(offset, bytes)) ++wrong[t];
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  CHECK(wrong == std::array<int, 8>{});
+  CHECK(has(server.log(), "at work 3\n"));
+  CHECK_FALSE(has(server.log(), "at work 4\n"));
+}
+
+TEST_CASE("a server that cannot do ranges is an error, unless the file is small") {
+  const HostileServer server;
+  for (const char* path : {"/no-ranges", "/no-ranges-chunked", "/no-ranges-unknown-length",
+                           "/no-ranges-chunked?size=1000", "/no-ranges-unknown-length?size=1000"}) {
+    CAPTURE(std::string(path));
+    const auto source = open_url_source(server.url(path), quick());
+    REQUIRE_FALSE(source);
+    CHECK(source.error().code == Errc::open_failed);
+    CHECK(source.error().found == 200);
+    CHECK(has(source.error().what, "range requests"));
+  }
+  const auto small = open_url_source(server.url("/no-ranges?size=1000"), quick());
+  REQUIRE(small);
+  CHECK(reads_right(**small, 0, 1000));
+  // Ranges that end in the middle.
+  const Outcome later = read_from(server.url("/no-ranges?from=2"));
+  CHECK(later.opened);
+  REQUIRE_FALSE(later.status);
+  CHECK(later.status.error().found == 200);
+  CHECK(server.requests("/no-ranges?from=2 ") == 2);
+}
+
+TEST_CASE("a status that will not pass is an error at once") {
+  const HostileServer server;
+  for (const int code : {400, 401, 403, 404, 405, 410, 416, 451, 501, 505, 204, 201, 304, 300, 999}) {
+    for (const int from : {1, 2}) {
+      CAPTURE(code);
+      CAPTURE(from);
+      const std::string path = "/status?code=" + std::to_string(code) + "&from=" + std::to_string(from);
+      const Outcome outcome = read_from(server.url(path));
+      CHECK(outcome.opened == (from == 2));
+      REQUIRE_FALSE(outcome.status);
+      CHECK(outcome.status.error().code == (from == 1 ? Errc::open_failed : Errc::read_failed));
+      CHECK(outcome.status.error().found == static_cast<std::uint64_t>(code));
+      if (from == 2) CHECK(outcome.status.error().offset == kFrom);
+      CHECK(server.requests(path + " ") == from);
+    }
+  }
+  // The body of an error is not waited for.
+  CHECK(seconds_of([&] { CHECK_FALSE(read_from(server.url("/endless-error?code=404")).status); }) < 5);
+}
+
+TEST_CASE("a status that may pass is tried again, as often as said") {
+  const HostileServer server;
+  UrlOptions options = quick();
+  options.retries = 2;
+  for (const int code : {408, 429, 500, 502, 503, 504}) {
+    CAPTURE(code);
+    const std::string path = "/status?from=2&times=1&code=" + std::to_string(code);
+    CHECK(read_from(server.url(path), options).status);
+    CHECK(server.requests(path + " ") == 3);
+  }
+  const std::string path = "/status?from=2&code=503";
+  double seconds = seconds_of([&] {
+    const Outcome outcome = read_from(server.url(path), options);
+    REQUIRE_FALSE(outcome.status);
+    CHECK(outcome.status.error().found == 503);
+  });
+  CHECK(server.requests(path + " ") == 4);
+  CHECK(seconds > 0.75 * (0.25 + 0.5));
+  CHECK(read_from(server.url("/status?code=503&times=2"), options).status);  // when it is opened too
+  seconds = seconds_of([&] { CHECK(read_from(server.url("/status?from=2&times=1&code=503&retry_after=2")).status); });
+  CHECK(seconds > 1.9);
+  options.retries = 0;
+  CHECK_FALSE(read_from(server.url("/status?from=2&times=1&code=503&none"), options).status);
+}
+
+TEST_CASE("what breaks off is gone on with where it ended") {
+  const HostileServer server;
+  for (const char* kind : {"truncated", "truncated-chunked", "reset", "stall"}) {
+    CAPTURE(std::string(kind));
+    const std::string path = std::string("/") + kind + "?from=2&times=1";
+    CHECK(read_from(server.url(path)).status);
+    CHECK(server.requests(path + " ") == 3);
+    CHECK(server.requests(path + " range=bytes=100000-199999 ") == 1);
+    const std::string at = std::string(kind) == "stall" ? "101000" : "150000";
+    CHECK(server.requests(path + " range=bytes=" + at + "-199999 ") == 1);
+    CHECK(read_from(server.url(std::string("/") + kind + "?times=1")).status);  // the first
+  }
+  // Bytes come each time: that is slow, and no failure.
+  CHECK(read_from(server.url("/truncated?from=2&times=4")).status);
+  // None come: it is one.
+  for (const char* kind : {"reset-at-once", "hang-up", "head-alone", "silent"}) {
+    CAPTURE(std::string(kind));
+    const std::string path = std::string("/") + kind + "?from=2";
+    CHECK(read_from(server.url(path + "&times=1")).status);
+    const Outcome outcome = read_from(server.url(path));
+    CHECK(outcome.opened);
+    REQUIRE_FALSE(outcome.status);
+    CHECK(outcome.status.error().code == Errc::read_failed);
+    CHECK(outcome.status.error().offset == kFrom);
+  }
+}
+
+TEST_CASE("ranges that are not what was asked for are refused") {
+  const HostileServer server;
+  for (const char* path :
+       {"/other-range", "/lying-range?range=bytes+0-9/300000", "/lying-range?range=bytes+0-65534/300000",
+        "/lying-range?range=bytes+0-65535/*", "/lying-range?range=bytes+0-65536/300000", "/lying-range?range=nonsense",
+        "/lying-range?range=bytes+*/300000", "/lying-range?range=bytes+0-65535/18446744073709551615", "/multipart",
+        "/no-header-colon", "/two-ranges", "/short-length", "/longer-length", "/gzip"}) {
+    CAPTURE(std::string(path));
+    const Outcome outcome = read_from(server.url(path));
+    CHECK_FALSE(outcome.opened);
+    REQUIRE_FALSE(outcome.status);
+    CHECK(outcome.status.error().code == Errc::open_failed);
+    CHECK(server.requests(std::string(path) + " ") == 1);
+  }
+  for (const char* path :
+       {"/other-range?from=2", "/lying-range?from=2&range=bytes+0-99999/300000",
+        "/lying-range?from=2&range=bytes+100000-199998/300000", "/lying-range?from=2&range=bytes+100000-199999/*",
+        "/lying-range?from=2&range=bytes+100000-199999/300001", "/lying-range?from=2&range=nonsense",
+        "/multipart?from=2", "/two-ranges?from=2", "/short-length?from=2", "/longer-length?from=2", "/gzip?from=2"}) {
+    CAPTURE(std::string(path));
+    const Outcome outcome = read_from(server.url(path));
+    CHECK(outcome.opened);
+    REQUIRE_FALSE(outcome.status);
+    CHECK(outcome.status.error().code == Errc::read_failed);
+    CHECK(outcome.status.error().offset == kFrom);
+    CHECK(server.requests(std::string(path) + " ") == 2);
+  }
+}
+
+TEST_CASE("more than was asked for is not received") {
+  const HostileServer server;
+  for (const char* path : {"/longer", "/longer?from=2", "/endless", "/endless?from=2", "/old", "/early-hints"}) {
+    CAPTURE(std::string(path));
+    CHECK(seconds_of([&] { CHECK(read_from(server.url(path)).status); }) < 10);
+  }
+}
+
+TEST_CASE("heads that are long, slow or none") {
+  const HostileServer server;
+  for (const char* path : {"/long-line", "/many-lines", "/many-informations", "/slow-head", "/garbage", "/silent"}) {
+    for (const char* from : {"?from=1", "?from=2"}) {
+      CAPTURE(std::string(path) + from);
+      Outcome outcome;
+      CHECK(seconds_of([&] { outcome = read_from(server.url(std::string(path) + from)); }) < 10);
+      REQUIRE_FALSE(outcome.status);
+      CHECK(outcome.status.error().code == (outcome.opened ? Errc::read_failed : Errc::open_failed));
+      CHECK(outcome.opened == (std::string(from) == "?from=2"));
+    }
+  }
+}
+
+TEST_CASE("a slow server is no stalled one") {
+  const HostileServer server;
+  const auto source = open_url_source(server.url("/slow"), quick()).value();
+  double seconds = seconds_of([&] { CHECK(reads_right(*source, kFrom, 2000)); });  // 1 kB/s
+  CHECK(seconds > 1.5);
+  CHECK(server.requests() == 2);
+}
+
+TEST_CASE("a file that changes is an error, and no mixture") {
+  const HostileServer server;
+  struct Change {
+    const char* options;
+    bool noticed;
+  };
+  for (const Change& change : {Change{"etag=\"a\"&etag2=\"b\"", true},
+                               {"etag=\"a\"&modified=x&etag2=\"b\"", true},
+                               {"etag=\"a\"&modified=x&modified2=y", true},
+                               {"modified=x&modified2=y", true},
+                               {"etag=W/\"a\"&etag2=W/\"b\"", true},
+                               {"size2=299999", true},
+                               {"size2=300001&etag=\"a\"", true},
+                               {"size2=70000", true},  // the range is not there any more
+                               {"etag=\"a\"&etag2=", true},
+                               {"etag=\"a\"&etag2=\"a\"", false},
+                               {"etag=\"a\"&etag2=W/\"a\"", false},
+                               {"modified=x&etag2=\"a\"", false},  // nothing that both have differs
+                               {"modified=x", false},
+                               {"", false}}) {
+    CAPTURE(std::string(change.options));
+    const Outcome outcome = read_from(server.url(std::string("/plain?from=2&") + change.options));
+    CHECK(outcome.opened);
+    CHECK(outcome.status.has_value() == !change.noticed);
+    if (!outcome.status) {
+      CHECK(outcome.status.error().code == Errc::read_failed);
+      const bool says_so =
+          has(outcome.what(), "changed") || has(outcome.what(), "no longer") || outcome.status.error().found == 416;
+      CHECK(says_so);
+    }
+  }
+  // Between two parts of one read.
+  const Outcome outcome = read_from(server.url("/truncated?from=2&times=1&etag=\"a\""));
+  CHECK(outcome.status);
+}
+
+TEST_CASE("redirects are followed, as many as allowed, to where it is safe, and asked for once") {
+  const HostileServer server, other;
+  UrlOptions options = quick();
+  for (const int code : {301, 302, 303, 307, 308}) {
+    CAPTURE(code);
+    const std::string path = "/redirect?code=" + std::to_string(code) + "&to=" + other.url("/plain");
+    CHECK(read_from(server.url(path)).status);
+    CHECK(server.requests(path + " ") == 1);
+  }
+  CHECK(other.requests("range=bytes=100000-199999 ") == 5);
+  CHECK(read_from(server.url("/chain?n=5")).status);
+  const int before = server.requests();
+  const Outcome chain = read_from(server.url("/chain?n=6"));
+  CHECK(has(chain.what(), "redirects too often"));
+  CHECK(server.requests() == before + 6);
+  CHECK(has(read_from(server.url("/loop")).what(), "redirects too often"));
+  options.most_redirects = 0;
+  CHECK(has(read_from(server.url("/chain?n=1"), options).what(), "redirects too often"));
+  for (const char* to : {"file:///etc/passwd", "ftp://127.0.0.1/x", "gopher://127.0.0.1/", "", "http://",
+                         "javascript:1", "dict://127.0.0.1/"}) {
+    CAPTURE(std::string(to));
+    const Outcome outcome = read_from(server.url(std::string("/redirect?to=") + to));
+    REQUIRE_FALSE(outcome.status);
+    CHECK(has(outcome.what(), "no web address"));
+    CHECK(outcome.status.error().found == 302);
+  }
+  CHECK_FALSE(read_from(server.url("/redirect-nowhere")).status);
+  CHECK(read_from(server.url("/endless-redirect?to=/plain")).status);
+  CHECK(read_from(server.url("/redirect?to=//" + other.host() + "/plain")).status);
+  CHECK(read_from(server.url("/redirect?from=2&to=/plain?moved")).status);  // in the middle
+}
+
+TEST_CASE("where a redirect led may end: the first address is asked again") {
+  const HostileServer server;
+  const std::string path = "/redirect?to=/status?code=403%26from=3%26times=1";
+  const auto source = open_url_source(server.url(path), quick()).value();
+  CHECK(reads_right(*source, kFrom, kBytes));
+  CHECK(server.requests(path + " ") == 1);
+  CHECK(reads_right(*source, kFrom + 5, kBytes));
+  CHECK(server.requests(path + " ") == 2);
+  const auto lost = open_url_source(server.url("/redirect?to=/status?code=403%26from=2"), quick()).value();
+  std::vector<std::byte> bytes(10);
+  CHECK(lost->read(kFrom, bytes).error().found == 403);
+  CHECK(server.requests("/status?code=403&from=2 ") == 3);
+}
+
+TEST_CASE("another host is told no password") {
+  const HostileServer server, other;
+  const auto with_user = [&](const std::string& path) { return "http://me:secret@" + server.host() + path; };
+  CHECK(read_from(with_user("/plain")).status);
+  CHECK(server.requests("auth=Basic") == 2);
+  CHECK(read_from(with_user("/redirect?to=" + other.url("/plain"))).status);
+  CHECK(server.requests("auth=Basic") == 3);
+  CHECK(other.requests() == 2);
+  CHECK(other.requests("auth= ") == 2);
+  CHECK(read_from(server.url("/plain?after")).status);
+  CHECK(server.requests("auth=Basic") == 3);
+}
+
+TEST_CASE("the proxy of the environment is asked") {
+  const HostileServer proxy;
+  ::setenv("http_proxy", proxy.url("").c_str(), 1);
+  const Outcome outcome = read_from("http://roofgs.invalid/plain");
+  ::unsetenv("http_proxy");
+  CHECK(outcome.status);
+  CHECK(proxy.requests("GET http://roofgs.invalid/plain range=") == 2);
+}
+
+TEST_CASE("cancelling wakes who reads, at whatever stage") {
+  const HostileServer server;
+  for (const char* path :
+       {"/stall?from=2", "/silent?from=2", "/status?from=2&code=503", "/slow", "/slow-head?from=2"}) {
+    CAPTURE(std::string(path));
+    UrlOptions options;
+    options.reads_at_once = 2;
+    const auto source = open_url_source(server.url(path), options).value();
+    std::array<Errc, 4> codes{};
+    std::vector<std::thread> readers;
+    for (Errc& code : codes) {
+      readers.emplace_back([&] {
+        std::vector<std::byte> bytes(kBytes);
+        const Status read = source->read(kFrom, bytes);
+        code = read ? Errc::internal : read.error().code;
+      });
+    }
+    std::this_thread::sleep_for(std::chrono::milliseconds(300));
+    CHECK(seconds_of([&] {
+            source->cancel();
+            for (std::thread& reader : readers) reader.join();
+          }) < 2);
+    for (const Errc code : codes) CHECK(code == Errc::cancelled);
+    std::vector<std::byte> bytes(10);
+    CHECK(source->read(0, bytes).error().code == Errc::cancelled);
+    CHECK(source->read(kFrom, bytes).error().code == Errc::cancelled);
+    CHECK(source->size() == kSize);
+    source->cancel();
+  }
+}
+
+TEST_CASE("what is no server or no address is said at once") {
+  const auto code_of = [](const std::string& url, const UrlOptions& options = {}) {
+    const auto source = open_url_source(url, options);
+    REQUIRE_FALSE(source);
+    return source.error().code;
+  };
+  for (const char* url :
+       {"", "scene.rgs", "ftp://127.0.0.1/x", "file:///etc/passwd", "http://", "https://", "http://127.0.0.1:99999/x",
+        "http://127.0.0.1:x/", "http://a b/", "http://[::1/x", "http://127.0.0.1/a b"}) {
+    CAPTURE(std::string(url));
+    CHECK(code_of(url) == Errc::bad_argument);
+  }
+  CHECK(seconds_of([&] { CHECK(code_of("http://127.0.0.1:1/scene.rgs") == Errc::open_failed); }) < 5);
+  const auto refused = open_url_source("http://127.0.0.1:1/scene.rgs");
+  CHECK(refused.error().system == ECONNREFUSED);
+  CHECK(code_of("https://127.0.0.1:1/scene.rgs") == Errc::open_failed);
+  const HostileServer server;
+  CHECK(code_of("https://" + server.host() + "/plain", quick()) == Errc::open_failed);
+  const auto with = [&](auto UrlOptions::*field, auto value) {
+    UrlOptions options;
+    options.*field = value;
+    return options;
+  };
+  for (const UrlOptions& options : {with(&UrlOptions::reads_at_once, 0), with(&UrlOptions::reads_at_once, 65),
+                                    with(&UrlOptions::retries, -1), with(&UrlOptions::most_redirects, -1),
+                                    with(&UrlOptions::connect_seconds, 0.), with(&UrlOptions::stall_seconds, -1.),
+                                    with(&UrlOptions::stall_seconds, std::numeric_limits<double>::quiet_NaN()),
+                                    with(&UrlOptions::connect_seconds, 1e300)}) {
+    CHECK(code_of(server.url("/plain"), options) == Errc::bad_argument);
+  }
+  CHECK(code_of(server.url("/plain"), with(&UrlOptions::certificates, std::string("/no/such/file"))) ==
+        Errc::open_failed);
+  CHECK(server.requests() == 0);
+}
+
+TEST_CASE("sources come and go without leaving anything behind") {
+  const HostileServer server;
+  const auto open_files = [] {
+    return std::distance(std::filesystem::directory_iterator("/proc/self/fd"), std::filesystem::directory_iterator());
+  };
+  const auto use = [&] {
+    const auto source = open_url_source(server.url("/plain"), quick()).value();
+    CHECK(reads_right(*source, kFrom, 1000));
+    (void)open_url_source(server.url("/status?code=404"), quick());
+    (void)open_url_source(server.url("/garbage"), quick());
+  };
+  use();
+  const auto before = open_files();
+  for (int i = 0; i < 5; ++i) use();
+  CHECK(open_files() == before);
+}

@@ -1,0 +1,128 @@
+// stream_memory_test.cpp - a pool's budget against what the program really holds, and flights that go on for long.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <cstdlib>
+#include <string>
+
+#include "counted_memory.hpp"
+#include "streamed_fixture.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+/// What a scene holds beside its budget: threads, and what grows neither with the file nor with a view.
+constexpr std::int64_t kBeside = 64 << 10;
+
+std::vector<Camera> flight(unsigned seed, int n) {
+  Random random(seed);
+  std::vector<Camera> cameras;
+  glm::dvec3 eye(-25, 3, -25);
+  double turn = 0;
+  for (int i = 0; i < n; ++i) {
+    // On, and now and then elsewhere at once.
+    if (i % 40 == 39) eye = {random.uniform(-30, 30), random.uniform(1, 30), random.uniform(-30, 30)};
+    turn += random.uniform(-0.2, 0.25);
+    eye += glm::dvec3(std::cos(turn), 0.1 * std::sin(3 * turn), std::sin(turn));
+    cameras.push_back(camera_at(eye, eye + glm::dvec3(std::cos(turn), -0.2, std::sin(turn)), 64, 48));
+  }
+  return cameras;
+}
+
+}  // namespace
+
+TEST_CASE("a pool never holds more than its budget, by the count of every allocation, whatever is flown through") {
+  if (!counts_memory()) return;
+  const std::vector<Camera> cameras = flight(7, 160);
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    for (const int sh_degree : {0, 3}) {
+      const Bytes bytes = town({.profile = profile, .n = 60000, .sh_degree = sh_degree});
+      // An archive's tables take more while it is opened.
+      const std::uint64_t base = profile == Profile::archive ? kMostArchiveMemory : 0;
+      Renderer renderer = cpu_renderer();
+      std::vector<Frame> frames(1, Frame::of(cameras.front()));
+      {
+        // The renderer's own memory is as large as it will be.
+        const Scene all = whole(bytes);
+        for (const Camera& camera : cameras) {
+          for (const float detail : {0.0F, 0.02F, 0.3F, 1.0F, 4.0F, 1e9F})
+            REQUIRE(renderer.render(all, camera, frames[0].target(), at_detail(detail)));
+        }
+      }
+      for (const std::uint64_t kib : {1600u, 3000u, 6000u, 40000u}) {
+        const std::uint64_t memory = base + (kib << 10);
+        CAPTURE(static_cast<int>(profile));
+        CAPTURE(sh_degree);
+        CAPTURE(memory);
+        const auto pool = StreamPool::create({.host_memory = memory});
+        REQUIRE(pool);
+        const auto script = std::make_shared<Script>();
+        const std::int64_t before = live_bytes();
+        reset_peak_bytes();
+        std::uint64_t most = 0;
+        {
+          const StreamedScene scene =
+              streamed(bytes, script,
+                       {.pool = *pool, .traits = {.reads_at_once = 3, .most_bytes = 256 << 10, .gap_bytes = 4096}});
+          CHECK(peak_bytes() - before <= static_cast<std::int64_t>(memory) + kBeside);
+          for (std::size_t i = 0; i < cameras.size(); ++i) {
+            const RenderOptions options = at_detail(0.02F);
+            if (i % 16 == 0) REQUIRE(renderer.refine(scene, cameras[i], 5, options));
+            REQUIRE(renderer.render(scene, cameras[i], frames[0].target(), options));
+            most = std::max(most, pool->host_bytes());
+            REQUIRE(pool->host_bytes() <= memory);
+          }
+          CHECK(scene.status());
+          if (kib == 1600) CHECK(scene.stats().bytes_evicted > 0);
+          MESSAGE("budget ", memory, ", counted by the pool ", most, ", held at most ", peak_bytes() - before,
+                  ", evicted ", scene.stats().bytes_evicted, ", pages ", scene.stats().pages_resident);
+        }
+        CHECK(peak_bytes() - before <= static_cast<std::int64_t>(memory) + kBeside);
+        CHECK(pool->host_bytes() == 0);
+        CHECK(live_bytes() - before <= kBeside);
+      }
+    }
+  }
+}
+
+TEST_CASE("a long random flight with a pool that is far too small: no growth, no error, no hole in memory") {
+  const char* const wanted = std::getenv("RGS_SOAK_SECONDS");
+  const double seconds = wanted == nullptr ? 3 : std::strtod(wanted, nullptr);
+  const Bytes bytes = town({.profile = Profile::packed, .n = 60000, .sh_degree = 1});
+  const auto pool = StreamPool::create({.host_memory = 2500 << 10});
+  REQUIRE(pool);
+  const auto script = std::make_shared<Script>(), other_script = std::make_shared<Script>();
+  const ByteSource::Traits traits{.reads_at_once = 2, .most_bytes = 64 << 10, .gap_bytes = 4096};
+  const StreamedScene scene = streamed(bytes, script, {.pool = *pool, .traits = traits});
+  script->fails_every = 501;
+  Renderer renderer = cpu_renderer();
+  const auto start = std::chrono::steady_clock::now();
+  std::uint64_t n_frames = 0, n_scenes = 0;
+  std::int64_t after_first = 0;
+  const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
+  while (elapsed() < seconds) {
+    const std::vector<Camera> cameras = flight(static_cast<unsigned>(n_frames + 1), 80);
+    // Another scene comes and goes in the same pool.
+    const auto other = try_streaming(bytes, other_script, {.pool = *pool, .traits = traits});
+    n_scenes += other.has_value();
+    for (const Camera& camera : cameras) {
+      const RenderOptions options = at_detail(n_frames % 7 == 0 ? 0.0F : 0.3F);
+      const Frame frame = draw(renderer, scene, camera, options);
+      REQUIRE(frame.stats.pages <= frame.stats.stream.pages_resident);
+      if (other) draw(renderer, *other, camera, options);
+      if (n_frames % 50 == 0) {
+        const auto complete = renderer.refine(scene, camera, 0.2, options);
+        if (!complete) REQUIRE(complete.error().code == Errc::read_failed);
+      }
+      REQUIRE(pool->host_bytes() <= pool->host_memory());
+      ++n_frames;
+    }
+    if (after_first == 0) after_first = live_bytes();
+  }
+  MESSAGE(n_frames, " frames, ", n_scenes, " other scenes, ", scene.stats().bytes_decoded, " bytes decoded, ",
+          scene.stats().bytes_evicted, " evicted");
+  CHECK(scene.stats().bytes_evicted > 0);
+  if (counts_memory()) CHECK(live_bytes() <= after_first + (8 << 20));
+}

@@ -1,0 +1,370 @@
+# hostile_server.py - a web server on 127.0.0.1 that does everything wrong, on demand; prints its port, then a line for each request.
+#
+# The path names what is wrong (the functions below; /plain is in order), parameters say when and with what:
+#   from=N      requests before the Nth to this very address are answered in order (1: none)
+#   times=N     at most so many are answered wrongly; 0: no limit
+#   size=N      of the file, whose bytes are made (byte_at); file=PATH serves that one
+#   etag=, modified=   of the file; absent: no such header. etag2=, modified2=, size2= hold from the Nth request on
+# A line: "GET ADDRESS range=... auth=... agent=... encoding=..."
+# SPDX-License-Identifier: Apache-2.0
+import collections
+import os
+import re
+import socket
+import struct
+import sys
+import threading
+import time
+import urllib.parse
+
+FIRST = "bytes=0-65535"
+
+
+def byte_at(offset):
+    return ((offset * 2654435761) >> 13) & 0xFF
+
+
+class File:
+    def __init__(self, options, later):
+        self.path = options.get("file")
+        self.size = os.path.getsize(self.path) if self.path else int(options.get("size", 300000))
+        self.etag, self.modified = options.get("etag"), options.get("modified")
+        if later:
+            self.size = int(options.get("size2", self.size))
+            self.etag = options.get("etag2", self.etag)
+            self.modified = options.get("modified2", self.modified)
+
+    def bytes(self, begin, end):
+        if not self.path:
+            return bytes(byte_at(i) for i in range(begin, end))
+        with open(self.path, "rb") as file:
+            file.seek(begin)
+            return file.read(end - begin)
+
+
+class Request:
+    """One request and the means to answer it. begin, end: what is asked for, cut at the file's end."""
+
+    def __init__(self, connection, address, fields, options, file):
+        self.connection, self.address, self.fields, self.options, self.file = connection, address, fields, options, file
+        match = re.fullmatch(r"bytes=(\d+)-(\d+)", fields.get("range", ""))
+        self.begin, self.end = (int(match[1]), min(int(match[2]) + 1, file.size)) if match else (0, file.size)
+
+    def body(self):
+        return self.file.bytes(self.begin, self.end)
+
+    def send(self, data):
+        self.connection.sendall(data)
+
+    def head(self, status=206, *, range=None, length=None, more=(), version="1.1"):
+        lines = [f"HTTP/{version} {status} whatever"]
+        if status == 206 and range is None:
+            range = f"bytes {self.begin}-{self.end - 1}/{self.file.size}"
+        if range:
+            lines.append(f"Content-Range: {range}")
+        if length is not None:
+            lines.append(f"Content-Length: {length}")
+        if self.file.etag:
+            lines.append(f"ETag: {self.file.etag}")
+        if self.file.modified:
+            lines.append(f"Last-Modified: {self.file.modified}")
+        self.send("\r\n".join([*lines, *more, "", ""]).encode())
+
+    def answer(self, status=206, **fields):
+        body = self.body()
+        self.head(status, **{"length": len(body), **fields})
+        self.send(body)
+
+    def hang(self):
+        """Until the other side goes."""
+        while self.connection.recv(4096):
+            pass
+
+    def reset(self):
+        self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self.connection.close()
+
+
+# What is done wrong. True: the connection stays open.
+
+def plain(r):
+    if r.begin >= r.file.size:
+        r.head(416, range=f"bytes */{r.file.size}", length=0)
+    else:
+        r.answer()
+    return True
+
+
+def no_ranges(r):
+    r.begin, r.end = 0, r.file.size
+    r.answer(200)
+
+
+def no_ranges_chunked(r):
+    data = r.file.bytes(0, r.file.size)
+    r.head(200, more=["Transfer-Encoding: chunked"])
+    r.send(b"%x\r\n" % len(data) + data + b"\r\n0\r\n\r\n")
+
+
+def no_ranges_unknown_length(r):
+    r.head(200, more=["Connection: close"])
+    r.send(r.file.bytes(0, r.file.size))
+
+
+def status(r):
+    text = b"<html>no</html>"
+    more = ["Retry-After: " + r.options["retry_after"]] if "retry_after" in r.options else []
+    r.head(int(r.options["code"]), length=len(text), more=more, range=r.options.get("range"))
+    r.send(text)
+    return True
+
+
+def endless_error(r):
+    r.head(int(r.options["code"]))
+    while True:
+        r.send(b"no" * 5000)
+        time.sleep(0.01)
+
+
+def truncated(r):
+    body = r.body()
+    r.head(length=len(body))
+    r.send(body[:max(1, len(body) // 2)])
+
+
+def truncated_chunked(r):
+    body = r.body()
+    r.head(more=["Transfer-Encoding: chunked"])
+    half = body[:max(1, len(body) // 2)]
+    r.send(b"%x\r\n" % len(half) + half + b"\r\n")
+
+
+def short_length(r):
+    """A shorter body than the range says, and all in order otherwise."""
+    body = r.body()[:-7]
+    r.head(length=len(body))
+    r.send(body)
+    return True
+
+
+def head_alone(r):
+    r.head(length=r.end - r.begin)
+
+
+def other_range(r):
+    r.begin, r.end = r.begin + 1, min(r.end + 1, r.file.size)
+    r.answer()
+
+
+def lying_range(r):
+    """The bytes of another range under the name of the right one."""
+    r.answer(range=r.options["range"])
+
+
+def longer(r):
+    """As chunks, so that nothing but the range says how much it is."""
+    body = r.body() + bytes(1 << 20)
+    r.head(more=["Transfer-Encoding: chunked"])
+    r.send(b"%x\r\n" % len(body) + body + b"\r\n0\r\n\r\n")
+
+
+def longer_length(r):
+    body = r.body() + bytes(1 << 20)
+    r.head(length=len(body))
+    r.send(body)
+
+
+def endless(r):
+    r.head(more=["Connection: close"])
+    r.send(r.body())
+    while True:
+        r.send(bytes(1 << 16))
+
+
+def slow(r):
+    """So many bytes a second; the first request is answered at once unless `all` is set."""
+    if r.fields["range"] == FIRST and "all" not in r.options:
+        return plain(r)
+    body, step = r.body(), max(1, int(r.options.get("rate", 1000)) // 20)
+    r.head(length=len(body))
+    for i in range(0, len(body), step):
+        r.send(body[i:i + step])
+        time.sleep(0.05)
+    return True
+
+
+def stall(r):
+    body = r.body()
+    r.head(length=len(body))
+    r.send(body[:int(r.options.get("after", 1000))])
+    r.hang()
+
+
+def silent(r):
+    r.hang()
+
+
+def slow_head(r):
+    r.send(b"HTTP/1.1 206 whatever\r\n")
+    while True:
+        r.send(b"X-Nothing: nothing\r\n")
+        time.sleep(0.05)
+
+
+def reset(r):
+    body = r.body()
+    r.head(length=len(body))
+    r.send(body[:len(body) // 2])
+    time.sleep(0.05)  # or the reset overtakes what was sent
+    r.reset()
+
+
+def reset_at_once(r):
+    r.reset()
+
+
+def hang_up(r):
+    pass
+
+
+def redirect(r):
+    r.head(int(r.options.get("code", 302)), length=4, more=["Location: " + r.options["to"]])
+    r.send(b"away")
+    return True
+
+
+def redirect_nowhere(r):
+    r.head(302, length=0)
+    return True
+
+
+def endless_redirect(r):
+    r.head(302, more=["Location: " + r.options["to"]])
+    while True:
+        r.send(bytes(1 << 12))
+        time.sleep(0.01)
+
+
+def chain(r):
+    n = int(r.options["n"])
+    r.head(301, length=0, more=[f"Location: chain?n={n - 1}" if n > 1 else "Location: /plain?chained"])
+    return True
+
+
+def loop(r):
+    r.head(302, length=0, more=["Location: " + r.address])
+    return True
+
+
+def gzip(r):
+    r.answer(more=["Content-Encoding: gzip"])
+
+
+def multipart(r):
+    body = r.body()
+    text = b"--x\r\nContent-Range: bytes %d-%d/%d\r\n\r\n" % (r.begin, r.end - 1, r.file.size) + body + b"\r\n--x--\r\n"
+    r.head(range=False, length=len(text), more=["Content-Type: multipart/byteranges; boundary=x"])
+    r.send(text)
+
+
+def two_ranges(r):
+    r.answer(more=[f"Content-Range: bytes {r.begin + 1}-{r.end}/{r.file.size}"])
+
+
+def old(r):
+    """HTTP/1.0, whose body ends with the connection."""
+    r.head(version="1.0")
+    r.send(r.body())
+
+
+def long_line(r):
+    r.send(b"HTTP/1.1 206 whatever\r\nX-Long: ")
+    for _ in range(100):
+        r.send(b"x" * 100000)
+    r.send(b"\r\n\r\n")
+
+
+def many_lines(r):
+    r.send(b"HTTP/1.1 206 whatever\r\n")
+    for i in range(10000):
+        r.send(b"X-Line-%d: " % i + b"x" * 1000 + b"\r\n")
+    r.send(b"\r\n")
+
+
+def many_informations(r):
+    while True:
+        r.send(b"HTTP/1.1 103 Early Hints\r\nLink: nothing\r\n\r\n" * 100)
+
+
+def early_hints(r):
+    r.send(b"HTTP/1.1 103 Early Hints\r\nContent-Range: bytes 0-1/2\r\nETag: other\r\n\r\n")
+    return plain(r)
+
+
+def garbage(r):
+    r.send(b"\x16\x03\x01\x02\x00" * 100)
+
+
+def no_header_colon(r):
+    r.send(b"HTTP/1.1 206 whatever\r\nContent-Range bytes 0-65535/300000\r\n\r\n")
+
+
+def busy(r):
+    """Answers late, so that others come meanwhile; requests at work at a time: the largest number is in the log."""
+    with lock:
+        at_work[0] += 1
+        at_work[1] = max(at_work)
+        print("at work", at_work[1], flush=True)
+    time.sleep(0.1)
+    with lock:
+        at_work[0] -= 1
+    return plain(r)
+
+
+lock = threading.Lock()
+at_work = [0, 0]
+counts = collections.Counter()
+
+
+def read_head(connection, rest):
+    while b"\r\n\r\n" not in rest:
+        data = connection.recv(65536)
+        if not data:
+            return None, rest
+        rest += data
+    return rest.split(b"\r\n\r\n", 1)
+
+
+def serve(connection):
+    rest = b""
+    try:
+        while True:
+            head, rest = read_head(connection, rest)
+            if head is None:
+                return
+            lines = head.decode("latin1").split("\r\n")
+            method, address, _ = lines[0].split(" ")
+            fields = {name.lower(): value.strip() for name, value in (line.split(":", 1) for line in lines[1:])}
+            parts = urllib.parse.urlsplit(address)
+            options = dict(urllib.parse.parse_qsl(parts.query, keep_blank_values=True))
+            with lock:
+                counts[address] += 1
+                n = counts[address]
+                print(method, address, "range=" + fields.get("range", ""), "auth=" + fields.get("authorization", ""),
+                      "agent=" + fields.get("user-agent", ""), "encoding=" + fields.get("accept-encoding", ""),
+                      "cookie=" + fields.get("cookie", ""), "if-range=" + fields.get("if-range", ""), flush=True)
+            first, times = int(options.get("from", 1)), int(options.get("times", 0))
+            wrong = n >= first and (times == 0 or n < first + times)
+            request = Request(connection, address, fields, options, File(options, wrong))
+            if not (globals()[parts.path[1:].replace("-", "_")] if wrong else plain)(request):
+                return
+    except OSError:
+        pass
+    finally:
+        connection.close()
+
+
+listener = socket.create_server(("127.0.0.1", 0), backlog=64)
+print("port", listener.getsockname()[1], flush=True)
+while True:
+    threading.Thread(target=serve, args=(listener.accept()[0],), daemon=True).start()
