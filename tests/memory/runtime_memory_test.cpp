@@ -1,15 +1,23 @@
-// runtime_memory_test.cpp - camera files, pictures and the CPU renderer where memory runs out.
+// runtime_memory_test.cpp - camera files, sources, pictures and the CPU renderer where memory runs out.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
+#include <array>
+#include <string>
 #include <string_view>
 
 #include "failing_memory.hpp"
+#include "made_bytes.hpp"
 #include "plausible_cloud.hpp"
+#include "rgs/byte_source.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/image_metrics.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/scene.hpp"
+#include "temporary_folder.hpp"
+#ifdef RGS_TEST_HTTP
+#include "web_servers.hpp"
+#endif
 
 using namespace rgs;
 using rgs::test::fail_each_allocation;
@@ -24,6 +32,35 @@ TEST_CASE("COLMAP's cameras") {
     return hash_of(std::as_bytes(std::span(set->cameras.at(0).name)));
   });
 }
+
+namespace {
+
+void read_source(const std::string& name, const UrlOptions& options = {}) {
+  const std::int64_t n = fail_each_allocation([&]() -> Result<std::uint64_t> {
+    const auto source = open_source(name, options);
+    if (!source) return tl::unexpected(source.error());
+    std::array<std::byte, 1000> bytes{};
+    if (Status s = (*source)->read(100000, bytes); !s) return tl::unexpected(s.error());
+    return hash_of(bytes);
+  });
+  CHECK(n >= 1);
+}
+
+}  // namespace
+
+TEST_CASE("a file that is read by ranges") {
+  const test::TemporaryFolder folder;
+  test::write_bytes(folder.file("scene.rgs"), 200000);
+  read_source(folder.file("scene.rgs"));
+}
+
+#ifdef RGS_TEST_HTTP
+TEST_CASE("a file behind a web server") {
+  const test::HostileServer server;
+  read_source(server.url("/plain"));
+  read_source(server.url("/redirect?to=/plain"));
+}
+#endif
 
 TEST_CASE("the CPU renderer, which draws the next frame after one that had no memory, and comparing pictures") {
   test::SplitMix random{9};

@@ -3,7 +3,7 @@
 # The path names what is wrong (the functions below; /plain is in order), parameters say when and with what:
 #   from=N      requests before the Nth to this very address are answered in order (1: none)
 #   times=N     at most so many are answered wrongly; 0: no limit
-#   size=N      of the file, whose bytes are made (byte_at); file=PATH serves that one
+#   size=N      of the file, at most 400000, whose bytes are made; file=PATH serves that one
 #   etag=, modified=   of the file; absent: no such header. etag2=, modified2=, size2= hold from the Nth request on
 # A line: "GET ADDRESS range=... auth=... agent=... encoding=..."
 # SPDX-License-Identifier: Apache-2.0
@@ -20,8 +20,7 @@ import urllib.parse
 FIRST = "bytes=0-65535"
 
 
-def byte_at(offset):
-    return ((offset * 2654435761) >> 13) & 0xFF
+MADE = bytes(((offset * 2654435761) >> 13) & 0xFF for offset in range(400000))  # tests/support/made_bytes.hpp
 
 
 class File:
@@ -36,7 +35,7 @@ class File:
 
     def bytes(self, begin, end):
         if not self.path:
-            return bytes(byte_at(i) for i in range(begin, end))
+            return MADE[begin:end]
         with open(self.path, "rb") as file:
             file.seek(begin)
             return file.read(end - begin)
@@ -286,9 +285,10 @@ def long_line(r):
 
 def many_lines(r):
     r.send(b"HTTP/1.1 206 whatever\r\n")
-    for i in range(10000):
+    for i in range(int(r.options.get("n", 10000))):
         r.send(b"X-Line-%d: " % i + b"x" * 1000 + b"\r\n")
-    r.send(b"\r\n")
+    body = r.body()
+    r.send(b"Content-Range: bytes %d-%d/%d\r\n\r\n" % (r.begin, r.end - 1, r.file.size) + body)
 
 
 def many_informations(r):

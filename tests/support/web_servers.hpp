@@ -84,15 +84,20 @@ class Nginx {
     for (int attempt = 0; attempt < 5; ++attempt) {
       port_ = free_port();
       write_configuration(directives);
-      program_ = std::make_unique<Program>(std::vector<std::string>{
-          kProgram, "-p", folder_.path().string(), "-c", folder_.file("nginx.conf"), "-e", folder_.file("error.log")});
-      for (int i = 0; i < 1000 && program_->running(); ++i) {
-        if (answers()) return;
-        std::this_thread::sleep_for(std::chrono::milliseconds(10));
-      }
+      if (start()) return;
     }
     throw std::runtime_error("nginx does not start: " + text_of(folder_.file("error.log")));
   }
+
+  /// Ends it, with all connections.
+  void end() { program_.reset(); }
+  /// Starts it again at the same address.
+  void start_again() {
+    if (!start()) throw std::runtime_error("nginx does not start again: " + text_of(folder_.file("error.log")));
+  }
+  /// Connections stand, and nothing comes over them, until resume().
+  void freeze() const { program_->send(SIGSTOP); }
+  void resume() const { program_->send(SIGCONT); }
 
   std::string file(const std::string& name) const { return folder_.file("files/" + name); }
   std::string certificate() const { return folder_.file("certificate.pem"); }
@@ -130,6 +135,16 @@ class Nginx {
     ::close(fd);
     if (!found) throw std::runtime_error("no free port");
     return ntohs(a.sin_port);
+  }
+
+  bool start() {
+    program_ = std::make_unique<Program>(std::vector<std::string>{
+        kProgram, "-p", folder_.path().string(), "-c", folder_.file("nginx.conf"), "-e", folder_.file("error.log")});
+    for (int i = 0; i < 1000 && program_->running(); ++i) {
+      if (answers()) return true;
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+    return false;
   }
 
   bool answers() const {

@@ -112,21 +112,4 @@ Result<std::unique_ptr<ByteSource>> open_file_source(const std::string& path) {
   });
 }
 
-bool is_url(const std::string& name) {
-  const auto begins_with = [&](const char* scheme) {
-    std::size_t i = 0;
-    for (; scheme[i] != '\0'; ++i) {
-      if (i >= name.size()) return false;
-      const char c = name[i] >= 'A' && name[i] <= 'Z' ? static_cast<char>(name[i] - 'A' + 'a') : name[i];
-      if (c != scheme[i]) return false;
-    }
-    return true;
-  };
-  return begins_with("http://") || begins_with("https://");
-}
-
-Result<std::unique_ptr<ByteSource>> open_source(const std::string& path_or_url, const UrlOptions& options) {
-  return is_url(path_or_url) ? open_url_source(path_or_url, options) : open_file_source(path_or_url);
-}
-
 }  // namespace rgs

@@ -229,6 +229,7 @@ class UrlSource final : public ByteSource {
     const auto n = static_cast<std::size_t>(options_.reads_at_once);
     ::curl_multi_setopt(multi_.get(), CURLMOPT_PIPELINING, CURLPIPE_MULTIPLEX);
     ::curl_multi_setopt(multi_.get(), CURLMOPT_MAX_TOTAL_CONNECTIONS, static_cast<long>(n));
+    ::curl_multi_setopt(multi_.get(), CURLMOPT_MAXCONNECTS, static_cast<long>(n));  // kept, also when few are used
     slots_ = std::vector<Slot>(n);
     for (Slot& slot : slots_) {
       if (Status s = set_up(slot); !s) return s;

@@ -37,20 +37,22 @@ TEST_CASE("a file is read by ranges, and not beyond its end") {
   write_bytes(path, kSize);
   const auto source = open_source(path).value();
   CHECK(source->size() == kSize);
-  for (const auto& [offset, n] : {std::pair<std::uint64_t, std::uint64_t>{0, kSize},
-                                  {0, 1},
-                                  {1234567, 100000},
-                                  {kSize - 1, 1},
-                                  {kSize, 0},
-                                  {5, 0}}) {
-    CAPTURE(offset);
+  for (const auto& range : {std::pair<std::uint64_t, std::uint64_t>{0, kSize},
+                            {0, 1},
+                            {1234567, 100000},
+                            {kSize - 1, 1},
+                            {kSize, 0},
+                            {5, 0}}) {
+    const auto [offset, n] = range;
+    CAPTURE(range.first);
     std::vector<std::byte> bytes(n);
     REQUIRE(source->read(offset, bytes));
     CHECK(are_bytes_from(offset, bytes));
   }
-  for (const auto& [offset, n] :
+  for (const auto& range :
        {std::pair<std::uint64_t, std::uint64_t>{kSize, 1}, {kSize - 1, 2}, {~std::uint64_t{0}, 2}, {kSize + 1, 0}}) {
-    CAPTURE(offset);
+    const auto [offset, n] = range;
+    CAPTURE(range.first);
     std::vector<std::byte> bytes(n);
     const Status read = source->read(offset, bytes);
     REQUIRE_FALSE(read);

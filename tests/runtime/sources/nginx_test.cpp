@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 
 #include <array>
+#include <cerrno>
 #include <chrono>
 #include <filesystem>
 #include <set>
@@ -158,4 +159,49 @@ TEST_CASE("nginx: a file that is replaced or removed") {
   CHECK(source->read(1'000'000, bytes).error().expected == kSize);
   std::filesystem::remove(nginx.file("scene.rgs"));
   CHECK(source->read(1'000'000, bytes).error().found == 404);
+}
+
+TEST_CASE("nginx: a server that freezes, starts again, or is gone") {
+  if (without_nginx()) return;
+  for (const bool ssl : {false, true}) {
+    CAPTURE(ssl);
+    Nginx nginx(ssl);
+    write_bytes(nginx.file("scene.rgs"), kSize);
+    UrlOptions options;
+    options.stall_seconds = 0.3;
+    options.connect_seconds = 0.5;
+    if (ssl) options.certificates = nginx.certificate();
+    const auto source = open_source(nginx.url("scene.rgs"), options).value();
+    nginx.freeze();
+    std::thread later([&] {
+      std::this_thread::sleep_for(std::chrono::milliseconds(1200));
+      nginx.resume();
+    });
+    const auto begin = std::chrono::steady_clock::now();
+    CHECK(wrong_readers(*source) == 0);
+    CHECK(std::chrono::steady_clock::now() - begin > std::chrono::seconds(1));
+    later.join();
+
+    nginx.end();
+    nginx.start_again();
+    CHECK(reads_right(*source, 1'000'000, 500'000));
+
+    nginx.end();
+    std::thread again([&] {
+      std::this_thread::sleep_for(std::chrono::milliseconds(800));
+      nginx.start_again();
+    });
+    CHECK(wrong_readers(*source) == 0);
+    again.join();
+
+    options.retries = 1;
+    const auto impatient = open_source(nginx.url("scene.rgs"), options).value();
+    nginx.end();
+    std::vector<std::byte> bytes(1000);
+    const Status read = impatient->read(1'000'000, bytes);
+    REQUIRE_FALSE(read);
+    CHECK(read.error().code == Errc::read_failed);
+    CHECK(read.error().offset == 1'000'000);
+    CHECK(read.error().system == ECONNREFUSED);
+  }
 }

@@ -33,7 +33,7 @@ UrlOptions quick() {
   UrlOptions options;
   options.retries = 1;
   options.connect_seconds = 5;
-  options.stall_seconds = 0.5;
+  options.stall_seconds = 1;
   return options;
 }
 
@@ -263,9 +263,10 @@ TEST_CASE("ranges that are not what was asked for are refused") {
   const HostileServer server;
   for (const char* path :
        {"/other-range", "/lying-range?range=bytes+0-9/300000", "/lying-range?range=bytes+0-65534/300000",
-        "/lying-range?range=bytes+0-65535/*", "/lying-range?range=bytes+0-65536/300000", "/lying-range?range=nonsense",
-        "/lying-range?range=bytes+*/300000", "/lying-range?range=bytes+0-65535/18446744073709551615", "/multipart",
-        "/no-header-colon", "/two-ranges", "/short-length", "/longer-length", "/gzip"}) {
+        "/lying-range?range=bytes+1-65535/300000", "/lying-range?range=bytes+0-65535/*",
+        "/lying-range?range=bytes+0-65536/300000", "/lying-range?range=nonsense", "/lying-range?range=bytes+*/300000",
+        "/lying-range?range=bytes+0-65535/18446744073709551615", "/multipart", "/no-header-colon", "/two-ranges",
+        "/short-length", "/longer-length", "/gzip"}) {
     CAPTURE(std::string(path));
     const Outcome outcome = read_from(server.url(path));
     CHECK_FALSE(outcome.opened);
@@ -275,9 +276,10 @@ TEST_CASE("ranges that are not what was asked for are refused") {
   }
   for (const char* path :
        {"/other-range?from=2", "/lying-range?from=2&range=bytes+0-99999/300000",
-        "/lying-range?from=2&range=bytes+100000-199998/300000", "/lying-range?from=2&range=bytes+100000-199999/*",
-        "/lying-range?from=2&range=bytes+100000-199999/300001", "/lying-range?from=2&range=nonsense",
-        "/multipart?from=2", "/two-ranges?from=2", "/short-length?from=2", "/longer-length?from=2", "/gzip?from=2"}) {
+        "/lying-range?from=2&range=bytes+100000-199998/300000", "/lying-range?from=2&range=bytes+99999-199999/300000",
+        "/lying-range?from=2&range=bytes+100000-199999/*", "/lying-range?from=2&range=bytes+100000-199999/300001",
+        "/lying-range?from=2&range=nonsense", "/multipart?from=2", "/two-ranges?from=2", "/short-length?from=2",
+        "/longer-length?from=2", "/gzip?from=2"}) {
     CAPTURE(std::string(path));
     const Outcome outcome = read_from(server.url(path));
     CHECK(outcome.opened);
@@ -298,14 +300,16 @@ TEST_CASE("more than was asked for is not received") {
 
 TEST_CASE("heads that are long, slow or none") {
   const HostileServer server;
-  for (const char* path : {"/long-line", "/many-lines", "/many-informations", "/slow-head", "/garbage", "/silent"}) {
-    for (const char* from : {"?from=1", "?from=2"}) {
-      CAPTURE(std::string(path) + from);
+  for (const std::string path : {"/long-line?", "/many-lines?", "/many-lines?n=100&", "/many-informations?",
+                                 "/slow-head?", "/garbage?", "/silent?"}) {
+    for (const int from : {1, 2}) {
+      CAPTURE(path);
+      CAPTURE(from);
       Outcome outcome;
-      CHECK(seconds_of([&] { outcome = read_from(server.url(std::string(path) + from)); }) < 10);
+      CHECK(seconds_of([&] { outcome = read_from(server.url(path + "from=" + std::to_string(from))); }) < 10);
       REQUIRE_FALSE(outcome.status);
       CHECK(outcome.status.error().code == (outcome.opened ? Errc::read_failed : Errc::open_failed));
-      CHECK(outcome.opened == (std::string(from) == "?from=2"));
+      CHECK(outcome.opened == (from == 2));
     }
   }
 }
