@@ -48,7 +48,7 @@ SplatFormat format_of(std::span<const std::byte> bytes, SplatFormat by_name) {
 
 class Walk {
  public:
-  explicit Walk(const std::vector<std::string>& without) {
+  Walk(const std::vector<std::string>& without, bool hidden) : hidden_(hidden) {
     for (const std::string& folder : without) {
       struct stat info {};
       if (::stat(folder.c_str(), &info) == 0) without_.emplace_back(info.st_dev, info.st_ino);
@@ -76,7 +76,7 @@ class Walk {
     std::ranges::sort(names);
     above_.push_back(self);
     for (const std::string& name : names)
-      if (name[0] != '.') entry(path + "/" + name, prefix + name);
+      if (name != "." && name != "..") entry(path + "/" + name, prefix + name, name[0] == '.');
     above_.pop_back();
     return {};
   }
@@ -89,7 +89,8 @@ class Walk {
   }
 
  private:
-  void entry(const std::string& path, const std::string& name) {
+  void entry(const std::string& path, const std::string& name, bool is_hidden) {
+    if (is_hidden && !hidden_) return;
     ListedScene scene{name, path, SplatFormat::unknown, 0, {}};
     const SplatFormat by_name = is_unfinished(name) ? SplatFormat::unknown : format_of_name(name);
     struct stat info {};
@@ -101,6 +102,7 @@ class Walk {
       return list_.scenes.push_back(std::move(scene));
     }
     if (S_ISDIR(info.st_mode)) {
+      if (is_hidden) return;
       scene.readable = folder(path, name + "/");
       if (!scene.readable) list_.scenes.push_back(std::move(scene));
       return;
@@ -126,12 +128,13 @@ class Walk {
   SceneList list_;
   std::vector<Identity> without_, above_;
   std::uint64_t n_pictures_ = 0;
+  bool hidden_ = false;
 };
 
 }  // namespace
 
-Result<SceneList> list_scenes(const std::string& folder, const std::vector<std::string>& without) {
-  Walk walk(without);
+Result<SceneList> list_scenes(const std::string& folder, const std::vector<std::string>& without, bool hidden) {
+  Walk walk(without, hidden);
   if (const Status s = walk.folder(folder, ""); !s) return tl::unexpected(s.error());
   return walk.finish();
 }

@@ -26,10 +26,11 @@ struct SceneList {
 };
 
 /// Lists the scenes of every format below `folder`. A file is a scene if its content says so or, where the content says
-/// nothing (damaged, empty, unreadable), its name. Links to files and folders are followed. Left out: names that begin
-/// with a dot, unfinished outputs (NAME.tmp-XXXXXX), whatever is no regular file, and the folders `without`.
-/// Errors: open_failed if `folder` itself cannot be read; what cannot be read below it is in the list.
-Result<SceneList> list_scenes(const std::string& folder, const std::vector<std::string>& without = {});
+/// nothing (damaged, empty, unreadable), its name. Links to files and folders are followed. Left out: folders that begin
+/// with a dot and, unless `hidden`, such files; unfinished outputs (NAME.tmp-XXXXXX), whatever is no regular file, and the
+/// folders `without`. Errors: open_failed if `folder` itself cannot be read; what cannot be read below it is in the list.
+Result<SceneList> list_scenes(const std::string& folder, const std::vector<std::string>& without = {},
+                              bool hidden = false);
 
 /// The files of a scene: of a SOG's meta.json also the pictures beside it.
 std::vector<std::string> files_of_scene(const std::string& path);
