@@ -43,7 +43,6 @@ struct Options {
   bool attribution = true;
   bool compare_scales = false;  ///< also one SH scale set for the file against one per chunk
   bool distances = true;        ///< of a file with levels of detail: what they look like from afar
-  std::string gate;             ///< the conditions as text; part of the fingerprint, evaluated by evaluate()
   Backend backend = Backend::automatic;
   int threads = 0;
   DecodeLimits limits;  ///< of the asset and the files beside it
@@ -266,9 +265,9 @@ struct Condition {
 };
 
 struct Report {
-  std::string tool, source_name, asset_name, asset_format;
+  std::string tool, source_name, source_format, asset_name, asset_format;
   std::uint64_t source_xxh3 = 0, asset_xxh3 = 0;
-  std::string fingerprint;               ///< of tool, options and inputs: equal fingerprints give equal results
+  std::string fingerprint;               ///< of tool, options and inputs: equal fingerprints give equal measurements
   std::optional<bool> made_from_source;  ///< whether the asset's provenance names this very source; absent: it has none
   std::optional<Declarations> declarations;  ///< the asset's, of whatever format
   /// The source's, if it states another anti-aliasing or low-pass than the usual: it is drawn so.
@@ -290,18 +289,19 @@ struct Verdict {
   Grade grade = Grade::unrated;
   bool depth_range_misfit = false;  ///< the quantised sort key alone is below 35 dB in some view
   bool hardly_seen = false;         ///< rated, but what was compared is background or a small part of the scene
-  std::string headline, detail;
+  std::string finding;              ///< apart from conditions
+  std::string headline, detail;     ///< headline: what failed, then the finding
 };
 Verdict verdict(const Report& report);
 
 /// What makes the verdict say less than it seems to: views that are unrated or hardly see the scene. Sentences.
 std::vector<std::string> warnings(const Report& report);
 
-/// Hash over this program's version, the contents of all inputs and every option that changes a result; what decides
-/// whether an earlier result still holds. Reads all inputs. Errors: open_failed, read_failed.
+/// Hash over this program's version, the contents of all inputs and every option that changes a measurement; what decides
+/// whether an earlier result still holds. Conditions are none of them: see with_conditions(). Reads all inputs. Errors: open_failed, read_failed.
 Outcome<std::string> fingerprint(const Options& options);
 
-/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of PlyFile, FileView::open(), PagedFile::open(), validate(), the
+/// Does all that `options` ask for; the gate is for evaluate(). Errors: those of Source::open(), FileView::open(), PagedFile::open(), validate(), the
 /// cameras and photographs; bad_value when no Gaussian of an .rgs asset is one of the source.
 Outcome<Report> run(const Options& options, tool::Progress& progress);
 

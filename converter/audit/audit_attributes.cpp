@@ -335,7 +335,7 @@ double CodeUsage::entropy_bits() const {
   return bits;
 }
 
-AttributeReport compare_attributes(const PlyFile& source, const FileView& asset, const Pairing& pairing,
+AttributeReport compare_attributes(const Source& source, const FileView& asset, const Pairing& pairing,
                                    tool::Progress& progress) {
   const std::uint64_t n = pairing.source_of.size(), n_blocks = (n + kBlock - 1) / kBlock;
   const std::uint32_t chunk_size = asset.header().chunk_size;

@@ -4,15 +4,15 @@
 
 #include "audit.hpp"
 #include "audit_pairing.hpp"
+#include "audit_source.hpp"
 #include "rgs/decode.hpp"
-#include "rgs/ply.hpp"
 
 namespace rgs::audit {
 
 /// Compares each paired Gaussian of `asset` with its source. Both files are read once, in the asset's order; memory
 /// does not grow with them but for 512 bytes per 4,096 Gaussians. Results do not depend on the number of threads.
 /// `asset` must be valid, and preloaded if it is coded. Damaged Gaussians of the source are mended first, as repair() mends them.
-AttributeReport compare_attributes(const PlyFile& source, const FileView& asset, const Pairing& pairing,
+AttributeReport compare_attributes(const Source& source, const FileView& asset, const Pairing& pairing,
                                    tool::Progress& progress);
 
 }  // namespace rgs::audit

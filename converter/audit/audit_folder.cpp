@@ -17,12 +17,15 @@
 #include "audit_encoding.hpp"
 #include "audit_gate.hpp"
 #include "audit_json.hpp"
+#include "audit_junit.hpp"
 #include "audit_page.hpp"
 #include "audit_report.hpp"
+#include "audit_source.hpp"
 #include "audit_text.hpp"
 #include "info_escape.hpp"
 #include "input_files.hpp"
 #include "rgs/file.hpp"
+#include "scene_list.hpp"
 
 namespace rgs::audit {
 namespace {
@@ -32,10 +35,6 @@ using Json = nlohmann::ordered_json;
 using Status = FolderRow::Status;
 
 constexpr const char* kTableStem = "index";  // index.html, index.json, index.csv
-
-struct Pair {
-  std::string source, asset;  // empty: there is none
-};
 
 const char* name_of(Status status) {
   switch (status) {
@@ -47,21 +46,35 @@ const char* name_of(Status status) {
   return "";
 }
 
-rgs::Status write_text(const fs::path& path, const std::string& text, bool overwrite) {
-  auto file = AtomicFile::create(path.string(), {.overwrite = overwrite, .sync = false});
-  if (!file) return tl::unexpected(file.error());
-  if (auto ok = file->write_at(0, std::as_bytes(std::span(text))); !ok) return ok;
-  return file->commit().map([](double) {});
+// The scenes of one name.
+struct Candidates {
+  std::vector<std::string> sources, rgs_sources, assets, rgs_assets;
+};
+
+// A mesh or point cloud beside the scenes has no partner and needs none.
+bool holds_no_splats(const std::string& path, const DecodeLimits& limits) {
+  const auto source = Source::open(path, limits, {});
+  return !source && source.error().code == Errc::not_gaussian_splats;
 }
 
-Outcome<void> collect(const std::string& folder, const char* extension, std::map<std::string, Pair>& pairs,
-                      std::string Pair::*side) {
-  std::error_code failed;
-  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed))
-    if (it->path().extension() == extension) pairs[it->path().stem().string()].*side = it->path().string();
-  if (!failed) return {};
-  return make_error(folder, {Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
-                             failed.value()});
+std::string file_names(const std::vector<std::string>& paths) {
+  std::string text;
+  for (const std::string& path : paths) text += (text.empty() ? "" : ", ") + fs::path(path).filename().string();
+  return text;
+}
+
+Pair choose(const Candidates& c) {
+  const std::vector<std::string>& sources = c.sources.empty() ? c.rgs_sources : c.sources;
+  const std::vector<std::string>& assets = c.rgs_assets.empty() && !sources.empty() ? c.assets : c.rgs_assets;
+  Pair pair;
+  if (sources.size() > 1) pair.error = "more than one source of this name: " + file_names(sources);
+  if (assets.size() > 1) pair.error = "more than one asset of this name: " + file_names(assets);
+  if (!pair.error.empty()) return pair;
+  if (!sources.empty()) pair.source = sources.front();
+  if (!assets.empty()) pair.asset = assets.front();
+  if (pair.asset.empty()) pair.error = "no .rgs file of this name";
+  if (pair.source.empty()) pair.error = "no source of this name";
+  return pair;
 }
 
 // A folder with something for each pair, or one thing for all.
@@ -82,13 +95,30 @@ std::optional<double> real(const Json& j, const char* key) {
   return j[key].is_number() ? j[key].get<double>() : std::numeric_limits<double>::infinity();
 }
 
-FolderRow row_of(const std::string& stem, const Json& j) {
+std::vector<Condition> gate_of(const Json& j) {
+  std::vector<Condition> gate;
+  for (const Json& c : j["conditions"]) {
+    Condition& out = gate.emplace_back();
+    out.name = c["name"].get<std::string>();
+    out.limit = c["limit"].get<double>();
+    out.at_least = c["sense"] == "at_least";
+    out.holds = c["holds"].get<bool>();
+    out.found = !c["measured"].get<bool>() ? std::numeric_limits<double>::quiet_NaN()
+                : c["found"].is_number()   ? c["found"].get<double>()
+                                           : std::numeric_limits<double>::infinity();
+  }
+  return gate;
+}
+
+FolderRow row_of_json(const std::string& stem, const Json& j) {
   FolderRow row;
   row.stem = stem;
   row.headline = j["verdict"]["headline"].get<std::string>();
   row.grade = j["verdict"]["grade"].get<std::string>();
   row.status = j["gate"]["holds"].get<bool>() ? Status::passed : Status::gate_failed;
   row.exit_code = row.status == Status::passed ? tool::kSuccess : tool::kGate;
+  row.gate = gate_of(j["gate"]);
+  row.seconds = j["seconds"].get<double>();
   row.source_bytes = j["source"]["bytes"].get<std::uint64_t>();
   row.asset_bytes = j["asset"]["bytes"].get<std::uint64_t>();
   row.n_gaussians = j["asset"]["gaussians"].get<std::uint64_t>();
@@ -114,20 +144,8 @@ FolderRow row_of(const std::string& stem, const Json& j) {
   return row;
 }
 
-std::optional<FolderRow> earlier_result(const std::string& stem, const fs::path& json, const std::string& fingerprint) {
-  const auto file = MappedFile::open(json.string());
-  if (!file) return {};
-  const auto bytes = file->bytes();
-  const char* text = reinterpret_cast<const char*>(bytes.data());
-  try {
-    const Json j = Json::parse(text, text + bytes.size());
-    if (j.at("schema") != "rgs-audit/2" || j.at("fingerprint") != fingerprint) return {};
-    FolderRow row = row_of(stem, j);
-    row.reused = true;
-    return row;
-  } catch (const Json::exception&) {
-    return {};
-  }
+std::string text_of(const MappedFile& file) {
+  return {reinterpret_cast<const char*>(file.bytes().data()), file.bytes().size()};
 }
 
 class Folder {
@@ -135,19 +153,18 @@ class Folder {
   explicit Folder(const FolderOptions& options) : options_(options), out_(options.out) {}
 
   Outcome<std::vector<FolderRow>> run() {
-    std::map<std::string, Pair> pairs;
-    if (auto ok = collect(options_.audit.source, ".ply", pairs, &Pair::source); !ok) return tl::unexpected(ok.error());
-    if (auto ok = collect(options_.audit.asset, ".rgs", pairs, &Pair::asset); !ok) return tl::unexpected(ok.error());
-    if (pairs.empty())
-      return make_error(options_.audit.source, {Errc::bad_argument, Error::kNone, "no .ply and no .rgs file to audit"});
-    std::error_code failed;
-    fs::create_directories(out_, failed);
-    if (failed)
-      return make_error(options_.out, {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone,
-                                       Error::kNone, failed.value()});
-    for (const auto& pair : pairs) {
+    const auto pairs = pairs_of(options_.audit);
+    if (!pairs) return tl::unexpected(pairs.error());
+    for (const auto& pair : *pairs) {
+      // A pair may lie in a folder below.
+      const fs::path folder = (out_ / pair.first).parent_path();
+      std::error_code failed;
+      fs::create_directories(folder, failed);
+      if (failed)
+        return make_error(folder.string(), {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone,
+                                            Error::kNone, failed.value()});
       rows_.push_back(audit(pair.first, pair.second));
-      print(rows_.back(), pairs.size());
+      print(rows_.back(), pairs->size());
       if (auto ok = write_tables(); !ok) return tl::unexpected(ok.error());
     }
     return std::move(rows_);
@@ -159,11 +176,11 @@ class Folder {
       return failed_row(stem, {"",
                                {Errc::bad_argument, Error::kNone,
                                 "the folder's table has this name: rename the pair, and its report finds a place"}});
-    if (pair.source.empty() || pair.asset.empty()) {
+    if (!pair.error.empty()) {
       FolderRow row;
       row.stem = stem;
       row.status = Status::unpaired;
-      row.error = pair.asset.empty() ? "no .rgs file of this name" : "no .ply file of this name";
+      row.error = pair.error;
       row.exit_code = tool::kInputOutput;
       return row;
     }
@@ -173,18 +190,19 @@ class Folder {
     options.cameras = own_or_common(options.cameras, stem + ".json");
     options.photos = own_or_common(options.photos, stem);
     tool::InputFiles inputs;
-    inputs.add(options.source);
-    inputs.add(options.asset);
+    inputs.add_scene(options.source);
+    inputs.add_scene(options.asset);
     inputs.add_cameras(options.cameras);
     inputs.add_pictures(options.photos);
     const auto fingerprint = audit::fingerprint(options);
     if (!fingerprint) return failed_row(stem, fingerprint.error());
     const fs::path json = out_ / (stem + ".json"), page = out_ / (stem + ".html");
     std::error_code ignored;
-    if (fs::exists(page, ignored))
-      if (auto row = earlier_result(stem, json, *fingerprint)) return *std::move(row);
+    const auto earlier = earlier_audit(json.string(), *fingerprint, options_.conditions);
+    if (earlier)
+      if (auto row = reuse(stem, *earlier, json, page, *fingerprint)) return *std::move(row);
     for (const fs::path& path : {json, page})
-      if (!options_.overwrite && fs::exists(path, ignored))
+      if (!options_.overwrite && !earlier && fs::exists(path, ignored))
         return failed_row(stem, {path.string(),
                                  {Errc::output_exists, Error::kNone,
                                   "a result of other inputs or options; pass --overwrite to replace it"}});
@@ -197,18 +215,32 @@ class Folder {
     evaluate(options_.conditions, *report);
     const std::string text = audit_json(*report);
     // The JSON file last: it says that the pair is done.
-    if (auto ok = write_text(page, audit_html(*report), true); !ok)
+    if (auto ok = write_text(page.string(), audit_html(*report), true); !ok)
       return failed_row(stem, {page.string(), ok.error()});
-    if (auto ok = write_text(json, text, true); !ok) return failed_row(stem, {json.string(), ok.error()});
-    return row_of(stem, Json::parse(text));
+    if (auto ok = write_text(json.string(), text, true); !ok) return failed_row(stem, {json.string(), ok.error()});
+    return row_of_json(stem, Json::parse(text));
   }
 
-  static FolderRow failed_row(const std::string& stem, const Failure& failure) {
-    FolderRow row;
-    row.stem = stem;
-    row.error = (failure.subject.empty() ? "" : failure.subject + ": ") + tool::describe(failure.error);
-    row.exit_code = exit_code(failure.error.code);
-    return row;
+  // What was measured before, under the conditions of now. Nothing where its page is gone or another.
+  std::optional<FolderRow> reuse(const std::string& stem, const EarlierAudit& earlier, const fs::path& json,
+                                 const fs::path& page, const std::string& fingerprint) const {
+    const auto file = MappedFile::open(page.string());
+    if (!file) return {};
+    const auto text = with_gate(text_of(*file), fingerprint, earlier.verdict, earlier.gate);
+    if (!text) return {};
+    // The JSON file last, as always.
+    if (*text != text_of(*file))
+      if (auto ok = write_text(page.string(), *text, true); !ok) return failed_row(stem, {page.string(), ok.error()});
+    if (earlier.changed)
+      if (auto ok = write_text(json.string(), earlier.json, true); !ok)
+        return failed_row(stem, {json.string(), ok.error()});
+    try {
+      FolderRow row = row_of_json(stem, Json::parse(earlier.json));
+      row.reused = true;
+      return row;
+    } catch (const Json::exception&) {
+      return {};
+    }
   }
 
   void print(const FolderRow& row, std::size_t n) const {
@@ -223,7 +255,10 @@ class Folder {
   Outcome<void> write_tables() const {
     for (const auto& [name, text] :
          {std::pair(table("csv"), csv()), std::pair(table("json"), json()), std::pair(table("html"), page())})
-      if (auto ok = write_text(name, text, true); !ok) return make_error(name.string(), ok.error());
+      if (auto ok = write_text(name.string(), text, true); !ok) return make_error(name.string(), ok.error());
+    if (options_.junit.empty()) return {};
+    if (auto ok = write_text(options_.junit, junit_xml(rows_), true); !ok)
+      return make_error(options_.junit, ok.error());
     return {};
   }
 
@@ -244,7 +279,7 @@ class Folder {
         "name,status,grade,source_bytes,asset_bytes,gaussians,ratio,bytes_per_gaussian,n_views,n_rated,psnr,"
         "worst_psnr,ssim,loss";
     for (const int far : kDistances) text += fmt::format(",levels_psnr_{0}x,levels_drawn_{0}x", far);
-    text += ",error\n";
+    text += ",failed_conditions,error\n";
     const auto cell = [](const std::optional<double>& v) { return v ? fmt::format("{}", *v) : std::string(); };
     for (const FolderRow& r : rows_) {
       fmt::format_to(std::back_inserter(text), "{},{},{},{},{},{},{},{},{},{},{},{},{},{}", quoted(r.stem),
@@ -253,7 +288,7 @@ class Folder {
                      cell(r.loss));
       for (std::size_t i = 0; i < kDistances.size(); ++i)
         text += "," + cell(r.levels_psnr[i]) + "," + cell(r.levels_drawn[i]);
-      text += "," + quoted(r.error) + "\n";
+      text += "," + quoted(failed_conditions(r.gate)) + "," + quoted(r.error) + "\n";
     }
     return text;
   }
@@ -268,6 +303,9 @@ class Folder {
         row["report"] = r.stem + ".html";
         row["result"] = r.stem + ".json";
         row["verdict"] = r.headline;
+        row["failed_conditions"] = Json::array();
+        for (const Condition& c : r.gate)
+          if (!c.holds) row["failed_conditions"].push_back(describe(c));
         row["grade"] = r.grade;
         row["source_bytes"] = r.source_bytes;
         row["asset_bytes"] = r.asset_bytes;
@@ -320,6 +358,13 @@ class Folder {
     return text + "</tbody></table></div>\n</main>\n" + page_end();
   }
 
+  // A pair may lie in a folder below; whatever else is in its name is no part of a path.
+  static std::string link_to_report(const std::string& stem) {
+    std::string link = ".";
+    for (const fs::path& part : fs::path(stem + ".html")) link += link_to_file(part.string()).substr(1);
+    return link;
+  }
+
   static std::string page_row(const FolderRow& r) {
     const char* colour = r.status == Status::gate_failed ? "fair"
                          : r.status != Status::passed    ? "bad"
@@ -334,9 +379,11 @@ class Folder {
     return fmt::format(
         "<tr><td><a href=\"{12}\">{0}</a></td><td class=\"left {1}\" title=\"{2}\">{3}</td><td>{4}</td><td>{5}</td>"
         "<td>{6:.2f}</td><td>{7:.2f}</td><td>{8}</td><td>{9}</td><td>{10}</td><td>{11}</td></tr>\n",
-        html(r.stem), colour, html(r.headline), std::string(name_of(r.status)) + (is_unrated(r) ? ", unrated" : ""),
+        html(r.stem), colour, html(r.headline),
+        std::string(name_of(r.status)) + (is_unrated(r) ? ", unrated" : "") +
+            (holds(r.gate) ? "" : ": " + html(failed_conditions(r.gate))),
         tool::format_bytes(r.source_bytes), tool::format_bytes(r.asset_bytes), r.ratio, r.bytes_per_gaussian,
-        cell(r.psnr, 2), cell(r.worst_psnr, 2), cell(r.ssim, 6), cell(r.loss, 4), link_to_file(r.stem + ".html"));
+        cell(r.psnr, 2), cell(r.worst_psnr, 2), cell(r.ssim, 6), cell(r.loss, 4), link_to_report(r.stem));
   }
 
   const FolderOptions& options_;
@@ -346,17 +393,82 @@ class Folder {
 
 }  // namespace
 
+Outcome<std::map<std::string, Pair>> pairs_of(const Options& options) {
+  std::error_code ignored;
+  const bool one_folder = fs::equivalent(options.source, options.asset, ignored);
+  std::map<std::string, Candidates> candidates;
+  std::map<std::string, Pair> pairs;
+  const auto collect = [&](const std::string& folder, const std::string& other, bool is_source) -> Outcome<void> {
+    // Either may lie in the other.
+    const auto listed = tool::list_scenes(folder, one_folder ? std::vector<std::string>{} : std::vector{other}, true);
+    if (!listed) return make_error(folder, listed.error());
+    for (const tool::ListedScene& scene : listed->scenes) {
+      const std::string stem = tool::scene_stem(scene.name);
+      const bool is_rgs = scene.format == SplatFormat::rgs ||
+                          (scene.format == SplatFormat::unknown && format_of_name(scene.name) == SplatFormat::rgs);
+      if (!scene.readable && format_of_name(scene.name) == SplatFormat::unknown) {
+        pairs[scene.name + "/"].error = "the folder cannot be read";
+        continue;
+      }
+      Candidates& c = candidates[stem];
+      if (one_folder) {
+        (is_rgs ? c.rgs_assets : c.sources).push_back(scene.path);
+      } else if (is_source) {
+        (is_rgs ? c.rgs_sources : c.sources).push_back(scene.path);
+      } else {
+        (is_rgs ? c.rgs_assets : c.assets).push_back(scene.path);
+      }
+    }
+    return {};
+  };
+  if (auto ok = collect(options.source, options.asset, true); !ok) return tl::unexpected(ok.error());
+  if (!one_folder)
+    if (auto ok = collect(options.asset, options.source, false); !ok) return tl::unexpected(ok.error());
+  for (const auto& [stem, c] : candidates) {
+    const Pair pair = choose(c);
+    const bool alone = !pair.error.empty() && c.rgs_assets.empty();
+    if (pair.source.empty() && pair.asset.empty() && c.sources.empty() && c.rgs_assets.empty() && c.rgs_sources.empty())
+      continue;  // files of other formats among the assets
+    if (alone && c.sources.size() == 1 && holds_no_splats(c.sources.front(), options.limits)) continue;
+    pairs.emplace(stem, pair);
+  }
+  if (pairs.empty())
+    return make_error(options.source, {Errc::bad_argument, Error::kNone, "no scene and no .rgs file to audit"});
+  return pairs;
+}
+
+FolderRow row_of(const Report& report) {
+  FolderRow row;
+  row.stem = report.asset_name;
+  row.headline = verdict(report).headline;
+  row.gate = report.gate;
+  row.status = report.gate_holds() ? Status::passed : Status::gate_failed;
+  row.seconds = report.seconds;
+  return row;
+}
+
+FolderRow failed_row(const std::string& stem, const Failure& failure) {
+  FolderRow row;
+  row.stem = stem;
+  row.error = (failure.subject.empty() ? "" : failure.subject + ": ") + tool::describe(failure.error);
+  row.exit_code = exit_code(failure.error.code);
+  return row;
+}
+
+rgs::Status write_text(const std::string& path, const std::string& text, bool overwrite) {
+  auto file = AtomicFile::create(path, {.overwrite = overwrite, .sync = false});
+  if (!file) return tl::unexpected(file.error());
+  if (auto ok = file->write_at(0, std::as_bytes(std::span(text))); !ok) return ok;
+  return file->commit().map([](double) {});
+}
+
 Outcome<std::vector<FolderRow>> audit_folder(const FolderOptions& options) {
   return Folder(options).run();
 }
 
 int exit_code_of(const std::vector<FolderRow>& rows) {
   int code = tool::kSuccess;
-  for (const FolderRow& row : rows) {
-    if (row.exit_code == tool::kSuccess) continue;
-    if (row.exit_code != tool::kGate) return row.exit_code;
-    code = tool::kGate;
-  }
+  for (const FolderRow& row : rows) code = tool::worse_exit_code(code, row.exit_code);
   return code;
 }
 

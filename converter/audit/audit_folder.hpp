@@ -3,6 +3,7 @@
 #pragma once
 
 #include <array>
+#include <map>
 #include <optional>
 #include <string>
 #include <vector>
@@ -16,6 +17,7 @@ struct FolderOptions {
                                       ///< folders with STEM.json and STEM/ for each
   std::vector<Condition> conditions;  ///< for every pair
   std::string out;                    ///< folder for STEM.html, STEM.json and index.html, index.csv, index.json
+  std::string junit = {};             ///< file for the outcome as JUnit XML; may be empty
   bool overwrite = false;             ///< replace results of other inputs or options; results that hold are kept
   bool quiet = false;
 };
@@ -24,10 +26,12 @@ struct FolderOptions {
 struct FolderRow {
   enum class Status : std::uint8_t { passed, gate_failed, error, unpaired };
   std::string stem, headline, error;
-  std::string grade;  ///< Verdict::Grade as in the JSON; empty without a result
+  std::vector<Condition> gate = {};  ///< with what was found
+  double seconds = 0;                ///< of the audit, whenever it was
+  std::string grade;                 ///< Verdict::Grade as in the JSON; empty without a result
   Status status = Status::error;
   int exit_code = 0;
-  bool reused = false;  ///< an earlier result with the same fingerprint
+  bool reused = false;  ///< an earlier result with the same fingerprint; its conditions are those of now
   std::uint64_t source_bytes = 0, asset_bytes = 0, n_gaussians = 0;
   double ratio = 0, bytes_per_gaussian = 0;
   std::uint64_t n_views = 0, n_rated = 0;
@@ -36,12 +40,29 @@ struct FolderRow {
   std::array<std::optional<double>, 4> levels_psnr, levels_drawn;
 };
 
-/// Audits every SOURCE/x.ply with ASSET/x.rgs, in the order of their names; a failure is a row and does not stop the
+/// What is compared: paths; empty where there is none, and why.
+struct Pair {
+  std::string source, asset, error;
+};
+/// The scenes below SOURCE and ASSET (which may be one folder) by their names without endings, "a/b" of SOURCE/a/b.spz and
+/// ASSET/a/b.rgs. A source is of any format, but an .rgs only where it is alone and the folders differ; an asset is
+/// an .rgs or, where there is a source and no .rgs, of any format. What is no scene is left out. Errors: those of
+/// tool::list_scenes(); bad_argument if nothing is there.
+Outcome<std::map<std::string, Pair>> pairs_of(const Options& options);
+
+/// Audits every pair, in the order of their names; a failure is a row and does not stop the
 /// others. The tables are rewritten after every pair, so that an interrupted run leaves what it has done, and a later
-/// one goes on from there. Prints a line a pair unless quiet.
+/// one goes on from there; other conditions are evaluated on what was measured. Prints a line a pair unless quiet.
 Outcome<std::vector<FolderRow>> audit_folder(const FolderOptions& options);
 
-/// 0 if all passed; else the exit code of the first error, or 5 if only conditions failed.
+/// A pair that is no part of a folder, for junit_xml().
+FolderRow row_of(const Report& report);
+FolderRow failed_row(const std::string& stem, const Failure& failure);
+
+/// Writes a text of ours; "-" is standard output. Errors: those of AtomicFile.
+Status write_text(const std::string& path, const std::string& text, bool overwrite);
+
+/// The worst of all pairs, see tool::worse_exit_code().
 int exit_code_of(const std::vector<FolderRow>& rows);
 
 }  // namespace rgs::audit

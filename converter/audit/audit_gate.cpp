@@ -164,15 +164,44 @@ std::string unmeasurable(std::span<const Condition> conditions, const Options& o
   return {};
 }
 
-void evaluate(std::vector<Condition> conditions, Report& report) {
+Measured measured(const Report& report) {
+  Measured out;
+  for (const ConditionKind& kind : kKinds)
+    if (const double found = found_value(kind.name, report); !std::isnan(found)) out.emplace(kind.name, found);
+  return out;
+}
+
+std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measured& measured) {
+  const auto found = [&](const char* name) {
+    const auto at = measured.find(name);
+    return at == measured.end() ? std::numeric_limits<double>::quiet_NaN() : at->second;
+  };
   for (Condition& c : conditions) {
-    c.found = found_value(c.name, report);
+    c.found = found(c.name.c_str());
     c.holds = c.at_least ? c.found >= c.limit : c.found <= c.limit;
   }
   // Whoever sets conditions and has pictures made wants them to count: blind cameras must not pass on sizes alone.
-  if (!conditions.empty() && report.render && report.render->n_rated == 0)
-    conditions.push_back({"rated-views", 1, 0, true, false});
-  report.gate = std::move(conditions);
+  if (!conditions.empty() && found("rated-views") == 0) conditions.push_back({"rated-views", 1, 0, true, false});
+  return conditions;
+}
+
+void evaluate(std::vector<Condition> conditions, Report& report) {
+  report.gate = evaluate(std::move(conditions), measured(report));
+}
+
+bool holds(std::span<const Condition> gate) {
+  return std::ranges::all_of(gate, [](const Condition& c) { return c.holds; });
+}
+
+std::string failed_conditions(std::span<const Condition> gate) {
+  std::string text;
+  for (const Condition& c : gate)
+    if (!c.holds) text += (text.empty() ? "" : "; ") + describe(c);
+  return text;
+}
+
+std::string headline_of(const std::string& finding, std::span<const Condition> gate) {
+  return holds(gate) ? finding : "Gate failed: " + failed_conditions(gate) + ". " + finding;
 }
 
 std::string describe(const Condition& c) {
@@ -186,13 +215,13 @@ Verdict verdict(const Report& report) {
   Verdict out;
   const std::string size = tool::format_size_change(report.size.source_bytes, report.size.asset_bytes);
   if (!report.render) {
-    out.headline = fmt::format("{}; not rendered, so {}", size, words(out.grade));
+    out.finding = fmt::format("{}; not rendered, so {}", size, words(out.grade));
   } else {
     const RenderReport& r = *report.render;
     out.grade = grade(r);
-    out.headline = fmt::format("{}, {}", size, words(out.grade));
+    out.finding = fmt::format("{}, {}", size, words(out.grade));
     if (out.grade == Verdict::Grade::unrated) {
-      out.headline += ": no view shows the scene";
+      out.finding += ": no view shows the scene";
     } else if (out.grade != Verdict::Grade::identical) {
       out.detail = fmt::format(
           "Pictures differ by {:.3g} of 255 levels RMS: {:.1f} dB on average, {:.1f} dB in the worst of {} views. The "
@@ -205,7 +234,7 @@ Verdict verdict(const Report& report) {
         std::count_if(r.views.begin(), r.views.end(), [](const ViewResult& v) { return v.hardly_sees(); }));
     out.hardly_seen =
         out.grade != Verdict::Grade::unrated && (2 * n_blind > r.views.size() || r.gaussians_seen < kHardlySeenShare);
-    if (out.hardly_seen) out.headline += ", but the cameras hardly see the scene";
+    if (out.hardly_seen) out.finding += ", but the cameras hardly see the scene";
     if (r.loss && *r.loss > 0.0005) {
       out.detail += fmt::format(" Against the photographs {:.3f} dB are lost.", *r.loss);
     } else if (r.loss) {
@@ -221,7 +250,7 @@ Verdict verdict(const Report& report) {
                     tool::format_count(report.attributes->n_asset_only)));
   if (const AttributionRow* key = misfit_key(report)) {
     out.depth_range_misfit = true;
-    out.headline += ", but its depth range does not fit these views";
+    out.finding += ", but its depth range does not fit these views";
     add(fmt::format(
         "A renderer that sorts by the declared range of depths, {:.4g} to {:.4g}, falls to {:.1f} dB: convert with "
         "--cameras, or with --near and --far.",
@@ -233,12 +262,7 @@ Verdict verdict(const Report& report) {
     add(fmt::format("The source states {}, the asset {}: each is drawn as it states.",
                     anti_aliasing_text(*report.source_stated), anti_aliasing_text(*report.declarations)));
   if (report.made_from_source == false) add("The asset states that it was made from another file than this source.");
-  if (!report.gate_holds()) {
-    std::string failed;
-    for (const Condition& c : report.gate)
-      if (!c.holds) failed += (failed.empty() ? "" : "; ") + describe(c);
-    out.headline = "Gate failed: " + failed + ". " + out.headline;
-  }
+  out.headline = headline_of(out.finding, report.gate);
   return out;
 }
 

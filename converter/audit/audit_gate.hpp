@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <map>
 #include <span>
 #include <string>
 #include <vector>
@@ -25,9 +26,19 @@ std::span<const ConditionKind> condition_kinds();
 tl::expected<std::vector<Condition>, std::string> parse_conditions(const std::string& text);
 /// A message if a condition asks for what `options` do not measure; else empty.
 std::string unmeasurable(std::span<const Condition> conditions, const Options& options);
-/// Fills in report.gate. A condition on something that turned out not to exist (the attribution of a PLY, the PSNR of
+/// What conditions are about, by their names; what was not measured is absent. All that later conditions need.
+using Measured = std::map<std::string, double>;
+Measured measured(const Report& report);
+/// The conditions with what was found. One on something that turned out not to exist (the attribution of a PLY, the PSNR of
 /// views that do not show the scene) fails. Where pictures were made and none is rated, every gate fails.
+std::vector<Condition> evaluate(std::vector<Condition> conditions, const Measured& measured);
+/// Fills in report.gate.
 void evaluate(std::vector<Condition> conditions, Report& report);
+bool holds(std::span<const Condition> gate);
+/// "psnr 48.20 < 50; ssim 0.9 < 0.99"; empty if all hold.
+std::string failed_conditions(std::span<const Condition> gate);
+/// Verdict::headline: the finding, after what failed.
+std::string headline_of(const std::string& finding, std::span<const Condition> gate);
 /// "psnr 48.20 < 50".
 std::string describe(const Condition& condition);
 

@@ -4,17 +4,24 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <nlohmann/json.hpp>
+#include <span>
+#include <utility>
 
 #include "audit_gate.hpp"
 #include "info_report.hpp"
+#include "rgs/file.hpp"
 
 namespace rgs::audit {
 namespace {
 
 using Json = nlohmann::ordered_json;
+
+constexpr const char* kSchema = "rgs-audit/2";
 
 // JSON has no infinity: null, which the schema explains for each field. What was not rated is left out, so that its
 // absence is not taken for infinity.
@@ -37,16 +44,42 @@ const char* name_of(PairedBy by) {
   return "";
 }
 
-const char* name_of(Verdict::Grade grade) {
-  switch (grade) {
-    case Verdict::Grade::identical: return "identical";
-    case Verdict::Grade::lossless: return "no_visible_loss";
-    case Verdict::Grade::close: return "close";
-    case Verdict::Grade::visible: return "visible";
-    case Verdict::Grade::poor: return "poor";
-    case Verdict::Grade::unrated: return "unrated";
-  }
-  return "";
+using Grade = Verdict::Grade;
+constexpr std::array<std::pair<Grade, const char*>, 6> kGrades{{{Grade::identical, "identical"},
+                                                                {Grade::lossless, "no_visible_loss"},
+                                                                {Grade::close, "close"},
+                                                                {Grade::visible, "visible"},
+                                                                {Grade::poor, "poor"},
+                                                                {Grade::unrated, "unrated"}}};
+
+const char* name_of(Grade grade) {
+  return std::ranges::find(kGrades, grade, &std::pair<Grade, const char*>::first)->second;
+}
+
+// As for other numbers null is infinite; what is below all numbers, too, is the lowest of them.
+Json json(const Measured& found) {
+  Json out = Json::object();
+  for (const auto& [name, value] : found)
+    out[name] =
+        value == -std::numeric_limits<double>::infinity() ? Json(std::numeric_limits<double>::lowest()) : number(value);
+  return out;
+}
+
+Json json(std::span<const Condition> gate) {
+  Json conditions = Json::array();
+  for (const Condition& c : gate)
+    conditions.push_back({{"name", c.name},
+                          {"limit", c.limit},
+                          {"sense", c.at_least ? "at_least" : "at_most"},
+                          {"found", number(c.found)},
+                          {"measured", !std::isnan(c.found)},
+                          {"holds", c.holds}});
+  return {{"holds", holds(gate)}, {"conditions", std::move(conditions)}};
+}
+
+// ASCII only, and bytes that are not UTF-8 become U+FFFD: names cannot act on a terminal.
+std::string dump(const Json& j) {
+  return j.dump(2, ' ', true, Json::error_handler_t::replace) + "\n";
 }
 
 Json json(const SizeReport& s) {
@@ -208,11 +241,12 @@ Json json(const DistanceReport& r) {
 
 std::string audit_json(const Report& report) {
   const Verdict v = verdict(report);
-  Json j{{"schema", "rgs-audit/2"},
+  Json j{{"schema", kSchema},
          {"tool", report.tool},
          {"fingerprint", report.fingerprint},
          {"source",
           {{"name", report.source_name},
+           {"format", report.source_format},
            {"bytes", report.size.source_bytes},
            {"xxh3", hex(report.source_xxh3)},
            {"gaussians", report.size.n_source},
@@ -230,6 +264,7 @@ std::string audit_json(const Report& report) {
            {"depth_range_misfit", v.depth_range_misfit},
            {"hardly_seen", v.hardly_seen},
            {"headline", v.headline},
+           {"finding", v.finding},
            {"detail", v.detail}}},
          {"warnings", warnings(report)},
          {"size", json(report.size)}};
@@ -248,18 +283,46 @@ std::string audit_json(const Report& report) {
                     {"loss", optional(a.loss)},
                     {"note", a.note}});
   j["also"] = std::move(also);
-  Json gate = Json::array();
-  for (const Condition& c : report.gate)
-    gate.push_back({{"name", c.name},
-                    {"limit", c.limit},
-                    {"sense", c.at_least ? "at_least" : "at_most"},
-                    {"found", number(c.found)},
-                    {"measured", !std::isnan(c.found)},
-                    {"holds", c.holds}});
-  j["gate"] = {{"holds", report.gate_holds()}, {"conditions", std::move(gate)}};
+  j["measured"] = json(measured(report));
+  j["gate"] = json(report.gate);
   j["seconds"] = report.seconds;
-  // ASCII only, and bytes that are not UTF-8 become U+FFFD: names cannot act on a terminal.
-  return j.dump(2, ' ', true, Json::error_handler_t::replace) + "\n";
+  return dump(j);
+}
+
+std::optional<EarlierAudit> earlier_audit(const std::string& path, const std::string& fingerprint,
+                                          std::vector<Condition> conditions) {
+  const auto file = MappedFile::open(path);
+  if (!file) return {};
+  const auto bytes = file->bytes();
+  const char* text = reinterpret_cast<const char*>(bytes.data());
+  EarlierAudit out;
+  try {
+    Json j = Json::parse(text, text + bytes.size());
+    if (j.at("schema") != kSchema || j.at("fingerprint") != fingerprint) return {};
+    Measured found;
+    for (const auto& [name, value] : j.at("measured").items())
+      found[name] = value.is_null() ? std::numeric_limits<double>::infinity() : value.get<double>();
+    out.gate = evaluate(std::move(conditions), found);
+    Json& said = j.at("verdict");
+    const auto grade =
+        std::ranges::find_if(kGrades, [&](const auto& known) { return said.at("grade") == known.second; });
+    if (grade == kGrades.end()) return {};
+    Verdict& v = out.verdict;
+    v.grade = grade->first;
+    v.depth_range_misfit = said.at("depth_range_misfit").get<bool>();
+    v.hardly_seen = said.at("hardly_seen").get<bool>();
+    v.finding = said.at("finding").get<std::string>();
+    v.detail = said.at("detail").get<std::string>();
+    v.headline = headline_of(v.finding, out.gate);
+    said["headline"] = v.headline;
+    j.at("gate") = json(out.gate);
+    out.seconds = j.at("seconds").get<double>();
+    out.json = dump(j);
+    out.changed = out.json != std::string_view(text, bytes.size());
+    return out;
+  } catch (const Json::exception&) {
+    return {};  // damaged, or of another program
+  }
 }
 
 }  // namespace rgs::audit

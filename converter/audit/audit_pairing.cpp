@@ -57,7 +57,7 @@ void for_each_mean(std::uint64_t n, const Read& read, const Use& use) {
 }
 
 template <class Use>
-void for_each_source_mean(const PlyFile& source, const Use& use) {
+void for_each_source_mean(const Source& source, const Use& use) {
   for_each_mean<Splat>(
       source.size(), [&](std::uint64_t first, auto part) { source.read(first, part); }, use);
 }
@@ -68,8 +68,9 @@ void for_each_asset_mean(const FileView& asset, const Use& use) {
       asset.header().n_gaussians, [&](std::uint64_t first, auto part) { (void)asset.read(first, part); }, use);
 }
 
-// Empty if the permutation cannot be of this source.
-std::optional<Pairing> pair_by_permutation(const PlyFile& source, const FileView& asset) {
+// Empty if the permutation cannot be of this source. That of an asset made of another .rgs is of what this was made of.
+std::optional<Pairing> pair_by_permutation(const Source& source, const FileView& asset) {
+  if (source.format() == SplatFormat::rgs) return {};
   if (asset.find(SectionType::permutation) == nullptr || asset.declarations().n_source != source.size()) return {};
   Pairing pairing{PairedBy::permutation, std::vector<std::uint32_t>(asset.header().n_gaussians), 0};
   for (std::uint64_t i = 0; i < pairing.source_of.size(); ++i)
@@ -79,7 +80,7 @@ std::optional<Pairing> pair_by_permutation(const PlyFile& source, const FileView
 }
 
 // Both in the same order, rows of the source left out here and there. Empty if a mean is not found.
-std::optional<Pairing> pair_by_order(const PlyFile& source, const FileView& asset) {
+std::optional<Pairing> pair_by_order(const Source& source, const FileView& asset) {
   if (asset.declarations().order != Order::input) return {};
   Pairing pairing{PairedBy::order, std::vector<std::uint32_t>(asset.header().n_gaussians), 0};
   std::array<Splat, kAtOnce> rows;
@@ -103,7 +104,7 @@ std::optional<Pairing> pair_by_order(const PlyFile& source, const FileView& asse
   return pairing;
 }
 
-Pairing pair_by_means(const PlyFile& source, const FileView& asset) {
+Pairing pair_by_means(const Source& source, const FileView& asset) {
   std::vector<KeyedRow> of_source(source.size()), of_asset(asset.header().n_gaussians);
   const auto note = [](std::vector<KeyedRow>& rows) {
     return [&rows](std::uint64_t row, const float* mean) {
@@ -135,7 +136,7 @@ Pairing pair_by_means(const PlyFile& source, const FileView& asset) {
 
 }  // namespace
 
-Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset) {
+Result<Pairing> pair_gaussians(const Source& source, const FileView& asset) {
   if (source.size() >= kUnpaired || asset.header().n_gaussians >= kUnpaired)
     return rgs::make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than can be paired", kUnpaired - 1,
                            std::max(source.size(), asset.header().n_gaussians));
@@ -143,9 +144,8 @@ Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset) {
   const Origin& origin = asset.declarations().origin;
   if (source.origin() != origin) {
     // Means are equal where both are relative to one origin.
-    auto again = PlyFile::open(source.source());
+    const auto again = source.relative_to(origin);
     if (!again) return tl::unexpected(again.error());
-    again->rebase(origin);
     if (auto pairing = pair_by_order(*again, asset)) return *std::move(pairing);
     return pair_by_means(*again, asset);
   }

@@ -6,8 +6,8 @@
 #include <vector>
 
 #include "audit.hpp"
+#include "audit_source.hpp"
 #include "rgs/decode.hpp"
-#include "rgs/ply.hpp"
 
 namespace rgs::audit {
 
@@ -23,6 +23,6 @@ struct Pairing {
 /// which conversion never changes (Gaussians on one spot keep their order). `asset` must be valid, and preloaded if it is coded.
 /// Takes 36 bytes a Gaussian at most. Means are compared relative to the
 /// asset's origin. Errors: limit_exceeded (2^32 - 1 Gaussians or more).
-Result<Pairing> pair_gaussians(const PlyFile& source, const FileView& asset);
+Result<Pairing> pair_gaussians(const Source& source, const FileView& asset);
 
 }  // namespace rgs::audit

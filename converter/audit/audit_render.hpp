@@ -7,9 +7,9 @@
 
 #include "audit.hpp"
 #include "audit_pairing.hpp"
+#include "audit_source.hpp"
 #include "audit_views.hpp"
 #include "rgs/decode.hpp"
-#include "rgs/ply.hpp"
 
 namespace rgs::audit {
 
@@ -17,7 +17,7 @@ namespace rgs::audit {
 /// attribution. All is drawn as the asset declares, but the source's own pictures as the source states, if it states
 /// anything: an anti-aliasing that got lost shows.
 struct RenderInputs {
-  const PlyFile* source = nullptr;
+  const Source* source = nullptr;
   const FileView* rgs = nullptr;
   const Pairing* pairing = nullptr;
   std::optional<Declarations> declared = {}, source_stated = {};

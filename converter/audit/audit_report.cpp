@@ -8,6 +8,8 @@
 #include <array>
 #include <cmath>
 #include <iterator>
+#include <span>
+#include <string_view>
 
 #include "audit_chart.hpp"
 #include "audit_gate.hpp"
@@ -35,8 +37,8 @@ constexpr std::size_t kListedViews = 1000, kListedSections = 64;
 constexpr std::array kSectionColours{"#4e79a7", "#e08a3c", "#c85c5f", "#6aa7a2", "#5e9950",
                                      "#d9b93f", "#a9789b", "#9c755f", "#8a8f96"};
 
-const char* colour_of(const Report& report, const Verdict& verdict) {
-  if (!report.gate_holds()) return "bad";
+const char* colour_of(const Verdict& verdict, std::span<const Condition> gate) {
+  if (!holds(gate)) return "bad";
   if (verdict.depth_range_misfit || verdict.hardly_seen) return "fair";
   switch (verdict.grade) {
     case Verdict::Grade::identical:
@@ -59,6 +61,38 @@ const char* badge_of(Verdict::Grade grade) {
     case Verdict::Grade::unrated: return "Not rated";
   }
   return "";
+}
+
+// What a page says that depends on conditions is found again between these. No name can look like them: all are escaped.
+constexpr std::string_view kVerdictBegins = "<!-- verdict -->\n", kVerdictEnds = "<!-- end of verdict -->\n";
+
+const char* badge(const Verdict& verdict, std::span<const Condition> gate) {
+  if (!holds(gate)) return "Gate failed";
+  if (verdict.hardly_seen) return "Cameras hardly see the scene";
+  return verdict.depth_range_misfit ? "Depth range does not fit" : badge_of(verdict.grade);
+}
+
+std::string headline_html(const Verdict& verdict) {
+  std::string text = html(verdict.headline);
+  for (const char* change : {"x smaller", "x larger"})
+    if (const std::size_t at = text.find(change); at != std::string::npos) text.replace(at, 1, "&times;");
+  return text;
+}
+
+std::string verdict_html(const Verdict& verdict, std::span<const Condition> gate) {
+  std::string text = fmt::format(
+      "<p class=\"badges\"><span class=\"badge {}\">{}</span></p>\n<h1>{}.</h1>\n<p class=\"lead\">{}</p>\n",
+      colour_of(verdict, gate), badge(verdict, gate), headline_html(verdict), html(verdict.detail));
+  if (gate.empty()) return text;
+  text += "<ul class=\"gate\" aria-label=\"Conditions\">\n";
+  for (const Condition& c : gate)
+    text += fmt::format("<li class=\"{}\">{} {}</li>\n", c.holds ? "good" : "bad", c.holds ? "&#10003;" : "&#10007;",
+                        html(describe(c)));
+  return text + "</ul>\n";
+}
+
+std::string run_html(const std::string& fingerprint) {
+  return ", run <code>" + fingerprint + "</code>";
 }
 
 std::string pairing_words(PairedBy by) {
@@ -123,34 +157,15 @@ class Page {
   void head() {
     add("<header>\n<p class=\"names\"><b>rgs-audit</b> &nbsp; {} &rarr; <b>{}</b></p>\n", html(report_.source_name),
         html(report_.asset_name));
-    add("<p class=\"badges\"><span class=\"badge {}\">{}</span></p>\n", colour_of(report_, verdict_), badge());
-    add("<h1>{}.</h1>\n<p class=\"lead\">{}</p>\n", headline(), html(verdict_.detail));
-    if (!report_.gate.empty()) {
-      add("<ul class=\"gate\" aria-label=\"Conditions\">\n");
-      for (const Condition& c : report_.gate)
-        add("<li class=\"{}\">{} {}</li>\n", c.holds ? "good" : "bad", c.holds ? "&#10003;" : "&#10007;",
-            html(describe(c)));
-      add("</ul>\n");
-    }
+    out_ += kVerdictBegins;
+    out_ += verdict_html(verdict_, report_.gate);
+    out_ += kVerdictEnds;
     if (const auto sentences = warnings(report_); !sentences.empty()) {
       add("<ul class=\"warnings fair\" aria-label=\"Warnings\">\n");
       for (const std::string& w : sentences) add("<li>{}</li>\n", html(w));
       add("</ul>\n");
     }
     add("</header>\n");
-  }
-
-  const char* badge() const {
-    if (!report_.gate_holds()) return "Gate failed";
-    if (verdict_.hardly_seen) return "Cameras hardly see the scene";
-    return verdict_.depth_range_misfit ? "Depth range does not fit" : badge_of(verdict_.grade);
-  }
-
-  std::string headline() const {
-    std::string text = html(verdict_.headline);
-    for (const char* change : {"x smaller", "x larger"})
-      if (const std::size_t at = text.find(change); at != std::string::npos) text.replace(at, 1, "&times;");
-    return text;
   }
 
   void card(const char* name, const std::string& big, const std::string& unit, const std::string& below) {
@@ -674,8 +689,7 @@ class Page {
              "values clamped to 0..1, PSNR and SSIM against the photograph; lost is what the source's PSNR has more");
       fact("Renderer", html(report_.render->backend));
     }
-    fact("Tool",
-         html(report_.tool) + (report_.fingerprint.empty() ? "" : ", run <code>" + report_.fingerprint + "</code>"));
+    fact("Tool", html(report_.tool) + (report_.fingerprint.empty() ? "" : run_html(report_.fingerprint)));
     add("</dl>\n");
     end_section();
   }
@@ -691,6 +705,13 @@ class Page {
 
 std::string audit_html(const Report& report) {
   return Page(report).all();
+}
+
+std::optional<std::string> with_gate(const std::string& page, const std::string& fingerprint, const Verdict& verdict,
+                                     std::span<const Condition> gate) {
+  const std::size_t begin = page.find(kVerdictBegins), end = page.find(kVerdictEnds);
+  if (begin == page.npos || end == page.npos || end < begin || page.find(run_html(fingerprint)) == page.npos) return {};
+  return page.substr(0, begin + kVerdictBegins.size()) + verdict_html(verdict, gate) + page.substr(end);
 }
 
 }  // namespace rgs::audit

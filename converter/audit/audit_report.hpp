@@ -3,6 +3,8 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
+#include <span>
 #include <string>
 
 #include "audit.hpp"
@@ -14,5 +16,9 @@ inline constexpr std::size_t kMaxReportBytes = 15'000'000;
 /// A page with everything in it, pictures too: no other file and no network is needed. At most kMaxReportBytes.
 /// Opened with #self-test it tries itself and leaves the outcome in <html data-self-test="...">, "ok" or what failed.
 std::string audit_html(const Report& report);
+
+/// An earlier page of the run with this fingerprint, with another gate. Nothing if it is no such page.
+std::optional<std::string> with_gate(const std::string& page, const std::string& fingerprint, const Verdict& verdict,
+                                     std::span<const Condition> gate);
 
 }  // namespace rgs::audit

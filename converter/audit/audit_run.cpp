@@ -13,7 +13,9 @@
 #include "audit_distances.hpp"
 #include "audit_pairing.hpp"
 #include "audit_render.hpp"
+#include "audit_source.hpp"
 #include "info_report.hpp"
+#include "input_files.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/file.hpp"
 #include "rgs/paged_file.hpp"
@@ -116,7 +118,8 @@ Outcome<std::vector<AlsoReport>> measure_also(const Options& options) {
   return out;
 }
 
-// Contents of a file, or names and contents of all files of a folder; nothing for an empty path.
+// Contents of a file, or names and contents of all files of a folder; nothing for an empty path. Of a SOG's meta.json also
+// of the pictures beside it.
 Outcome<std::uint64_t> hash_path(const std::string& path) {
   if (path.empty()) return 0;
   std::error_code failed;
@@ -129,7 +132,9 @@ Outcome<std::uint64_t> hash_path(const std::string& path) {
                                failed.value()});
     std::sort(files.begin(), files.end());
   } else {
-    files.emplace_back(path);
+    tool::InputFiles scene;
+    scene.add_scene(path);
+    files.assign(scene.paths().begin(), scene.paths().end());
   }
   Hasher hasher;
   for (const fs::path& name : files) {
@@ -158,9 +163,8 @@ bool Report::gate_holds() const {
 }
 
 Outcome<std::string> fingerprint(const Options& o) {
-  std::string text =
-      fmt::format("{} {} {} {}x{} {} {} {} {} {} {}", kTool, o.gate, o.split, o.size.width, o.size.height, o.views,
-                  o.render, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
+  std::string text = fmt::format("{} {} {}x{} {} {} {} {} {} {}", kTool, o.split, o.size.width, o.size.height, o.views,
+                                 o.render, o.attribution, o.compare_scales, o.distances, static_cast<int>(o.backend));
   std::vector<std::string> inputs{o.source, o.asset, o.cameras, o.photos};
   inputs.insert(inputs.end(), o.also.begin(), o.also.end());
   for (const std::string& path : inputs) {
@@ -173,8 +177,6 @@ Outcome<std::string> fingerprint(const Options& o) {
 
 Outcome<Report> run(const Options& options, tool::Progress& progress) {
   const auto start = Clock::now();
-  const auto source = PlyFile::open(options.source);
-  if (!source) return make_error(options.source, source.error());
   const auto file = MappedFile::open(options.asset);
   if (!file) return make_error(options.asset, file.error());
   auto also = measure_also(options);
@@ -184,17 +186,26 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.tool = kTool;
   report.source_name = file_name(options.source);
   report.asset_name = file_name(options.asset);
-  progress.begin("reading", source->bytes() + file->bytes().size(), "B");
   const bool rgs_asset = is_rgs(file->bytes());
   Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.limits) : Result<RgsAsset>();
+  // Gaussians are compared in the asset's axes, which are not those of every format.
+  std::optional<Axes> axes;
+  if (rgs_asset && asset) axes = (asset->levels ? asset->levels->head() : asset->view).declarations().axes;
+  const auto source = Source::open(options.source, options.limits, axes);
+  if (!source) return make_error(options.source, source.error());
   if (!asset) return make_error(options.asset, asset.error());
+  progress.begin("reading", source->bytes() + file->bytes().size(), "B");
   Status valid;
-  tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(source->source()); },
+  // What an asset names as its source: of a SOG's folder meta.json alone.
+  const auto original = MappedFile::open(options.source);
+  if (!original) return make_error(options.source, original.error());
+  tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(original->bytes()); },
                        [&] { report.asset_xxh3 = xxh3(file->bytes()); },
                        [&] {
                          if (rgs_asset) valid = load_rgs(*asset, static_cast<unsigned>(options.threads));
                        });
   if (!valid) return make_error(options.asset, valid.error());
+  report.source_format = format_name(source->format());
   progress.advance(source->bytes() + file->bytes().size());
   progress.finish();
 
@@ -216,9 +227,14 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     size.asset_sh_degree = view.header().sh_degree;
     measure_sections(asset->levels ? asset->levels->head() : view, size);
     if (asset->levels) measure_pages(*asset->levels, size);
-    if (const auto& provenance = view.provenance())
+    if (const auto& provenance = view.provenance()) {
       report.made_from_source =
-          provenance->source_xxh3 == report.source_xxh3 && provenance->source_bytes == size.source_bytes;
+          provenance->source_xxh3 == report.source_xxh3 && provenance->source_bytes == original->bytes().size();
+      // What is made of an .rgs names what that was made of.
+      if (const auto& through = source->provenance(); through && provenance->source_xxh3 == through->source_xxh3 &&
+                                                      provenance->source_bytes == through->source_bytes)
+        report.made_from_source = true;
+    }
     const auto began = Clock::now();
     auto paired = pair_gaussians(*source, view);
     if (!paired) return make_error(options.asset, paired.error());

@@ -49,7 +49,7 @@ void requantise(SplatCloud& cloud, bool by_chunk) {
                     [&](std::uint64_t chunk) { requantise(cloud, chunk * kChunk, end(chunk), set); });
 }
 
-// A PLY states nothing but where it lies.
+// Only where it lies: how it is drawn is for those who render it.
 Declarations declared_at(const Origin& origin) {
   Declarations d;
   d.origin = origin;
@@ -58,7 +58,7 @@ Declarations declared_at(const Origin& origin) {
 
 }  // namespace
 
-Result<SourceScene> source_scene(const PlyFile& source) {
+Result<SourceScene> source_scene(const Source& source) {
   SplatCloud cloud;
   cloud.resize(source.size(), source.sh_degree());
   std::array<Splat, kAtOnce> rows;
@@ -81,7 +81,7 @@ Result<SourceScene> source_scene(const PlyFile& source) {
   return out;
 }
 
-Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pairing& pairing, Mixture mixture) {
+Result<Scene> mixed_scene(const Source& source, const FileView& asset, const Pairing& pairing, Mixture mixture) {
   if (pairing.n_paired != pairing.source_of.size())
     return rgs::make_error(Errc::bad_argument, Error::kNone, "a Gaussian of the asset has no source");
   const std::uint64_t n = pairing.source_of.size();

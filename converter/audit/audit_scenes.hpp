@@ -6,8 +6,8 @@
 #include <string>
 
 #include "audit_pairing.hpp"
+#include "audit_source.hpp"
 #include "rgs/decode.hpp"
-#include "rgs/ply.hpp"
 #include "rgs/scene.hpp"
 #include "scene_file.hpp"
 
@@ -19,7 +19,7 @@ struct SourceScene {
   SceneBounds bounds;
   std::uint64_t n_left_out = 0;
 };
-Result<SourceScene> source_scene(const PlyFile& source);
+Result<SourceScene> source_scene(const Source& source);
 
 /// Where the attributes of a mixture come from. Its Gaussians are the asset's, in the asset's order.
 enum class Mixture : std::uint8_t {
@@ -30,6 +30,6 @@ enum class Mixture : std::uint8_t {
   chunk_step_sets,  ///< the same with one set per chunk of 256
 };
 /// Needs every Gaussian of the asset paired: bad_argument otherwise.
-Result<Scene> mixed_scene(const PlyFile& source, const FileView& asset, const Pairing& pairing, Mixture mixture);
+Result<Scene> mixed_scene(const Source& source, const FileView& asset, const Pairing& pairing, Mixture mixture);
 
 }  // namespace rgs::audit

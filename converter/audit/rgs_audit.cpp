@@ -7,14 +7,16 @@
 #include <array>
 #include <filesystem>
 #include <map>
-#include <set>
+#include <optional>
 #include <string>
 #include <thread>
+#include <vector>
 
 #include "audit.hpp"
 #include "audit_folder.hpp"
 #include "audit_gate.hpp"
 #include "audit_json.hpp"
+#include "audit_junit.hpp"
 #include "audit_report.hpp"
 #include "audit_text.hpp"
 #include "command_line.hpp"
@@ -32,7 +34,7 @@ namespace tool = rgs::tool;
 
 struct Arguments {
   audit::Options audit;
-  std::string size, report, json;
+  std::string size, report, json, junit;
   std::vector<std::string> conditions;
   bool no_render = false, no_attribution = false, no_distances = false, overwrite = false, quiet = false;
 };
@@ -41,33 +43,90 @@ int report_failure(const audit::Failure& failure) {
   return tool::report(failure.subject, failure.error);
 }
 
-// "-" is standard output.
-rgs::Status write_text(const std::string& path, const std::string& text, bool overwrite) {
-  auto file = rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false});
-  if (!file) return tl::unexpected(file.error());
-  if (auto ok = file->write_at(0, std::as_bytes(std::span(text))); !ok) return ok;
-  return file->commit().map([](double) {});
-}
-
 bool prints_text(const Arguments& a) {
   return !a.quiet && a.json != "-" && a.report != "-";
 }
 
 int write_outputs(const audit::Report& report, const Arguments& a) {
   if (!a.report.empty())
-    if (const auto ok = write_text(a.report, audit::audit_html(report), a.overwrite); !ok)
+    if (const auto ok = audit::write_text(a.report, audit::audit_html(report), a.overwrite); !ok)
       return tool::report(a.report, ok.error());
   if (!a.json.empty())
-    if (const auto ok = write_text(a.json, audit::audit_json(report), a.overwrite); !ok)
+    if (const auto ok = audit::write_text(a.json, audit::audit_json(report), a.overwrite); !ok)
       return tool::report(a.json, ok.error());
   if (prints_text(a)) tool::print(audit::audit_text(report, a.report));
   return tool::kSuccess;
 }
 
-int report_gate(const audit::Report& report) {
-  for (const audit::Condition& c : report.gate)
+int report_gate(const std::vector<audit::Condition>& gate) {
+  for (const audit::Condition& c : gate)
     if (!c.holds) tool::print_error(fmt::format("rgs-audit: condition failed: {}\n", audit::describe(c)));
-  return report.gate_holds() ? tool::kSuccess : tool::kGate;
+  return audit::holds(gate) ? tool::kSuccess : tool::kGate;
+}
+
+std::string read_text(const std::string& path) {
+  const auto file = rgs::MappedFile::open(path);
+  return file ? std::string(reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size()) : std::string();
+}
+
+// An earlier one is replaced without being asked, as CI systems look for it under one name.
+bool may_replace_junit(const Arguments& a) {
+  return a.overwrite || audit::is_junit_of_audit(read_text(a.junit));
+}
+
+int write_junit(const Arguments& a, const audit::FolderRow& row) {
+  if (a.junit.empty()) return tool::kSuccess;
+  const auto ok = audit::write_text(a.junit, audit::junit_xml({&row, 1}), may_replace_junit(a));
+  return ok ? tool::kSuccess : tool::report(a.junit, ok.error());
+}
+
+// Found before the work, not after it.
+int check_free(const std::string& path, bool overwrite) {
+  if (path.empty() || path == "-") return tool::kSuccess;
+  const auto free = rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false});
+  return free ? tool::kSuccess : tool::report(path, free.error());
+}
+
+// What --json has of these very inputs and options, and --report too if that is asked for.
+struct Earlier {
+  audit::EarlierAudit audit;
+  std::optional<std::string> page;
+};
+std::optional<Earlier> earlier(const Arguments& a, const std::vector<audit::Condition>& conditions) {
+  std::error_code ignored;
+  if (a.json.empty() || a.json == "-" || a.report == "-" || !fs::exists(a.json, ignored)) return {};
+  const auto fingerprint = audit::fingerprint(a.audit);
+  if (!fingerprint) return {};
+  auto known = audit::earlier_audit(a.json, *fingerprint, conditions);
+  if (!known) return {};
+  Earlier out{*std::move(known), {}};
+  if (a.report.empty()) return out;
+  out.page = audit::with_gate(read_text(a.report), *fingerprint, out.audit.verdict, out.audit.gate);
+  if (!out.page) return {};
+  return out;
+}
+
+int report_earlier(const Earlier& earlier, const Arguments& a) {
+  const audit::EarlierAudit& audit = earlier.audit;
+  if (earlier.page)
+    if (const auto ok = audit::write_text(a.report, *earlier.page, true); !ok)
+      return tool::report(a.report, ok.error());
+  if (audit.changed)
+    if (const auto ok = audit::write_text(a.json, audit.json, true); !ok) return tool::report(a.json, ok.error());
+  audit::FolderRow row;
+  row.stem = fs::path(a.audit.asset).filename().string();
+  row.gate = audit.gate;
+  row.headline = audit.verdict.headline;
+  row.status = audit::holds(audit.gate) ? audit::FolderRow::Status::passed : audit::FolderRow::Status::gate_failed;
+  row.seconds = audit.seconds;
+  if (const int code = write_junit(a, row); code != tool::kSuccess) return code;
+  if (prints_text(a)) {
+    for (const audit::Condition& c : audit.gate)
+      tool::print(fmt::format("  {}      {}\n", c.holds ? "holds " : "FAILED", audit::describe(c)));
+    tool::print(fmt::format("{}. {}\nas measured before: {}\n", tool::printable(audit.verdict.headline),
+                            tool::printable(audit.verdict.detail), tool::printable(a.json)));
+  }
+  return report_gate(audit.gate);
 }
 
 // What a pair of files, or two folders, are audited with.
@@ -81,16 +140,17 @@ tool::InputFiles common_inputs(const Arguments& a) {
 
 int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   tool::InputFiles inputs = common_inputs(a);
-  inputs.add(a.audit.source);
+  inputs.add_scene(a.audit.source);
   inputs.add_scene(a.audit.asset);
-  const std::array<std::string, 3> outputs{a.report, a.json, prints_text(a) ? "-" : ""};
+  const std::array<std::string, 4> outputs{a.report, a.json, a.junit, prints_text(a) ? "-" : ""};
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
-  // Found before the work, not after it.
-  for (const std::string& out : {a.report, a.json}) {
-    if (out.empty() || out == "-") continue;
-    if (const auto free = rgs::AtomicFile::create(out, {.overwrite = a.overwrite, .sync = false}); !free)
-      return tool::report(out, free.error());
+  if (const int code = check_free(a.junit, may_replace_junit(a)); code != tool::kSuccess) return code;
+  if (const auto known = earlier(a, conditions)) {
+    if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
+    return report_earlier(*known, a);
   }
+  for (const std::string& out : {a.report, a.json})
+    if (const int code = check_free(out, a.overwrite); code != tool::kSuccess) return code;
   audit::Outcome<audit::Report> report;
   {
     tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
@@ -98,35 +158,37 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   }
   // That a file changed explains whatever was found wrong in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
-  if (!report) return report_failure(report.error());
+  if (!report) {
+    const int written = write_junit(a, audit::failed_row(fs::path(a.audit.asset).filename().string(), report.error()));
+    return tool::worse_exit_code(report_failure(report.error()), written);
+  }
   const auto fingerprint = audit::fingerprint(a.audit);
   if (!fingerprint) return report_failure(fingerprint.error());
   report->fingerprint = *fingerprint;
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;  // since the fingerprint
   audit::evaluate(std::move(conditions), *report);
   if (const int code = write_outputs(*report, a); code != tool::kSuccess) return code;
-  return report_gate(*report);
+  if (const int code = write_junit(a, audit::row_of(*report)); code != tool::kSuccess) return code;
+  return report_gate(report->gate);
 }
 
 // Pairs are read by their stem, and written by it.
 int check_folders(const Arguments& a) {
   tool::InputFiles inputs = common_inputs(a);
-  std::set<std::string> stems;
+  const auto pairs = audit::pairs_of(a.audit);
+  if (!pairs) return report_failure(pairs.error());
   std::error_code ignored;
   const fs::path out(a.report), cameras(a.audit.cameras), photos(a.audit.photos);
-  for (const auto& [folder, extension] : {std::pair(a.audit.source, ".ply"), std::pair(a.audit.asset, ".rgs")}) {
-    for (fs::directory_iterator it(folder, ignored), end; !ignored && it != end; it.increment(ignored)) {
-      if (it->path().extension() != extension) continue;
-      inputs.add(it->path().string());
-      stems.insert(it->path().stem().string());
-    }
-  }
-  std::vector<std::string> outputs;
+  std::vector<std::string> outputs{a.junit};
   for (const char* name : {"index.csv", "index.json", "index.html"}) outputs.push_back((out / name).string());
-  for (const std::string& stem : stems) {
+  for (const auto& [stem, pair] : *pairs) {
+    inputs.add_scene(pair.source);
+    inputs.add_scene(pair.asset);
     const std::string own = (cameras / (stem + ".json")).string();
     if (!cameras.empty() && fs::exists(own, ignored)) inputs.add(own);
     if (!photos.empty()) inputs.add_pictures((photos / stem).string());
+    // A pair that is called as the tables are is refused later, and writes nothing.
+    if (stem == "index") continue;
     for (const char* extension : {".json", ".html"}) outputs.push_back((out / (stem + extension)).string());
   }
   return inputs.check_outputs(outputs);
@@ -138,7 +200,8 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
   if (!a.json.empty()) return tool::report_usage("with two folders JSON goes into the folder of --report; drop --json");
   if (!a.audit.also.empty()) return tool::report_usage("--also goes with one pair, not with two folders");
   if (const int code = check_folders(a); code != tool::kSuccess) return code;
-  const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.overwrite, a.quiet});
+  if (const int code = check_free(a.junit, may_replace_junit(a)); code != tool::kSuccess) return code;
+  const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.junit, a.overwrite, a.quiet});
   if (!rows) return report_failure(rows.error());
   for (const audit::FolderRow& row : *rows)
     if (row.exit_code != tool::kSuccess)
@@ -162,7 +225,6 @@ int audit_main(Arguments& a) {
     auto parsed = audit::parse_conditions(text);
     if (!parsed) return tool::report_usage(parsed.error());
     conditions.insert(conditions.end(), parsed->begin(), parsed->end());
-    a.audit.gate += text + ",";
   }
   if (const std::string wrong = audit::unmeasurable(conditions, a.audit); !wrong.empty())
     return tool::report_usage(wrong);
@@ -184,14 +246,17 @@ void add_options(CLI::App& app, Arguments& a) {
   std::string names;
   for (const audit::ConditionKind& kind : audit::condition_kinds())
     names += fmt::format("\n  {:<24}{} {}", kind.name, kind.at_least ? "at least:" : "at most: ", kind.meaning);
-  app.add_option("source", o.source, "3DGS PLY that the asset was made from, or a folder of such")->required();
+  app.add_option("source", o.source, "What the asset was made from: " RGS_SCENE_FORMATS "; or a folder of such")
+      ->required();
   app.add_option("asset", o.asset,
-                 "What was made from it: " RGS_SCENE_FORMATS "; or a folder of .rgs files of the same names")
+                 "What was made from it, of any of these formats; or a folder of files of the same names")
       ->required();
   app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");
   app.add_option("--report,-o", a.report, "Write the report as one HTML file; for two folders, a folder");
   app.add_option("--json", a.json, "Write the results as JSON (docs/AUDIT_JSON.md); - for standard output");
+  app.add_option("--junit", a.junit, "Write each condition of each scene as a test case of JUnit XML, for CI systems")
+      ->option_text("FILE");
   app.add_option("--fail-below", a.conditions, "Conditions such as psnr=50,loss=0.03; exit code 5 if one does not hold")
       ->option_text("NAME=LIMIT,...");
   app.add_option("--also", o.also, "Another file of the same scene to measure beside the asset; may be repeated")
@@ -231,7 +296,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.footer("Conditions of --fail-below:" + names +
              "\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 5 a condition failed, "
              "6 the end of a "
-             "file with levels of detail is missing.");
+             "file with levels of detail is missing. Of two folders the worst, in this order: 1, 3, 2, 4, 6, 5.");
 }
 
 }  // namespace

@@ -6,15 +6,19 @@
 
 #include <algorithm>
 #include <array>
+#include <charconv>
 #include <deque>
 #include <filesystem>
 #include <map>
 #include <optional>
 #include <string>
 #include <thread>
+#include <tuple>
 #include <utility>
 #include <vector>
 
+#include "batch.hpp"
+#include "batch_plan.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
 #include "convert.hpp"
@@ -35,6 +39,7 @@
 
 namespace {
 
+namespace fs = std::filesystem;
 namespace tool = rgs::tool;
 using rgs::SplatFormat;
 
@@ -45,7 +50,11 @@ struct ArchiveChanges {
 };
 
 struct Arguments {
-  std::vector<std::string> files;  // inputs, then the output
+  std::vector<std::string> files;   // inputs, then the output
+  std::string list, report, shard;  // of many scenes
+  unsigned jobs = 1;
+  bool keep_going = true, stop = false;
+  std::string given;  // all options that show in an output, as text; of cameras their contents
   std::string cameras, axes = "3dgs", to_axes, crop, max_count;
   std::optional<std::uint32_t> level_of_detail;
   std::optional<rgs::lod::Quality> lod_quality;
@@ -60,7 +69,8 @@ struct Arguments {
   rgs::DecodeLimits limits;
   bool merge = false, axes_given = false, to_axes_given = false;
   bool keep_order = false, explicit_policy = false, no_sync = false, json = false, quiet = false;
-  bool file_scales = false, audit = false, spz_version_given = false, skip_unknown_extensions = false;
+  bool file_scales = false, audit = false, spz_version_given = false, skip_unknown_extensions = false,
+       memory_given = false;
   int threads = 0;
   const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
 
@@ -490,26 +500,36 @@ rgs::ArchiveOptions archive_options(const Arguments& a) {
   return o;
 }
 
-// What is read must neither be written over nor change before the output has its name. Those of the files that inputs
-// does not hold are opened into `beside`. Returns an exit code.
-int check_files(Arguments& a, std::deque<rgs::MappedFile>& beside) {
-  tool::InputFiles scenes, all;
-  for (std::size_t i = 0; i < a.n_inputs(); ++i) scenes.add_scene(a.files[i]), all.add_scene(a.files[i]);
-  all.add_cameras(a.cameras);
+// That no output is what is read.
+int check_outputs(const Arguments& a) {
+  tool::InputFiles inputs;
+  for (std::size_t i = 0; i < a.n_inputs(); ++i) inputs.add_scene(a.files[i]);
+  inputs.add_cameras(a.cameras);
   const bool prints = a.output() != "-" && (a.json || !a.quiet);
   const std::array<std::string, 3> outputs{a.output(), a.audit ? report_path(a.output()) : "", prints ? "-" : ""};
-  if (const int code = all.check_outputs(outputs); code != tool::kSuccess) return code;
+  return inputs.check_outputs(outputs);
+}
+
+// Opens the inputs, and into `beside` the files that lie beside them and are read too: none may change before the output
+// has its name.
+Outcome<void> open_inputs(Arguments& a, std::deque<Input>& inputs, std::deque<rgs::MappedFile>& beside) {
+  tool::InputFiles scenes;
+  for (std::size_t i = 0; i < a.n_inputs(); ++i) {
+    scenes.add_scene(a.files[i]);
+    if (const rgs::Status s = inputs.emplace_back().open(a.files[i]); !s) return failed(a.files[i], s.error());
+    a.convert.output.inputs.push_back(&inputs.back().file());
+  }
   for (const std::string& path : scenes.paths()) {
     if (std::find(a.files.begin(), a.files.end() - 1, path) != a.files.end() - 1) continue;
     auto file = rgs::MappedFile::open(path);
-    if (!file) return tool::report(path, file.error());
+    if (!file) return failed(path, file.error());
     a.convert.output.inputs.push_back(&beside.emplace_back(std::move(*file)));
   }
-  return tool::kSuccess;
+  return {};
 }
 
-int convert_main(Arguments& arguments) {
-  if (const auto message = check_arguments(arguments)) return tool::report_usage(*message);
+// Values of options that are made of others.
+void settle_options(Arguments& arguments) {
   rgs::EncodeOptions& encode = arguments.convert.encode;
   encode.axes = rgs::parse_axes(arguments.axes).value();
   encode.order = arguments.keep_order ? rgs::Order::input : rgs::Order::morton;
@@ -519,60 +539,201 @@ int convert_main(Arguments& arguments) {
   if (arguments.explicit_policy) encode.max_bad_fraction = 1;
   if (arguments.convert.strict) encode.on_bad = rgs::BadPolicy::refuse;
   arguments.convert.output.sync = !arguments.no_sync;
-  const std::size_t threads = arguments.threads > 0 ? static_cast<std::size_t>(arguments.threads)
-                                                    : std::max(1u, std::thread::hardware_concurrency());
-  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+}
 
-  const std::string& output = arguments.output();
-  std::deque<rgs::MappedFile> beside;
-  if (const int code = check_files(arguments, beside); code != tool::kSuccess) return code;
-  std::deque<Input> inputs;
-  std::uint64_t source_bytes = 0;
-  for (std::size_t i = 0; i < arguments.n_inputs(); ++i) {
-    const std::string& path = arguments.files[i];
-    if (const rgs::Status s = inputs.emplace_back().open(path); !s) return tool::report(path, s.error());
-    source_bytes += inputs.back().bytes().size();
-    arguments.convert.output.inputs.push_back(&inputs.back().file());
-  }
-  const SplatFormat to = arguments.to != SplatFormat::unknown ? arguments.to : rgs::format_of_name(output);
-  if (to == SplatFormat::unknown)
-    return tool::report_usage("cannot tell the output's format from its name: pass --to rgs, ply, spz, ...");
+// Whether the options go with an output of that format; the message for the user if not.
+std::optional<std::string> check_format(const Arguments& arguments, SplatFormat to) {
+  if (to == SplatFormat::unknown) return "cannot tell the output's format from its name: pass --to rgs, ply, spz, ...";
   if (to != SplatFormat::rgs && !rgs::is_writable(to))
-    return tool::report_usage(std::string("the format ") + rgs::format_name(to) + " is read only");
+    return std::string("the format ") + rgs::format_name(to) + " is read only";
   if (to != SplatFormat::rgs && arguments.rgs_option != nullptr)
-    return tool::report_usage(std::string(arguments.rgs_option) + " is for .rgs outputs");
-  if (to != SplatFormat::spz && arguments.spz_version_given)
-    return tool::report_usage("--spz-version is for .spz outputs");
+    return std::string(arguments.rgs_option) + " is for .rgs outputs";
+  if (to != SplatFormat::spz && arguments.spz_version_given) return "--spz-version is for .spz outputs";
   if ((to == SplatFormat::spz || to == SplatFormat::glb) && arguments.to_axes_given)
-    return tool::report_usage(std::string("the axes of ") + rgs::format_name(to) + " are prescribed by the format");
+    return std::string("the axes of ") + rgs::format_name(to) + " are prescribed by the format";
+  return std::nullopt;
+}
+
+SplatFormat output_format(const Arguments& arguments) {
+  return arguments.to != SplatFormat::unknown ? arguments.to : rgs::format_of_name(arguments.output());
+}
+
+unsigned n_threads(const Arguments& arguments) {
+  return arguments.threads > 0 ? static_cast<unsigned>(arguments.threads)
+                               : std::max(1u, std::thread::hardware_concurrency());
+}
+
+// The conversion itself, once everything is checked and open.
+Outcome<rgs::ConvertSummary> convert_open(Arguments& arguments, std::deque<Input>& inputs,
+                                          const rgs::StageObserver& observer) {
+  std::uint64_t source_bytes = 0;
+  for (const Input& input : inputs) source_bytes += input.bytes().size();
+  const std::string name = inputs.size() == 1 ? inputs.front().name() : inputs.front().name() + " and more";
+  arguments.convert.encode.provenance = rgs::Provenance{source_bytes, 0, name, "rgs-convert " RGS_VERSION};
+  auto summary = convert(arguments, inputs, output_format(arguments), observer);
+  if (!summary) return tl::unexpected(explained(std::move(summary.error()), inputs));
+  summary->source_name = name;
+  return summary;
+}
+
+Outcome<void> read_cameras(Arguments& arguments) {
+  if (arguments.cameras.empty()) return {};
+  auto cameras = rgs::read_cameras(arguments.cameras);
+  if (!cameras) return failed(arguments.cameras, cameras.error());
+  arguments.convert.cameras = std::move(*cameras);
+  return {};
+}
+
+int report_failure(const Failure& failure) {
+  return tool::report(failure.file, failure.error);
+}
+
+int convert_main(Arguments& arguments) {
+  if (const auto message = check_arguments(arguments)) return tool::report_usage(*message);
+  settle_options(arguments);
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, n_threads(arguments));
+  if (const int code = check_outputs(arguments); code != tool::kSuccess) return code;
+  std::deque<Input> inputs;
+  std::deque<rgs::MappedFile> beside;
+  if (const auto opened = open_inputs(arguments, inputs, beside); !opened) return report_failure(opened.error());
+  if (const auto message = check_format(arguments, output_format(arguments))) return tool::report_usage(*message);
   std::string auditor;
   if (const int code = check_audit(arguments, inputs.front(), auditor); code != tool::kSuccess) return code;
-  if (!arguments.cameras.empty()) {
-    auto cameras = rgs::read_cameras(arguments.cameras);
-    if (!cameras) return tool::report(arguments.cameras, cameras.error());
-    arguments.convert.cameras = std::move(*cameras);
-  }
-  const std::string name = inputs.size() == 1 ? inputs.front().name() : inputs.front().name() + " and more";
-  encode.provenance = rgs::Provenance{source_bytes, 0, name, "rgs-convert " RGS_VERSION};
+  if (const auto read = read_cameras(arguments); !read) return report_failure(read.error());
 
   Outcome<rgs::ConvertSummary> summary;
   {
     tool::Progress progress(arguments.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
-    summary = convert(arguments, inputs, to, observe(progress));
+    summary = convert_open(arguments, inputs, observe(progress));
   }
-  if (!summary) {
-    const Failure failure = explained(std::move(summary.error()), inputs);
-    return tool::report(failure.file, failure.error);
-  }
-  summary->source_name = name;
+  if (!summary) return report_failure(summary.error());
   if (arguments.json) {
     tool::print(rgs::summary_json(*summary));
   } else if (!arguments.quiet) {
-    (output == "-" ? tool::print_error : tool::print)(rgs::summary_text(*summary));
+    (arguments.output() == "-" ? tool::print_error : tool::print)(rgs::summary_text(*summary));
   }
   if (!arguments.audit) return tool::kSuccess;
   tool::flush();  // before what the other program prints
   return run_audit(arguments, auditor);
+}
+
+// ---- many scenes
+
+// One of many, in a process of its own.
+tl::expected<rgs::ConvertSummary, rgs::BatchFailure> convert_one(const Arguments& all, const rgs::BatchScene& scene,
+                                                                 const rgs::BatchShare& share) {
+  Arguments arguments = all;
+  arguments.files = {scene.input, scene.output_path};
+  arguments.threads = static_cast<int>(share.threads);
+  arguments.convert.encode.archive.threads = share.threads;
+  arguments.convert.output.overwrite = share.overwrite;
+  if (arguments.convert.scratch.empty()) arguments.convert.scratch = fs::path(scene.output_path).parent_path().string();
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, share.threads);
+  std::deque<Input> inputs;
+  std::deque<rgs::MappedFile> beside;
+  const auto opened = open_inputs(arguments, inputs, beside);
+  auto summary = opened ? convert_open(arguments, inputs, {}) : Outcome<rgs::ConvertSummary>(failed("", {}));
+  if (summary) return std::move(*summary);
+  const Failure& failure = opened ? summary.error() : opened.error();
+  return tl::unexpected(rgs::BatchFailure{failure.file, failure.error});
+}
+
+// The inputs of many scenes, and the folder of their outputs; a message for the user otherwise.
+tl::expected<rgs::BatchPlan, int> plan(const Arguments& a) {
+  const auto usage = [](const std::string& message) { return tl::unexpected(tool::report_usage(message)); };
+  if (a.merge) return usage("--merge makes one output of files; of a folder each scene has its own");
+  if (a.audit) return usage("--audit is of one scene: run rgs-audit on the two folders afterwards");
+  if (a.list.empty() && a.to == SplatFormat::unknown)
+    return usage(a.files.front() + " is a folder: pass --to rgs, ply, spz, ... to convert all scenes in it");
+  if (a.files.size() > 2) return usage("many scenes are given as one folder, or by --list");
+  if (a.files.back() == "-" || a.files.front() == "-") return usage("many scenes go from a folder to a folder, not -");
+  auto planned = rgs::plan_batch(a.list, a.files.size() == 2 ? a.files.front() : "", a.output(), a.to);
+  if (planned) return std::move(*planned);
+  if (!planned.error().usage.empty()) return usage(planned.error().usage);
+  return tl::unexpected(tool::report(planned.error().file, planned.error().error));
+}
+
+// "2/8": the second of eight.
+std::optional<std::pair<unsigned, unsigned>> parse_shard(const std::string& text) {
+  unsigned shard = 0, n = 0;
+  const char *first = text.data(), *last = first + text.size();
+  const auto a = std::from_chars(first, last, shard);
+  if (a.ec != std::errc() || a.ptr == last || *a.ptr != '/') return std::nullopt;
+  const auto b = std::from_chars(a.ptr + 1, last, n);
+  constexpr unsigned kMost = 100'000;
+  if (b.ec != std::errc() || b.ptr != last || shard < 1 || shard > n || n > kMost) return std::nullopt;
+  return std::pair(shard, n);
+}
+
+int convert_many(Arguments& arguments) {
+  rgs::BatchOptions options;
+  if (!arguments.shard.empty()) {
+    const auto shard = parse_shard(arguments.shard);
+    if (!shard) return tool::report_usage("--shard takes I/N, such as 2/8, not '" + arguments.shard + "'");
+    std::tie(options.shard, options.n_shards) = *shard;
+  }
+  auto planned = plan(arguments);
+  if (!planned) return planned.error();
+  {
+    Arguments one = arguments;  // what is checked of one input and one output
+    one.files = {"input", "output"};
+    if (const auto message = check_arguments(one)) return tool::report_usage(*message);
+    arguments.convert.levels = one.convert.levels;
+    arguments.filter = one.filter;
+  }
+  settle_options(arguments);
+  for (const rgs::BatchScene& scene : planned->scenes) {
+    const SplatFormat to = arguments.to != SplatFormat::unknown ? arguments.to : rgs::format_of_name(scene.output_path);
+    if (const auto message = check_format(arguments, to))
+      return tool::report_usage(arguments.to != SplatFormat::unknown ? *message : scene.output + ": " + *message);
+  }
+  // The same of all, so that what one machine refuses no other converts.
+  if (const std::string clash = rgs::outputs_that_clash(*planned, arguments.output()); !clash.empty())
+    return tool::report_usage(clash);
+  std::vector<std::string> outputs{arguments.report};
+  tool::InputFiles inputs;
+  inputs.add_cameras(arguments.cameras);
+  inputs.add(arguments.list);
+  for (const rgs::BatchScene& scene : planned->scenes) {
+    inputs.add_scene(scene.input);
+    outputs.push_back(scene.output_path);
+  }
+  if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
+  if (const auto read = read_cameras(arguments); !read) return report_failure(read.error());
+  if (planned->scenes.empty())
+    return tool::report_usage(arguments.list.empty() ? "no scene in " + arguments.files.front()
+                                                     : "no scene is named in " + arguments.list);
+  options.jobs = arguments.jobs;
+  options.threads = n_threads(arguments);
+  const std::uint64_t memory = arguments.convert.memory_bytes / options.jobs;
+  if (memory < rgs::lod::kLeastMemory && arguments.memory_given)
+    return tool::report_usage("--memory is divided among --jobs: each takes at least 128MiB");
+  arguments.convert.memory_bytes = std::max(memory, rgs::lod::kLeastMemory);
+  options.out = arguments.output();
+  options.report = arguments.report == "-" ? "" : arguments.report;
+  if (!options.report.empty()) {
+    if (const rgs::Status s = rgs::check_report(options.report, arguments.convert.output.overwrite); !s)
+      return tool::report(options.report, s.error());
+  }
+  options.tool = "rgs-convert " RGS_VERSION;
+  options.keep_going = !arguments.stop;
+  options.sync = !arguments.no_sync;
+  options.overwrite = arguments.convert.output.overwrite;
+  options.quiet = arguments.quiet;
+  options.json = arguments.json;
+  options.n_others = planned->n_others;
+  if (!arguments.quiet) {
+    for (const std::string& link : planned->refused)
+      tool::print_error("rgs-convert: " + tool::printable(link) +
+                        ": a link to a folder that it lies in, passed over\n");
+  }
+  const auto hash = rgs::options_hash(arguments.given, arguments.cameras);
+  if (!hash) return tool::report(arguments.cameras, hash.error());
+  options.options_hash = *hash;
+  return rgs::run_batch(rgs::scenes_of_shard(std::move(planned->scenes), options.shard, options.n_shards), options,
+                        [&arguments](const rgs::BatchScene& scene, const rgs::BatchShare& share) {
+                          return convert_one(arguments, scene, share);
+                        });
 }
 
 void choose_profile(const std::string& name, Arguments& a) {
@@ -597,6 +758,33 @@ void add_archive_options(CLI::App& app, Arguments& a) {
                  "archive: steps fall with importance to the power of half of this, 0 to 1 [0.6]");
 }
 
+// What many scenes have beyond one. None of these shows in an output.
+constexpr const char* kBatchOptions[] = {"--list", "--jobs", "--shard", "--keep-going", "--no-keep-going", "--report"};
+
+void add_batch_options(CLI::App& app, Arguments& a) {
+  const std::string group = "Many scenes (docs/BATCH.md)";
+  app.add_option(
+         "--list", a.list,
+         "Convert the inputs in this file, one a line, each perhaps with a tab and its output in the folder; - for "
+         "standard input")
+      ->option_text("FILE")
+      ->group(group);
+  app.add_option("--jobs,-j", a.jobs, "Scenes side by side [1]; threads and --memory are divided among them")
+      ->check(CLI::Range(1, 1024))
+      ->group(group);
+  app.add_option("--shard", a.shard, "Convert part I of N, for N machines that share a folder")
+      ->option_text("I/N")
+      ->group(group);
+  app.add_flag("--keep-going", a.keep_going, "Go on after a scene that fails; so it is without this option, too")
+      ->group(group);
+  app.add_flag("--no-keep-going", a.stop, "Begin no other scene after one that fails")
+      ->excludes("--keep-going")
+      ->group(group);
+  app.add_option("--report", a.report, "Write the line of JSON about each scene to this file, not to standard output")
+      ->option_text("FILE")
+      ->group(group);
+}
+
 void add_options(CLI::App& app, Arguments& a) {
   rgs::EncodeOptions& e = a.convert.encode;
   std::map<std::string, SplatFormat> readable, writable;
@@ -616,10 +804,13 @@ void add_options(CLI::App& app, Arguments& a) {
   const std::map<std::string, rgs::ColourSpace> colour_spaces{{"undeclared", rgs::ColourSpace::undeclared},
                                                               {"srgb", rgs::ColourSpace::srgb_display},
                                                               {"linear", rgs::ColourSpace::linear_display}};
-  app.add_option("files", a.files,
-                 "Inputs, " RGS_SCENE_FORMATS " (with --merge more than one), then the output; - for a standard stream")
+  app.add_option(
+         "files", a.files,
+         "Inputs, " RGS_SCENE_FORMATS
+         " (with --merge more than one), then the output; - for a standard stream. Or a folder of scenes, then the "
+         "folder of the outputs")
       ->required()
-      ->expected(2, -1)
+      ->expected(1, -1)
       ->option_text("input... output");
   app.add_option("--from", a.from, "Format of the inputs; default: by their content")
       ->transform(tool::one_of(readable))
@@ -712,17 +903,37 @@ void add_options(CLI::App& app, Arguments& a) {
       ->check(CLI::NonNegativeNumber);
   tool::add_max_expansion(app, a.limits);
   app.add_flag("--audit", a.audit, "Then run rgs-audit on it and write OUTPUT.audit.html; its exit code is passed on");
-  app.add_flag("--overwrite", a.convert.output.overwrite, "Replace an existing output");
+  app.add_flag("--overwrite", a.convert.output.overwrite,
+               "Replace an existing output; of many scenes, convert all again");
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));
   app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary");
+  add_batch_options(app, a);
   app.footer(
       "Written are .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
       "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 the end of a file with levels "
       "of "
-      "detail is missing, and with it what was asked for; with --audit also those of rgs-audit.");
+      "detail is missing, and with it what was asked for; with --audit also those of rgs-audit. Of many scenes the "
+      "worst, in "
+      "this order: 1, 3, 2, 4, 6.");
   for (const char* name : kRgsOptions) app.get_option(name)->group("Options for .rgs output");
+}
+
+// The options that show in an output, in one order however they were given.
+std::string given_options(const CLI::App& app) {
+  constexpr std::string_view kUnseen[] = {"files",  "--threads", "--memory", "--scratch",    "--overwrite",
+                                          "--json", "--no-sync", "--quiet",  "--cameras",    "--list",
+                                          "--jobs", "--shard",   "--report", "--keep-going", "--no-keep-going"};
+  std::map<std::string, std::string> given;
+  for (const CLI::Option* option : app.get_options()) {
+    if (option->count() == 0 || std::ranges::find(kUnseen, option->get_name()) != std::end(kUnseen)) continue;
+    std::string& values = given[option->get_name()];
+    for (const std::string& value : option->results()) values += " '" + value + "'";
+  }
+  std::string text;
+  for (const auto& [name, values] : given) text += name + values + "\n";
+  return text;
 }
 
 int parse_and_convert(int argc, char** argv) {
@@ -734,6 +945,14 @@ int parse_and_convert(int argc, char** argv) {
   for (const char* name : kRgsOptions) {
     if (app.get_option(name)->count() != 0) arguments.rgs_option = name;
   }
+  arguments.given = given_options(app);
+  arguments.memory_given = app.get_option("--memory")->count() != 0;
+  std::error_code ignored;
+  if (!arguments.list.empty() || fs::is_directory(arguments.files.front(), ignored)) return convert_many(arguments);
+  if (arguments.files.size() < 2) return tool::report_usage("an input needs an output: rgs-convert INPUT OUTPUT");
+  for (const char* name : kBatchOptions)
+    if (app.get_option(name)->count() != 0)
+      return tool::report_usage(std::string(name) + " is for a folder of scenes, or --list");
   return convert_main(arguments);
 }
 

@@ -93,6 +93,12 @@ int finish(int code) {
 
 }  // namespace
 
+int worse_exit_code(int a, int b) {
+  for (const int code : {kInternal, kInputOutput, kUsage, kMalformed, kIncomplete, kGate})
+    if (a == code || b == code) return code;
+  return std::max(a, b);
+}
+
 std::string describe(const Error& error) {
   std::string text = error.what;
   // A record of a file is named by its number, which is not what was found in it; one of an array, which has no bytes, by

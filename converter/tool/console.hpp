@@ -28,6 +28,10 @@ enum ExitCode : int {
   kIncomplete = 6
 };
 
+/// Of two exit codes the one that says more of many scenes: 1 (the program), 3 (the machine), 2 (the command), 4 (an
+/// input), 6 (incomplete), 5 (a condition), 0.
+int worse_exit_code(int a, int b);
+
 /// `error` as one line: byte offset, what is wrong, expected and found, the system's reason.
 std::string describe(const Error& error);
 /// What the user can do about it; empty if the text of the error already says all there is.

@@ -441,7 +441,7 @@ TEST_CASE("usage, missing and damaged files have their exit codes, and outputs a
   CHECK(run_audit({scene.ply, scene.path().string()}).exit_code == 2);
   CHECK(run_audit({scene.file("absent.ply"), scene.rgs}).exit_code == 3);
   CHECK(run_audit({scene.ply, scene.file("absent.rgs")}).exit_code == 3);
-  CHECK(run_audit({scene.rgs, scene.ply}).exit_code == 4);
+  CHECK(run_audit({scene.cameras, scene.rgs}).exit_code == 4);  // no scene
   CHECK(run_audit({scene.ply, scene.rgs, "--cameras", scene.ply}).exit_code == 4);
   std::string bytes = read_text(scene.rgs);
   bytes[bytes.size() / 2] = static_cast<char>(bytes[bytes.size() / 2] ^ 1);

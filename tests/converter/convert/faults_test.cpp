@@ -236,10 +236,10 @@ TEST_CASE("an existing output stays unless --overwrite is given") {
   CHECK(same_contents(out, small_sample().rgs));
 }
 
-TEST_CASE("an input that is missing or a folder exits with 3") {
+TEST_CASE("an input that is missing exits with 3, a folder without --to with 2") {
   const TemporaryFolder folder;
   CHECK(overwrite(folder.file("none.ply"), folder.file("out.rgs")).exit_code == 3);
-  CHECK(overwrite(folder.path().string(), folder.file("out.rgs")).exit_code == 3);
+  CHECK(overwrite(folder.path().string(), folder.file("out.rgs")).exit_code == 2);
   CHECK(fs::is_empty(folder.path()));
 }
 

@@ -1,0 +1,51 @@
+// audit_source.hpp - the Gaussians that an asset was made from, out of a file of any format.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+
+#include "rgs/decode.hpp"
+#include "rgs/interchange.hpp"
+#include "rgs/ply.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::audit {
+
+/// A PLY is read row by row from its file; what any other file holds is in memory, of levels of detail the finest. Copies
+/// share it. Reading is thread-safe.
+class Source {
+ public:
+  Source() = default;
+  Source(const PlyFile& ply) : ply_(&ply) {}  // NOLINT: a PLY file is a source; it must outlive this one
+  /// The file's Gaussians in `axes`, or as they are if either is undeclared. Without `axes`: a PLY's in its own, others in
+  /// those of 3DGS. Errors: those of MappedFile::open(), PlyFile::open() and read_splats().
+  static Result<Source> open(const std::string& path, const DecodeLimits& limits, const std::optional<Axes>& axes);
+
+  std::uint64_t size() const { return ply_ != nullptr ? ply_->size() : file_->cloud.size(); }
+  int sh_degree() const { return ply_ != nullptr ? ply_->sh_degree() : file_->cloud.sh_degree; }
+  std::uint64_t bytes() const { return ply_ != nullptr ? ply_->bytes() : file_->bytes; }
+  SplatFormat format() const { return ply_ != nullptr ? SplatFormat::ply : file_->format; }
+  /// What the file states of its scene; axes and origin are those of the Gaussians.
+  const Declarations& declarations() const { return ply_ != nullptr ? ply_->declarations() : stated_; }
+  const Origin& origin() const { return ply_ != nullptr ? ply_->origin() : file_->origin; }
+  /// Of an .rgs: the file that it was made from, which an asset made of it names as its own source.
+  std::optional<Provenance> provenance() const { return ply_ != nullptr ? std::nullopt : file_->provenance; }
+  /// The same Gaussians with means relative to `origin`. Errors: those of PlyFile::open().
+  Result<Source> relative_to(const Origin& origin) const;
+
+  void read(std::uint64_t first, std::span<Splat> out) const;
+  /// Gaussians indices[0], indices[1], ...; out.size() == indices.size().
+  void gather(std::span<const std::uint32_t> indices, std::span<Splat> out) const;
+
+ private:
+  const PlyFile* ply_ = nullptr;
+  std::shared_ptr<const PlyFile> owned_;
+  std::shared_ptr<const SplatFile> file_;
+  Declarations stated_;
+};
+
+}  // namespace rgs::audit

@@ -1,0 +1,229 @@
+// batch_state.cpp - JSON lines by write() to a descriptor that appends; a lock keeps a second program away.
+// SPDX-License-Identifier: Apache-2.0
+#include "batch_state.hpp"
+
+#include <dirent.h>
+#include <fcntl.h>
+#include <fmt/format.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "console.hpp"
+#include "rgs/checksum.hpp"
+#include "rgs/file.hpp"
+
+namespace rgs {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+constexpr const char* kSchema = "rgs-convert-state/1";
+constexpr std::string_view kName = ".rgs-convert", kEnding = ".jsonl";
+
+tl::unexpected<Error> system_error(Errc code, const char* what) {
+  return make_error(code, Error::kNone, what, Error::kNone, Error::kNone, errno);
+}
+
+// The files of the state of all shards in a folder.
+std::vector<std::string> state_files(const std::string& folder) {
+  std::vector<std::string> paths;
+  if (DIR* const open = ::opendir(folder.c_str())) {
+    while (const dirent* entry = ::readdir(open)) {
+      const std::string_view name = entry->d_name;
+      if (name.starts_with(kName) && name.ends_with(kEnding)) paths.push_back(folder + "/" + std::string(name));
+    }
+    ::closedir(open);
+  }
+  return paths;
+}
+
+// Names need not be UTF-8, and lines must be told apart: escaped, which no two names are alike.
+std::string key_of(const std::string& output) {
+  return tool::printable(output);
+}
+
+std::string dump(const Json& json) {
+  return json.dump(-1, ' ', true, Json::error_handler_t::replace);
+}
+
+}  // namespace
+
+std::string stamp_of(std::span<const std::string> files) {
+  std::string stamp;
+  for (const std::string& path : files) {
+    struct stat info {};
+    if (::stat(path.c_str(), &info) != 0) return {};
+    stamp += fmt::format("{}{} {} {}.{:09} {}.{:09}", stamp.empty() ? "" : ", ", info.st_size, info.st_ino,
+                         info.st_mtim.tv_sec, info.st_mtim.tv_nsec, info.st_ctim.tv_sec, info.st_ctim.tv_nsec);
+  }
+  return stamp;
+}
+
+Result<std::string> describe_contents(std::span<const std::string> files) {
+  constexpr std::size_t kPart = std::size_t{16} << 20;
+  Hasher hash;
+  std::uint64_t bytes = 0;
+  for (const std::string& path : files) {
+    const auto file = MappedFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    const auto all = file->bytes();
+    if (files.size() > 1) {
+      const std::string size = fmt::format("{}:", all.size());
+      hash.update(std::as_bytes(std::span(size)));
+    }
+    for (std::size_t at = 0; at < all.size(); at += kPart)
+      hash.update(all.subspan(at, std::min(kPart, all.size() - at)));
+    if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
+    bytes += all.size();
+  }
+  return fmt::format("{} {:016x}", bytes, hash.digest());
+}
+
+Result<BatchState> BatchState::open(const std::string& folder, const std::string& shard) {
+  BatchState state;
+  state.path_ = folder + "/" + std::string(kName) + (shard.empty() ? "" : "-" + shard) + std::string(kEnding);
+  state.fd_ = ::open(state.path_.c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC, 0666);
+  if (state.fd_ < 0) return system_error(Errc::open_failed, "the state of the conversions cannot be opened");
+  struct flock lock {};
+  lock.l_type = F_WRLCK;
+  lock.l_whence = SEEK_SET;
+  // File systems without locks go without: names appear complete or not at all whoever makes them.
+  if (::fcntl(state.fd_, F_SETLK, &lock) != 0 && (errno == EACCES || errno == EAGAIN))
+    return make_error(Errc::open_failed, Error::kNone,
+                      "another rgs-convert works on this folder; wait for it, or give each its --shard");
+  // Closing another descriptor of this file would give the lock away, so it is read through this one.
+  std::string text;
+  char buffer[65536];
+  for (off_t at = 0;;) {
+    const ssize_t n = ::pread(state.fd_, buffer, sizeof buffer, at);
+    if (n < 0 && errno == EINTR) continue;
+    if (n < 0) return system_error(Errc::read_failed, "the state of the conversions cannot be read");
+    if (n == 0) break;
+    text.append(buffer, static_cast<std::size_t>(n));
+    at += n;
+  }
+  state.read(text);
+  state.line_open_ = !text.empty() && text.back() != '\n';
+  for (const std::string& path : state_files(folder)) {
+    if (path == state.path_) continue;
+    const auto file = MappedFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    state.read({reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size()});
+  }
+  return state;
+}
+
+BatchState::BatchState(BatchState&& other) noexcept
+    : known_(std::move(other.known_)),
+      path_(std::move(other.path_)),
+      fd_(std::exchange(other.fd_, -1)),
+      line_open_(other.line_open_) {}
+
+BatchState::~BatchState() {
+  forget();
+}
+
+void BatchState::forget() {
+  if (fd_ >= 0) ::close(std::exchange(fd_, -1));
+}
+
+// Lines that are none of ours, damaged or cut off say nothing.
+void BatchState::read(std::string_view text) {
+  while (!text.empty()) {
+    const std::size_t end = text.find('\n');
+    if (end == text.npos) return;
+    const Json line = Json::parse(text.substr(0, end), nullptr, false);
+    text.remove_prefix(end + 1);
+    if (!line.is_object()) continue;
+    const auto string = [](const Json& at, const char* key) {
+      const auto found = at.find(key);
+      return found != at.end() && found->is_string() ? found->get<std::string>() : std::string();
+    };
+    const std::string output = string(line, "output");
+    if (string(line, "schema") != kSchema || output.empty()) continue;
+    Known& known = known_[output];
+    if (const auto begun = line.find("begun"); begun != line.end()) {
+      known.begun = *begun == true;
+      continue;
+    }
+    BatchRecord record;
+    record.output = output;
+    record.tool = string(line, "tool"), record.options = string(line, "options");
+    record.input_name = string(line, "input_name");
+    record.input = string(line, "input"), record.made = string(line, "made");
+    record.input_stamp = string(line, "input_stamp"), record.made_stamp = string(line, "made_stamp");
+    if (const auto summary = line.find("summary"); summary != line.end()) record.summary = summary->dump();
+    if (record.input.empty() || record.made.empty()) continue;
+    known.begun = false;
+    known.records.push_back(std::move(record));
+  }
+}
+
+std::span<const BatchRecord> BatchState::find(const std::string& output) const {
+  const auto found = known_.find(key_of(output));
+  return found == known_.end() ? std::span<const BatchRecord>() : found->second.records;
+}
+
+bool BatchState::was_begun(const std::string& output) const {
+  const auto found = known_.find(key_of(output));
+  return found != known_.end() && found->second.begun;
+}
+
+Status BatchState::append(std::string line) {
+  line += '\n';
+  // What a full disk has cut off stays a line of its own.
+  if (line_open_) line.insert(line.begin(), '\n');
+  std::size_t done = 0;
+  while (done < line.size()) {
+    const ssize_t n = ::write(fd_, line.data() + done, line.size() - done);
+    if (n < 0 && errno == EINTR) continue;
+    if (n < 0) {
+      line_open_ = line_open_ || done != 0;
+      return system_error(Errc::write_failed, "the state of the conversions cannot be written");
+    }
+    done += static_cast<std::size_t>(n);
+  }
+  line_open_ = false;
+  return {};
+}
+
+Status BatchState::begin(const std::string& output, bool sync) {
+  Known& known = known_[key_of(output)];
+  if (known.begun) return {};
+  const Json line{{"schema", kSchema}, {"output", key_of(output)}, {"begun", true}};
+  if (const Status s = append(dump(line)); !s) return s;
+  if (sync && ::fdatasync(fd_) != 0)
+    return system_error(Errc::write_failed, "the state of the conversions cannot be written");
+  known.begun = true;
+  return {};
+}
+
+Status BatchState::cancel(const std::string& output) {
+  Known& known = known_[key_of(output)];
+  if (!std::exchange(known.begun, false)) return {};
+  return append(dump({{"schema", kSchema}, {"output", key_of(output)}, {"begun", false}}));
+}
+
+Status BatchState::add(BatchRecord record) {
+  const Json line{{"schema", kSchema},
+                  {"output", key_of(record.output)},
+                  {"tool", record.tool},
+                  {"options", record.options},
+                  {"input_name", record.input_name},
+                  {"input", record.input},
+                  {"made", record.made},
+                  {"input_stamp", record.input_stamp},
+                  {"made_stamp", record.made_stamp},
+                  {"summary", Json::parse(record.summary, nullptr, false)}};
+  Known& known = known_[key_of(record.output)];
+  const Status written = append(dump(line));
+  known.begun = false;
+  known.records.push_back(std::move(record));
+  return written;
+}
+
+}  // namespace rgs

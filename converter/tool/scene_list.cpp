@@ -1,0 +1,157 @@
+// scene_list.cpp - one walk over a folder; contents decide, names only where contents say nothing.
+// SPDX-License-Identifier: Apache-2.0
+#include "scene_list.hpp"
+
+#include <dirent.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <memory>
+#include <string_view>
+#include <utility>
+
+#include "input_files.hpp"
+#include "rgs/file.hpp"
+
+namespace rgs::tool {
+namespace {
+
+using Identity = std::pair<std::uint64_t, std::uint64_t>;  // device and inode
+
+std::string_view text_of(std::span<const std::byte> bytes) {
+  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+}
+
+// What is left of an output whose program was killed: NAME.tmp-XXXXXX.
+bool is_unfinished(std::string_view name) {
+  constexpr std::string_view kMark = ".tmp-";
+  return name.size() > kMark.size() + 6 && name.substr(name.size() - kMark.size() - 6, kMark.size()) == kMark;
+}
+
+// Stricter than detect_format() where the name does not say the same: many files are zip archives, and a text may begin
+// with "ply".
+SplatFormat format_of(std::span<const std::byte> bytes, SplatFormat by_name) {
+  const SplatFormat format = detect_format(bytes);
+  const std::string_view text = text_of(bytes);
+  if (by_name != SplatFormat::unknown) return format;
+  if (format == SplatFormat::sog && text.starts_with("PK")) {
+    constexpr std::size_t kDirectory = 65536;  // at the end of a zip archive; a SOG has a dozen files
+    if (text.substr(text.size() - std::min(text.size(), kDirectory)).find("meta.json") == text.npos)
+      return SplatFormat::unknown;
+  }
+  if (format == SplatFormat::ply && !text.starts_with("ply\n") && !text.starts_with("ply\r"))
+    return SplatFormat::unknown;
+  return format;
+}
+
+class Walk {
+ public:
+  Walk(const std::vector<std::string>& without, bool hidden) : hidden_(hidden) {
+    for (const std::string& folder : without) {
+      struct stat info {};
+      if (::stat(folder.c_str(), &info) == 0) without_.emplace_back(info.st_dev, info.st_ino);
+    }
+  }
+
+  Status folder(const std::string& path, const std::string& prefix) {
+    struct stat info {};
+    const std::unique_ptr<DIR, int (*)(DIR*)> open(::opendir(path.c_str()), ::closedir);
+    if (open == nullptr || ::fstat(::dirfd(open.get()), &info) != 0)
+      return rgs::make_error(Errc::open_failed, Error::kNone, "the folder cannot be read", Error::kNone, Error::kNone,
+                             errno);
+    const Identity self(info.st_dev, info.st_ino);
+    if (std::ranges::find(without_, self) != without_.end()) return {};
+    if (std::ranges::find(above_, self) != above_.end()) {
+      list_.refused.push_back(prefix.substr(0, prefix.size() - 1));
+      return {};
+    }
+    std::vector<std::string> names;
+    errno = 0;
+    while (const dirent* entry = ::readdir(open.get())) names.emplace_back(entry->d_name);
+    if (errno != 0)
+      return rgs::make_error(Errc::read_failed, Error::kNone, "the folder cannot be read to its end", Error::kNone,
+                             Error::kNone, errno);
+    std::ranges::sort(names);
+    above_.push_back(self);
+    for (const std::string& name : names)
+      if (name != "." && name != "..") entry(path + "/" + name, prefix + name, name[0] == '.');
+    above_.pop_back();
+    return {};
+  }
+
+  SceneList finish() {
+    std::ranges::sort(list_.scenes, {}, &ListedScene::name);
+    // The pictures of a SOG are no files besides.
+    list_.n_others -= std::min(list_.n_others, n_pictures_);
+    return std::move(list_);
+  }
+
+ private:
+  void entry(const std::string& path, const std::string& name, bool is_hidden) {
+    if (is_hidden && !hidden_) return;
+    ListedScene scene{name, path, SplatFormat::unknown, 0, {}};
+    const SplatFormat by_name = is_unfinished(name) ? SplatFormat::unknown : format_of_name(name);
+    struct stat info {};
+    if (::stat(path.c_str(), &info) != 0) {
+      // A link to nowhere, or a file that vanished meanwhile.
+      if (by_name == SplatFormat::unknown) return void(++list_.n_others);
+      scene.readable =
+          rgs::make_error(Errc::open_failed, Error::kNone, "cannot open file", Error::kNone, Error::kNone, errno);
+      return list_.scenes.push_back(std::move(scene));
+    }
+    if (S_ISDIR(info.st_mode)) {
+      if (is_hidden) return;
+      scene.readable = folder(path, name + "/");
+      if (!scene.readable) list_.scenes.push_back(std::move(scene));
+      return;
+    }
+    if (!S_ISREG(info.st_mode) || is_unfinished(name)) return void(++list_.n_others);
+    scene.bytes = static_cast<std::uint64_t>(info.st_size);
+    const auto file = MappedFile::open(path);
+    if (file) scene.format = format_of(file->bytes(), by_name);
+    if (!file && by_name != SplatFormat::unknown) scene.readable = tl::unexpected(file.error());
+    const bool is_meta = by_name == SplatFormat::sog && name.ends_with(".json");  // others have such a file too
+    if (scene.format == SplatFormat::unknown && (by_name == SplatFormat::unknown || (is_meta && file)))
+      return void(++list_.n_others);
+    if (scene.format == SplatFormat::sog && is_meta) {
+      for (const std::string& picture : files_of_scene(path)) {
+        if (picture == path || ::stat(picture.c_str(), &info) != 0) continue;
+        scene.bytes += static_cast<std::uint64_t>(info.st_size);
+        ++n_pictures_;
+      }
+    }
+    list_.scenes.push_back(std::move(scene));
+  }
+
+  SceneList list_;
+  std::vector<Identity> without_, above_;
+  std::uint64_t n_pictures_ = 0;
+  bool hidden_ = false;
+};
+
+}  // namespace
+
+Result<SceneList> list_scenes(const std::string& folder, const std::vector<std::string>& without, bool hidden) {
+  Walk walk(without, hidden);
+  if (const Status s = walk.folder(folder, ""); !s) return tl::unexpected(s.error());
+  return walk.finish();
+}
+
+std::vector<std::string> files_of_scene(const std::string& path) {
+  InputFiles files;
+  files.add_scene(path);
+  return files.paths();
+}
+
+std::string scene_stem(const std::string& name) {
+  const SplatFormat format = format_of_name(name);
+  if (format == SplatFormat::unknown) return name;
+  // A SOG's meta.json has the ending of no format.
+  const std::size_t ending =
+      name.ends_with(".json") || name.ends_with(".JSON") ? 5 : std::string_view(format_name(format)).size() + 1;
+  return name.substr(0, name.size() - ending);
+}
+
+}  // namespace rgs::tool

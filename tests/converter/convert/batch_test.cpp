@@ -1,0 +1,680 @@
+// batch_test.cpp - rgs-convert of folders and lists: what it makes, what it leaves, and how it goes on after whatever stopped it.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+#include <sys/mount.h>
+#include <sys/resource.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <chrono>
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <sstream>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include "convert_scenes.hpp"
+#include "data_folder.hpp"
+#include "rgs/interchange.hpp"
+#include "run_program.hpp"
+#include "sanitized.hpp"
+#include "skip.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using nlohmann::json;
+namespace fs = std::filesystem;
+
+namespace {
+
+constexpr std::uint64_t kSmall = 300;
+constexpr std::uint64_t kLong = kSanitized ? 8'000 : 60'000;  // Gaussians of a conversion that can be hit midway
+
+struct Batch : ProgramResult {
+  std::map<std::string, json> lines;  // by input
+  std::size_t n_lines = 0;
+
+  std::size_t count(const std::string& status) const {
+    return static_cast<std::size_t>(
+        std::ranges::count_if(lines, [&](const auto& line) { return line.second["status"] == status; }));
+  }
+};
+
+Batch lines_of(ProgramResult run, const std::string& text) {
+  Batch batch;
+  static_cast<ProgramResult&>(batch) = std::move(run);
+  std::istringstream in(text);
+  for (std::string line; std::getline(in, line); ++batch.n_lines) {
+    const json j = json::parse(line);
+    CHECK(j["schema"] == "rgs-convert-scene/1");
+    batch.lines[j["input_path"].get<std::string>()] = j;
+  }
+  return batch;
+}
+
+Batch convert_all(std::vector<std::string> arguments, const std::function<void()>& before_exec = {}) {
+  arguments.insert(arguments.begin(), {RGS_CONVERT, "--no-sync"});
+  ProgramResult run = run_program(arguments, before_exec);
+  const std::string text = run.out;
+  return lines_of(std::move(run), text);
+}
+
+std::string scene(const std::string& path, std::uint64_t seed, std::uint64_t n = kSmall) {
+  fs::create_directories(fs::path(path).parent_path());
+  return write_scene(path, golden_cloud(n, 1, seed));
+}
+
+// All files below a folder with their contents, but for the state.
+std::map<std::string, std::string> contents(const fs::path& folder) {
+  std::map<std::string, std::string> files;
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+    const std::string name = entry.path().lexically_relative(folder).string();
+    if (entry.is_regular_file() && !entry.path().filename().string().starts_with("."))
+      files[name] = read_text(entry.path().string());
+  }
+  return files;
+}
+
+std::set<std::string> names(const std::map<std::string, std::string>& files) {
+  std::set<std::string> out;
+  for (const auto& file : files) out.insert(file.first);
+  return out;
+}
+
+bool has_temporaries(const fs::path& folder) {
+  return std::ranges::any_of(names(contents(folder)),
+                             [](const std::string& name) { return name.find(".tmp-") != name.npos; });
+}
+
+void pause(double seconds) {
+  std::this_thread::sleep_for(std::chrono::duration<double>(seconds));
+}
+
+// in/ with n scenes, and out/.
+struct Folders : TemporaryFolder {
+  explicit Folders(int n = 0, std::uint64_t n_gaussians = kSmall) {
+    fs::create_directory(in);
+    for (int i = 0; i < n; ++i)
+      scene(in + "/" + std::string(1, static_cast<char>('a' + i)) + ".ply", static_cast<std::uint64_t>(i), n_gaussians);
+  }
+  std::string in = file("in"), out = file("out");
+
+  std::vector<std::string> command(std::vector<std::string> more = {}) const {
+    std::vector<std::string> arguments{in, out, "--to", "rgs"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  }
+};
+
+std::vector<std::string> program(const std::vector<std::string>& arguments) {
+  std::vector<std::string> command{RGS_CONVERT, "--no-sync"};
+  command.insert(command.end(), arguments.begin(), arguments.end());
+  return command;
+}
+
+}  // namespace
+
+TEST_CASE("a folder of all formats becomes a folder of the same shape, byte for byte as one by one") {
+  const Folders f;
+  const SplatCloud cloud = golden_cloud(kSmall, 1, 9);
+  scene(f.in + "/a.ply", 1);
+  scene(f.in + "/sub/deep/b.PLY", 2);
+  scene(f.in + "/no ending", 3);
+  scene(f.in + "/scene.v2", 3);
+  for (const auto& [name, format] :
+       {std::pair("sub/c.spz", SplatFormat::spz), std::pair("sub/d.glb", SplatFormat::glb),
+        std::pair("e.splat", SplatFormat::splat), std::pair("sub/f.compressed.ply", SplatFormat::compressed_ply)}) {
+    const auto bytes = encode_splats(cloud.view(), format);
+    REQUIRE(bytes);
+    write_text(f.in + "/" + name, {reinterpret_cast<const char*>(bytes->data()), bytes->size()});
+  }
+  write_text(f.in + "/README.md", "A folder of scenes.");
+  write_text(f.in + "/cameras.json", R"([{"means": 3}])");
+  write_text(f.in + "/sub/ply.txt", "plywood");
+  write_text(f.in + "/sub/photos.zip", "PK\x03\x04 and so on");
+  write_text(f.in + "/input.ply", header_of({"x", "y", "z"}, "0", "ascii"));
+
+  const Batch one = convert_all(f.command());
+  INFO(one.err);
+  CHECK(one.exit_code == 0);
+  CHECK(names(contents(f.out)) == std::set<std::string>{"a.rgs", "sub/deep/b.rgs", "no ending.rgs", "scene.v2.rgs",
+                                                        "sub/c.rgs", "sub/d.rgs", "e.rgs", "sub/f.rgs"});
+  CHECK(one.count("converted") == 8);
+  CHECK(one.count("skipped") == 1);
+  CHECK(one.lines.at("input.ply")["error"]["code"] == "not_gaussian_splats");
+  CHECK(one.n_lines == 9);
+  CHECK(one.err.find("4 other files passed over") != std::string::npos);
+  CHECK(one.lines.at("sub/c.spz")["output_path"] == "sub/c.rgs");
+  CHECK(one.lines.at("sub/c.spz")["source"]["format"] == "spz");
+  CHECK(one.lines.at("a.ply")["output"]["gaussians"] == kSmall);
+
+  const std::string two = f.file("two");
+  CHECK(convert_all({f.in, two, "--to", "rgs", "--jobs", "2"}).exit_code == 0);
+  CHECK(contents(two) == contents(f.out));
+  for (const auto& [input, line] : one.lines) {
+    if (line["status"] != "converted") continue;
+    CAPTURE(input);
+    const std::string single = f.file("single.rgs");
+    REQUIRE(run_program({RGS_CONVERT, "-q", "--no-sync", "--overwrite", f.in + "/" + input, single}).exit_code == 0);
+    CHECK(read_text(single) == contents(f.out)[line["output_path"].get<std::string>()]);
+  }
+  // To other formats, from .rgs too.
+  CHECK(convert_all({f.out, f.file("spz"), "--to", "spz"}).exit_code == 0);
+  CHECK(names(contents(f.file("spz"))).contains("sub/deep/b.spz"));
+  CHECK(convert_all({f.out, f.file("small"), "--to", "compressed.ply"}).exit_code == 0);
+  CHECK(names(contents(f.file("small"))).contains("sub/deep/b.compressed.ply"));
+}
+
+TEST_CASE("an unzipped SOG is one scene, with its pictures") {
+  const Folders f;
+  const fs::path sog = data_folder() / "formats" / "crop.sog";
+  if (!fs::exists(sog)) return skip_without_data("there is no SOG among the test data");
+  const std::string meta = f.file("sog");
+  REQUIRE(run_shell("python3 -m zipfile -e '" + sog.string() + "' '" + meta + "'").exit_code == 0);
+  fs::copy(meta, f.in + "/one", fs::copy_options::recursive);
+  const Batch first = convert_all(f.command());
+  INFO(first.err);
+  CHECK(first.exit_code == 0);
+  CHECK(names(contents(f.out)) == std::set<std::string>{"one/meta.rgs"});
+  CHECK(first.err.find("other files") == std::string::npos);
+  CHECK(convert_all(f.command()).count("kept") == 1);
+}
+
+TEST_CASE("what is done is kept by content: names and times decide nothing") {
+  const Folders f(4);
+  REQUIRE(convert_all(f.command()).count("converted") == 4);
+  const auto first = contents(f.out);
+  const auto written = fs::last_write_time(f.out + "/a.rgs");
+  const auto rerun = [&](std::vector<std::string> more = {}) {
+    Batch run = convert_all(f.command(std::move(more)));
+    INFO(run.err);
+    CHECK(run.exit_code == 0);
+    CHECK(run.n_lines == 4);
+    return run;
+  };
+  const Batch second = rerun();
+  CHECK(second.count("kept") == 4);
+  CHECK(second.lines.at("a.ply")["output"]["gaussians"] == kSmall);  // the line says all that it said then
+  CHECK(fs::last_write_time(f.out + "/a.rgs") == written);
+
+  // Other times, the same bytes.
+  fs::last_write_time(f.in + "/a.ply", fs::file_time_type::clock::now());
+  fs::copy_file(f.in + "/b.ply", f.in + "/b.new");
+  fs::rename(f.in + "/b.new", f.in + "/b.ply");
+  fs::last_write_time(f.out + "/c.rgs", fs::file_time_type::clock::now());
+  CHECK(rerun({"--threads", "1", "--jobs", "3"}).count("kept") == 4);
+  CHECK(contents(f.out) == first);
+
+  // The same time and size, other bytes.
+  const auto before = fs::last_write_time(f.in + "/d.ply");
+  std::string bytes = read_text(f.in + "/d.ply");
+  bytes[bytes.size() - 5] = static_cast<char>(bytes[bytes.size() - 5] ^ 1);
+  write_text(f.in + "/d.ply", bytes);
+  fs::last_write_time(f.in + "/d.ply", before);
+  const Batch changed = rerun();
+  CHECK(changed.count("converted") == 1);
+  CHECK(changed.lines.at("d.ply")["status"] == "converted");
+  CHECK(contents(f.out).at("d.rgs") != first.at("d.rgs"));
+
+  // Outputs that are gone, cut off, changed.
+  const auto good = contents(f.out);
+  fs::remove(f.out + "/a.rgs");
+  fs::resize_file(f.out + "/b.rgs", 100);
+  std::string damaged = good.at("c.rgs");
+  damaged[200] = static_cast<char>(damaged[200] ^ 1);
+  write_text(f.out + "/c.rgs", damaged);
+  CHECK(rerun().count("converted") == 3);
+  CHECK(contents(f.out) == good);
+
+  // Other options; and back, which is a conversion again, as the files are gone.
+  CHECK(rerun({"--profile", "direct"}).count("converted") == 4);
+  CHECK(rerun({"--profile", "direct"}).count("kept") == 4);
+  CHECK(rerun().count("converted") == 4);
+  CHECK(contents(f.out) == good);
+  CHECK(rerun({"--overwrite"}).count("converted") == 4);
+}
+
+TEST_CASE("cameras count by what is in them") {
+  const Folders f(1);
+  const auto cameras = [&](double z) {
+    write_text(f.file("cameras.json"),
+               R"([{"name":"a","width":96,"height":72,"fx":90,"fy":90,"world_to_camera":[[1,0,0,0],[0,1,0,0],[0,0,1,)" +
+                   std::to_string(z) + "],[0,0,0,1]]}]");
+  };
+  cameras(30);
+  const std::vector<std::string> command = f.command({"--cameras", f.file("cameras.json")});
+  const Batch first = convert_all(command);
+  INFO(first.err);
+  CHECK(first.count("converted") == 1);
+  CHECK(convert_all(command).count("kept") == 1);
+  cameras(40);
+  CHECK(convert_all(command).count("converted") == 1);
+}
+
+TEST_CASE("an output that was not made here stays unless --overwrite is given") {
+  const Folders f(2);
+  fs::create_directory(f.out);
+  write_text(f.out + "/a.rgs", "mine");
+  const Batch kept = convert_all(f.command());
+  CHECK(kept.exit_code == 3);
+  CHECK(kept.lines.at("a.ply")["error"]["code"] == "output_exists");
+  CHECK(kept.lines.at("b.ply")["status"] == "converted");
+  CHECK(read_text(f.out + "/a.rgs") == "mine");
+  CHECK(convert_all(f.command()).exit_code == 3);
+  CHECK(convert_all(f.command({"--overwrite"})).count("converted") == 2);
+  CHECK(convert_all(f.command()).count("kept") == 2);
+  // Nor does what follows a failed conversion belong to it.
+  write_text(f.in + "/c.ply", "ply\nformat nonsense\n");
+  CHECK(convert_all(f.command()).exit_code == 4);
+  write_text(f.out + "/c.rgs", "mine");
+  scene(f.in + "/c.ply", 7);
+  CHECK(convert_all(f.command()).lines.at("c.ply")["error"]["code"] == "output_exists");
+  CHECK(read_text(f.out + "/c.rgs") == "mine");
+}
+
+TEST_CASE("a damaged scene stops no other, and the worst decides the exit code") {
+  const Folders f(5);
+  write_text(f.in + "/b.ply", read_text(f.in + "/b.ply").substr(0, 5000));
+  write_text(f.in + "/empty.spz", "");
+  const Batch run = convert_all(f.command({"--jobs", "2"}));
+  CHECK(run.exit_code == 4);
+  CHECK(run.count("converted") == 4);
+  CHECK(run.count("failed") == 2);
+  const json& b = run.lines.at("b.ply");
+  CHECK(b["exit_code"] == 4);
+  CHECK(b["error"]["code"] == "truncated");
+  CHECK(b["error"]["offset"] == 5000);
+  CHECK(b["error"]["file"].get<std::string>().ends_with("b.ply"));
+  CHECK(b["error"]["message"].get<std::string>().find("byte 5000") != std::string::npos);
+  CHECK(run.lines.at("empty.spz")["exit_code"] == 4);
+  CHECK(run.err.find("b.ply: byte 5000") != std::string::npos);
+  CHECK(run.err.find("4 converted, 2 failed") != std::string::npos);
+  // A link to nowhere is a scene that cannot be read, and worse.
+  fs::create_symlink("nowhere", f.in + "/gone.ply");
+  fs::create_symlink("nowhere", f.in + "/gone.txt");
+  const Batch worse = convert_all(f.command());
+  CHECK(worse.exit_code == 3);
+  CHECK(worse.lines.at("gone.ply")["error"]["code"] == "open_failed");
+  CHECK(worse.count("kept") == 4);
+  // Mended, it is converted; all else is kept.
+  scene(f.in + "/b.ply", 1);
+  CHECK(convert_all(f.command()).lines.at("b.ply")["status"] == "converted");
+  // Where that is asked for, nothing is begun after the first failure.
+  fs::remove(f.in + "/gone.ply");
+  const Batch first = convert_all({f.in, f.file("other"), "--to", "rgs", "--no-keep-going", "--jobs", "1"});
+  CHECK(first.exit_code == 4);
+  CHECK(first.count("failed") == 1);
+  const Folders g(3);
+  write_text(g.in + "/a.ply", read_text(g.in + "/a.ply").substr(0, 5000));
+  const Batch stopped = convert_all(g.command({"--no-keep-going"}));
+  CHECK(stopped.n_lines == 1);
+  CHECK(stopped.err.find("2 not begun") != std::string::npos);
+  CHECK(convert_all(g.command({"--keep-going"})).count("converted") == 2);
+}
+
+TEST_CASE("what may not be read is reported and stops no other") {
+  const Folders f(3);
+  const std::string program = f.file("rgs-convert");
+  fs::copy_file(RGS_CONVERT, program);  // a path that the other user can reach
+  scene(f.in + "/locked/x.ply", 8);
+  fs::create_directory(f.out);
+  fs::permissions(f.in + "/b.ply", fs::perms(0));
+  fs::permissions(f.in + "/locked", fs::perms(0));
+  fs::permissions(f.out, fs::perms(0777));
+  fs::permissions(f.path(), fs::perms(0755));
+  const bool root = ::geteuid() == 0;
+  ProgramResult run = run_program({program, "--no-sync", f.in, f.out, "--to", "rgs"}, [root] {
+    constexpr unsigned kNobody = 65534;
+    if (root && (::setgid(kNobody) != 0 || ::setuid(kNobody) != 0)) ::_exit(126);
+  });
+  fs::permissions(f.in + "/locked", fs::perms(0755));
+  if (run.exit_code == 126) return skip("root here cannot become another user");
+  const std::string text = run.out;
+  const Batch batch = lines_of(std::move(run), text);
+  CHECK(batch.exit_code == 3);
+  CHECK(batch.count("converted") == 2);
+  CHECK(batch.lines.at("b.ply")["error"]["message"].get<std::string>().find("Permission denied") != std::string::npos);
+  CHECK(batch.lines.at("locked")["exit_code"] == 3);
+}
+
+TEST_CASE("scenes that would have one output are named before anything is written") {
+  const Folders f(1);
+  fs::copy_file(f.in + "/a.ply", f.in + "/a.compressed.ply");
+  for (const std::vector<std::string>& more : {std::vector<std::string>{}, {"--shard", "1/2"}, {"--shard", "2/2"}}) {
+    const Batch run = convert_all(f.command(more));
+    CHECK(run.exit_code == 2);
+    CHECK(run.err.find("a.compressed.ply and a.ply would both become a.rgs") != std::string::npos);
+    CHECK_FALSE(fs::exists(f.out));
+  }
+}
+
+TEST_CASE("links, hidden files, unfinished outputs and a folder of outputs among the inputs") {
+  const Folders f(2);
+  const std::string inside = f.in + "/converted";
+  scene(f.file("elsewhere/x.ply"), 5);
+  fs::create_symlink("../elsewhere/x.ply", f.in + "/link.ply");
+  fs::create_directory_symlink("../elsewhere", f.in + "/folder");
+  fs::create_directory_symlink(".", f.in + "/self");
+  scene(f.in + "/.hidden.ply", 6);
+  scene(f.in + "/.cache/x.ply", 6);
+  fs::copy_file(f.in + "/a.ply", f.in + "/a.rgs.tmp-AbCdEf");
+  REQUIRE(::mkfifo((f.in + "/pipe.ply").c_str(), 0600) == 0);
+  const std::vector<std::string> command{f.in, inside, "--to", "rgs"};
+  const Batch run = convert_all(command);
+  INFO(run.err);
+  CHECK(run.exit_code == 0);
+  CHECK(names(contents(inside)) == std::set<std::string>{"a.rgs", "b.rgs", "folder/x.rgs", "link.rgs"});
+  CHECK(run.err.find("self: a link to a folder that it lies in") != std::string::npos);
+  CHECK(convert_all(command).count("kept") == 4);  // and no output has become an input
+  // Not onto itself, by whatever name.
+  for (const std::string& same : {f.in, f.in + "/.", f.in + "/self", f.file("elsewhere/../in")})
+    CHECK(convert_all({f.in, same, "--to", "rgs"}).exit_code == 2);
+  // Nor an output onto an input.
+  const Folders g(1);
+  REQUIRE(convert_all(g.command()).exit_code == 0);
+  fs::create_directory(g.out + "/sub");
+  fs::copy_file(g.in + "/a.ply", g.out + "/sub/a.ply");
+  fs::create_symlink("../in/a.ply", g.file("out/b.rgs"));
+  scene(g.in + "/b.ply", 3);
+  const Batch clash = convert_all(g.command({"--overwrite"}));
+  CHECK(clash.exit_code == 2);
+  CHECK(clash.err.find("is the same file as input") != std::string::npos);
+}
+
+TEST_CASE("a list names inputs, and outputs after a tab") {
+  const Folders f(3);
+  const std::string list = f.file("list.txt");
+  write_text(f.in + "/README.md", "no scene");
+  write_text(list, "a.ply\r\n\nb.ply\tsub/other.rgs\nREADME.md\nmissing.ply");
+  const Batch run = convert_all(f.command({"--list", list}));
+  INFO(run.err);
+  CHECK(run.exit_code == 3);
+  CHECK(names(contents(f.out)) == std::set<std::string>{"a.rgs", "sub/other.rgs"});
+  CHECK(run.n_lines == 4);
+  CHECK(run.lines.at("README.md")["exit_code"] == 4);
+  CHECK(run.lines.at("missing.ply")["exit_code"] == 3);
+  CHECK(convert_all(f.command({"--list", list})).count("kept") == 2);
+  // From where one stands, through a pipe; what lies outside loses its folders.
+  const ProgramResult piped = run_shell("cd '" + f.path().string() + "' && ls in/*.ply | '" + RGS_CONVERT +
+                                        "' --no-sync -q --list - piped --to spz && echo \"$PWD/in/a.ply\" > one && '" +
+                                        RGS_CONVERT + "' --no-sync -q --list one absolute --to ply");
+  CHECK(piped.exit_code == 0);
+  CHECK(names(contents(f.file("piped"))) == std::set<std::string>{"in/a.spz", "in/b.spz", "in/c.spz"});
+  CHECK(names(contents(f.file("absolute"))) == std::set<std::string>{"a.ply"});
+  // Formats by name where --to does not say them.
+  write_text(list, "a.ply\tx.spz\nb.ply\ty.rgs\n");
+  CHECK(convert_all({"--list", list, f.in, f.file("mixed")}).count("converted") == 2);
+  CHECK(read_text(f.file("mixed/y.rgs")).substr(1, 3) == "RGS");
+  for (const std::string text : {"a.ply\tx.rgs\nb.ply\t./x.rgs\n", "a.ply\tx\ty\n", "\tx\n", "a.ply\t\n", "a.ply\n", "",
+                                 "a.ply\tx.nothing\n", "a.ply\tx.ksplat\n"}) {
+    CAPTURE(text);
+    write_text(list, text);
+    CHECK(convert_all({"--list", list, f.in, f.file("none")}).exit_code == 2);
+    CHECK_FALSE(fs::exists(f.file("none")));
+  }
+  CHECK(convert_all({"--list", f.file("absent"), f.in, f.file("none")}).exit_code == 3);
+}
+
+TEST_CASE("what makes no sense with many scenes is refused") {
+  const Folders f(1);
+  CHECK(convert_all({f.in, f.out}).exit_code == 2);
+  CHECK(convert_all({f.in, f.out, "--to", "ksplat"}).exit_code == 2);
+  for (const std::vector<std::string>& more : {std::vector<std::string>{"--merge"},
+                                               {"--audit"},
+                                               {"--shard", "0/2"},
+                                               {"--shard", "3/2"},
+                                               {"--shard", "1"},
+                                               {"--shard", "1/2x"},
+                                               {"--jobs", "0"},
+                                               {"--axes", "north"},
+                                               {"--memory", "1GB"},
+                                               {"--crop", "1"},
+                                               {"--translate", "1,2,3", "--translate", "1,2,3"},
+                                               {"--lod", "--memory", "256MiB", "--jobs", "3"}}) {
+    CAPTURE(more.front());
+    CHECK(convert_all(f.command(more)).exit_code == 2);
+  }
+  CHECK(convert_all({f.in, f.out, "--to", "spz", "--profile", "direct"}).exit_code == 2);
+  CHECK(convert_all({f.in + "/a.ply", f.file("a.rgs"), "--jobs", "2"}).exit_code == 2);
+  CHECK(convert_all({f.in + "/a.ply"}).exit_code == 2);
+  CHECK_FALSE(fs::exists(f.out));
+  fs::create_directory(f.file("nothing"));
+  CHECK(convert_all({f.file("nothing"), f.out, "--to", "rgs"}).exit_code == 2);
+  write_text(f.file("file"), "");
+  CHECK(convert_all({f.in, f.file("file"), "--to", "rgs"}).exit_code == 3);
+}
+
+TEST_CASE("levels of detail, too, with memory divided") {
+  const Folders f(2, 3000);
+  const Batch run = convert_all(f.command({"--lod", "--memory", "256MiB", "--jobs", "2"}));
+  INFO(run.err);
+  CHECK(run.count("converted") == 2);
+  CHECK(run.lines.at("a.ply")["levels"]["levels"].get<int>() > 1);
+  const std::string single = f.file("single.rgs");
+  REQUIRE(run_program({RGS_CONVERT, "-q", "--no-sync", "--lod", f.in + "/a.ply", single}).exit_code == 0);
+  CHECK(read_text(single) == contents(f.out).at("a.rgs"));
+  CHECK(entries(f.out) == 3);  // and no scratch files
+}
+
+TEST_CASE("shards convert every scene exactly once, side by side into one folder") {
+  const Folders f;
+  for (int i = 0; i < 13; ++i)
+    scene(f.in + "/s" + std::to_string(i) + ".ply", 1, kSmall * static_cast<std::uint64_t>(1 + i * i));
+  std::vector<std::unique_ptr<Program>> shards;
+  for (const char* shard : {"1/4", "2/4", "3/4", "4/4"})
+    shards.push_back(std::make_unique<Program>(program(f.command({"--shard", shard, "-q"}))));
+  std::set<std::string> seen;
+  std::vector<std::uint64_t> bytes;
+  for (auto& shard : shards) {
+    ProgramResult run = shard->wait();
+    CHECK(run.exit_code == 0);
+    const std::string text = run.out;
+    const Batch batch = lines_of(std::move(run), text);
+    bytes.push_back(0);
+    for (const auto& [input, line] : batch.lines) {
+      CHECK_MESSAGE(seen.insert(input).second, input);
+      CHECK(line["status"] == "converted");
+      bytes.back() += line["source"]["bytes"].get<std::uint64_t>();
+    }
+  }
+  CHECK(seen.size() == 13);
+  // The largest is what a shard is bound to have.
+  CHECK(*std::ranges::max_element(bytes) < 2 * *std::ranges::min_element(bytes));
+  const Batch all = convert_all(f.command());
+  CHECK(all.count("kept") == 13);
+  CHECK(convert_all(f.command({"--shard", "2/3"})).count("converted") == 0);
+  // More shards than scenes: some have nothing to do.
+  CHECK(convert_all(f.command({"--shard", "40/40"})).exit_code == 0);
+}
+
+TEST_CASE("two programs on one folder: the second is told") {
+  const Folders f(1, kLong);
+  Program first(program(f.command({"--level", "19", "-q"})));
+  while (!fs::exists(f.out + "/.rgs-convert.jsonl") && first.running()) pause(1e-3);
+  pause(0.02);
+  const bool was_running = first.running();
+  const Batch second = convert_all(f.command());
+  if (was_running && first.running()) {
+    CHECK(second.exit_code == 3);
+    CHECK(second.err.find("another rgs-convert works on this folder") != std::string::npos);
+  }
+  CHECK(first.wait().exit_code == 0);
+}
+
+TEST_CASE("a report has a line for each scene, in their order, and replaces only reports") {
+  const Folders f(3);
+  const std::string report = f.file("report.jsonl");
+  const Batch quiet = convert_all(f.command({"--report", report, "--jobs", "3"}));
+  CHECK(quiet.out.empty());
+  CHECK(quiet.exit_code == 0);
+  std::istringstream lines(read_text(report));
+  for (const char* name : {"a.ply", "b.ply", "c.ply"}) {
+    std::string line;
+    REQUIRE(std::getline(lines, line));
+    CHECK(json::parse(line)["input_path"] == name);
+  }
+  CHECK(convert_all(f.command({"--report", report})).exit_code == 0);  // goes on, so its report does too
+  CHECK(read_text(report).find("\"kept\"") != std::string::npos);
+  write_text(report, "mine");
+  CHECK(convert_all(f.command({"--report", report})).exit_code == 3);
+  CHECK(read_text(report) == "mine");
+  CHECK(convert_all(f.command({"--report", report, "--overwrite"})).exit_code == 0);
+  CHECK(convert_all(f.command({"--report", f.in + "/a.ply"})).exit_code == 2);
+  CHECK(convert_all(f.command({"--report", f.file("no/report")})).exit_code == 3);
+}
+
+TEST_CASE("killed at any moment, the rerun does only what is missing") {
+  const Folders f(6, kLong / 4);
+  const std::string whole = f.file("whole");
+  REQUIRE(convert_all({f.in, whole, "--to", "rgs"}).count("converted") == 6);
+  int midway = 0;
+  for (int round = 0; round < 8; ++round) {
+    fs::remove_all(f.out);
+    {
+      Program run(program(f.command({"--jobs", "2", "--level", "5", "-q"})));
+      const auto done = [&] { return read_text(f.out + "/.rgs-convert.jsonl").find("\"made\"") != std::string::npos; };
+      while (!done() && run.running()) pause(1e-3);
+      pause(0.003 * round);
+      run.send(SIGKILL);
+      run.wait();
+    }
+    pause(0.05);  // children end when their parent does
+    const std::string state = read_text(f.out + "/.rgs-convert.jsonl");
+    std::set<std::string> done;
+    std::istringstream lines(state);
+    for (std::string line; std::getline(lines, line);) {
+      const json j = json::parse(line, nullptr, false);
+      if (j.is_object() && j.contains("made")) done.insert(j["output"]);
+    }
+    midway += !done.empty() && done.size() < 6;
+    CHECK_FALSE(has_temporaries(f.out));
+    const Batch rest = convert_all(f.command({"--level", "5"}));
+    INFO(rest.err);
+    CHECK(rest.exit_code == 0);
+    CHECK(rest.count("kept") == done.size());
+    CHECK(rest.count("converted") == 6 - done.size());
+    for (const std::string& output : done) CHECK(rest.lines.at(output.substr(0, 1) + ".ply")["status"] == "kept");
+  }
+  CHECK(midway > 0);
+  // As if never interrupted.
+  CHECK(convert_all(f.command({"--level", "1"})).exit_code == 0);
+  CHECK(convert_all(f.command()).exit_code == 0);
+  CHECK(contents(f.out) == contents(whole));
+}
+
+TEST_CASE("what a killed process left unfinished is removed by the rerun") {
+  const Folders f(2);
+  REQUIRE(convert_all(f.command()).exit_code == 0);
+  fs::remove(f.out + "/a.rgs");
+  write_text(f.out + "/a.rgs.tmp-AbCdEf", "half");
+  write_text(f.out + "/mine.tmp-AbCdEf", "not ours");
+  CHECK(convert_all(f.command()).count("converted") == 1);
+  CHECK(names(contents(f.out)) == std::set<std::string>{"a.rgs", "b.rgs", "mine.tmp-AbCdEf"});
+}
+
+TEST_CASE("a state that is cut off or damaged costs no more than what it no longer says") {
+  const Folders f(3);
+  REQUIRE(convert_all(f.command()).exit_code == 0);
+  const std::string path = f.out + "/.rgs-convert.jsonl", state = read_text(path);
+  for (std::size_t cut = state.size() - 1; cut > 0; cut = cut * 3 / 4) {
+    CAPTURE(cut);
+    write_text(path, state.substr(0, cut));
+    // An output that no line speaks of is not taken for ours.
+    const Batch run = convert_all(f.command());
+    CHECK(run.n_lines == 3);
+    CHECK(run.count("kept") + run.count("converted") + run.count("failed") == 3);
+    for (const auto& [input, line] : run.lines)
+      if (line["status"] == "failed") CHECK(line["error"]["code"] == "output_exists");
+    CHECK(convert_all(f.command()).count("converted") == 0);
+  }
+  write_text(path, "no JSON\n{}\n[1]\n{\"schema\":\"rgs-convert-state/1\",\"output\":7}\n" + state + "half a li");
+  CHECK(convert_all(f.command()).count("kept") == 3);
+}
+
+TEST_CASE("signals end all conversions, and leave neither half outputs nor a damaged state") {
+  for (const int signal_number : {SIGTERM, SIGINT, SIGHUP}) {
+    CAPTURE(signal_number);
+    const Folders f(4, kLong);
+    Program run(program(f.command({"--jobs", "2", "--level", "12"})));
+    while ((!fs::exists(f.out) || !has_temporaries(f.out)) && run.running()) pause(1e-3);
+    run.send(signal_number);
+    const ProgramResult end = run.wait();
+    CHECK(end.signal == signal_number);
+    CHECK(end.err.find("the same command goes on from there") != std::string::npos);
+    CHECK_FALSE(has_temporaries(f.out));
+    const Batch rest = convert_all(f.command({"--level", "12", "--jobs", "2"}));
+    CHECK(rest.exit_code == 0);
+    CHECK(rest.count("kept") + rest.count("converted") == 4);
+    CHECK(rest.count("converted") > 0);
+  }
+}
+
+TEST_CASE("a conversion whose process is killed is a line, and the others go on") {
+  const Folders f(3, kLong);
+  Program run(program(f.command({"--level", "12", "-q"})));
+  const std::string children = "/proc/" + std::to_string(run.id()) + "/task/" + std::to_string(run.id()) + "/children";
+  pid_t child = 0;
+  while (child == 0 && run.running()) child = static_cast<pid_t>(std::atoi(read_text(children).c_str()));
+  if (child == 0) return skip("this system does not list the children of a process");
+  REQUIRE(::kill(child, SIGKILL) == 0);
+  ProgramResult end = run.wait();
+  const std::string text = end.out;
+  const Batch batch = lines_of(std::move(end), text);
+  CHECK(batch.exit_code == 3);
+  CHECK(batch.count("failed") == 1);
+  CHECK(batch.count("converted") == 2);
+  CHECK(convert_all(f.command({"--level", "12"})).count("kept") == 2);
+}
+
+TEST_CASE("a limit of file sizes fails the scenes that are too large, and no other") {
+  const Folders f(2);
+  scene(f.in + "/large.ply", 3, 20'000);
+  const Batch run = convert_all(f.command(), [] {
+    const rlimit limit{1 << 17, 1 << 17};
+    ::setrlimit(RLIMIT_FSIZE, &limit);
+  });
+  CHECK(run.exit_code == 3);
+  CHECK(run.count("converted") == 2);
+  CHECK(run.lines.at("large.ply")["error"]["message"].get<std::string>().find("File too large") != std::string::npos);
+  CHECK(names(contents(f.out)) == std::set<std::string>{"a.rgs", "b.rgs"});
+  CHECK(convert_all(f.command()).count("kept") == 2);
+}
+
+TEST_CASE("a full disk fails what has no room, and the rerun goes on from there") {
+  const Folders f(12, 5000);
+  fs::create_directory(f.out);
+  if (::mount("tmpfs", f.out.c_str(), "tmpfs", 0, "size=1m") != 0)
+    return skip("a small file system cannot be mounted here (needs root)");
+  struct Unmount {
+    const std::string& disk;
+    ~Unmount() { ::umount2(disk.c_str(), MNT_DETACH); }
+  } const unmount{f.out};
+  const Batch full = convert_all(f.command({"--jobs", "2"}));
+  CHECK(full.exit_code == 3);
+  CHECK(full.count("converted") > 0);
+  CHECK(full.count("failed") > 0);
+  CHECK(full.err.find("No space left on device") != std::string::npos);
+  CHECK_FALSE(has_temporaries(f.out));
+  REQUIRE(::mount("tmpfs", f.out.c_str(), "tmpfs", MS_REMOUNT, "size=16m") == 0);
+  const Batch rest = convert_all(f.command());
+  CHECK(rest.exit_code == 0);
+  CHECK(rest.count("kept") <= full.count("converted"));
+  CHECK(rest.count("kept") + rest.count("converted") == 12);
+}
+
+TEST_CASE("names that are not UTF-8 are told apart") {
+  const Folders f;
+  scene(f.in + "/\xfe.ply", 1);
+  scene(f.in + "/\xff.ply", 2);
+  scene(f.in + "/new\nline.ply", 3);
+  REQUIRE(convert_all(f.command()).exit_code == 0);
+  const Batch run = convert_all(f.command());
+  CHECK(run.n_lines == 3);
+  CHECK(run.out.find("converted") == std::string::npos);
+}
