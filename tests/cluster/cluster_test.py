@@ -125,18 +125,7 @@ def slurm(folder):
         except BaseException:
             print(cluster.run("scontrol", "show", "job", "-o", check=False).stdout)
             raise
-    same(processes_of(cluster), [])
-
-
-def processes_of(cluster):
-    mark = f"SLURM_CONF={cluster.folder}/slurm.conf".encode()
-    found = []
-    for pid in filter(str.isdigit, os.listdir("/proc")):
-        with contextlib.suppress(OSError):
-            with open(f"/proc/{pid}/environ", "rb") as file:
-                if mark in file.read().split(b"\0"):
-                    found.append(pid)
-    return found
+    wait_for(lambda: not cluster.processes(), "end of all processes", 10)
 
 
 PAGE_SCENES = {"house1": "scenes/house1.ply", "house2": "scenes/house2.ply", "house3": "scenes/house3.ply",
@@ -198,6 +187,13 @@ def reruns(folder):
     expect("another profile", everything, "convert=--profile direct")
     make_scene(f"{folder}/scenes/new/d.ply")
     expect("a new scene", [("audit", "new/d"), ("convert", "new/d")], "convert=--profile direct")
+    with open(f"{folder}/scenes/bad.ply", "wb"):
+        pass
+    expect("a damaged scene", [("convert", "bad")], "convert=--profile direct", code=1)
+    same(results(folder)["bad"], "convert failed")
+    os.remove(f"{folder}/scenes/bad.ply")
+    expect("its removal", [], "convert=--profile direct")
+    assert "bad" not in results(folder)
     os.remove(f"{folder}/scenes/a.ply")
     expect("the loss of a scene", [], "convert=--profile direct")
     same(results(folder), {"b": "passed", "c": "passed", "new/d": "passed"})
@@ -342,8 +338,9 @@ def page_slurm(folder):
         # 7 conversions, one of them tried again, and 6 audits
         same(len(jobs), 14)
         same(sorted(re.search(r"JobState=(\w+)", job)[1] for job in jobs), ["COMPLETED"] * 12 + ["FAILED"] * 2)
-        same({re.search(r"MinMemoryNode=(\w+)", job)[1] for job in jobs if "JobName=rgs-convert" in job} <=
-             {"213M", "203M", "216M", "219M", "438M", "297M", "293M", "406M"} or "any", "any")
+        asked = [(re.search(r"MinMemoryNode=(\w+)", job)[1], re.search(r"TimeLimit=(\S+)", job)[1]) for job in jobs]
+        assert all(memory.endswith("M") for memory, _ in asked), asked
+        same([a for job, a in zip(jobs, asked) if "JobState=FAILED" in job], [("203M", "00:10:00"), ("406M", "00:20:00")])
         same({re.search(r" NodeList=(\w+)", job)[1] for job in jobs}, {"n1", "n2"})
         done = shell(page_block("slurm"), folder, **variables)
         same((done.returncode, done.stdout.count("rule convert"), done.stdout.count("rule audit")), (1, 2, 0))

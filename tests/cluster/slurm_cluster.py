@@ -68,6 +68,30 @@ def wait_for(condition, what, seconds=60):
         time.sleep(0.1)
 
 
+def read_proc(pid, what):
+    try:
+        with open(f"/proc/{pid}/{what}", encoding="utf-8", errors="replace") as file:
+            return file.read()
+    except OSError:
+        return ""  # ended meanwhile
+
+
+def parent_of(pid):
+    after_name = read_proc(pid, "stat").rpartition(")")[2].split()
+    return int(after_name[1]) if after_name else 0
+
+
+def name_of(pid):
+    return read_proc(pid, "comm").strip()
+
+
+def end(pid):
+    try:
+        os.kill(pid, signal.SIGKILL)
+    except ProcessLookupError:
+        pass
+
+
 class SlurmCluster:
     def __init__(self, folder, nodes=("n1", "n2")):
         self.folder, self.nodes = os.path.abspath(folder), nodes
@@ -87,7 +111,8 @@ class SlurmCluster:
             subprocess.run(["scancel", "--user=root", "--signal=KILL"], env=self.environment, timeout=30, check=False)
         for name in reversed(list(self._daemons)):
             self.stop(name)
-        self._end_processes()
+        for pid in self.processes():  # jobs outlive the daemons that started them
+            end(pid)
 
     def _start(self):
         os.makedirs(self.folder + "/state")
@@ -128,9 +153,13 @@ class SlurmCluster:
             daemon.wait()
 
     def kill_node(self, name):
-        """As if its machine lost power: the daemon and all its jobs, at once."""
+        """As if its machine lost power: nothing of it says a last word."""
         self.stop(name, signal.SIGKILL)
-        self._end_processes(f"SLURMD_NODENAME={name}")
+        jobs = self.processes(f"SLURMD_NODENAME={name}")
+        # A slurmstepd is the parent of its job and would report the job's end.
+        steps = {pid for pid in map(parent_of, jobs) if name_of(pid) == "slurmstepd"}
+        for pid in [*steps, *jobs]:
+            end(pid)
 
     def states(self):
         said = self.run("sinfo", "--noheader", "--Node", "--format=%T", check=False)
@@ -139,14 +168,11 @@ class SlurmCluster:
     def run(self, *command, check=True):
         return subprocess.run(command, env=self.environment, capture_output=True, text=True, check=check, timeout=60)
 
-    # Jobs and slurmstepd outlive the slurmd that started them.
-    def _end_processes(self, of=None):
-        marks = {f"SLURM_CONF={self.folder}/slurm.conf"} | ({of} if of else set())
-        for pid in filter(str.isdigit, os.listdir("/proc")):
-            try:
-                with open(f"/proc/{pid}/environ", encoding="utf-8", errors="replace") as file:
-                    ours = marks <= set(file.read().split("\0"))
-                if ours and int(pid) != os.getpid():
-                    os.kill(int(pid), signal.SIGKILL)
-            except OSError:
-                continue  # ended meanwhile
+    def processes(self, variable=None):
+        """All processes of this cluster, or those that have a variable in their environment besides."""
+        marks = {f"SLURM_CONF={self.folder}/slurm.conf"} | ({variable} if variable else set())
+        found = []
+        for pid in map(int, filter(str.isdigit, os.listdir("/proc"))):
+            if marks <= set(read_proc(pid, "environ").split("\0")) and pid != os.getpid():
+                found.append(pid)
+        return found
