@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 
+sys.path.insert(0, os.path.join(os.path.dirname(__file__), "../support"))
 import slurm_cluster
 from skip import skip_without_tool
 from slurm_cluster import SlurmCluster, wait_for
@@ -85,6 +86,11 @@ def rows(folder, out="results"):
 
 def results(folder, out="results"):
     return {name: row["result"] for name, row in rows(folder, out).items()}
+
+
+def audit_of(folder, name, out="results"):
+    with open(f"{folder}/{out}/audits/{name}.json", encoding="utf-8") as file:
+        return json.load(file)
 
 
 def files_below(folder):
@@ -182,6 +188,9 @@ def reruns(folder):
     expect("the loss of the index", [])
     assert os.path.exists(f"{folder}/results/index.html")
     expect("a gate", [job for job in everything if job[0] == "audit"], "fail_below=psnr=41")
+    with open(f"{folder}/results/logs/audit/a.log", encoding="utf-8") as log:
+        assert "as measured before" in log.read(), "a new gate draws pictures again"
+    same([c["limit"] for c in audit_of(folder, "a")["gate"]["conditions"]], [41])
     expect("the same gate", [], "fail_below=psnr=41")
     expect("no gate", [job for job in everything if job[0] == "audit"], "fail_below=")
     expect("another gate", [job for job in everything if job[0] == "audit"])
@@ -279,8 +288,7 @@ def inside(folder):
         run = Run(folder, *config)
         same((run.code, sorted(results(folder, "x/made"))), (0, ["a", "b"]))
     same(run.jobs, [])
-    audits = [json.load(open(f"{folder}/x/made/audits/{name}.json", encoding="utf-8")) for name in "ab"]
-    same([audit["rendered"]["automatic_views"] for audit in audits], [False, True])
+    same([audit_of(folder, name, "x/made")["rendered"]["automatic_views"] for name in "ab"], [False, True])
     os.utime(f"{folder}/views/a.json", (1e9, 1e9))
     same(Run(folder, *config).jobs, [("audit", "a"), ("convert", "a")])
 
