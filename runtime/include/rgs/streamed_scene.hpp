@@ -52,7 +52,7 @@ struct StreamOptions {
 /// What a streamed scene has done since it was opened, and what is there now.
 struct StreamStats {
   std::uint64_t pages_resident = 0;
-  std::uint64_t pages_missing = 0;   ///< that the view wants and are not there
+  std::uint64_t pages_missing = 0;   ///< that the view wants and are not there; damaged ones too
   std::uint64_t bytes_read = 0;      ///< from disk or network, tables included
   std::uint64_t bytes_decoded = 0;   ///< of pages as a GPU reads them
   std::uint64_t bytes_uploaded = 0;  ///< to a device
@@ -64,7 +64,7 @@ struct StreamStats {
 
 /// A file with levels of detail of which a part is in memory: the coarsest pages always, others as cameras need them. Frames draw what is there and
 /// wait for nothing; threads of the scene read and decode what is missing, the largest projected error first. Copies share it; several renderers
-/// may draw it at once.
+/// may draw it at once. The last copy that goes cancels the source and waits for the threads. docs/STREAMING.md.
 class StreamedScene {
  public:
   /// Reads the head, the beginning of the table of pages and the root, and starts the threads. Errors: those of open_source() and
@@ -80,7 +80,8 @@ class StreamedScene {
   /// What has gone wrong with the file, if anything has: a page that is damaged, a server that is gone, a file that changed. What is there is drawn all
   /// the same, and reading goes on where that makes sense.
   Status status() const;
-  StreamStats stats() const;  ///< of all views; detail_reached_px of the last frame
+  /// Of all renderers; pages_missing and detail_reached_px of the last frame, or of the last look of a refine().
+  StreamStats stats() const;
 
  private:
   friend class Renderer;

@@ -44,6 +44,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
     view->next_want = 0;
   }
   bool is_refused = false, is_pinned = false;
+  std::uint64_t could_go = pool->budget;  // for the next want, at most
   for (int looks = 0;;) {
     StreamView* best = nullptr;
     WantList::Want want{};
@@ -68,7 +69,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       return Choice::table;
     }
     const std::uint64_t n = group_bytes(want.group);
-    if (pool->left() < n && ++looks > kMostLooks) continue;
+    if (pool->left() < n && (n > pool->left() + could_go || ++looks > kMostLooks)) continue;
     const StreamPoolState::Room room = pool->take(n, own);
     if (room == StreamPoolState::Room::taken) {
       residency->request(want.group);
@@ -77,6 +78,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       return Choice::run;
     }
     is_refused = true;
+    could_go = std::min(could_go, pool->could_go());
     is_pinned = is_pinned || room == StreamPoolState::Room::pinned;
   }
   return is_pinned ? Choice::pinned : is_refused ? Choice::no_room : Choice::nothing;

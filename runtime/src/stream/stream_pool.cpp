@@ -47,11 +47,13 @@ StreamPoolState::Room StreamPoolState::look_for_victims(std::uint64_t bytes, con
   }
   std::sort(victims_.begin(), victims_.begin() + static_cast<std::ptrdiff_t>(n_victims_),
             [](const Victim& a, const Victim& b) { return goes_before(b, a); });
+  could_go_ = would_go;
   if (could_go >= bytes - left()) return Room::taken;
   return would_go >= bytes - left() ? Room::pinned : Room::none;
 }
 
 StreamPoolState::Room StreamPoolState::take(std::uint64_t bytes, const Worth& worth) {
+  could_go_ = budget;
   if (bytes > budget) return Room::none;
   // Whether those that were found before are enough; frames have moved on since.
   bool is_enough = left() >= bytes;

@@ -40,6 +40,8 @@ struct StreamPoolState {
   Room take(std::uint64_t bytes, const Worth& worth);
   void give(std::uint64_t bytes) { held -= bytes; }
   std::uint64_t left() const { return budget - held; }
+  /// After a take() that took nothing: what would have gone for it, pinned or not. Not more goes for what is worth less.
+  std::uint64_t could_go() const { return could_go_; }
   /// Something changed, for this scene and, with it, for those that wait for room.
   void changed();
   /// A scene leaves.
@@ -57,6 +59,7 @@ struct StreamPoolState {
 
   std::array<Victim, 256> victims_;  // those that go first come last
   std::size_t n_victims_ = 0;
+  std::uint64_t could_go_ = 0;
 };
 
 /// Worth of what has to be there.

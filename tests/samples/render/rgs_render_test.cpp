@@ -14,14 +14,21 @@
 #include <vector>
 
 #include "image_file.hpp"
+#include "rgs/decode.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/interchange.hpp"
+#include "rgs/levels_writer.hpp"
 #include "rgs/ply.hpp"
 #include "rgs/splat_cloud.hpp"
 #include "rgs/splat_edit.hpp"
 #include "run_program.hpp"
 #include "temporary_folder.hpp"
 #include "text_file.hpp"
+#include "trivial_levels.hpp"
+#if defined(RGS_TEST_HTTP)
+#include "skip.hpp"
+#include "web_servers.hpp"
+#endif
 
 namespace fs = std::filesystem;
 using rgs::test::TemporaryFolder;
@@ -452,3 +459,150 @@ TEST_CASE("--max-expansion says what a compressed scene may decode to") {
     CHECK(render(rest).code == 0);
   }
 }
+
+namespace {
+
+// A stage with town.rgs: levels of detail over some thousand Gaussians, in pages of 128.
+struct StreamStage : Stage {
+  rgs::SplatCloud cloud;
+  StreamStage() {
+    std::mt19937 generator(5);
+    std::uniform_real_distribution<float> coordinate(-3, 3);
+    cloud.resize(20000, 0);
+    for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+      rgs::Splat splat;
+      for (float& x : splat.mean) x = coordinate(generator);
+      for (float& x : splat.log_scale) x = -2.5F;
+      for (int k = 0; k < 3; ++k) splat.sh[k] = coordinate(generator) / 3;
+      splat.opacity_logit = 2;
+      cloud.set(i, splat);
+    }
+    rgs::EncodeOptions options;
+    options.chunk_size = 32;
+    const auto plain = rgs::encode(cloud.view(), options);
+    REQUIRE(plain);
+    auto ordered = rgs::decode(*plain);
+    REQUIRE(ordered);
+    std::vector<std::byte> bytes;
+    rgs::lod::Levels levels = rgs::test::trivial_levels(*ordered, {.chunk_size = 32, .page_chunks = 4});
+    for (rgs::lod::Page& page : levels.pages) page.error *= 20;
+    REQUIRE(rgs::write_levels(levels, options, bytes));
+    write_text(file("town.rgs"), {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+  }
+};
+
+std::string without_summary(std::string out) {  // of progress, before the JSON
+  return out.substr(out.find('{'));
+}
+
+}  // namespace
+
+TEST_CASE("with --host-memory a file is streamed: the same pictures, and what was read for them in the JSON summary") {
+  const StreamStage stage;
+  CHECK(stage.run("@town.rgs --cameras @cameras.json --detail 0.5 --backend cpu --out @whole/").code == 0);
+  const Outcome run =
+      stage.run("@town.rgs --cameras @cameras.json --detail 0.5 --host-memory 64MiB --json --quiet --out @streamed/");
+  REQUIRE(run.code == 0);
+  for (const char* const name : {"a.png", "b.png", "c.png"}) {
+    const std::string n = name;
+    CHECK(rgs::test::read_text(stage.file("whole/" + n)) == rgs::test::read_text(stage.file("streamed/" + n)));
+  }
+  const auto json = nlohmann::json::parse(without_summary(run.out));
+  CHECK(json["host_memory"] == 64 << 20);
+  CHECK(json["wait_seconds"] == 60);
+  CHECK(json["scene"]["gaussians"] == 20000);
+  CHECK(json["scene"]["memory_bytes"] <= 64 << 20);
+  for (const auto& frame : json["frames"]) {
+    CHECK(frame["pages"] > 0);
+    const auto& stream = frame["stream"];
+    CHECK(stream["pages_missing"] == 0);
+    CHECK(stream["pages_resident"] >= frame["pages"]);
+    CHECK(stream["bytes_read"] > 0);
+    CHECK(stream["bytes_decoded"] > 0);
+    CHECK(stream["bytes_uploaded"] == 0);
+    CHECK(stream["bytes_evicted"] == 0);
+    CHECK(stream["detail_reached_px"] <= 0.5);
+    CHECK(stream["wait_ms"] >= 0);
+    CHECK(!stream.contains("due_ms"));
+  }
+}
+
+TEST_CASE("a budget that is too small for a view gives coarser pictures, a warning with their error, and exit code 6") {
+  const StreamStage stage;
+  const Outcome run =
+      stage.run("@town.rgs --cameras @cameras.json --view 0 --detail 0 --host-memory 1MiB --out @a.png");
+  CHECK(run.code == 6);
+  CHECK(run.out.find("pages are missing, its error is ") != std::string::npos);
+  CHECK(mean(stage.picture("a.png")) > 0.01F);
+  const Outcome none = stage.run("@town.rgs --host-memory 100kB --out @none.png");
+  CHECK(none.code == 4);
+  CHECK(none.out.find("budget") != std::string::npos);
+  CHECK(!stage.has("none.png"));
+}
+
+TEST_CASE("in real time frames of a path come at their time, from what is there, with a report of each") {
+  const StreamStage stage;
+  const Outcome run = stage.run(
+      "@town.rgs --path @cameras.json --frames 8 --host-memory 64MiB --realtime 20 --json --quiet --out @flight/");
+  REQUIRE(run.code == 0);
+  const auto json = nlohmann::json::parse(without_summary(run.out));
+  CHECK(json["realtime_fps"] == 20);
+  REQUIRE(json["frames"].size() == 8);
+  double before = -1;
+  for (std::size_t i = 0; i < 8; ++i) {
+    const auto& stream = json["frames"][i]["stream"];
+    CHECK(stream["due_ms"].get<double>() == doctest::Approx(50.0 * static_cast<double>(i)));
+    CHECK(stream["begin_ms"].get<double>() >= stream["due_ms"].get<double>());
+    CHECK(stream["begin_ms"].get<double>() > before);
+    before = stream["begin_ms"].get<double>();
+    CHECK(stream.contains("detail_reached_px"));
+    CHECK(!stream.contains("wait_ms"));
+  }
+  CHECK(stage.has("flight/frame_0007.png"));
+}
+
+TEST_CASE("what cannot be streamed is refused with what to do") {
+  const StreamStage stage;
+  const auto refused = [&](const std::string& arguments, int code, const std::string& says) {
+    CAPTURE(arguments);
+    const Outcome run = stage.run(arguments + " --out @x.png");
+    CHECK(run.code == code);
+    CAPTURE(run.out);
+    CHECK(run.out.find(says) != std::string::npos);
+    CHECK(!stage.has("x.png"));
+  };
+  refused("@scene.rgs --host-memory 1GiB", 2, "rgs-convert --lod");
+  refused("@scene.ply --host-memory 1GiB", 2, "rgs-convert --lod");
+  refused("@town.rgs --host-memory 0", 2, "0 bytes");
+  refused("@town.rgs --host-memory much", 2, "--host-memory");
+  refused("@town.rgs --host-memory 1GiB --backend cuda", 2, "CPU");
+  refused("@town.rgs --wait 3", 2, "--host-memory");
+  refused("@town.rgs --host-memory 1GiB --realtime 10", 2, "--path");
+  refused("@town.rgs --host-memory 1GiB --path @cameras.json --realtime 10 --wait 3", 2, "exclude");
+  refused("@nothing.rgs --host-memory 1GiB", 3, "nothing.rgs");
+  // An output is never an input.
+  CHECK(stage.run("@town.rgs --host-memory 1GiB --overwrite --out @town.rgs").code != 0);
+  CHECK(stage.run("@town.rgs --out @y.png").code == 0);
+}
+
+#if defined(RGS_TEST_HTTP)
+TEST_CASE("the address of a file on a web server is drawn as the file is, and other formats are not") {
+  if (!rgs::test::Nginx::is_installed()) {
+    rgs::test::skip_without_tool(std::string("there is no ") + rgs::test::Nginx::kProgram);
+    return;
+  }
+  const StreamStage stage;
+  CHECK(stage.run("@town.rgs --cameras @cameras.json --view 0 --backend cpu --out @whole.png").code == 0);
+  const rgs::test::Nginx server(false);
+  for (const char* const name : {"town.rgs", "scene.rgs", "scene.ply"}) fs::copy(stage.file(name), server.file(name));
+  const auto at = [&](const std::string& name) { return "'" + server.url(name) + "'"; };
+  CHECK(stage.run(at("town.rgs") + " --cameras @cameras.json --view 0 --out @far.png").code == 0);
+  CHECK(rgs::test::read_text(stage.file("whole.png")) == rgs::test::read_text(stage.file("far.png")));
+  for (const char* const name : {"scene.ply", "scene.rgs"}) {
+    const Outcome run = stage.run(at(name) + " --out @x.png");
+    CHECK(run.code == 4);
+    CHECK(run.out.find("download it first") != std::string::npos);
+  }
+  CHECK(stage.run(at("absent.rgs") + " --out @x.png").code == 3);
+}
+#endif
