@@ -41,12 +41,12 @@ Result<std::unique_ptr<ByteSource>> open_file_source(const std::string& path);
 
 /// How a web server is talked to.
 struct UrlOptions {
-  int reads_at_once = 6;        ///< requests in flight, 1 to 64, over one connection where the server speaks HTTP/2
-  int retries = 6;              ///< in a row without a byte, of one read; pauses double from a quarter of a second up to 8 s
+  int reads_at_once = 6;        ///< requests in flight, 1 to 64; over one connection if the server has HTTP/2
+  int retries = 6;              ///< of one read, in a row without a byte; after 0.25 s, then twice as long, up to 8 s
   double connect_seconds = 10;  ///< until a connection stands
   double stall_seconds = 20;    ///< for the head of an answer, and then without a byte: the request is made again
   int most_redirects = 5;       ///< of one request; never from https to http
-  std::string certificates;     ///< file of certificates (PEM) to trust besides those of the system's folder; empty: the system's
+  std::string certificates;     ///< PEM file of more to trust than the system's folder has; empty: the system's
 };
 
 /// Whether a name is an address that open_url_source() reads: it begins with http:// or https://, in letters of either case.
@@ -58,7 +58,7 @@ bool is_url(const std::string& name);
 /// those of the environment (http_proxy, https_proxy, all_proxy, no_proxy). Blocks until the first answer is there. Errors: open_failed (no
 /// connection, a certificate that is not trusted, a status of failure, which is in Error::found, a server without ranges (found: 200) for a file of more than
 /// 64 KiB), unavailable (built without libcurl), bad_argument (no such address, an option out of its range). Error::found of read_failed
-/// is the status too, if there is one.
+/// is the status too, where Error::expected is none.
 Result<std::unique_ptr<ByteSource>> open_url_source(const std::string& url, const UrlOptions& options = {});
 
 /// The one or the other, by is_url().

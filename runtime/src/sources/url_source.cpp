@@ -5,6 +5,7 @@
 // request to it and waits. A request is made in one of a fixed number of slots; one that fails waits for its next turn, and goes on
 // where its bytes ended.
 #include <curl/curl.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -275,10 +276,8 @@ class UrlSource final : public ByteSource {
   }
 
   void cancel() noexcept override {
-    {
-      const std::scoped_lock lock(mutex_);
-      cancelled_ = true;
-    }
+    const std::scoped_lock lock(mutex_);
+    cancelled_ = true;
     if (multi_) ::curl_multi_wakeup(multi_.get());
   }
 
@@ -341,6 +340,11 @@ class UrlSource final : public ByteSource {
   // From here on the thread.
 
   void work() {
+    // What a server that has gone is told must not end the program. libcurl sees to that, but for corners.
+    sigset_t pipe;
+    ::sigemptyset(&pipe);
+    ::sigaddset(&pipe, SIGPIPE);
+    ::pthread_sigmask(SIG_BLOCK, &pipe, nullptr);
     for (;;) {
       take_arrived();
       if (cancelled_) break;
@@ -368,7 +372,13 @@ class UrlSource final : public ByteSource {
     while (Request* request = std::exchange(waiting_, waiting_ != nullptr ? waiting_->next : nullptr)) {
       finish(*request, cancelled(request->offset));
     }
-    for (Slot& slot : slots_) ::curl_multi_remove_handle(multi_.get(), slot.easy.get());
+    for (Slot& slot : slots_) {
+      ::curl_multi_remove_handle(multi_.get(), slot.easy.get());
+      slot.easy.reset();
+    }
+    std::unique_ptr<CURLM, MultiDeleter> last;
+    const std::scoped_lock lock(mutex_);  // of cancel()
+    last.swap(multi_);
   }
 
   void take_arrived() {
