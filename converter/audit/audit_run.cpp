@@ -90,6 +90,12 @@ Result<RgsAsset> open_rgs(std::span<const std::byte> bytes, const DecodeLimits& 
   return asset;
 }
 
+constexpr Axes kUndeclaredAxes{Axis::undeclared, Axis::undeclared, Axis::undeclared};
+
+const Axes& axes_of(const RgsAsset& asset) {
+  return (asset.levels ? asset.levels->head() : asset.view).declarations().axes;
+}
+
 // Checks every value, and decodes what is coded.
 Status load_rgs(RgsAsset& asset, unsigned threads) {
   if (!asset.levels) return asset.view.preload({.threads = threads});
@@ -188,17 +194,21 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.asset_name = file_name(options.asset);
   const bool rgs_asset = is_rgs(file->bytes());
   Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.limits) : Result<RgsAsset>();
-  // Gaussians are compared in the asset's axes, which are not those of every format.
-  std::optional<Axes> axes;
-  if (rgs_asset && asset) axes = (asset->levels ? asset->levels->head() : asset->view).declarations().axes;
-  const auto source = Source::open(options.source, options.limits, axes);
+  // What an asset names as its source: of a SOG's folder meta.json alone.
+  const auto original = MappedFile::open(options.source);
+  if (!original) return make_error(options.source, original.error());
+  // Formats with axes of their own are turned into the asset's by a conversion, a PLY is not unless that is asked for.
+  const bool is_ply = detect_format(original->bytes()) == SplatFormat::ply;
+  std::optional<Axes> axes, other_axes;
+  if (rgs_asset && asset) {
+    axes = is_ply ? kUndeclaredAxes : axes_of(*asset);
+    other_axes = is_ply ? axes_of(*asset) : kUndeclaredAxes;
+  }
+  auto source = Source::open(options.source, options.limits, axes);
   if (!source) return make_error(options.source, source.error());
   if (!asset) return make_error(options.asset, asset.error());
   progress.begin("reading", source->bytes() + file->bytes().size(), "B");
   Status valid;
-  // What an asset names as its source: of a SOG's folder meta.json alone.
-  const auto original = MappedFile::open(options.source);
-  if (!original) return make_error(options.source, original.error());
   tbb::parallel_invoke([&] { report.source_xxh3 = xxh3(original->bytes()); },
                        [&] { report.asset_xxh3 = xxh3(file->bytes()); },
                        [&] {
@@ -215,8 +225,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   size.asset_bytes = file->bytes().size();
   size.n_source = source->size();
   size.source_sh_degree = source->sh_degree();
-  const Declarations& stated = source->declarations();
-  const Declarations usual;
+  const Declarations stated = source->declarations(), usual;
   if (stated.aa_mode != usual.aa_mode || stated.low_pass_px2 != usual.low_pass_px2) report.source_stated = stated;
   size.gpu_bytes_fp32 = size.n_source * fp32_bytes(size.source_sh_degree);
   Pairing pairing;
@@ -239,6 +248,17 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
     auto paired = pair_gaussians(*source, view);
     if (!paired) return make_error(options.asset, paired.error());
     pairing = std::move(*paired);
+    if (2 * pairing.n_paired < size.n_asset) {
+      // Perhaps the conversion was told of other axes than the source states.
+      auto other = Source::open(options.source, options.limits, other_axes);
+      if (!other) return make_error(options.source, other.error());
+      auto again = pair_gaussians(*other, view);
+      if (!again) return make_error(options.asset, again.error());
+      if (again->n_paired > pairing.n_paired) {
+        pairing = std::move(*again);
+        source = std::move(other);
+      }
+    }
     if (pairing.n_paired == 0 && size.n_asset != 0)
       return make_error(
           options.asset,

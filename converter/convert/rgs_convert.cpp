@@ -460,8 +460,8 @@ int check_audit(const Arguments& arguments, const Input& input, std::string& pro
   if (!arguments.audit) return tool::kSuccess;
   if (input.path() == "-" || arguments.output() == "-")
     return tool::report_usage("--audit compares two files; name input and output instead of -");
-  if (arguments.n_inputs() > 1 || format_of_input(arguments, input) != SplatFormat::ply)
-    return tool::report_usage("--audit compares an .rgs with the one 3DGS PLY that it was made from");
+  if (arguments.n_inputs() > 1 || arguments.level_of_detail)
+    return tool::report_usage("--audit compares an .rgs with all Gaussians of the one file that it was made from");
   if (moves(arguments))
     return tool::report_usage("--audit finds Gaussians where the source has them: drop what moves them");
   const auto found = tool::sibling_program("rgs-audit");

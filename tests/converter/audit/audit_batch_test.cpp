@@ -132,6 +132,11 @@ TEST_CASE("a source in other axes, far away, or unzipped") {
   CHECK(audited({spz, turned})["attributes"]["n_paired"] == 700);
   convert({scene.ply, turned, "--to-axes", "opengl"});
   CHECK(audited({scene.ply, turned})["attributes"]["n_paired"] == 700);
+  // --axes says that the source's are others than it states, and turns nothing.
+  convert({scene.ply, turned, "--axes", "opengl"});
+  CHECK(audited({scene.ply, turned})["attributes"]["n_paired"] == 700);
+  convert({spz, turned, "--axes", "gltf"});
+  CHECK(audited({spz, turned})["attributes"]["n_paired"] == 700);
   const Origin place{4.2e6, 1.7e5, 4.8e6};
   const std::string far = write_ply(scene.file("far.ply"), scene.cloud, place), glb = scene.file("far.glb");
   convert({far, glb});

@@ -562,12 +562,14 @@ TEST_CASE("rgs-convert --audit leaves a report beside its output and passes the 
   CHECK(run_program({RGS_CONVERT, out, scene.file("back.ply"), "--audit"}).exit_code == 2);
   // What it could not pair is refused before it converts; what is left out it reports.
   const std::string again = scene.file("again.rgs");
-  CHECK(run_program({RGS_CONVERT, out, again, "--audit"}).exit_code == 2);
+  CHECK(run_program({RGS_CONVERT, out, again, "--audit", "--level-of-detail", "0"}).exit_code == 2);
   CHECK(run_program({RGS_CONVERT, scene.ply, again, "--audit", "--scale", "2"}).exit_code == 2);
   CHECK(run_program({RGS_CONVERT, scene.ply, scene.ply, again, "--merge", "--audit"}).exit_code == 2);
   CHECK_FALSE(fs::exists(again));
   CHECK(run_program({RGS_CONVERT, scene.ply, again, "--audit", "--max-count", "600"}).exit_code == 0);
   CHECK(fs::exists(scene.file("again.audit.html")));
+  CHECK(run_program({RGS_CONVERT, out, scene.file("from-rgs.rgs"), "--audit"}).exit_code == 0);
+  CHECK(fs::exists(scene.file("from-rgs.audit.html")));
   // Without its sibling the program says so before it converts anything.
   fs::create_directory(scene.file("bin"));
   fs::copy(RGS_CONVERT, scene.file("bin/rgs-convert"));
