@@ -59,7 +59,8 @@ TEST_CASE("before anything is read the picture is the root, and it has no holes 
   const Bytes bytes = town();
   const Scene all = whole(bytes);
   const auto script = std::make_shared<Script>();
-  const StreamedScene scene = streamed(bytes, script, {.prefetch = false});
+  const ByteSource::Traits slow{.reads_at_once = 1, .most_bytes = 16 << 10, .gap_bytes = 0};
+  const StreamedScene scene = streamed(bytes, script, {.prefetch = false, .traits = slow});
   script->is_shut = true;
   Renderer renderer = cpu_renderer(), reference = cpu_renderer();
   const Camera camera = camera_at({0, 3, 26}, {0, 0, 0});
@@ -80,7 +81,7 @@ TEST_CASE("before anything is read the picture is the root, and it has no holes 
     return std::ranges::count_if(frame.alpha, [](float alpha) { return alpha > 0.02F; });
   };
   REQUIRE(covered(first) > 500);
-  script->delay_us = 300;
+  script->delay_us = 4000;
   script->open_gate();
   double before = first.stats.stream.detail_reached_px;
   int n_between = 0;
