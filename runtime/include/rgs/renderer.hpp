@@ -178,8 +178,9 @@ class Renderer {
   /// unavailable (CUDA, which draws whole scenes so far).
   Result<FrameStats> render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
-  /// Waits until nothing is missing that this view wants; then render() gives the picture of the whole file, byte for byte. False: `seconds` are over, or the pool
-  /// has no room for the rest of the view. Errors: those of StreamedScene::status() that keep the view from being complete, and of render().
+  /// Waits until nothing is missing that this view wants, and the file's table of pages is read and checked; then render() gives the
+  /// picture of the whole file, byte for byte. False: `seconds` are over, or the pool has no room for the rest of the view. Errors: those of
+  /// StreamedScene::status() that keep the view from being complete, and of render().
   Result<bool> refine(const StreamedScene& scene, const Camera& camera, double seconds,
                       const RenderOptions& options = {});
 

@@ -92,7 +92,7 @@ StreamedState::Choice StreamedState::choose(Run& run) {
   // What is about to be seen waits for what is waited for, and takes no room from it.
   if (choice == Choice::nothing && prefetches && n_waiting == 0) choice = choose_among(false, run);
   // With the last of it, its hash is compared.
-  if (choice == Choice::nothing && n_waiting == 0 && !is_extending && can_extend()) {
+  if (choice == Choice::nothing && !is_extending && can_extend()) {
     run.table_bytes = traits.most_bytes;
     choice = Choice::table;
   }
@@ -225,6 +225,7 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n) {
     if (damage) damage = extended;
   }
   pool->changed();
+  if (n_waiting > 0) pool->news.notify_all();
 }
 
 void StreamedState::work_until_stopped(PageReader& reader) {

@@ -317,16 +317,19 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     const Residency::Cut cut = s.cut(view, true);
     s.stats.pages_missing = cut.missing;
     s.stats.detail_reached_px = cut.reached_px;
-    if (cut.missing == 0) return true;
+    // Before the hash of its table is compared nobody knows that the view is right.
+    if (cut.missing == 0 && s.file->is_verified()) return true;
+    if (cut.missing == 0 && s.residency->is_broken()) return tl::unexpected(s.damage.error());
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
     const bool is_late = StreamClock::now() >= deadline;
     const bool is_failing = s.n_failures >= (is_late ? 1 : kLastingTrouble);
-    if (is_failing && cut.missing > cut.damaged) return tl::unexpected(s.trouble.error());
+    if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(s.trouble.error());
     if (cut.damaged > 0 && (is_settled() || is_late)) return tl::unexpected(s.damage.error());
     if (is_settled() || is_late) return false;
     s.pool->news.wait_until(lock, deadline, [&] {
       if (is_settled() || s.n_failures >= kLastingTrouble) return true;
+      if (cut.missing == 0) return !s.can_extend();
       view.wants.tidy(*s.residency);
       return view.wants.wants().empty() && s.residency->n_resident() != n_resident;
     });
