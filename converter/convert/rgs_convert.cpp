@@ -646,6 +646,10 @@ tl::expected<rgs::BatchPlan, int> plan(const Arguments& a) {
   if (a.list.empty() && a.to == SplatFormat::unknown)
     return usage(a.files.front() + " is a folder: pass --to rgs, ply, spz, ... to convert all scenes in it");
   if (a.files.size() > 2) return usage("many scenes are given as one folder, or by --list");
+  std::error_code ignored;
+  if (a.files.size() == 2 && !fs::is_directory(a.files.front(), ignored))
+    return usage("with --list goes the folder of the outputs, before it perhaps that of the inputs; " +
+                 a.files.front() + " is no folder");
   if (a.files.back() == "-" || a.files.front() == "-") return usage("many scenes go from a folder to a folder, not -");
   auto planned = rgs::plan_batch(a.list, a.files.size() == 2 ? a.files.front() : "", a.output(), a.to);
   if (planned) return std::move(*planned);

@@ -418,6 +418,7 @@ TEST_CASE("a list names inputs, and outputs after a tab") {
     CHECK(convert_all({"--list", list, f.in, f.file("none")}).exit_code == 2);
     CHECK_FALSE(fs::exists(f.file("none")));
   }
+  CHECK(convert_all({"--list", list, f.in + "/a.ply", f.file("none"), "--to", "rgs"}).exit_code == 2);
   CHECK(convert_all({"--list", f.file("absent"), f.in, f.file("none")}).exit_code == 3);
 }
 
