@@ -94,7 +94,9 @@ def audit_of(folder, name, out="results"):
 
 
 def files_below(folder):
-    return sorted(os.path.relpath(os.path.join(at, name), folder) for at, _, names in os.walk(folder) for name in names)
+    """But hidden ones: programs keep notes there."""
+    return sorted(os.path.relpath(os.path.join(at, name), folder) for at, _, names in os.walk(folder) for name in names
+                  if not name.startswith("."))
 
 
 def same(actual, wanted):
@@ -270,6 +272,7 @@ def refusals(folder):
     refused("'nowhere' is no folder", "scenes=nowhere")
     refused("'nowhere.json' is not there", "cameras=nowhere.json")
     refused("max_threads is a number", "max_threads=0")
+    refused("would be scenes", "out=./scenes")
     os.mkdir(f"{folder}/empty")
     refused("no scene in 'empty'", "scenes=empty")
     shutil.copy(f"{folder}/scenes/a.ply", f"{folder}/scenes/a.compressed.ply")
@@ -439,6 +442,13 @@ def job_states(folder):
 
 # ---- without Snakemake
 
+@case("the page's rgs-convert --jobs")
+def page_jobs(folder):
+    same(shell(page_block("scenes"), folder).returncode, 0)
+    same(shell(page_block("jobs"), folder).returncode, 4)
+    same_as_by_hand(folder, "by_jobs", PAGE_SCENES)
+
+
 @case("the page's GNU parallel")
 def page_parallel(folder):
     need("parallel")
@@ -459,13 +469,16 @@ def page_array(folder):
         variables = {"SLURM_CONF": cluster.environment["SLURM_CONF"]}
         same(shell(page_block("scenes"), folder).returncode, 0)
         same(shell(page_block("array"), folder, **variables).returncode, 4)
-        sources = {name + ".rgs" for name in PAGE_SCENES}
-        same({name for name in files_below(f"{folder}/by_array") if name.endswith(".rgs")}, sources)
+        same_as_by_hand(folder, "by_array", PAGE_SCENES)
         lines = []
         for task in (1, 2):
             with open(f"{folder}/array-{task}.jsonl", encoding="utf-8") as file:
                 lines += [json.loads(line) for line in file]
         same(len(lines), len(PAGE_SCENES) + 1)
+    same(shell(page_block("audit"), folder).returncode, 3)
+    with open(f"{folder}/reports/index.json", encoding="utf-8") as file:
+        pairs = {pair["name"]: pair["status"] for pair in json.load(file)["pairs"]}
+    same(pairs, {"cut_off": "unpaired"} | {name: "passed" for name in PAGE_SCENES})
 
 
 def main():

@@ -57,8 +57,8 @@ def main():
                 busy, user, system = map(sum, zip(*(map(float, line.split()) for line in file)))
             walls[workers] = wall
             print(f"{workers} worker{'s' if workers > 1 else ''}: wall {wall:.1f} s, programs {busy:.1f} s, busy "
-                  f"{busy / wall / workers:.1%}; CPU: programs {user + system:.1f} s, the rest {cpu - user - system:.1f} s; load before "
-                  f"{load:.1f}", flush=True)
+                  f"{busy / wall / workers:.1%}; CPU: programs {user + system:.1f} s, the rest "
+                  f"{cpu - user - system:.1f} s; load before {load:.1f}", flush=True)
         print(f"{arguments.scenes} scenes: {walls[1] / walls[2]:.2f} times as fast, {walls[1] / walls[2] / 2:.1%} of ideal")
 
 

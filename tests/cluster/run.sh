@@ -1,12 +1,30 @@
 #!/bin/sh
-# run.sh - samples/cluster on this machine, on a real Slurm, and the commands of docs/CLUSTER.md: sh tests/cluster/run.sh [CTEST-ARGUMENTS...]
+# run.sh - samples/cluster on this machine, on a real Slurm, and the commands of docs/CLUSTER.md:
+#   sh tests/cluster/run.sh [--if-changed] [CTEST-ARGUMENTS...]
 # Installs Snakemake, Slurm and GNU parallel (300 MB) unless RGS_SKIP_INSTALL=1; a test whose programs are missing is skipped, or with
-# RGS_REQUIRE_TOOLS=1 fails. The programs under test are in RGS_BIN (build/release/bin).
+# RGS_REQUIRE_TOOLS=1 fails. The programs under test are in RGS_BIN; without it build/release is built as far as needed.
+# --if-changed: only if the change to origin/main, or there the last commit, touches what is tested here, or with RGS_CI_ALL=1.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/../.."
-packages="snakemake slurm-wlm munge parallel"
 
+is_changed() {
+  [ "${RGS_CI_ALL:-0}" != 1 ] || return 0
+  base=$(git merge-base HEAD origin/main 2>/dev/null) || base=
+  [ -n "$base" ] && [ "$base" != "$(git rev-parse HEAD)" ] || base=HEAD^
+  # Without a commit to compare with, everything is new.
+  ! git diff --quiet "$base" -- samples/cluster tests/cluster docs/CLUSTER.md 2>/dev/null
+}
+
+if [ "${1:-}" = --if-changed ]; then
+  shift
+  if ! is_changed; then
+    echo "skipped: samples/cluster, its tests and its page have not changed; RGS_CI_ALL=1 tests them nevertheless"
+    exit 0
+  fi
+fi
+
+packages="snakemake slurm-wlm munge parallel"
 if [ "${RGS_SKIP_INSTALL:-0}" != 1 ]; then
   missing=
   for package in $packages; do
@@ -16,14 +34,22 @@ if [ "${RGS_SKIP_INSTALL:-0}" != 1 ]; then
     sudo=
     [ "$(id -u)" = 0 ] || sudo=sudo
     echo "installing packages:$missing"
+    $sudo apt-get -q update >/dev/null
     # RUNLEVEL=1: Debian's own daemons are not started.
     # shellcheck disable=SC2086  # a list of words
-    $sudo apt-get -q update >/dev/null &&
-      $sudo env RUNLEVEL=1 DEBIAN_FRONTEND=noninteractive apt-get -q -y install --no-install-recommends $missing \
-        >/dev/null </dev/null
+    $sudo env RUNLEVEL=1 DEBIAN_FRONTEND=noninteractive apt-get -q -y install --no-install-recommends $missing \
+      >/dev/null </dev/null
   fi
 fi
-export RGS_BIN="${RGS_BIN:-$PWD/build/release/bin}"
+
+if [ -z "${RGS_BIN:-}" ]; then
+  [ -e build/release/CMakeCache.txt ] || cmake --preset release >/dev/null
+  cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" --target rgs-convert rgs-audit rgs-make-scene
+  RGS_BIN=$PWD/build/release/bin
+fi
+export RGS_BIN
 cmake -S tests/cluster -B build/cluster >/dev/null
-ctest --test-dir build/cluster --no-tests=error --output-on-failure "$@"
+status=0
+ctest --test-dir build/cluster --no-tests=error --output-on-failure "$@" || status=$?
 grep -a '^skipped: ' build/cluster/Testing/Temporary/LastTest.log | sort | uniq -c || :
+exit "$status"

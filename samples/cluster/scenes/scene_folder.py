@@ -61,21 +61,23 @@ def stem_of(name):
 class SceneFolder:
     """Scenes by name: the path below the folder without its ending."""
 
-    def __init__(self, folder, cameras, passed_over, out):
+    def __init__(self, folder, cameras, leave_out, out):
         if not os.path.isdir(folder):
             raise ConfigError(f"config: scenes: {folder!r} is no folder; pass --config scenes=FOLDER")
+        if os.path.realpath(folder) == os.path.realpath(out):
+            raise ConfigError("config: out: results in the folder of scenes would be scenes; pass --config out=ANOTHER")
         if cameras and not os.path.exists(cameras):
             raise ConfigError(f"config: cameras: {cameras!r} is not there")
         self._cameras = cameras
         self._paths = {}
         self.unusable = {}  # name: why no job can be made for it
-        self._walk(folder, "", [os.path.realpath(out)], passed_over.split())
+        self._walk(folder, "", [os.path.realpath(out)], leave_out.split())
         if not self._paths and not self.unusable:
             raise ConfigError(f"no scene in {folder!r}: files ending in {' '.join(ENDINGS)}")
 
     # Links are followed, hidden files are not scenes, nor is what a killed program left (NAME.tmp-XXXXXX): it has no ending of
     # a scene.
-    def _walk(self, folder, prefix, above, passed_over):
+    def _walk(self, folder, prefix, above, leave_out):
         real = os.path.realpath(folder)
         if real in above:
             return
@@ -86,10 +88,10 @@ class SceneFolder:
             return
         for entry in names:
             path, name = os.path.join(folder, entry), prefix + entry
-            if entry.startswith(".") or any(fnmatch.fnmatch(name, pattern) for pattern in passed_over):
+            if entry.startswith(".") or any(fnmatch.fnmatch(name, pattern) for pattern in leave_out):
                 continue
             if os.path.isdir(path):
-                self._walk(path, name + "/", [*above, real], passed_over)
+                self._walk(path, name + "/", [*above, real], leave_out)
             elif stem_of(name) and (entry != SOG_FOLDER or os.path.exists(os.path.join(folder, "means_l.webp"))):
                 self._add(path, name)
 

@@ -1,11 +1,13 @@
 # scene_index.py - one page and one JSON file about all scenes: from the audits' results, and from logs where there is none.
-# `python3 scene_index.py index.json` says what failed, and then exits with 1.
+# `python3 scene_index.py scenes=... cameras=... leave_out=... out=...` says what failed, and then exits with 1.
 # SPDX-License-Identifier: Apache-2.0
 import html
 import json
 import os
 import sys
 import urllib.parse
+
+from scene_folder import SceneFolder
 
 STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem; color: #1d1d1f }
@@ -118,17 +120,18 @@ def write(out, folder):
     os.makedirs(out, exist_ok=True)
     replace(os.path.join(out, "index.json"), json.dumps({"schema": "rgs-scenes/1", "scenes": rows}, indent=1) + "\n")
     replace(os.path.join(out, "index.html"), page(rows))
+    return rows
 
 
-def main(path):
-    with open(path, encoding="utf-8") as file:
-        rows = json.load(file)["scenes"]
+def main(settings):
+    out = settings["out"]
+    rows = write(out, SceneFolder(settings["scenes"], settings["cameras"], settings["leave_out"], out))
     failed = [row for row in rows if row["result"] != "passed"]
     for row in failed:
         print(f"{row['scene']}: {row['result']}: {why(row)}", file=sys.stderr)
-    print(f"{len(rows) - len(failed)} of {len(rows)} scenes pass: {os.path.splitext(path)[0]}.html", file=sys.stderr)
+    print(f"{len(rows) - len(failed)} of {len(rows)} scenes pass: {out}/index.html", file=sys.stderr)
     return 1 if failed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1]))
+    sys.exit(main(dict(argument.split("=", 1) for argument in sys.argv[1:])))
