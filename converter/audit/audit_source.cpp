@@ -14,7 +14,7 @@ namespace rgs::audit {
 Result<Source> Source::open(const std::string& path, const DecodeLimits& limits, const std::optional<Axes>& axes) {
   const auto mapped = MappedFile::open(path);
   if (!mapped) return tl::unexpected(mapped.error());
-  const auto turns = [&axes](const Axes& from, const Axes& to) {
+  const auto turns = [](const Axes& from, const Axes& to) {
     return to[0] != Axis::undeclared && from[0] != Axis::undeclared && from != to;
   };
   Source source;
