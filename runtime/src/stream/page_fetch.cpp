@@ -91,8 +91,8 @@ StreamedState::Choice StreamedState::choose(Run& run) {
   Choice choice = choose_among(true, run);
   // What is about to be seen waits for what is waited for, and takes no room from it.
   if (choice == Choice::nothing && prefetches && n_waiting == 0) choice = choose_among(false, run);
-  // With the last of it, its hash is compared.
-  if (choice == Choice::nothing && !is_extending && can_extend()) {
+  // With the last of it, its hash is compared. Not beside what a view waits for: its bytes would share the line.
+  if (choice == Choice::nothing && n_at_work == 0 && !views.empty() && !is_extending && can_extend()) {
     run.table_bytes = traits.most_bytes;
     choice = Choice::table;
   }
