@@ -298,7 +298,7 @@ Verdict verdict(const Report& report);
 std::vector<std::string> warnings(const Report& report);
 
 /// Hash over this program's version, the contents of all inputs and every option that changes a measurement; what decides
-/// whether an earlier result still holds. Conditions are none of them: see with_conditions(). Reads all inputs. Errors: open_failed, read_failed.
+/// whether an earlier result still holds. Conditions are none of them: see earlier_audit(). Reads all inputs. Errors: open_failed, read_failed.
 Outcome<std::string> fingerprint(const Options& options);
 
 /// Does all that `options` ask for; the gate is for evaluate(). Errors: those of Source::open(), FileView::open(), PagedFile::open(), validate(), the

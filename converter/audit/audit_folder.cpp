@@ -201,8 +201,15 @@ class Folder {
     const auto earlier = earlier_audit(json.string(), *fingerprint, options_.conditions);
     if (earlier)
       if (auto row = reuse(stem, *earlier, json, page, *fingerprint)) return *std::move(row);
+    const auto is_other = [&](const fs::path& path) {
+      if (options_.overwrite || !fs::exists(path, ignored)) return false;
+      if (path == json) return !earlier;
+      // Without its JSON file it is what a killed run has left, if it is of these inputs.
+      const auto file = MappedFile::open(path.string());
+      return !file || !(earlier ? is_audit_page(text_of(*file)) : is_audit_page_of(text_of(*file), *fingerprint));
+    };
     for (const fs::path& path : {json, page})
-      if (!options_.overwrite && !earlier && fs::exists(path, ignored))
+      if (is_other(path))
         return failed_row(stem, {path.string(),
                                  {Errc::output_exists, Error::kNone,
                                   "a result of other inputs or options; pass --overwrite to replace it"}});

@@ -707,6 +707,15 @@ std::string audit_html(const Report& report) {
   return Page(report).all();
 }
 
+bool is_audit_page(const std::string& page) {
+  const std::size_t begin = page.find(kVerdictBegins);
+  return begin != page.npos && page.find(kVerdictEnds, begin) != page.npos;
+}
+
+bool is_audit_page_of(const std::string& page, const std::string& fingerprint) {
+  return is_audit_page(page) && page.find(run_html(fingerprint)) != page.npos;
+}
+
 std::optional<std::string> with_gate(const std::string& page, const std::string& fingerprint, const Verdict& verdict,
                                      std::span<const Condition> gate) {
   const std::size_t begin = page.find(kVerdictBegins), end = page.find(kVerdictEnds);

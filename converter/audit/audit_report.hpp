@@ -17,6 +17,10 @@ inline constexpr std::size_t kMaxReportBytes = 15'000'000;
 /// Opened with #self-test it tries itself and leaves the outcome in <html data-self-test="...">, "ok" or what failed.
 std::string audit_html(const Report& report);
 
+/// Whether `page` is one of audit_html(); that of the run with this fingerprint.
+bool is_audit_page(const std::string& page);
+bool is_audit_page_of(const std::string& page, const std::string& fingerprint);
+
 /// An earlier page of the run with this fingerprint, with another gate. Nothing if it is no such page.
 std::optional<std::string> with_gate(const std::string& page, const std::string& fingerprint, const Verdict& verdict,
                                      std::span<const Condition> gate);

@@ -47,17 +47,6 @@ bool prints_text(const Arguments& a) {
   return !a.quiet && a.json != "-" && a.report != "-";
 }
 
-int write_outputs(const audit::Report& report, const Arguments& a) {
-  if (!a.report.empty())
-    if (const auto ok = audit::write_text(a.report, audit::audit_html(report), a.overwrite); !ok)
-      return tool::report(a.report, ok.error());
-  if (!a.json.empty())
-    if (const auto ok = audit::write_text(a.json, audit::audit_json(report), a.overwrite); !ok)
-      return tool::report(a.json, ok.error());
-  if (prints_text(a)) tool::print(audit::audit_text(report, a.report));
-  return tool::kSuccess;
-}
-
 int report_gate(const std::vector<audit::Condition>& gate) {
   for (const audit::Condition& c : gate)
     if (!c.holds) tool::print_error(fmt::format("rgs-audit: condition failed: {}\n", audit::describe(c)));
@@ -80,10 +69,32 @@ int write_junit(const Arguments& a, const audit::FolderRow& row) {
   return ok ? tool::kSuccess : tool::report(a.junit, ok.error());
 }
 
+// An audit that ends early: an earlier file must not go on saying that all is well.
+int fail(const Arguments& a, const audit::Failure& failure) {
+  const int written = write_junit(a, audit::failed_row(fs::path(a.audit.asset).filename().string(), failure));
+  return tool::worse_exit_code(report_failure(failure), written);
+}
+
+// The JSON file last: it says that the audit is done.
+int write_outputs(const audit::Report& report, const Arguments& a, bool replaces_page) {
+  if (!a.report.empty())
+    if (const auto ok = audit::write_text(a.report, audit::audit_html(report), replaces_page); !ok)
+      return fail(a, {a.report, ok.error()});
+  if (!a.json.empty())
+    if (const auto ok = audit::write_text(a.json, audit::audit_json(report), a.overwrite); !ok)
+      return fail(a, {a.json, ok.error()});
+  if (prints_text(a)) tool::print(audit::audit_text(report, a.report));
+  return tool::kSuccess;
+}
+
 // Found before the work, not after it.
+rgs::Status is_free(const std::string& path, bool overwrite) {
+  if (path.empty() || path == "-") return {};
+  return rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false}).map([](const rgs::AtomicFile&) {});
+}
+
 int check_free(const std::string& path, bool overwrite) {
-  if (path.empty() || path == "-") return tool::kSuccess;
-  const auto free = rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false});
+  const auto free = is_free(path, overwrite);
   return free ? tool::kSuccess : tool::report(path, free.error());
 }
 
@@ -109,10 +120,9 @@ std::optional<Earlier> earlier(const Arguments& a, const std::vector<audit::Cond
 int report_earlier(const Earlier& earlier, const Arguments& a) {
   const audit::EarlierAudit& audit = earlier.audit;
   if (earlier.page)
-    if (const auto ok = audit::write_text(a.report, *earlier.page, true); !ok)
-      return tool::report(a.report, ok.error());
+    if (const auto ok = audit::write_text(a.report, *earlier.page, true); !ok) return fail(a, {a.report, ok.error()});
   if (audit.changed)
-    if (const auto ok = audit::write_text(a.json, audit.json, true); !ok) return tool::report(a.json, ok.error());
+    if (const auto ok = audit::write_text(a.json, audit.json, true); !ok) return fail(a, {a.json, ok.error()});
   audit::FolderRow row;
   row.stem = fs::path(a.audit.asset).filename().string();
   row.gate = audit.gate;
@@ -127,6 +137,17 @@ int report_earlier(const Earlier& earlier, const Arguments& a) {
                             tool::printable(audit.verdict.detail), tool::printable(a.json)));
   }
   return report_gate(audit.gate);
+}
+
+// A page of these very inputs whose JSON file is not there is what a killed run has left.
+bool may_replace_page(const Arguments& a) {
+  std::error_code ignored;
+  if (a.overwrite) return true;
+  if (a.json.empty() || a.json == "-" || fs::exists(a.json, ignored)) return false;
+  const std::string page = a.report == "-" ? "" : read_text(a.report);
+  if (!audit::is_audit_page(page)) return false;
+  const auto fingerprint = audit::fingerprint(a.audit);
+  return fingerprint && audit::is_audit_page_of(page, *fingerprint);
 }
 
 // What a pair of files, or two folders, are audited with.
@@ -146,28 +167,26 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   if (const int code = check_free(a.junit, may_replace_junit(a)); code != tool::kSuccess) return code;
   if (const auto known = earlier(a, conditions)) {
-    if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
+    if (const auto changed = inputs.changed()) return fail(a, {*changed, tool::kFileChanged});
     return report_earlier(*known, a);
   }
-  for (const std::string& out : {a.report, a.json})
-    if (const int code = check_free(out, a.overwrite); code != tool::kSuccess) return code;
+  const bool replaces_page = may_replace_page(a);
+  if (const auto free = is_free(a.report, replaces_page); !free) return fail(a, {a.report, free.error()});
+  if (const auto free = is_free(a.json, a.overwrite); !free) return fail(a, {a.json, free.error()});
   audit::Outcome<audit::Report> report;
   {
     tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
     report = audit::run(a.audit, progress);
   }
   // That a file changed explains whatever was found wrong in it.
-  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
-  if (!report) {
-    const int written = write_junit(a, audit::failed_row(fs::path(a.audit.asset).filename().string(), report.error()));
-    return tool::worse_exit_code(report_failure(report.error()), written);
-  }
+  if (const auto changed = inputs.changed()) return fail(a, {*changed, tool::kFileChanged});
+  if (!report) return fail(a, report.error());
   const auto fingerprint = audit::fingerprint(a.audit);
-  if (!fingerprint) return report_failure(fingerprint.error());
+  if (!fingerprint) return fail(a, fingerprint.error());
   report->fingerprint = *fingerprint;
-  if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;  // since the fingerprint
+  if (const auto changed = inputs.changed()) return fail(a, {*changed, tool::kFileChanged});  // since the fingerprint
   audit::evaluate(std::move(conditions), *report);
-  if (const int code = write_outputs(*report, a); code != tool::kSuccess) return code;
+  if (const int code = write_outputs(*report, a, replaces_page); code != tool::kSuccess) return code;
   if (const int code = write_junit(a, audit::row_of(*report)); code != tool::kSuccess) return code;
   return report_gate(report->gate);
 }
@@ -176,7 +195,10 @@ int audit_pair(Arguments& a, std::vector<audit::Condition> conditions) {
 int check_folders(const Arguments& a) {
   tool::InputFiles inputs = common_inputs(a);
   const auto pairs = audit::pairs_of(a.audit);
-  if (!pairs) return report_failure(pairs.error());
+  if (!pairs) {
+    if (const int code = inputs.check_outputs({&a.junit, 1}); code != tool::kSuccess) return code;
+    return fail(a, pairs.error());
+  }
   std::error_code ignored;
   const fs::path out(a.report), cameras(a.audit.cameras), photos(a.audit.photos);
   std::vector<std::string> outputs{a.junit};
@@ -200,9 +222,14 @@ int audit_pairs(const Arguments& a, std::vector<audit::Condition> conditions) {
   if (!a.json.empty()) return tool::report_usage("with two folders JSON goes into the folder of --report; drop --json");
   if (!a.audit.also.empty()) return tool::report_usage("--also goes with one pair, not with two folders");
   if (const int code = check_folders(a); code != tool::kSuccess) return code;
+  std::error_code failed;
+  fs::create_directories(a.report, failed);  // --junit may lie there
+  if (failed)
+    return tool::report(a.report, {rgs::Errc::write_failed, rgs::Error::kNone, "the folder cannot be made",
+                                   rgs::Error::kNone, rgs::Error::kNone, failed.value()});
   if (const int code = check_free(a.junit, may_replace_junit(a)); code != tool::kSuccess) return code;
   const auto rows = audit::audit_folder({a.audit, std::move(conditions), a.report, a.junit, a.overwrite, a.quiet});
-  if (!rows) return report_failure(rows.error());
+  if (!rows) return fail(a, rows.error());
   for (const audit::FolderRow& row : *rows)
     if (row.exit_code != tool::kSuccess)
       tool::print_error(fmt::format("rgs-audit: {}: {}\n", tool::printable(row.stem),

@@ -70,13 +70,33 @@ void send(int fd, std::string text) {
 }
 
 Json record_json(const BatchRecord& record) {
-  return {{"input", record.input},
+  return {{"input_path", record.input_path},
+          {"input", record.input},
           {"made", record.made},
           {"input_stamp", record.input_stamp},
           {"made_stamp", record.made_stamp}};
 }
 
-// Removes what a killed process has left of an output: NAME.tmp-XXXXXX beside it.
+// How records call an input: names need not be UTF-8.
+std::string full_path(const std::string& path) {
+  std::error_code failed;
+  const fs::path full = fs::absolute(path, failed);
+  return tool::printable((failed ? fs::path(path) : full).lexically_normal().string());
+}
+
+Json output_exists(const BatchScene& scene) {
+  return failure_json({scene.output_path,
+                       {Errc::output_exists, Error::kNone,
+                        "the output is there already and is not what was made of this input here; move it away, or "
+                        "pass --overwrite to replace it"}});
+}
+
+bool exists(const BatchScene& scene) {
+  std::error_code ignored;
+  return fs::exists(scene.output_path, ignored);
+}
+
+// Removes what a killed process has left of an output: NAME.tmp-XXXXXX beside it, as AtomicFile calls it.
 void remove_unfinished(const std::string& output) {
   std::error_code failed;
   const fs::path place(follow_links(output));
@@ -84,13 +104,21 @@ void remove_unfinished(const std::string& output) {
   for (fs::directory_iterator it(place.parent_path(), failed), end; !failed && it != end; it.increment(failed)) {
     const std::string name = it->path().filename().string();
     std::error_code ignored;
-    if (name.size() == mark.size() + 6 && name.starts_with(mark)) fs::remove(it->path(), ignored);
+    constexpr const char* kLetters = "abcdefghijklmnopqrstuvwxyz012345";
+    if (name.size() == mark.size() + 6 && name.starts_with(mark) &&
+        name.find_first_not_of(kLetters, mark.size()) == name.npos &&
+        it->symlink_status(ignored).type() == fs::file_type::regular)
+      fs::remove(it->path(), ignored);
   }
 }
 
 std::uint64_t bytes_of(const Json& summary, const char* side) {
   const auto found = summary.find(side);
   return found == summary.end() ? 0 : found->value("bytes", std::uint64_t{0});
+}
+
+std::string shard_name(const BatchOptions& options) {
+  return options.n_shards == 1 ? "" : fmt::format("{}-of-{}", options.shard, options.n_shards);
 }
 
 class Batch {
@@ -133,8 +161,19 @@ class Batch {
 
   // ---- what needs no process
 
+  // Whether what is there was made of this very input, and nobody has changed it since.
   bool is_ours(const BatchScene& scene) const {
-    return !state_.find(scene.output).empty() || state_.was_begun(scene.output);
+    const std::string input_path = full_path(scene.input), stamp = stamp_of({&scene.output_path, 1});
+    if (state_.was_begun(scene.output, input_path)) return true;
+    std::vector<std::string> made;
+    for (const BatchRecord& known : state_.find(scene.output)) {
+      if (known.input_path != input_path) continue;
+      if (known.made_stamp == stamp) return true;
+      made.push_back(known.made);
+    }
+    if (made.empty()) return false;
+    const auto now = describe_contents({&scene.output_path, 1});
+    return now && std::ranges::find(made, *now) != made.end();
   }
 
   BatchRecord wanted(const BatchScene& scene) const {
@@ -142,6 +181,7 @@ class Batch {
     record.output = scene.output;
     record.tool = options_.tool, record.options = options_.options_hash;
     record.input_name = tool::printable(fs::path(scene.input).filename().string());
+    record.input_path = full_path(scene.input);
     return record;
   }
 
@@ -162,14 +202,11 @@ class Batch {
       settle(i, {{"status", "kept"}, {"exit_code", 0}, {"summary", Json::parse(known.summary, nullptr, false)}});
       return true;
     }
-    std::error_code ignored;
-    if (!is_ours(scene) && fs::exists(scene.output_path, ignored)) {
-      settle(i, failure_json({scene.output_path,
-                              {Errc::output_exists, Error::kNone,
-                               "the output is there already and was not made here; pass --overwrite to replace it"}}));
-      return true;
-    }
-    return false;
+    // The rest takes reading: start() and convert().
+    if (!exists(scene) || !state_.find(scene.output).empty() || state_.was_begun(scene.output, want.input_path))
+      return false;
+    settle(i, output_exists(scene));
+    return true;
   }
 
   // ---- a child
@@ -188,13 +225,15 @@ class Batch {
       for (const BatchRecord& known : state_.find(scene.output)) {
         if (!made || !known.same_work(record) || known.input != *input || known.made != *made) continue;
         record.made = *made;
+        record.input_path = known.input_path;  // a copy of the input does not take the output over
         return {{"status", "kept"},
                 {"exit_code", 0},
                 {"summary", Json::parse(known.summary, nullptr, false)},
                 {"record", record_json(record)}};
       }
     }
-    if (share.overwrite) remove_unfinished(scene.output_path);
+    if (!share.overwrite && exists(scene)) return output_exists(scene);
+    if (share.unfinished && !state_.others_work()) remove_unfinished(scene.output_path);
     std::error_code failed;
     const fs::path folder = fs::path(scene.output_path).parent_path();
     fs::create_directories(folder, failed);
@@ -254,49 +293,57 @@ class Batch {
     }
     ::sigprocmask(SIG_BLOCK, &ending, &usual_signals_);
     signals_ = ::signalfd(-1, &ending, SFD_CLOEXEC | SFD_NONBLOCK);
+    if (signals_ < 0) ::sigprocmask(SIG_SETMASK, &usual_signals_, nullptr);  // nobody would hear them
   }
 
   void work() {
     std::size_t next = 0;
-    bool may_start = true;
-    while (!children_.empty() || (may_start && next < todo_.size())) {
-      while (may_start && next < todo_.size() && children_.size() < options_.jobs) {
+    // A scene may fail before it has a process, and before there is work at all.
+    const auto may_start = [&] {
+      return next < todo_.size() && stopped_by_ == 0 && (options_.keep_going || n_failed_ == 0);
+    };
+    while (!children_.empty() || may_start()) {
+      while (may_start() && children_.size() < options_.jobs) {
         const auto side_by_side = static_cast<unsigned>(std::min<std::size_t>(options_.jobs, todo_.size()));
         start(todo_[next++], std::max(1U, options_.threads / side_by_side));
       }
-      wait();
-      may_start = stopped_by_ == 0 && (options_.keep_going || n_failed_ == 0);
+      if (!children_.empty()) wait();
     }
     n_left_ = todo_.size() - next;
   }
 
   void start(std::size_t i, unsigned threads) {
     int ends[2] = {-1, -1};
-    const BatchShare share{threads, options_.overwrite || is_ours(scenes_[i])};
-    // Whatever a killed process leaves there is ours to replace.
-    const Status begun = state_.begin(scenes_[i].output, options_.sync);
-    if (!begun) return settle(i, failure_json({state_.path(), begun.error()}));
+    const BatchScene& scene = scenes_[i];
+    const bool is_there = exists(scene);
+    const BatchShare share{threads, options_.overwrite || (is_there && is_ours(scene)), state_.was_begun(scene.output)};
+    // Whatever a killed process leaves there is ours to replace; what is not ours is only looked at.
+    if (share.overwrite || !is_there) {
+      const Status begun = state_.begin(scene.output, full_path(scene.input), options_.sync);
+      if (!begun) return settle(i, failure_json({state_.path(), begun.error()}));
+    }
     const pid_t parent = ::getpid();
-    if (::pipe(ends) != 0) return settle(i, cannot_start(scenes_[i]));
+    if (::pipe(ends) != 0) return cannot_start(i, errno);
     tool::flush();
     const pid_t id = ::fork();
     if (id == 0) {
       ::close(ends[0]);
       be_child(i, share, ends[1], parent);
     }
+    const int forked = errno;
     ::close(ends[1]);
     if (id < 0) {
-      const Json failed = cannot_start(scenes_[i]);
       ::close(ends[0]);
-      return settle(i, failed);
+      return cannot_start(i, forked);
     }
     children_.push_back({i, ends[0], id, {}});
   }
 
-  static Json cannot_start(const BatchScene& scene) {
-    return failure_json({scene.name,
-                         {Errc::host_out_of_memory, Error::kNone, "a process for it cannot be started", Error::kNone,
-                          Error::kNone, errno}});
+  void cannot_start(std::size_t i, int why) {
+    note(state_.cancel(scenes_[i].output));
+    settle(i, failure_json({scenes_[i].name,
+                            {Errc::host_out_of_memory, Error::kNone, "a process for it cannot be started", Error::kNone,
+                             Error::kNone, why}}));
   }
 
   void wait() {
@@ -359,9 +406,8 @@ class Batch {
 
   // ---- lines
 
-  bool text_lines() const {
-    return !options_.quiet && !options_.json && options_.report.empty() && ::isatty(STDOUT_FILENO) == 1;
-  }
+  // On a terminal, for people.
+  bool text_lines() const { return !options_.json && options_.report.empty() && ::isatty(STDOUT_FILENO) == 1; }
 
   void settle(std::size_t i, Json result) {
     const BatchScene& scene = scenes_[i];
@@ -370,6 +416,7 @@ class Batch {
     if (const auto found = result.find("record"); found != result.end()) {
       BatchRecord record = wanted(scene);
       const auto text = [&](const char* key) { return found->value(key, std::string()); };
+      record.input_path = text("input_path");
       record.input = text("input"), record.made = text("made");
       record.input_stamp = text("input_stamp"), record.made_stamp = text("made_stamp");
       record.summary = result["summary"].dump();
@@ -404,7 +451,7 @@ class Batch {
     } else if (!text_lines()) {
       tool::print(text);
       tool::flush();
-    } else if (status != "failed") {
+    } else if (status != "failed" && !options_.quiet) {
       tool::print(fmt::format("{} -> {}: {}{}\n", tool::printable(scene.name), tool::printable(scene.output), status,
                               status == "skipped" ? ""
                                                   : ", " + tool::format_size_change(bytes_of(summary, "source"),
@@ -512,14 +559,21 @@ Status check_report(const std::string& path, bool overwrite) {
   return AtomicFile::create(path, {.overwrite = overwrite, .sync = false}).map([](const AtomicFile&) {});
 }
 
-int run_batch(std::vector<BatchScene> scenes, const BatchOptions& options, const BatchConvert& convert) {
+std::vector<std::string> state_files(const std::string& out, const BatchOptions& options) {
+  return BatchState::files(out, shard_name(options));
+}
+
+int make_folder(const std::string& path) {
   std::error_code failed;
-  fs::create_directories(options.out, failed);
-  if (failed)
-    return tool::report(options.out, {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone,
-                                      Error::kNone, failed.value()});
-  auto state = BatchState::open(options.out,
-                                options.n_shards == 1 ? "" : fmt::format("{}-of-{}", options.shard, options.n_shards));
+  fs::create_directories(path, failed);
+  if (!failed) return tool::kSuccess;
+  return tool::report(path, {Errc::write_failed, Error::kNone, "the folder cannot be made", Error::kNone, Error::kNone,
+                             failed.value()});
+}
+
+int run_batch(std::vector<BatchScene> scenes, const BatchOptions& options, const BatchConvert& convert) {
+  if (const int code = make_folder(options.out); code != tool::kSuccess) return code;
+  auto state = BatchState::open(options.out, shard_name(options));
   if (!state) return tool::report(options.out, state.error());
   return Batch(std::move(scenes), options, convert, std::move(*state)).run();
 }

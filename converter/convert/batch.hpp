@@ -44,7 +44,8 @@ struct BatchOptions {
 /// What a process of its own has to convert a scene with.
 struct BatchShare {
   unsigned threads = 1;
-  bool overwrite = false;  ///< whatever is there is ours
+  bool overwrite = false;   ///< whatever is there is ours
+  bool unfinished = false;  ///< a conversion of it was begun and may have left its temporary file
 };
 
 /// Converts one scene to scene.output_path. Called in a child process, which ends afterwards.
@@ -58,6 +59,12 @@ std::vector<BatchScene> scenes_of_shard(std::vector<BatchScene> scenes, unsigned
 /// Whether a report can be written to `path`: nothing is there, or an earlier report, or `overwrite`. Errors: output_exists,
 /// those of AtomicFile::create().
 Status check_report(const std::string& path, bool overwrite);
+
+/// The files in the folder `out` that remember what was made: that of these options, then others that are there.
+std::vector<std::string> state_files(const std::string& out, const BatchOptions& options);
+
+/// Makes the folder of the outputs where there is none. An exit code; errors are printed.
+int make_folder(const std::string& path);
 
 /// Converts what is not done already, prints or writes a line for each scene and a summary. Returns the worst exit code,
 /// see tool::worse_exit_code().

@@ -8,6 +8,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <cerrno>
 #include <nlohmann/json.hpp>
 #include <utility>
@@ -83,16 +84,26 @@ Result<std::string> describe_contents(std::span<const std::string> files) {
   return fmt::format("{} {:016x}", bytes, hash.digest());
 }
 
+std::vector<std::string> BatchState::files(const std::string& folder, const std::string& shard) {
+  std::vector<std::string> paths{folder + "/" + std::string(kName) + (shard.empty() ? "" : "-" + shard) +
+                                 std::string(kEnding)};
+  for (std::string& path : state_files(folder))
+    if (path != paths.front()) paths.push_back(std::move(path));
+  return paths;
+}
+
 Result<BatchState> BatchState::open(const std::string& folder, const std::string& shard) {
   BatchState state;
-  state.path_ = folder + "/" + std::string(kName) + (shard.empty() ? "" : "-" + shard) + std::string(kEnding);
+  state.folder_ = folder;
+  state.path_ = files(folder, shard).front();
   state.fd_ = ::open(state.path_.c_str(), O_RDWR | O_CREAT | O_APPEND | O_CLOEXEC, 0666);
   if (state.fd_ < 0) return system_error(Errc::open_failed, "the state of the conversions cannot be opened");
   struct flock lock {};
   lock.l_type = F_WRLCK;
   lock.l_whence = SEEK_SET;
   // File systems without locks go without: names appear complete or not at all whoever makes them.
-  if (::fcntl(state.fd_, F_SETLK, &lock) != 0 && (errno == EACCES || errno == EAGAIN))
+  state.locked_ = ::fcntl(state.fd_, F_SETLK, &lock) == 0;
+  if (!state.locked_ && (errno == EACCES || errno == EAGAIN))
     return make_error(Errc::open_failed, Error::kNone,
                       "another rgs-convert works on this folder; wait for it, or give each its --shard");
   // Closing another descriptor of this file would give the lock away, so it is read through this one.
@@ -106,21 +117,23 @@ Result<BatchState> BatchState::open(const std::string& folder, const std::string
     text.append(buffer, static_cast<std::size_t>(n));
     at += n;
   }
-  state.read(text);
+  state.read(state.path_, text);
   state.line_open_ = !text.empty() && text.back() != '\n';
   for (const std::string& path : state_files(folder)) {
     if (path == state.path_) continue;
     const auto file = MappedFile::open(path);
     if (!file) return tl::unexpected(file.error());
-    state.read({reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size()});
+    state.read(path, {reinterpret_cast<const char*>(file->bytes().data()), file->bytes().size()});
   }
   return state;
 }
 
 BatchState::BatchState(BatchState&& other) noexcept
     : known_(std::move(other.known_)),
+      folder_(std::move(other.folder_)),
       path_(std::move(other.path_)),
       fd_(std::exchange(other.fd_, -1)),
+      locked_(other.locked_),
       line_open_(other.line_open_) {}
 
 BatchState::~BatchState() {
@@ -132,7 +145,7 @@ void BatchState::forget() {
 }
 
 // Lines that are none of ours, damaged or cut off say nothing.
-void BatchState::read(std::string_view text) {
+void BatchState::read(const std::string& path, std::string_view text) {
   while (!text.empty()) {
     const std::size_t end = text.find('\n');
     if (end == text.npos) return;
@@ -147,18 +160,23 @@ void BatchState::read(std::string_view text) {
     if (string(line, "schema") != kSchema || output.empty()) continue;
     Known& known = known_[output];
     if (const auto begun = line.find("begun"); begun != line.end()) {
-      known.begun = *begun == true;
+      // What one shard ended says nothing of what another began.
+      if (*begun == true) {
+        known.begun[path] = string(line, "input_path");
+      } else {
+        known.begun.erase(path);
+      }
       continue;
     }
     BatchRecord record;
     record.output = output;
     record.tool = string(line, "tool"), record.options = string(line, "options");
-    record.input_name = string(line, "input_name");
+    record.input_name = string(line, "input_name"), record.input_path = string(line, "input_path");
     record.input = string(line, "input"), record.made = string(line, "made");
     record.input_stamp = string(line, "input_stamp"), record.made_stamp = string(line, "made_stamp");
     if (const auto summary = line.find("summary"); summary != line.end()) record.summary = summary->dump();
     if (record.input.empty() || record.made.empty()) continue;
-    known.begun = false;
+    known.begun.erase(path);
     known.records.push_back(std::move(record));
   }
 }
@@ -168,9 +186,30 @@ std::span<const BatchRecord> BatchState::find(const std::string& output) const {
   return found == known_.end() ? std::span<const BatchRecord>() : found->second.records;
 }
 
+bool BatchState::was_begun(const std::string& output, const std::string& input_path) const {
+  const auto found = known_.find(key_of(output));
+  return found != known_.end() &&
+         std::ranges::any_of(found->second.begun, [&](const auto& begun) { return begun.second == input_path; });
+}
+
 bool BatchState::was_begun(const std::string& output) const {
   const auto found = known_.find(key_of(output));
-  return found != known_.end() && found->second.begun;
+  return found != known_.end() && !found->second.begun.empty();
+}
+
+bool BatchState::others_work() const {
+  if (!locked_) return true;
+  for (const std::string& path : state_files(folder_)) {
+    if (path == path_) continue;
+    const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
+    struct flock lock {};
+    lock.l_type = F_WRLCK;
+    lock.l_whence = SEEK_SET;
+    const bool is_free = fd >= 0 && ::fcntl(fd, F_GETLK, &lock) == 0 && lock.l_type == F_UNLCK;
+    if (fd >= 0) ::close(fd);
+    if (!is_free) return true;
+  }
+  return false;
 }
 
 Status BatchState::append(std::string line) {
@@ -191,20 +230,20 @@ Status BatchState::append(std::string line) {
   return {};
 }
 
-Status BatchState::begin(const std::string& output, bool sync) {
+Status BatchState::begin(const std::string& output, const std::string& input_path, bool sync) {
   Known& known = known_[key_of(output)];
-  if (known.begun) return {};
-  const Json line{{"schema", kSchema}, {"output", key_of(output)}, {"begun", true}};
+  if (const auto begun = known.begun.find(path_); begun != known.begun.end() && begun->second == input_path) return {};
+  const Json line{{"schema", kSchema}, {"output", key_of(output)}, {"begun", true}, {"input_path", input_path}};
   if (const Status s = append(dump(line)); !s) return s;
   if (sync && ::fdatasync(fd_) != 0)
     return system_error(Errc::write_failed, "the state of the conversions cannot be written");
-  known.begun = true;
+  known.begun[path_] = input_path;
   return {};
 }
 
 Status BatchState::cancel(const std::string& output) {
   Known& known = known_[key_of(output)];
-  if (!std::exchange(known.begun, false)) return {};
+  if (known.begun.erase(path_) == 0) return {};
   return append(dump({{"schema", kSchema}, {"output", key_of(output)}, {"begun", false}}));
 }
 
@@ -214,6 +253,7 @@ Status BatchState::add(BatchRecord record) {
                   {"tool", record.tool},
                   {"options", record.options},
                   {"input_name", record.input_name},
+                  {"input_path", record.input_path},
                   {"input", record.input},
                   {"made", record.made},
                   {"input_stamp", record.input_stamp},
@@ -221,7 +261,7 @@ Status BatchState::add(BatchRecord record) {
                   {"summary", Json::parse(record.summary, nullptr, false)}};
   Known& known = known_[key_of(record.output)];
   const Status written = append(dump(line));
-  known.begun = false;
+  known.begun.erase(path_);
   known.records.push_back(std::move(record));
   return written;
 }

@@ -20,6 +20,7 @@ struct BatchRecord {
   std::string output;         ///< relative to the folder of the outputs
   std::string tool, options;  ///< the program and its version; hash of all options that show in the output
   std::string input_name;     ///< file name of the input, which an .rgs keeps
+  std::string input_path;     ///< full path of the input whose output this is
   std::string input, made;    ///< size and hash of the contents, see describe_contents()
   std::string input_stamp, made_stamp;
   std::string summary;  ///< of the conversion, JSON
@@ -44,13 +45,19 @@ class BatchState {
   BatchState& operator=(BatchState&&) = delete;
   ~BatchState();
 
+  /// The state of a shard in `folder`, then those of others that are there.
+  static std::vector<std::string> files(const std::string& folder, const std::string& shard);
+
   /// All that is known of an output, in no order; empty if it is none of ours.
   std::span<const BatchRecord> find(const std::string& output) const;
-  /// Whether a conversion to it began and nobody knows how it ended.
+  /// Whether a conversion to `output` began and nobody knows how it ended: one of `input_path`, or of any input.
+  bool was_begun(const std::string& output, const std::string& input_path) const;
   bool was_begun(const std::string& output) const;
-  /// Says that a conversion to `output` begins, so that whatever is there later is ours to replace; on disk before it
-  /// returns, if `sync`. Errors: write_failed.
-  Status begin(const std::string& output, bool sync);
+  /// Whether another program may be working on this folder: it has a state of another shard locked, or locks say nothing.
+  bool others_work() const;
+  /// Says that a conversion of `input_path` to `output` begins, so that whatever is there later is its to replace; on disk
+  /// before it returns, if `sync`. Errors: write_failed.
+  Status begin(const std::string& output, const std::string& input_path, bool sync);
   /// Says that it ended without an output. Errors: write_failed.
   Status cancel(const std::string& output);
   /// Says that it is done. Errors: write_failed: the scene will be converted again.
@@ -62,16 +69,17 @@ class BatchState {
 
  private:
   BatchState() = default;
-  void read(std::string_view text);
+  void read(const std::string& path, std::string_view text);
   Status append(std::string line);
 
   struct Known {
     std::vector<BatchRecord> records;
-    bool begun = false;
+    std::map<std::string, std::string> begun;  // by the file that says so: the input's path
   };
   std::map<std::string, Known> known_;
-  std::string path_;
+  std::string folder_, path_;
   int fd_ = -1;
+  bool locked_ = false;
   bool line_open_ = false;  // the file's last line has no end
 };
 

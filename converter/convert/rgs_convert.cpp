@@ -645,6 +645,8 @@ tl::expected<rgs::BatchPlan, int> plan(const Arguments& a) {
   if (a.audit) return usage("--audit is of one scene: run rgs-audit on the two folders afterwards");
   if (a.list.empty() && a.to == SplatFormat::unknown)
     return usage(a.files.front() + " is a folder: pass --to rgs, ply, spz, ... to convert all scenes in it");
+  if (a.list.empty() && a.files.size() < 2)
+    return usage(a.files.front() + " is a folder: name the folder of the outputs after it");
   if (a.files.size() > 2) return usage("many scenes are given as one folder, or by --list");
   std::error_code ignored;
   if (a.files.size() == 2 && !fs::is_directory(a.files.front(), ignored))
@@ -702,6 +704,7 @@ int convert_many(Arguments& arguments) {
     inputs.add_scene(scene.input);
     outputs.push_back(scene.output_path);
   }
+  for (std::string& state : rgs::state_files(arguments.output(), options)) outputs.push_back(std::move(state));
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   if (const auto read = read_cameras(arguments); !read) return report_failure(read.error());
   if (planned->scenes.empty())
@@ -715,6 +718,7 @@ int convert_many(Arguments& arguments) {
   arguments.convert.memory_bytes = std::max(memory, rgs::lod::kLeastMemory);
   options.out = arguments.output();
   options.report = arguments.report == "-" ? "" : arguments.report;
+  if (const int code = rgs::make_folder(options.out); code != tool::kSuccess) return code;  // the report may lie there
   if (!options.report.empty()) {
     if (const rgs::Status s = rgs::check_report(options.report, arguments.convert.output.overwrite); !s)
       return tool::report(options.report, s.error());

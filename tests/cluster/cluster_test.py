@@ -453,14 +453,20 @@ def page_jobs(folder):
 def page_parallel(folder):
     need("parallel")
     same(shell(page_block("scenes"), folder).returncode, 0)
+    sources = {source[len("scenes/"):]: source for source in PAGE_SCENES.values()}
     same(shell(page_block("parallel"), folder).returncode, 1)
-    same_as_by_hand(folder, "by_parallel", PAGE_SCENES)
-    before = os.stat(f"{folder}/by_parallel/house1.rgs").st_mtime_ns
-    os.remove(f"{folder}/scenes/cut_off.ply")
+    same_as_by_hand(folder, "by_parallel", sources)
+    before = os.stat(f"{folder}/by_parallel/house1.ply.rgs").st_mtime_ns
+    # Mended, changed, and new in front of all others, with one name but for the ending.
     shutil.copy(f"{folder}/scenes/house1.ply", f"{folder}/scenes/cut_off.ply")
+    shutil.copy(f"{folder}/scenes/house4.ply", f"{folder}/scenes/house2.ply")
+    for name, other in (("a.ply", "house3.ply"), ("a.spz", "old/phone.spz")):
+        shutil.copy(f"{folder}/scenes/{other}", f"{folder}/scenes/{name}")
+    for name in ("a.ply", "a.spz", "cut_off.ply"):
+        sources[name] = "scenes/" + name
     same(shell(page_block("parallel"), folder).returncode, 0)
-    same(os.stat(f"{folder}/by_parallel/house1.rgs").st_mtime_ns, before)
-    assert os.path.exists(f"{folder}/by_parallel/cut_off.rgs")
+    same(os.stat(f"{folder}/by_parallel/house1.ply.rgs").st_mtime_ns, before)
+    same_as_by_hand(folder, "by_parallel", sources)
 
 
 @case("the page's array of Slurm")

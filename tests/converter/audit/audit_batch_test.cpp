@@ -375,3 +375,74 @@ TEST_CASE("JUnit of one pair, with and without conditions, and of one that canno
   CHECK(xml["attributes"]["errors"] == "1");
   CHECK(xml["suites"][0]["cases"][0]["errors"][0].get<std::string>().find("byte") != std::string::npos);
 }
+
+TEST_CASE("JUnit does not stay green where the audit ends before it measures") {
+  const SceneFolder scene;
+  const std::string junit = scene.file("junit.xml"), mine = scene.file("mine.html");
+  const auto audit = [&](std::vector<std::string> more) {
+    std::vector<std::string> arguments{scene.ply, scene.rgs, "--no-render", "--junit", junit, "--quiet"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return run_audit(arguments).exit_code;
+  };
+  REQUIRE(audit({}) == 0);
+  write_text(mine, "mine");
+  for (const char* option : {"--report", "--json"}) {
+    CHECK(audit({option, mine}) == 3);
+    CHECK(parse_xml(scene, junit)["attributes"]["errors"] == "1");
+    CHECK(read_text(mine) == "mine");
+    CHECK(audit({}) == 0);
+    CHECK(parse_xml(scene, junit)["attributes"]["errors"] == "0");
+  }
+  // Folders without a pair.
+  fs::create_directory(scene.file("no"));
+  fs::create_directory(scene.file("none"));
+  CHECK(run_audit({scene.file("no"), scene.file("none"), "--report", scene.file("out"), "--junit", junit}).exit_code !=
+        0);
+  CHECK(parse_xml(scene, junit)["attributes"]["errors"] == "1");
+}
+
+TEST_CASE("JUnit may lie in the folder of the reports before there is one") {
+  const Pairs pairs({"one"});
+  const ProgramResult run = run_audit(pairs.command({"--junit", pairs.out + "/junit.xml"}));
+  INFO(run.err);
+  CHECK(run.exit_code == 0);
+  CHECK(fs::exists(pairs.out + "/junit.xml"));
+}
+
+TEST_CASE("an audit that was killed between page and JSON goes on, and no other page is replaced") {
+  const Pairs pairs({"one"});
+  const std::string page = pairs.out + "/one.html", result = pairs.out + "/one.json";
+  REQUIRE(run_audit(pairs.command()).exit_code == 0);
+  const std::string made = read_text(page);
+  fs::remove(result);
+  const ProgramResult rerun = run_audit(pairs.command());
+  INFO(rerun.out);
+  CHECK(rerun.exit_code == 0);
+  CHECK(fs::exists(result));
+  // A page of other options.
+  fs::remove(result);
+  const std::vector<std::string> other{pairs.sources, pairs.assets, "--report", pairs.out,         "--views",
+                                       "3",           "--size",     "64x48",    "--no-attribution"};
+  CHECK(run_audit(other).exit_code == 3);
+  CHECK(run_audit(pairs.command()).exit_code == 0);
+  // Somebody's, beside a result and alone.
+  write_text(page, "mine");
+  CHECK(run_audit(pairs.command()).exit_code == 3);
+  CHECK(read_text(page) == "mine");
+  fs::remove(result);
+  CHECK(run_audit(pairs.command()).exit_code == 3);
+  CHECK(read_text(page) == "mine");
+  CHECK(run_audit(pairs.command({"--overwrite"})).exit_code == 0);
+
+  // One pair with --json is no other.
+  const SceneFolder scene;
+  const std::string html = scene.file("scene.html"), numbers = scene.file("scene.json");
+  const std::vector<std::string> one{scene.ply, scene.rgs, "--no-render", "--report", html, "--json", numbers, "-q"};
+  REQUIRE(run_audit(one).exit_code == 0);
+  fs::remove(numbers);
+  CHECK(run_audit(one).exit_code == 0);
+  fs::remove(numbers);
+  write_text(html, "mine");
+  CHECK(run_audit(one).exit_code == 3);
+  CHECK(read_text(html) == "mine");
+}

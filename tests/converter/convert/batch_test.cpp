@@ -1,6 +1,7 @@
 // batch_test.cpp - rgs-convert of folders and lists: what it makes, what it leaves, and how it goes on after whatever stopped it.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
+#include <fcntl.h>
 #include <sys/mount.h>
 #include <sys/resource.h>
 #include <sys/stat.h>
@@ -157,8 +158,9 @@ TEST_CASE("a folder of all formats becomes a folder of the same shape, byte for 
   const std::string two = f.file("two");
   CHECK(convert_all({f.in, two, "--to", "rgs", "--jobs", "2"}).exit_code == 0);
   CHECK(contents(two) == contents(f.out));
-  for (const auto& [input, line] : one.lines) {
+  for (const auto& [name, line] : one.lines) {
     if (line["status"] != "converted") continue;
+    const std::string& input = name;
     CAPTURE(input);
     const std::string single = f.file("single.rgs");
     REQUIRE(run_program({RGS_CONVERT, "-q", "--no-sync", "--overwrite", f.in + "/" + input, single}).exit_code == 0);
@@ -222,14 +224,20 @@ TEST_CASE("what is done is kept by content: names and times decide nothing") {
   CHECK(changed.lines.at("d.ply")["status"] == "converted");
   CHECK(contents(f.out).at("d.rgs") != first.at("d.rgs"));
 
-  // Outputs that are gone, cut off, changed.
+  // Outputs that are gone are made again; those that somebody has changed are somebody's.
   const auto good = contents(f.out);
   fs::remove(f.out + "/a.rgs");
   fs::resize_file(f.out + "/b.rgs", 100);
-  std::string damaged = good.at("c.rgs");
-  damaged[200] = static_cast<char>(damaged[200] ^ 1);
-  write_text(f.out + "/c.rgs", damaged);
-  CHECK(rerun().count("converted") == 3);
+  std::string changed_output = good.at("c.rgs");
+  changed_output[200] = static_cast<char>(changed_output[200] ^ 1);
+  write_text(f.out + "/c.rgs", changed_output);
+  const Batch refused = convert_all(f.command());
+  CHECK(refused.exit_code == 3);
+  CHECK(refused.count("converted") == 1);
+  for (const char* name : {"b.ply", "c.ply"}) CHECK(refused.lines.at(name)["error"]["code"] == "output_exists");
+  CHECK(contents(f.out).at("c.rgs") == changed_output);
+  for (const char* name : {"/b.rgs", "/c.rgs"}) fs::remove(f.out + name);
+  CHECK(rerun().count("converted") == 2);
   CHECK(contents(f.out) == good);
 
   // Other options; and back, which is a conversion again, as the files are gone.
@@ -278,6 +286,62 @@ TEST_CASE("an output that was not made here stays unless --overwrite is given") 
   CHECK(read_text(f.out + "/c.rgs") == "mine");
 }
 
+TEST_CASE("what was made of another input of the same name stays") {
+  const Folders f(1);
+  const std::string other = f.file("other"), copy = f.file("copy");
+  scene(other + "/a.ply", 7);
+  const Batch first = convert_all(f.command());
+  REQUIRE(first.count("converted") == 1);
+  const auto made = contents(f.out);
+  for (int i = 0; i < 2; ++i) {
+    const Batch second = convert_all({other, f.out, "--to", "rgs"});
+    CHECK(second.exit_code == 3);
+    CHECK(second.lines.at("a.ply")["error"]["code"] == "output_exists");
+    CHECK(contents(f.out) == made);
+  }
+  // A copy of the input finds it done, and does not take it over.
+  fs::copy(f.in, copy, fs::copy_options::recursive);
+  CHECK(convert_all({copy, f.out, "--to", "rgs"}).count("kept") == 1);
+  scene(copy + "/a.ply", 8);
+  CHECK(convert_all({copy, f.out, "--to", "rgs"}).lines.at("a.ply")["error"]["code"] == "output_exists");
+  CHECK(contents(f.out) == made);
+  // Nor does a conversion of the one that was killed give what is there to the other.
+  const std::string state = f.out + "/.rgs-convert.jsonl";
+  write_text(
+      state,
+      json{{"schema", "rgs-convert-state/1"}, {"output", "a.rgs"}, {"begun", true}, {"input_path", f.in + "/a.ply"}}
+              .dump() +
+          "\n");
+  CHECK(convert_all({other, f.out, "--to", "rgs"}).lines.at("a.ply")["error"]["code"] == "output_exists");
+  CHECK(convert_all(f.command()).count("converted") == 1);
+  CHECK(convert_all({other, f.out, "--to", "rgs", "--overwrite"}).count("converted") == 1);
+  CHECK(contents(f.out) != made);
+  CHECK(convert_all(f.command()).lines.at("a.ply")["error"]["code"] == "output_exists");
+}
+
+TEST_CASE("scenes for which no process can be started fail, and the program ends") {
+  const Folders f(3);
+  bool has_failed = false;
+  for (rlim_t n_files = 4; n_files <= 9; ++n_files) {
+    CAPTURE(n_files);
+    Program run(program(f.command({"-q"})), [n_files] {
+      const rlimit limit{n_files, n_files};
+      ::setrlimit(RLIMIT_NOFILE, &limit);
+    });
+    for (int i = 0; i < 3000 && run.running(); ++i) pause(0.01);
+    const bool hangs = run.running();
+    if (hangs) run.send(SIGKILL);
+    const ProgramResult end = run.wait();
+    CHECK_FALSE(hangs);
+    has_failed = has_failed || end.out.find("a process for it cannot be started") != end.out.npos;
+  }
+  CHECK(has_failed);
+  // What was never begun is nobody's.
+  fs::remove_all(f.out + "/a.rgs");
+  write_text(f.out + "/a.rgs", "mine");
+  CHECK(convert_all(f.command()).lines.at("a.ply")["error"]["code"] == "output_exists");
+}
+
 TEST_CASE("a damaged scene stops no other, and the worst decides the exit code") {
   const Folders f(5);
   write_text(f.in + "/b.ply", read_text(f.in + "/b.ply").substr(0, 5000));
@@ -316,6 +380,12 @@ TEST_CASE("a damaged scene stops no other, and the worst decides the exit code")
   CHECK(stopped.n_lines == 1);
   CHECK(stopped.err.find("2 not begun") != std::string::npos);
   CHECK(convert_all(g.command({"--keep-going"})).count("converted") == 2);
+  // One that fails before there is work, too.
+  const Folders h(2);
+  fs::create_symlink("nowhere", h.in + "/gone.ply");
+  const Batch none = convert_all(h.command({"--no-keep-going"}));
+  CHECK(none.count("converted") == 0);
+  CHECK(none.err.find("2 not begun") != std::string::npos);
 }
 
 TEST_CASE("what may not be read is reported and stops no other") {
@@ -444,6 +514,7 @@ TEST_CASE("what makes no sense with many scenes is refused") {
   CHECK(convert_all({f.in, f.out, "--to", "spz", "--profile", "direct"}).exit_code == 2);
   CHECK(convert_all({f.in + "/a.ply", f.file("a.rgs"), "--jobs", "2"}).exit_code == 2);
   CHECK(convert_all({f.in + "/a.ply"}).exit_code == 2);
+  CHECK(convert_all({f.in, "--to", "rgs"}).exit_code == 2);
   CHECK_FALSE(fs::exists(f.out));
   fs::create_directory(f.file("nothing"));
   CHECK(convert_all({f.file("nothing"), f.out, "--to", "rgs"}).exit_code == 2);
@@ -478,7 +549,8 @@ TEST_CASE("shards convert every scene exactly once, side by side into one folder
     const std::string text = run.out;
     const Batch batch = lines_of(std::move(run), text);
     bytes.push_back(0);
-    for (const auto& [input, line] : batch.lines) {
+    for (const auto& [name, line] : batch.lines) {
+      const std::string& input = name;
       CHECK_MESSAGE(seen.insert(input).second, input);
       CHECK(line["status"] == "converted");
       bytes.back() += line["source"]["bytes"].get<std::uint64_t>();
@@ -528,6 +600,16 @@ TEST_CASE("a report has a line for each scene, in their order, and replaces only
   CHECK(convert_all(f.command({"--report", report, "--overwrite"})).exit_code == 0);
   CHECK(convert_all(f.command({"--report", f.in + "/a.ply"})).exit_code == 2);
   CHECK(convert_all(f.command({"--report", f.file("no/report")})).exit_code == 3);
+  // The folder of the outputs is made first; its state is no report.
+  const std::string fresh = f.file("fresh"), state = fresh + "/.rgs-convert.jsonl";
+  CHECK(convert_all({f.in, fresh, "--to", "rgs", "--report", state}).exit_code == 2);
+  CHECK_FALSE(fs::exists(fresh));
+  CHECK(convert_all({f.in, fresh, "--to", "rgs", "--report", fresh + "/report.jsonl"}).exit_code == 0);
+  CHECK(read_text(fresh + "/report.jsonl").find("\"converted\"") != std::string::npos);
+  const std::string before = read_text(state);
+  CHECK(convert_all({f.in, fresh, "--to", "rgs", "--report", state, "--overwrite"}).exit_code == 2);
+  CHECK(convert_all({f.in, fresh, "--to", "rgs", "--report", state, "--shard", "1/2", "--overwrite"}).exit_code == 2);
+  CHECK(read_text(state) == before);
 }
 
 TEST_CASE("killed at any moment, the rerun does only what is missing") {
@@ -573,10 +655,79 @@ TEST_CASE("what a killed process left unfinished is removed by the rerun") {
   const Folders f(2);
   REQUIRE(convert_all(f.command()).exit_code == 0);
   fs::remove(f.out + "/a.rgs");
-  write_text(f.out + "/a.rgs.tmp-AbCdEf", "half");
-  write_text(f.out + "/mine.tmp-AbCdEf", "not ours");
+  const std::string state = f.out + "/.rgs-convert.jsonl", other = f.out + "/.rgs-convert-1-of-2.jsonl";
+  const std::string made = read_text(state);
+  write_text(f.out + "/a.rgs.tmp-abcde5", "half");
+  write_text(f.out + "/mine.tmp-abcde5", "not ours");
+  for (const char* name : {"/a.rgs.tmp-AbCdEf", "/a.rgs.tmp-abcdef.gz", "/b.rgs.tmp-backup"})
+    write_text(f.out + name, "not ours");
+  const auto before = names(contents(f.out));
+  const auto begin = [&](const std::string& path, const std::string& earlier) {
+    write_text(path, earlier +
+                         json{{"schema", "rgs-convert-state/1"},
+                              {"output", "a.rgs"},
+                              {"begun", true},
+                              {"input_path", f.in + "/a.ply"}}
+                             .dump() +
+                         "\n");
+  };
+  // Nothing was begun: whose it is nobody knows, and --overwrite is about outputs.
+  CHECK(convert_all(f.command({"--overwrite"})).count("converted") == 2);
+  auto after = before;
+  after.insert("a.rgs");
+  CHECK(names(contents(f.out)) == after);
+  // Begun by a shard that is still at work.
+  fs::remove(f.out + "/a.rgs");
+  begin(other, "");
+  {
+    const int fd = ::open(other.c_str(), O_RDWR | O_CLOEXEC);
+    REQUIRE(fd >= 0);
+    struct flock lock {};
+    lock.l_type = F_WRLCK;
+    lock.l_whence = SEEK_SET;
+    REQUIRE(::fcntl(fd, F_SETLK, &lock) == 0);
+    CHECK(convert_all(f.command()).count("converted") == 1);
+    ::close(fd);
+  }
+  CHECK(names(contents(f.out)) == after);
+  // By one that is gone.
+  fs::remove(f.out + "/a.rgs");
   CHECK(convert_all(f.command()).count("converted") == 1);
-  CHECK(names(contents(f.out)) == std::set<std::string>{"a.rgs", "b.rgs", "mine.tmp-AbCdEf"});
+  after.erase("a.rgs.tmp-abcde5");
+  CHECK(names(contents(f.out)) == after);
+}
+
+TEST_CASE("what one shard has begun is not ended by what another says, in whatever order the states are read") {
+  for (const auto& [begun, ended] : {std::pair("1-of-2", "2-of-2"), std::pair("2-of-2", "1-of-2")}) {
+    const Folders f(1);
+    fs::create_directory(f.out);
+    const auto write = [&](const char* shard, bool is_begun) {
+      write_text(f.out + "/.rgs-convert-" + shard + ".jsonl", json{{"schema", "rgs-convert-state/1"},
+                                                                   {"output", "a.rgs"},
+                                                                   {"begun", is_begun},
+                                                                   {"input_path", f.in + "/a.ply"}}
+                                                                      .dump() +
+                                                                  "\n");
+    };
+    write(begun, true);
+    write(ended, false);
+    write_text(f.out + "/a.rgs", "what was killed has left");
+    CHECK(convert_all(f.command()).count("converted") == 1);
+  }
+}
+
+TEST_CASE("on a terminal --quiet prints no lines") {
+  const Folders f(1);
+  if (run_shell("command -v script").exit_code != 0) return skip("there is no program `script` for a terminal");
+  const auto on_terminal = [&](const std::string& more) {
+    fs::remove_all(f.out);
+    return run_shell("script -qec '" RGS_CONVERT " --no-sync " + f.in + " " + f.out + " --to rgs " + more +
+                     " 2>/dev/null' /dev/null")
+        .out;
+  };
+  CHECK(on_terminal("-q").empty());
+  CHECK(on_terminal("").find("a.ply -> a.rgs: converted") != std::string::npos);
+  CHECK(on_terminal("-q --json").find("\"schema\"") != std::string::npos);
 }
 
 TEST_CASE("a state that is cut off or damaged costs no more than what it no longer says") {
