@@ -223,12 +223,6 @@ Result<StreamedScene> StreamedScene::open(std::unique_ptr<ByteSource> source, co
   });
 }
 
-Result<StreamedScene> StreamedScene::open(const std::string& path_or_url, const StreamOptions& options) {
-  auto source = open_source(path_or_url, options.url);
-  if (!source) return tl::unexpected(source.error());
-  return open(*std::move(source), options);
-}
-
 std::uint64_t StreamedScene::size() const {
   return state_->file->head().header().n_gaussians;
 }
