@@ -74,6 +74,17 @@ bool is_streamed(const Options& options) {
   return options.host_memory || rgs::is_url(options.scene);
 }
 
+// The scene's name as it may be read by others: an address without its user, password, query and fragment.
+std::string shown_scene(const Options& options) {
+  std::string name = options.scene;
+  if (!rgs::is_url(name)) return name;
+  name.resize(std::min(name.find_first_of("?#"), name.size()));
+  const std::size_t host = name.find("//") + 2;
+  const std::size_t at = name.substr(0, name.find('/', host)).rfind('@');
+  if (at != std::string::npos) name.erase(host, at + 1 - host);
+  return name;
+}
+
 double seconds_since(Clock::time_point start) {
   return std::chrono::duration<double>(Clock::now() - start).count();
 }
@@ -298,7 +309,7 @@ nlohmann::json summary(const Options& options, const SceneFacts& scene, const rg
   nlohmann::json all{{"program", "rgs-render"},
                      {"version", RGS_VERSION},
                      {"scene",
-                      {{"file", options.scene},
+                      {{"file", shown_scene(options)},
                        {"bytes", scene.file_bytes},
                        {"gaussians", scene.gaussians},
                        {"sh_degree", scene.sh_degree},
@@ -327,7 +338,7 @@ void print_summary(const Options& options, const SceneFacts& scene, const rgs::R
                           .dump(2, ' ', true, nlohmann::json::error_handler_t::replace);
     tool::print(text + "\n");
   } else if (!options.quiet) {
-    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, {} in {}\n", tool::printable(options.scene),
+    tool::print(fmt::format("{}: {} Gaussians, SH degree {}, {} in {}\n", tool::printable(shown_scene(options)),
                             tool::format_count(scene.gaussians), scene.sh_degree,
                             is_streamed(options) ? "opened" : "loaded", tool::format_seconds(load_seconds)));
     for (const Frame& frame : frames) {
@@ -439,9 +450,9 @@ int render(const Options& options) {
 // A file that cannot be streamed, and what to do with it. Returns an exit code.
 int report_not_streamed(const Options& options, const rgs::Error& error) {
   const bool is_other = error.code == rgs::Errc::missing_section || error.code == rgs::Errc::bad_magic;
-  if (!is_other) return tool::report(options.scene, error);
+  if (!is_other) return tool::report(shown_scene(options), error);
   if (rgs::is_url(options.scene)) {
-    return tool::report(options.scene,
+    return tool::report(shown_scene(options),
                         {rgs::Errc::unsupported_feature, rgs::Error::kNone,
                          "is no .rgs file with levels of detail, which alone are read from a web server: "
                          "download it first"});
@@ -477,7 +488,7 @@ int render_streamed(const Options& options) {
   const auto pool = rgs::StreamPool::create(budget);
   if (!pool) return tool::report("", pool.error());
   auto source = rgs::open_source(options.scene);
-  if (!source) return tool::report(options.scene, source.error());
+  if (!source) return tool::report(shown_scene(options), source.error());
   const std::uint64_t file_bytes = (*source)->size();
   const auto scene = rgs::StreamedScene::open(*std::move(source), {.pool = *pool, .limits = options.limits});
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
@@ -539,7 +550,7 @@ int render_streamed(const Options& options) {
   print_summary(options, facts, *renderer, frames, load_seconds, first_frame_ms, seconds_since(start));
   if (const rgs::Status status = scene->status(); !status && options.realtime && !options.quiet)
     tool::print_error(
-        fmt::format("rgs-render: {}: {}\n", tool::printable(options.scene), tool::describe(status.error())));
+        fmt::format("rgs-render: {}: {}\n", tool::printable(shown_scene(options)), tool::describe(status.error())));
   return is_complete ? tool::kSuccess : tool::kIncomplete;
 }
 

@@ -99,6 +99,17 @@ def no_ranges(r):
     r.answer(200)
 
 
+def no_ranges_broken(r):
+    """The first ones break off; the file then `grows`."""
+    with lock:
+        counts["broken", r.address] += 1
+        is_broken = counts["broken", r.address] <= int(r.options["breaks"])
+    r.begin, r.end = 0, r.file.size + (0 if is_broken else int(r.options.get("grows", 0)))
+    body = r.body()
+    r.head(200, length=len(body))
+    r.send(body[:len(body) // 2] if is_broken else body)
+
+
 def no_ranges_chunked(r):
     data = r.file.bytes(0, r.file.size)
     r.head(200, more=["Transfer-Encoding: chunked"])

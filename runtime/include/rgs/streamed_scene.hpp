@@ -23,7 +23,8 @@ struct StreamedState;
 
 struct StreamPoolOptions {
   /// Most that all its scenes hold in the host's memory at any time, bytes: tables of pages, bytes that are read and decoded, and, for the
-  /// CPU renderer, pages that are there (236 bytes a Gaussian at SH degree 3).
+  /// CPU renderer, pages that are there (236 bytes a Gaussian at SH degree 3). What a ByteSource holds of its own comes on top: of
+  /// open_url_source() 64 KiB and as much for each of UrlOptions::reads_at_once, besides connections.
   std::uint64_t host_memory = std::uint64_t{2} << 30;
 };
 
@@ -52,8 +53,9 @@ struct StreamOptions {
 /// What a streamed scene has done since it was opened, and what is there now.
 struct StreamStats {
   std::uint64_t pages_resident = 0;
-  std::uint64_t pages_missing = 0;   ///< that the view wants and are not there; damaged ones too
-  std::uint64_t bytes_read = 0;      ///< from disk or network, tables included
+  std::uint64_t pages_missing =
+      0;                         ///< that the view wants and are not drawn, since they are not there; damaged ones too
+  std::uint64_t bytes_read = 0;  ///< from disk or network, tables included
   std::uint64_t bytes_decoded = 0;   ///< of pages as a GPU reads them
   std::uint64_t bytes_uploaded = 0;  ///< to a device
   std::uint64_t bytes_evicted = 0;   ///< of decoded pages that gave room to others

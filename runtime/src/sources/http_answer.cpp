@@ -160,7 +160,7 @@ Result<FilePin> FilePin::of(const HttpAnswer& answer, std::uint64_t n) {
   return pin;
 }
 
-Status FilePin::check(const HttpAnswer& answer, std::uint64_t begin, std::uint64_t end) const {
+Status FilePin::check(const HttpAnswer& answer, std::uint64_t begin, std::uint64_t end, bool whole) const {
   const auto failed = [&](const char* what) { return make_error(Errc::read_failed, begin, what); };
   const bool success = answer.status_ == 200 || answer.status_ == 206;
   if (!success && answer.status_ != 416) return status_error(Errc::read_failed, begin, answer.status_);
@@ -174,8 +174,13 @@ Status FilePin::check(const HttpAnswer& answer, std::uint64_t begin, std::uint64
   if ((tags && *etag != *answer.etag_) || (times && *modified != *answer.modified_)) return failed(kChanged);
   if ((etag || modified) && !tags && !times)
     return failed("the server no longer says which version of the file it sends");
-  if (answer.status_ == 200) return status_error(Errc::read_failed, begin, 200);
+  if (answer.status_ == 200 && !whole) return status_error(Errc::read_failed, begin, 200);
   if (answer.encoded_) return failed(kEncoded);
+  if (answer.status_ == 200) {
+    if (!answer.length_) return status_error(Errc::read_failed, begin, 200);
+    if (*answer.length_ != size) return make_error(Errc::read_failed, begin, kChanged, size, *answer.length_);
+    return {};
+  }
   if (!answer.range_ || !answer.range_->satisfied || !answer.range_->total || answer.range_->first != begin ||
       answer.range_->last != end - 1) {
     return failed(kOtherRange);

@@ -53,8 +53,8 @@ struct FilePin {
   /// From the answer to a request for the first `n` bytes. It may be of the whole file (200) if it has no more than these.
   /// Errors: open_failed, with the status in Error::found if it is not that of success.
   static Result<FilePin> of(const HttpAnswer& answer, std::uint64_t n);
-  /// read_failed unless the answer has the bytes [begin, end) of this very file.
-  Status check(const HttpAnswer& answer, std::uint64_t begin, std::uint64_t end) const;
+  /// read_failed unless the answer has the bytes [begin, end) of this very file; `whole`: or, as 200, all of its bytes.
+  Status check(const HttpAnswer& answer, std::uint64_t begin, std::uint64_t end, bool whole = false) const;
 };
 
 }  // namespace rgs::detail

@@ -117,10 +117,11 @@ bool may_pass(CURLcode code) {
 struct Request {
   std::uint64_t offset = 0;
   std::span<std::byte> out;
-  bool opens = false;  // the first of all: it pins the file
-  std::size_t done = 0;
-  int failures = 0;        // in a row without a byte
-  bool at_origin = false;  // ask where redirects began
+  bool opens = false;                   // the first of all: it pins the file
+  bool may_be_whole = false;            // an answer of the whole file will do, which is no more than what was asked for
+  std::size_t done = 0, most_done = 0;  // bytes; of all attempts but the last
+  int failures = 0;                     // in a row without a byte more
+  bool at_origin = false;               // ask where redirects began
   bool over_new_connection = false;
   Clock::time_point not_before{};
   Request* next = nullptr;  // in the queue
@@ -138,7 +139,6 @@ struct Slot {
   Clock::time_point deadline;
   std::string url;
   int redirects = 0;
-  std::size_t done_before = 0;  // bytes of the request that earlier attempts have brought
   // Of the answer.
   detail::HttpAnswer answer;
   std::size_t head_bytes = 0;
@@ -185,13 +185,16 @@ std::size_t on_head(char* data, std::size_t, std::size_t n, void* user) {
     if (pin) {
       *slot.pin = *pin;
       request.opens = false;
+      request.may_be_whole = slot.answer.status() == 200;
       request.out = request.out.first(static_cast<std::size_t>(std::min<std::uint64_t>(pin->size, request.out.size())));
     } else {
       slot.refusal = pin.error();
     }
   } else {
-    const Status s = slot.pin->check(slot.answer, request.offset + request.done, request.offset + request.out.size());
+    const Status s = slot.pin->check(slot.answer, request.offset + request.done, request.offset + request.out.size(),
+                                     request.may_be_whole);
     if (!s) slot.refusal = s.error();
+    if (s && slot.answer.status() == 200) request.done = 0;  // all of it comes from one answer
   }
   slot.accepted = !slot.refusal;
   return slot.accepted && slot.answer.status() < 300 ? n : 0;  // an empty file has status 416
@@ -325,6 +328,10 @@ class UrlSource final : public ByteSource {
     set(CURLOPT_HEADERDATA, &slot);
     set(CURLOPT_WRITEFUNCTION, &on_body);
     set(CURLOPT_WRITEDATA, &slot);
+#if LIBCURL_VERSION_NUM >= 0x075700
+    // A name that is being looked up keeps nobody who ends the source. The library may be older than its header.
+    ::curl_easy_setopt(slot.easy.get(), CURLOPT_QUICK_EXIT, 1L);
+#endif
     return done ? Status{} : detail::out_of_memory();
   }
 
@@ -433,7 +440,6 @@ class UrlSource final : public ByteSource {
   Status start(Slot& slot) {
     const Request& request = *slot.request;
     CURL* easy = slot.easy.get();
-    slot.done_before = request.done;
     const std::string range =
         std::to_string(request.offset + request.done) + "-" + std::to_string(request.offset + request.out.size() - 1);
     // For another stream of one connection it pays to wait until it stands; HTTP/1 has no streams.
@@ -528,7 +534,8 @@ class UrlSource final : public ByteSource {
   // Puts the request off, or gives it up.
   Status retry(Slot& slot, const Error& error, double least_seconds) {
     Request& request = *slot.request;
-    if (request.done > slot.done_before) request.failures = 0;
+    if (request.done > request.most_done) request.failures = 0;
+    request.most_done = std::max(request.most_done, request.done);
     if (request.failures >= options_.retries) return tl::unexpected(error);
     // Not all that failed together come back together.
     const double jitter = std::uniform_real_distribution<double>(0.75, 1)(random_);

@@ -24,8 +24,11 @@ Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
     begin = read_end = file_.stored(page).offset;
     for (std::uint32_t next = page; next < end; ++next) {
       const StoredPage& stored = file_.stored(next);
-      if (stored.offset + stored.stored_bytes - begin > capacity_) break;
-      read_end = stored.offset + stored.stored_bytes;
+      const std::uint64_t end_of_page = stored.offset + stored.stored_bytes;
+      if (end_of_page - begin > capacity_) break;
+      // Where the end of the file is missing, what is before it is there.
+      if (next > page && end_of_page > source_.size()) break;
+      read_end = end_of_page;
     }
   }
   if (read_end == begin) {

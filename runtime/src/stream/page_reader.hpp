@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <mutex>
 #include <shared_mutex>
 #include <utility>
 
@@ -15,10 +16,30 @@
 
 namespace rgs::detail {
 
+/// Of a table of pages. Who waits for it alone keeps others from taking it: threads that decode one page after the other would never
+/// let go of it all at once.
+class TableMutex {
+ public:
+  void lock() {
+    const std::scoped_lock next(turn_);
+    table_.lock();
+  }
+  void unlock() { table_.unlock(); }
+  void lock_shared() {
+    const std::scoped_lock next(turn_);
+    table_.lock_shared();
+  }
+  void unlock_shared() { table_.unlock_shared(); }
+
+ private:
+  std::mutex turn_;
+  std::shared_mutex table_;
+};
+
 class PageReader {
  public:
   /// `read_bytes`: of one read, at least least_bytes(file). `table` guards the file's table of pages, which may grow. All must outlive it.
-  PageReader(const PagedFile& file, std::shared_mutex& table, ByteSource& source, std::uint64_t read_bytes)
+  PageReader(const PagedFile& file, TableMutex& table, ByteSource& source, std::uint64_t read_bytes)
       : file_(file),
         table_(table),
         source_(source),
@@ -51,7 +72,7 @@ class PageReader {
   Result<std::unique_ptr<float[]>> decode(std::uint32_t page);
 
   const PagedFile& file_;
-  std::shared_mutex& table_;
+  TableMutex& table_;
   ByteSource& source_;
   std::unique_ptr<std::byte[]> stored_;  // bytes begin_ .. end_ - 1 of the file
   std::uint64_t capacity_, begin_ = 0, end_ = 0, bytes_read_ = 0;

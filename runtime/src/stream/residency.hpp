@@ -89,14 +89,15 @@ class Residency {
   struct Cut {
     bool fits = true;  ///< draw() took all
     std::uint64_t gaussians = 0;
-    std::uint64_t missing = 0;  ///< pages that the view wants and are not there
+    std::uint64_t missing =
+        0;  ///< pages that the view wants and are not drawn, since they are not there or `eye` wants less
     std::uint64_t damaged = 0;  ///< of these, refused, or never to be known
     double reached_px = 0;      ///< largest projected error
   };
   /// Calls draw(page), until it says false, and want(group, px) for what is absent. Pages that cannot show are left out. `tick`: the time,
-  /// for last_used().
+  /// for last_used(). `asked_px`: the detail that missing pages are counted by, at most that of `eye`.
   template <class Draw, class Want>
-  Cut cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want);
+  Cut cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want, float asked_px);
 
   /// What a view sees of a group: the error of its page in pixels where the page is in view and not fine enough, else 0.
   float wanted_px(std::uint32_t group, const StreamEye& eye) const;
@@ -143,7 +144,8 @@ void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
 }
 
 template <class Draw, class Want>
-Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want) {
+Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want,
+                              float asked_px) {
   Cut cut;
   std::uint32_t i = 0;
   for (;;) {
@@ -163,10 +165,10 @@ Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Dr
       const float px = error_px(page, footprint);
       cut.gaussians += page.count;
       cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
-      if (!is_fine) {
+      if (page.n_children > 0 && !lod::is_fine_enough(page.error, asked_px, footprint)) {
         cut.missing += page.n_children;
         if (groups_[i].state == State::refused || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
-        if (groups_[i].state == State::absent) want(i, px);
+        if (!is_fine && groups_[i].state == State::absent) want(i, px);
       }
     }
     // The next in the order of leaves that is not below this one.

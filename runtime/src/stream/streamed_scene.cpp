@@ -97,6 +97,7 @@ Status StreamedState::make_room_for_pages() {
   if (Status taken = take(Residency::bytes(n_pages) + n_pages * sizeof(blocks[0])); !taken) return taken;
   residency.emplace(file->pages(), n_pages);
   blocks.resize(n_pages);
+  put_offs.reserve(PutOff::kMost);
   const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
   std::uint64_t read_bytes = std::max(least, traits.most_bytes);
   auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
@@ -173,7 +174,7 @@ StreamedState::~StreamedState() {
   // Others may use the room as soon as the lock is gone: nothing is left in it by then.
   std::uint64_t given = bytes;
   for (const auto& view : views) {
-    given += view->bytes;
+    given += view->bytes + view->lists.bytes;
     if (pool->last_view == view.get()) pool->last_view = nullptr;
   }
   for (std::uint32_t group = 0; residency && group < residency->n_groups(); ++group) {
@@ -220,12 +221,6 @@ Result<StreamedScene> StreamedScene::open(std::unique_ptr<ByteSource> source, co
     if (!state) return tl::unexpected(state.error());
     return StreamedScene(*std::move(state));
   });
-}
-
-Result<StreamedScene> StreamedScene::open(const std::string& path_or_url, const StreamOptions& options) {
-  auto source = open_source(path_or_url, options.url);
-  if (!source) return tl::unexpected(source.error());
-  return open(*std::move(source), options);
 }
 
 std::uint64_t StreamedScene::size() const {

@@ -26,7 +26,7 @@ constexpr std::size_t kFirstDrawn = 256;  // pages
 constexpr std::uint64_t kAllocationBytes = 32;
 /// A large one is whole pages of the system's.
 constexpr std::uint64_t kLargeBlock = 64 << 10, kSystemPage = 4096;
-constexpr int kLastingTrouble = 3;  // reads that failed one after the other
+constexpr std::uint64_t kLastingTrouble = 3;  // reads that failed one after the other
 
 bool is_more(const WantList::Want& a, const WantList::Want& b) {
   return a.px > b.px;
@@ -45,8 +45,17 @@ std::uint64_t view_bytes() {
   return sizeof(StreamView) + 2 * WantList::kMost * sizeof(WantList::Want) + 4 * kAllocationBytes;
 }
 
-// Where a camera is after `ahead` times the motion from `before` to `now`.
-Camera moved_on(const Camera& before, const Camera& now, double ahead) {
+double extent(const Box& box) {
+  double squared = 0;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double side = static_cast<double>(box.max[k]) - static_cast<double>(box.min[k]);
+    squared += side * side;
+  }
+  return std::sqrt(squared);
+}
+
+// Where a camera is after `ahead` times the motion from `before` to `now`, at most `farthest` away.
+Camera moved_on(const Camera& before, const Camera& now, double ahead, double farthest) {
   const glm::dmat4 a = glm::inverse(before.world_to_camera), b = glm::inverse(now.world_to_camera);
   const glm::dvec3 from(a[3]), to(b[3]);
   const glm::dquat turn = glm::normalize(glm::quat_cast(glm::dmat3(b)) * glm::inverse(glm::quat_cast(glm::dmat3(a))));
@@ -56,7 +65,9 @@ Camera moved_on(const Camera& before, const Camera& now, double ahead) {
   glm::dmat3 rotation(b);
   if (sine > 1e-12) rotation = glm::mat3_cast(glm::angleAxis(angle, axis / sine)) * rotation;
   glm::dmat4 to_world(rotation);
-  to_world[3] = glm::dvec4(to + (to - from) * ahead, 1);
+  glm::dvec3 way = (to - from) * ahead;
+  if (const double length = glm::length(way); length > farthest) way *= farthest / length;
+  to_world[3] = glm::dvec4(to + way, 1);
   Camera camera = now;
   camera.world_to_camera = glm::inverse(to_world);
   return camera;
@@ -163,7 +174,7 @@ void StreamedState::look_at_clock(StreamClock::time_point now) {
 
 void StreamedState::forget_old_views() {
   std::erase_if(views, [&](const std::unique_ptr<StreamView>& view) {
-    if (!view->is_live) pool->give(view->bytes);
+    if (!view->is_live) pool->give(view->bytes + view->lists.bytes);
     return !view->is_live;
   });
 }
@@ -193,15 +204,18 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
     view->bytes = view_bytes();
     view->renderer = renderer;
   } else if (!is_same(*view->now, eye)) {
-    const double seconds = std::chrono::duration<double>(now - view->seen).count();
+    const double seconds = std::chrono::duration<double>(now - view->came).count();
     view->soon.reset();
     if (prefetches && seconds > 0 && seconds < kMotionSeconds) {
-      view->soon = rule.eye(moved_on(view->camera, camera, kAheadSeconds / seconds));
+      view->soon = rule.eye(moved_on(view->camera, camera, kAheadSeconds / seconds, extent(file->pages()[0].bounds)));
     }
+    view->is_refined = false;
     is_new = true;
-  } else {
-    view->soon.reset();
+  } else if (!view->is_refined) {
+    view->soon.reset();  // it stands
   }
+  if (!view->is_refined) view->came = now;
+  view->is_refined = false;
   view->camera = camera;
   view->now = eye;
   view->seen = now;
@@ -212,38 +226,53 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
   return view;
 }
 
-// Room for twice as many pages in a view's lists.
-bool StreamedState::grow_lists(StreamView& view) {
-  const std::size_t before = view.drawn.capacity(), n = std::max(2 * before, kFirstDrawn);
+Status StreamedState::need(DrawLists& lists) {
+  if (lists.pages.capacity() > 0 || grow(lists)) return {};
+  return make_error(Errc::limit_exceeded, Error::kNone, "the memory budget has no room for a view's lists of pages",
+                    pool->held + list_bytes(kFirstDrawn), pool->budget);
+}
+
+// Room for twice as many pages.
+bool StreamedState::grow(DrawLists& lists) {
+  const std::size_t n = std::max(2 * lists.pages.capacity(), kFirstDrawn);
   if (pool->take(list_bytes(n), kNeeded) != StreamPoolState::Room::taken) return false;
-  const std::uint64_t old = before == 0 ? 0 : list_bytes(before);
-  view.bytes += list_bytes(n);
-  view.drawn = decltype(view.drawn)(), view.parts = decltype(view.parts)();
-  view.bytes -= old, pool->give(old);
-  view.drawn.reserve(n), view.parts.reserve(n);
+  free(lists);
+  lists.bytes = list_bytes(n);
+  lists.pages.reserve(n), lists.parts.reserve(n);
   return true;
 }
 
-Residency::Cut StreamedState::cut(StreamView& view, bool draws) {
+void StreamedState::free(DrawLists& lists) {
+  const std::uint64_t n = lists.bytes;
+  lists = DrawLists();
+  pool->give(n);
+}
+
+Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
   StreamEye eye = *view.now;
   for (;;) {
     ++pool->tick;
     view.wants.clear();
-    view.drawn.clear();
+    if (lists != nullptr) lists->pages.clear();
     const auto draw = [&](std::uint32_t page) {
-      if (!draws) return true;
-      if (view.drawn.size() == view.drawn.capacity()) return false;
-      view.drawn.push_back(page);
+      if (lists == nullptr) return true;
+      if (lists->pages.size() == lists->pages.capacity()) return false;
+      lists->pages.push_back(page);
       return true;
     };
-    const Residency::Cut cut =
-        residency->cut(eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, px); });
+    const Residency::Cut cut = residency->cut(
+        eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, px); }, view.now->detail_px);
     if (cut.fits) {
       view.wants.order();
       return cut;
     }
-    // Where not even the list of pages fits, the picture is coarser. One page fits.
-    if (!grow_lists(view)) eye.detail_px = std::max(2 * eye.detail_px, 1.0F);
+    if (grow(*lists)) continue;
+    // Where not even the list of pages fits, the picture is coarser. One page fits, or there is no list at all.
+    if (lists->pages.capacity() == 0) {
+      lists = nullptr;
+    } else {
+      eye.detail_px = std::max(2 * eye.detail_px, 1.0F);
+    }
   }
 }
 
@@ -259,24 +288,21 @@ Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std
   const std::scoped_lock lock(s.pool->mutex);
   const auto view = s.post(renderer, camera, rule);
   if (!view) return tl::unexpected(view.error());
-  if ((*view)->drawn.capacity() == 0 && !s.grow_lists(**view)) {
-    return make_error(Errc::limit_exceeded, Error::kNone, "the memory budget has no room for a view's lists of pages",
-                      s.pool->held + list_bytes(kFirstDrawn), s.pool->budget);
-  }
+  DrawLists& lists = (*view)->lists;
+  if (Status there = s.need(lists); !there) return tl::unexpected(there.error());
   StreamFrame frame;
-  frame.cut_ = s.cut(**view, true);
-  const std::vector<std::uint32_t>& drawn = (*view)->drawn;
-  std::vector<ScenePart>& parts = (*view)->parts;
-  parts.clear();
-  for (const std::uint32_t page : drawn) {
+  frame.cut_ = s.cut(**view, &lists);
+  lists.parts.clear();
+  for (const std::uint32_t page : lists.pages) {
     const std::uint64_t n = s.file->pages()[page].count;
     const SplatArrays a(s.blocks[page].get(), n, s.file->head().header().sh_degree);
-    parts.push_back({n, a.mean, a.rotation, a.scale, a.opacity, a.sh});
+    lists.parts.push_back({n, a.mean, a.rotation, a.scale, a.opacity, a.sh});
   }
   s.stats.pages_missing = frame.cut_.missing;
   s.stats.detail_reached_px = frame.cut_.reached_px;
   frame.stats_ = s.stats_now();
-  s.residency->pin(drawn);
+  s.residency->pin(lists.pages);
+  frame.lists_ = std::exchange(lists, {});
   ++(*view)->n_busy;
   frame.view_ = *view;
   frame.state_ = std::move(state);
@@ -286,7 +312,10 @@ Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std
 StreamFrame::~StreamFrame() {
   if (state_ == nullptr) return;
   const std::scoped_lock lock(state_->pool->mutex);
-  state_->residency->unpin(view_->drawn);
+  state_->residency->unpin(lists_.pages);
+  // Another frame of the view may have made lists of its own.
+  if (view_->lists.pages.capacity() < lists_.pages.capacity()) std::swap(view_->lists, lists_);
+  state_->free(lists_);
   view_->seen = StreamClock::now();
   --view_->n_busy;
   if (std::exchange(state_->pool->waits_for_pins, false)) state_->pool->changed();
@@ -302,19 +331,26 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
   const auto posted = s.post(renderer, camera, rule);
   if (!posted) return tl::unexpected(posted.error());
   StreamView& view = **posted;
+  if (Status there = s.need(view.lists); !there) return tl::unexpected(there.error());
+  view.is_refined = true;
   ++view.n_busy, ++s.n_waiting;
+  s.hurry();
   struct Waiter {
     StreamedState& scene;
     StreamView& view;
     ~Waiter() {
       view.seen = StreamClock::now();
       --view.n_busy, --scene.n_waiting;
-      scene.work.notify_one();  // what is about to be seen has waited
+      if (scene.n_waiting == 0) scene.pool->changed();  // what is about to be seen has waited
     }
   } waiter{s, view};
+  const std::uint64_t n_failed_before = s.n_failed;
+  const auto n_failures = [&] {
+    return std::min(static_cast<std::uint64_t>(s.n_failures), s.n_failed - n_failed_before);
+  };
   for (;;) {
     // Its lists too: the frame that follows shall need no more room.
-    const Residency::Cut cut = s.cut(view, true);
+    const Residency::Cut cut = s.cut(view, &view.lists);
     s.stats.pages_missing = cut.missing;
     s.stats.detail_reached_px = cut.reached_px;
     // Before the hash of its table is compared nobody knows that the view is right.
@@ -323,12 +359,12 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
     const bool is_late = StreamClock::now() >= deadline;
-    const bool is_failing = s.n_failures >= (is_late ? 1 : kLastingTrouble);
+    const bool is_failing = n_failures() >= (is_late ? 1 : kLastingTrouble);
     if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(s.trouble.error());
-    if (cut.damaged > 0 && (is_settled() || is_late)) return tl::unexpected(s.damage.error());
+    if (cut.damaged > 0 && (is_settled() || is_late || is_failing)) return tl::unexpected(s.damage.error());
     if (is_settled() || is_late) return false;
     s.pool->news.wait_until(lock, deadline, [&] {
-      if (is_settled() || s.n_failures >= kLastingTrouble) return true;
+      if (is_settled() || n_failures() >= kLastingTrouble) return true;
       if (cut.missing == 0) return !s.can_extend();
       view.wants.tidy(*s.residency);
       return view.wants.wants().empty() && s.residency->n_resident() != n_resident;

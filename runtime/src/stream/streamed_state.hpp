@@ -9,7 +9,6 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
-#include <shared_mutex>
 #include <span>
 #include <thread>
 #include <vector>
@@ -68,11 +67,31 @@ struct StreamRule {
   }
 };
 
+/// What a frame draws. Of the view between frames, of the frame while it is at work.
+struct DrawLists {
+  std::vector<std::uint32_t> pages;
+  std::vector<ScenePart> parts;
+  std::uint64_t bytes = 0;  ///< taken from the pool
+};
+
+/// A group that could not be read, and is read again later and alone: what was read along may be what cannot be.
+struct PutOff {
+  std::uint32_t group;  // kTable: what follows of the table
+  int n = 0;            // times
+  StreamClock::time_point until;
+
+  static constexpr std::uint32_t kTable = lod::kNoPage;
+  static constexpr std::size_t kMost = 64;
+};
+
 /// What one renderer sees of a scene.
 struct StreamView {
   std::uint64_t renderer = 0;
   Camera camera;
-  StreamClock::time_point seen;  ///< when that camera came
+  StreamClock::time_point
+      came;  ///< when that camera was last asked for, a refine() and the frame that follows being one
+  StreamClock::time_point seen;  ///< when that was, or ended
+  bool is_refined = false;       ///< that camera has come with a refine(), and no frame since
   std::optional<StreamEye> now;
   std::optional<StreamEye> soon;  ///< where the camera is about to be
   WantList wants, soon_wants;
@@ -80,9 +99,8 @@ struct StreamView {
   std::size_t next_want = 0;   ///< of either list, while one is chosen
   int n_busy = 0;              ///< frames at work, and callers that wait
   bool is_live = true;         ///< counts: see StreamedState::look_at_clock()
-  std::vector<std::uint32_t> drawn;
-  std::vector<ScenePart> parts;
-  std::uint64_t bytes = 0;  ///< taken from the pool
+  DrawLists lists;             ///< empty while a frame has them
+  std::uint64_t bytes = 0;     ///< taken from the pool, but for lists
 };
 
 struct StreamedState {
@@ -94,8 +112,8 @@ struct StreamedState {
   // Set by open(), then constant.
   std::shared_ptr<StreamPoolState> pool;
   std::unique_ptr<ByteSource> source;
-  std::optional<PagedFile> file;  // more of its table comes with both pool->mutex and `table`
-  std::shared_mutex table;
+  std::optional<PagedFile> file;  // more of its table comes with both `table` and pool->mutex, locked in this order
+  TableMutex table;
   std::optional<Declarations> declarations;
   bool prefetches = true;
   ByteSource::Traits traits;
@@ -108,10 +126,12 @@ struct StreamedState {
   std::condition_variable work;  // for threads that read: `pool->changes` grew
   Status damage, trouble;        // of a page; of reading, while it lasts
   StreamClock::time_point retry_at{};
-  int n_failures = 0;         // reads, one after the other
-  int n_at_work = 0;          // threads that read or decode
-  int n_waiting = 0;          // callers that wait for a view
-  bool is_extending = false;  // a thread reads more of the table
+  int n_failures = 0;  // reads, one after the other; those that began before the last of them failed are part of it
+  std::uint64_t n_failed = 0;    // the same, never less
+  std::vector<PutOff> put_offs;  // at most PutOff::kMost
+  int n_at_work = 0;             // threads that read or decode
+  int n_waiting = 0;             // callers that wait for a view
+  bool is_extending = false;     // a thread reads more of the table
   bool is_stopping = false;
   /// Value of pool->changes when the threads last found nothing that they could do.
   std::uint64_t settled_at = 0;
@@ -144,16 +164,19 @@ struct StreamedState {
   void forget_old_views();
   /// The renderer's view, of this camera from now on. Errors: limit_exceeded.
   Result<StreamView*> post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule);
-  bool grow_lists(StreamView& view);
-  /// What the view draws; fills its lists of wants, and of pages if `draws`.
-  Residency::Cut cut(StreamView& view, bool draws);
+  bool grow(DrawLists& lists);
+  Status need(DrawLists& lists);  // room for some. Errors: limit_exceeded
+  void free(DrawLists& lists);
+  /// What the view draws; fills its lists of wants, and `lists` with pages unless null.
+  Residency::Cut cut(StreamView& view, DrawLists* lists);
   StreamStats stats_now() const;
   Status status() const { return damage ? trouble : damage; }
 
   // Threads that read. All but fetch() and work_until_stopped() with the lock.
   struct Run {
-    std::uint32_t first = 0, n = 0;  // groups, one after the other
-    std::uint64_t table_bytes = 0;   // Choice::table
+    std::uint32_t first = 0, n = 0;                                  // groups, one after the other
+    std::uint64_t table_bytes = 0;                                   // Choice::table
+    StreamClock::time_point later = StreamClock::time_point::max();  // when what was put off is due
   };
   enum class Choice : std::uint8_t {
     run,
@@ -161,15 +184,22 @@ struct StreamedState {
     nothing,  // is missing
     no_room,  // for what is missing
     pinned,   // is what would give it room
-    later,    // reading failed
+    later,    // reading failed; nothing else can be done
   };
   Choice choose(Run& run);
   Choice choose_among(bool now, Run& run);
   void extend(Run& run, const Worth& best);
   void placed(std::uint32_t group);
-  void fetch(PageReader& reader, const Run& run);
-  void extend_table(PageReader& reader, std::uint64_t n);
-  void fail(const Status& read);
+  void fetch(PageReader& reader, const Run& run, std::uint64_t begun);
+  void extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun);
+  /// `begun`: n_failed when the read began.
+  void fail(const Status& read, std::uint64_t begun);
+  void succeed(std::uint32_t group);
+  StreamClock::duration pause(int n_before) const;
+  void put_off(std::uint32_t group);
+  bool was_put_off(std::uint32_t group) const;
+  bool is_put_off(std::uint32_t group, Run& run) const;
+  void hurry();             ///< A caller waits.
   bool can_extend() const;  ///< the table
   void work_until_stopped(PageReader& reader);
 };
@@ -184,7 +214,7 @@ class StreamFrame {
   StreamFrame& operator=(StreamFrame&&) = delete;
   ~StreamFrame();
 
-  std::span<const ScenePart> parts() const { return view_->parts; }
+  std::span<const ScenePart> parts() const { return lists_.parts; }
   const Residency::Cut& cut() const { return cut_; }
   const StreamStats& stats() const { return stats_; }
 
@@ -192,6 +222,7 @@ class StreamFrame {
   StreamFrame() = default;
   std::shared_ptr<StreamedState> state_;  // null after a move
   StreamView* view_ = nullptr;
+  DrawLists lists_;  // its pages are pinned
   Residency::Cut cut_;
   StreamStats stats_;
 };

@@ -179,6 +179,14 @@ TEST_CASE("a server that cannot do ranges is an error, unless the file is small"
   const auto small = open_url_source(server.url("/no-ranges?size=1000"), quick());
   REQUIRE(small);
   CHECK(reads_right(**small, 0, 1000));
+  // It breaks off, and comes whole again: from its first byte. For ever it may not.
+  const auto broken = open_url_source(server.url("/no-ranges-broken?size=1000&breaks=1&etag=a"), quick());
+  REQUIRE(broken);
+  CHECK(reads_right(**broken, 0, 1000));
+  CHECK_FALSE(open_url_source(server.url("/no-ranges-broken?size=1000&breaks=1000"), quick()));
+  CHECK(server.requests("/no-ranges-broken?size=1000&breaks=1000 ") == 2);
+  // Another file, of another length, is none of it.
+  CHECK_FALSE(open_url_source(server.url("/no-ranges-broken?size=1000&grows=1&breaks=1"), quick()));
   // Ranges that end in the middle.
   const Outcome later = read_from(server.url("/no-ranges?from=2"));
   CHECK(later.opened);

@@ -74,6 +74,8 @@ struct Script {
   std::atomic<int> delay_us{0};                         ///< of each read
   std::atomic<int> fails_every{0};                      ///< n: each n-th read is read_failed
   std::atomic<bool> fails{false};                       ///< all reads are
+  std::atomic<int> fails_next{0};                       ///< so many reads are
+  std::atomic<std::uint64_t> gone_from{0}, gone_to{0};  ///< bytes that cannot be read
   std::atomic<bool> is_shut{false};                     ///< reads wait
   std::atomic<std::uint64_t> flip_from{0}, flip_to{0};  ///< bytes that come flipped
   std::atomic<bool> flips_once{false};                  ///< only the first read of them
@@ -123,6 +125,12 @@ class ScriptedSource final : public ByteSource {
     if (s.delay_us > 0) std::this_thread::sleep_for(std::chrono::microseconds(s.delay_us));
     if (s.fails || (s.fails_every > 0 && number % s.fails_every == 0))
       return make_error(Errc::read_failed, offset, "the test's source fails");
+    for (int n = s.fails_next; n > 0;) {
+      if (s.fails_next.compare_exchange_weak(n, n - 1))
+        return make_error(Errc::read_failed, offset, "the test's source fails a few times");
+    }
+    if (offset < s.gone_to && offset + out.size() > s.gone_from)
+      return make_error(Errc::read_failed, offset, "the test's source has lost a range");
     if (offset > bytes_.size() || out.size() > bytes_.size() - offset)
       return make_error(Errc::read_failed, offset, "beyond the end");
     std::copy_n(bytes_.begin() + static_cast<std::ptrdiff_t>(offset), out.size(), out.begin());

@@ -538,4 +538,21 @@ TEST_CASE("of a file whose end is missing what is there is drawn, and status() s
   CHECK(frame.stats.stream.pages_missing > 0);
   CHECK(!scene.status());
   CHECK(renderer.refine(scene, camera, kLong, at_detail(100)) == true);
+  // All that is there: the children of every page that are whole, where those above are.
+  const Camera over = camera_at({0, 60, 120}, {0, 0, 0});
+  for (const double share : {0.3, 0.7, 0.95}) {
+    CAPTURE(share);
+    const auto cut = static_cast<std::uint32_t>(share * file->n_pages());
+    const Bytes prefix(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(file->stored(cut).offset + 1));
+    std::vector<char> is_there(file->n_pages(), 0);
+    is_there[0] = 1;
+    for (std::uint32_t page = 0; page < file->n_pages(); ++page) {
+      const lod::Page& above = file->pages()[page];
+      if (above.n_children == 0 || is_there[page] == 0 || above.first_child + above.n_children > cut) continue;
+      std::fill_n(is_there.begin() + above.first_child, above.n_children, char{1});
+    }
+    const StreamedScene part = streamed(prefix);
+    CHECK(!renderer.refine(part, over, kLong, at_detail(0)));
+    CHECK(part.stats().pages_resident == static_cast<std::uint64_t>(std::ranges::count(is_there, char{1})));
+  }
 }

@@ -586,6 +586,15 @@ TEST_CASE("what cannot be streamed is refused with what to do") {
 }
 
 #if defined(RGS_TEST_HTTP)
+TEST_CASE("an address is said without its user, its password and its query") {
+  const StreamStage stage;
+  const Outcome run = stage.run("'http://user:hidden@127.0.0.1:1/a.rgs?key=hidden#hidden' --out @x.png");
+  CHECK(run.code == 3);
+  CAPTURE(run.out);
+  CHECK(run.out.find("http://127.0.0.1:1/a.rgs") != std::string::npos);
+  CHECK(run.out.find("hidden") == std::string::npos);
+}
+
 TEST_CASE("the address of a file on a web server is drawn as the file is, and other formats are not") {
   if (!rgs::test::Nginx::is_installed()) {
     rgs::test::skip_without_tool(std::string("there is no ") + rgs::test::Nginx::kProgram);

@@ -1,0 +1,211 @@
+// streamed_state_test.cpp - frames that are held open, lists that find no room, failures that are one, and cameras that move on.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <chrono>
+#include <future>
+#include <thread>
+
+#include "render_options.hpp"
+#include "stream/streamed_state.hpp"
+#include "streamed_fixture.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+using namespace std::chrono_literals;
+using detail::StreamedState;
+using detail::StreamFrame;
+
+namespace {
+
+constexpr double kLong = 60;  // seconds, that no test takes
+
+struct Opened {
+  std::shared_ptr<detail::StreamPoolState> pool;
+  std::shared_ptr<Script> script = std::make_shared<Script>();
+  std::shared_ptr<StreamedState> state;
+
+  explicit Opened(const Bytes& bytes, bool prefetch = false, int reads_at_once = 3, std::uint64_t most_bytes = 64 << 10)
+      : pool(std::make_shared<detail::StreamPoolState>(std::uint64_t{1} << 30)) {
+    StreamOptions options;
+    options.prefetch = prefetch;
+    const ByteSource::Traits traits{.reads_at_once = reads_at_once, .most_bytes = most_bytes, .gap_bytes = 4096};
+    auto opened = StreamedState::open(std::make_unique<ScriptedSource>(bytes, script, traits), options, pool);
+    REQUIRE(opened);
+    state = *std::move(opened);
+  }
+
+  detail::StreamRule rule(float detail_px) const {
+    const auto settings =
+        detail::resolve(detail::with_levels(at_detail(detail_px), detail_px), state->declarations, Backend::cpu);
+    REQUIRE(settings);
+    return {*settings, state->declarations->origin, state->declarations->z_near, detail_px};
+  }
+  Result<bool> refine(const Camera& camera, float detail_px, std::uint64_t renderer = 1, double seconds = kLong) {
+    return detail::refine_view(*state, renderer, camera, rule(detail_px), seconds);
+  }
+  StreamFrame frame(const Camera& camera, float detail_px, std::uint64_t renderer = 1) {
+    auto frame = StreamFrame::begin(state, renderer, camera, rule(detail_px));
+    REQUIRE(frame);
+    return *std::move(frame);
+  }
+  template <class Condition>
+  bool comes(const Condition& condition) {
+    for (int i = 0; i < 3000; ++i) {
+      {
+        const std::scoped_lock lock(pool->mutex);
+        if (condition()) return true;
+      }
+      std::this_thread::sleep_for(10ms);
+    }
+    return false;
+  }
+};
+
+Camera over() {
+  return camera_at({0, 30, 60}, {0, 0, 0});
+}
+
+}  // namespace
+
+TEST_CASE("while a frame is held open its view is looked at again, and afterwards nothing stays pinned") {
+  const Bytes bytes = town({.n = 200000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes);
+  StreamedState& s = *opened.state;
+  // A coarser picture, of more pages than a list of wants takes.
+  float coarse = 4096;
+  for (;; coarse /= 1.3F) {
+    REQUIRE(opened.refine(over(), coarse) == true);
+    if (opened.frame(over(), coarse).parts().size() > detail::WantList::kMost + 100) break;
+    REQUIRE(coarse > 1e-6F);
+  }
+  opened.script->is_shut = true;
+  {
+    const StreamFrame held = opened.frame(over(), 0);
+    {
+      const std::scoped_lock lock(opened.pool->mutex);
+      REQUIRE(s.views.front()->wants.is_cut_off());
+    }
+    const std::size_t n = held.parts().size();
+    const float first = held.parts().front().mean[0];
+    opened.script->open_gate();
+    std::uint64_t n_pages = s.file->n_pages_in_all();
+    CHECK(opened.comes([&] { return s.residency->n_resident() == n_pages; }));
+    // Another frame and a refine() of the view meanwhile.
+    CHECK(opened.refine(over(), 0) == true);
+    CHECK(opened.frame(over(), 0).parts().size() > n);
+    CHECK(held.parts().size() == n);
+    CHECK(held.parts().front().mean[0] == first);
+  }
+  const std::scoped_lock lock(opened.pool->mutex);
+  std::uint64_t n_resident = 0, n_evictable = 0;
+  for (std::uint32_t group = 0; group < s.residency->n_groups(); ++group)
+    n_resident += s.residency->state(group) == detail::Residency::State::resident;
+  s.residency->for_each_evictable([](std::uint32_t) { return true; }, [&](std::uint32_t) { ++n_evictable; });
+  CHECK(n_resident > 1000);
+  CHECK(n_evictable == n_resident);
+}
+
+TEST_CASE("a frame whose list of pages finds no room is not called complete") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes);
+  REQUIRE(opened.refine(over(), 0, 2) == true);
+  const StreamFrame all = opened.frame(over(), 0, 2);
+  REQUIRE(all.parts().size() > 600);
+  CHECK(all.cut().missing == 0);
+  // All that is there is pinned, and the rest of the pool taken.
+  const std::uint64_t taken = opened.pool->left() - StreamedState::least_view_bytes();
+  {
+    const std::scoped_lock lock(opened.pool->mutex);
+    opened.pool->held += taken;
+  }
+  {
+    const StreamFrame coarser = opened.frame(over(), 0, 1);
+    CHECK(coarser.parts().size() < all.parts().size());
+    CHECK(coarser.cut().missing > 0);
+    CHECK(coarser.cut().damaged == 0);
+  }
+  CHECK(opened.refine(over(), 0, 1, 10) == false);
+  {
+    const std::scoped_lock lock(opened.pool->mutex);
+    opened.pool->held -= taken;
+  }
+  CHECK(opened.refine(over(), 0, 1) == true);
+  CHECK(opened.frame(over(), 0, 1).parts().size() == all.parts().size());
+}
+
+TEST_CASE("an outage that ends many reads at once is one failure, and one that is over is none") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 6, 1);
+  const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+  for (float coarse = 4096; opened.frame(camera, coarse).parts().size() < 100; coarse /= 1.5F)
+    REQUIRE(opened.refine(camera, coarse) == true);
+  opened.script->is_shut = true;
+  auto complete = std::async(std::launch::async, [&] { return opened.refine(camera, 0); });
+  CHECK(opened.comes([&] { return opened.script->n_at_once == 6; }));
+  opened.script->fails_next = 6;
+  opened.script->open_gate();
+  CHECK(complete.get() == true);
+
+  Opened dead(bytes, false, 6);
+  dead.script->fails = true;
+  const auto failed = dead.refine(camera, 0.5F);
+  REQUIRE(!failed);
+  CHECK(failed.error().code == Errc::read_failed);
+  dead.script->fails = false;
+  CHECK(dead.refine(camera, 0.5F) == true);
+  CHECK(dead.state->status());
+}
+
+TEST_CASE("a range that cannot be read keeps nothing else from being read") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 2);
+  StreamedState& s = *opened.state;
+  REQUIRE(opened.refine(over(), 0) == true);
+  const std::uint64_t n_all = s.residency->n_resident();
+  std::uint32_t group = 0;  // in the middle, its children leaves
+  while (group < s.residency->n_groups() && s.file->pages()[group].level != 1) ++group;
+  group += (s.residency->n_groups() - group) / 2;
+  const auto range = s.file->stored(s.file->pages()[group].first_child);
+  const std::uint32_t n_children = s.file->pages()[group].n_children;
+
+  Opened lossy(bytes, false, 2);
+  lossy.script->gone_from = range.offset, lossy.script->gone_to = range.offset + 1;
+  const auto complete = lossy.refine(over(), 0);
+  REQUIRE(!complete);
+  CHECK(complete.error().code == Errc::read_failed);
+  CHECK(lossy.comes([&] { return lossy.state->residency->n_resident() == n_all - n_children; }));
+  lossy.script->gone_to = 0;
+  CHECK(lossy.refine(over(), 0) == true);
+}
+
+TEST_CASE("where the camera is about to be follows from when it came, and outlives the frame after a refine()") {
+  const Bytes bytes = town();
+  Opened opened(bytes, true);
+  StreamedState& s = *opened.state;
+  const auto at = [](double x) { return camera_at({x, 2, 0}, {x + 10, 2, 0}); };
+  {
+    const StreamFrame held = opened.frame(at(0), 1);
+    std::this_thread::sleep_for(200ms);
+  }
+  opened.frame(at(1), 1);
+  const auto soon = [&]() -> double {
+    const std::scoped_lock lock(opened.pool->mutex);
+    const auto& view = *s.views.front();
+    if (!view.soon) return -1;
+    return view.soon->eye.position[0] - view.now->eye.position[0];
+  };
+  // 1 in 0.2 s or more. Where the machine takes half a second nothing is said.
+  CHECK(soon() <= 0.5 / 0.2 + 0.01);
+  // A refine() is waited for without what is about to be seen, which follows.
+  REQUIRE(opened.refine(at(1.5), 1) == true);
+  CHECK(soon() > 0);
+  CHECK(opened.comes([&] { return s.views.front()->is_soon_known; }));
+  opened.frame(at(1.5), 1);
+  CHECK(soon() > 0);
+  opened.frame(at(1.5), 1);
+  CHECK(soon() == -1);  // it stands
+  // Never farther than the scene is large.
+  opened.frame(at(1e5), 1);
+  CHECK(soon() < 1000);
+}
