@@ -444,7 +444,7 @@ TEST_CASE("reports of folders write over none of their inputs") {
 }
 
 TEST_CASE("an input that changes or shrinks while it is read is exit code 3") {
-  const Scene scene(kSanitized ? 20'000 : 200'000);
+  const Scene scene(kSanitized ? 100'000 : 200'000);
   const std::string out = scene.file("out"), ply = read_text(scene.ply), rgs = read_text(scene.rgs);
   const std::string sources = scene.file("ply"), assets = scene.file("rgs"), in_folder = sources + "/scene.ply";
   for (const std::string& folder : {sources, assets}) fs::create_directory(folder);
