@@ -75,8 +75,9 @@ class Walk {
                              Error::kNone, errno);
     std::ranges::sort(names);
     above_.push_back(self);
+    const std::string inside = path + "/";
     for (const std::string& name : names)
-      if (name != "." && name != "..") entry(path + "/" + name, prefix + name, name[0] == '.');
+      if (name != "." && name != "..") entry(inside + name, prefix + name, name[0] == '.');
     above_.pop_back();
     return {};
   }
