@@ -61,6 +61,10 @@ while(listing MATCHES "^([^\n]*)\n(.*)$")
   if("${LABEL}: ${name}" MATCHES "^(${slow})")
     set(cost " COST 10")
   endif()
+  # It stops a program between two of its steps, for which it must not wait for a processor.
+  if("${LABEL}: ${name}" MATCHES "^programs: an input that changes or shrinks")
+    set(cost " RUN_SERIAL TRUE")
+  endif()
   string(APPEND script "add_test([==[${LABEL}: ${name}]==] [==[${PROGRAM}]==] --first=${number} --last=${number})\n"
     "set_tests_properties([==[${LABEL}: ${name}]==] PROPERTIES LABELS ${LABEL} TIMEOUT 300${cost}\n"
     "  ENVIRONMENT RGS_SKIP_RETURN_CODE=77 SKIP_RETURN_CODE 77)\n")
