@@ -199,8 +199,10 @@ class Folder {
     const fs::path json = out_ / (stem + ".json"), page = out_ / (stem + ".html");
     std::error_code ignored;
     const auto earlier = earlier_audit(json.string(), *fingerprint, options_.conditions);
-    if (earlier)
+    if (earlier) {
+      if (const auto changed = inputs.changed()) return failed_row(stem, {*changed, tool::kFileChanged});
       if (auto row = reuse(stem, *earlier, json, page, *fingerprint)) return *std::move(row);
+    }
     const auto is_other = [&](const fs::path& path) {
       if (options_.overwrite || !fs::exists(path, ignored)) return false;
       if (path == json) return !earlier;
