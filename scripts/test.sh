@@ -16,11 +16,13 @@ quiet build cmake --build "build/$preset" --parallel "$jobs" ${RGS_TARGETS:+--ta
 set -- ctest --preset "$preset" --parallel "$jobs" "$@"
 # ThreadSanitizer of gcc 12 and clang 14 needs fewer random address bits than Linux 6 uses.
 [ "$preset" != tsan ] || set -- setarch "$(uname -m)" --addr-no-randomize "$@"
-trap 'grep -E "^[0-9]+% tests passed" "$log_folder/test.log" || :' EXIT  # the counts, also of a run that fails
+# The counts, also of a run with so many failures that the end of its log does not hold them.
+counts='^[0-9]+% tests passed'
+trap 'tail -n "${RGS_TAIL:-60}" "$log_folder/test.log" | grep -qE "$counts" || grep -E "$counts" "$log_folder/test.log" || :' EXIT
 rm -f "$log_folder/test.log"
 quiet test "$@"
 trap - EXIT
-grep -E '^[0-9]+% tests passed' "$log_folder/test.log" || echo "$preset: no test matches"
+grep -E "$counts" "$log_folder/test.log" || echo "$preset: no test matches"
 # Which tests were skipped (.ci/run counts these lines), and why.
 if grep -E '^\s*[0-9]+ - .* \(Skipped\)$' "$log_folder/test.log"; then
   grep -a '^skipped: ' "build/$preset/Testing/Temporary/LastTest.log" | sort | uniq -c
