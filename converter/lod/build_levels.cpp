@@ -129,6 +129,20 @@ void append(SplatCloud& to, const SplatView& from) {
   insert(to.sh, from.sh);
 }
 
+std::vector<ChunkBoxes> boxes_of_chunks(const SplatView& leaves, const BuildOptions& options) {
+  std::vector<ChunkBoxes> chunks((leaves.n + options.chunk_size - 1) / options.chunk_size);
+  each_in_parallel(chunks.size(), [&](std::size_t i) {
+    const std::uint64_t first = i * std::uint64_t{options.chunk_size};
+    chunks[i] = chunk_boxes(leaves, first, std::min<std::uint64_t>(options.chunk_size, leaves.n - first));
+  });
+  return chunks;
+}
+
+void find_cores(const SplatView& leaves, std::span<Page> pages) {
+  each_in_parallel(pages.size(),
+                   [&](std::size_t i) { pages[i].core = core_of(leaves, pages[i].first, pages[i].count); });
+}
+
 }  // namespace
 
 FitOptions fit_options(Quality quality) {
@@ -170,14 +184,34 @@ std::vector<Page> cut_chunks(std::span<const ChunkBoxes> chunks, std::uint64_t n
 }
 
 std::vector<Page> cut_leaves(const SplatView& leaves, const BuildOptions& options) {
-  std::vector<ChunkBoxes> chunks((leaves.n + options.chunk_size - 1) / options.chunk_size);
-  each_in_parallel(chunks.size(), [&](std::size_t i) {
-    const std::uint64_t first = i * std::uint64_t{options.chunk_size};
-    chunks[i] = chunk_boxes(leaves, first, std::min<std::uint64_t>(options.chunk_size, leaves.n - first));
-  });
-  std::vector<Page> pages = cut_chunks(chunks, leaves.n, options);
-  each_in_parallel(pages.size(),
-                   [&](std::size_t i) { pages[i].core = core_of(leaves, pages[i].first, pages[i].count); });
+  std::vector<Page> pages = cut_chunks(boxes_of_chunks(leaves, options), leaves.n, options);
+  find_cores(leaves, pages);
+  return pages;
+}
+
+std::vector<std::uint64_t> cut_stretches(std::uint64_t n, const BuildOptions& options) {
+  assert(n > 0);
+  const std::uint64_t rows = std::uint64_t{options.stretch_pages} * options.page_chunks * options.chunk_size;
+  std::vector<std::uint64_t> begins;
+  for (std::uint64_t first = 0; first == 0 || first + (rows + 1) / 2 <= n; first += rows) begins.push_back(first);
+  begins.push_back(n);
+  return begins;
+}
+
+std::vector<Page> cut_leaf_pages(std::span<const ChunkBoxes> chunks, std::uint64_t n, const BuildOptions& options,
+                                 std::vector<std::uint32_t>& stretches) {
+  const std::vector<std::uint64_t> begins = cut_stretches(n, options);
+  std::vector<Page> pages;
+  stretches.assign(1, 0);
+  for (std::size_t i = 0; i + 1 < begins.size(); ++i) {
+    const std::uint64_t first = begins[i] / options.chunk_size,
+                        last = (begins[i + 1] + options.chunk_size - 1) / options.chunk_size;
+    for (Page& page : cut_chunks(chunks.subspan(first, last - first), begins[i + 1] - begins[i], options)) {
+      page.first += begins[i];
+      pages.push_back(page);
+    }
+    stretches.push_back(static_cast<std::uint32_t>(pages.size()));
+  }
   return pages;
 }
 
@@ -200,6 +234,24 @@ std::vector<std::uint32_t> group_pages(std::span<const Page> pages, const BuildO
   std::vector<std::uint32_t> begins = group(true);
   // The tree must become narrower: pages that are all unlike each other are grouped by order alone.
   if (begins.size() - 1 > std::max<std::size_t>(1, n / 2)) begins = group(false);
+  return begins;
+}
+
+std::vector<std::uint32_t> group_stretches(std::span<const Page> pages, std::vector<std::uint32_t>& stretches,
+                                           const BuildOptions& options) {
+  if (pages.front().level >= options.stretch_levels) stretches = {0, static_cast<std::uint32_t>(pages.size())};
+  std::vector<std::uint32_t> begins;
+  std::uint32_t first = 0;
+  for (std::size_t i = 1; i < stretches.size(); ++i) {
+    const std::uint32_t last = stretches[i];
+    for (const std::uint32_t begin : group_pages(pages.subspan(first, last - first), options)) {
+      begins.push_back(first + begin);
+    }
+    begins.pop_back();  // the end, where the next stretch begins
+    stretches[i] = static_cast<std::uint32_t>(begins.size());
+    first = last;
+  }
+  begins.push_back(first);
   return begins;
 }
 
@@ -242,8 +294,8 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
   return page;
 }
 
-Level build_level(const SplatView& splats, std::span<const Page> below, const BuildOptions& options) {
-  const std::vector<std::uint32_t> begins = group_pages(below, options);
+Level build_level(const SplatView& splats, std::span<const Page> below, std::span<const std::uint32_t> begins,
+                  const BuildOptions& options) {
   std::vector<SplatCloud> parts(begins.size() - 1);
   Level out;
   out.pages.resize(parts.size());
@@ -280,10 +332,13 @@ std::vector<Page> join_levels(std::span<const std::vector<Page>> levels) {
 Levels build_levels(const SplatView& leaves, const BuildOptions& options) {
   assert(leaves.n > 0 && leaves.consistent());
   std::vector<Level> levels(1);
-  levels[0].pages = cut_leaves(leaves, options);
+  std::vector<std::uint32_t> stretches;
+  levels[0].pages = cut_leaf_pages(boxes_of_chunks(leaves, options), leaves.n, options, stretches);
+  find_cores(leaves, levels[0].pages);
   while (levels.back().pages.size() > 1) {
     const Level& below = levels.back();
-    Level above = build_level(levels.size() == 1 ? leaves : below.splats.view(), below.pages, options);
+    const std::vector<std::uint32_t> begins = group_stretches(below.pages, stretches, options);
+    Level above = build_level(levels.size() == 1 ? leaves : below.splats.view(), below.pages, begins, options);
     levels.push_back(std::move(above));
   }
   Levels out;

@@ -418,7 +418,8 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
     build.chunk_size = encode.chunk_size;
     build.page_chunks = std::clamp(kMaxPageRows / build.chunk_size, 1U, build.page_chunks);  // of large chunks fewer
     const int sh_degree = out.rows.front().sh_degree();
-    out.pages.assign(1, cut_chunks(out.chunks, out.n_leaves, build));
+    std::vector<std::uint32_t> stretches;
+    out.pages.assign(1, cut_leaf_pages(out.chunks, out.n_leaves, build, stretches));
     out.chunks = {};
     if (std::vector<Page>& leaves = out.pages.front(); leaves.size() == 1) {
       SplatCloud splats;
@@ -430,7 +431,7 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
     std::vector<SplatCloud> parts(batch);
     while (out.pages.back().size() > 1) {
       const std::vector<Page>& below = out.pages.back();
-      const std::vector<std::uint32_t> begins = group_pages(below, build);
+      const std::vector<std::uint32_t> begins = group_stretches(below, stretches, build);
       const std::uint64_t n_groups = begins.size() - 1;
       std::vector<Page> pages(n_groups);
       const LevelRows& from = out.rows.back();

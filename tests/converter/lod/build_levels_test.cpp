@@ -114,11 +114,65 @@ TEST_CASE("levels are the same bytes on one thread and on two, and page by page"
   REQUIRE(begins.size() > 3);
   rgs::SplatCloud alone;
   const Page page = build_page(cloud.view(), leaves, begins[2], begins[3], options, alone);
-  const Level level = build_level(cloud.view(), leaves, options);
+  const Level level = build_level(cloud.view(), leaves, begins, options);
   REQUIRE(level.pages[2].count == page.count);
   CHECK(level.pages[2].error == page.error);
   CHECK(std::equal(alone.mean.begin(), alone.mean.end(),
                    level.splats.mean.begin() + static_cast<std::ptrdiff_t>(3 * level.pages[2].first)));
+}
+
+TEST_CASE("stretches are whole chunks and like each other, whatever the number of Gaussians") {
+  BuildOptions options = small_pages();
+  options.stretch_pages = 4;  // 1,024 Gaussians
+  for (const std::uint64_t n : {1U, 64U, 1535U, 1536U, 1537U, 2048U, 2559U, 2560U, 100'000U, 100'001U}) {
+    CAPTURE(n);
+    const std::vector<std::uint64_t> begins = cut_stretches(n, options);
+    CHECK(begins.front() == 0);
+    CHECK(begins.back() == n);
+    for (std::size_t i = 0; i + 2 < begins.size(); ++i) CHECK(begins[i + 1] - begins[i] == 1024);
+    const std::uint64_t last = begins.back() - begins[begins.size() - 2];
+    CHECK(last < 1536);
+    if (n >= 512) CHECK(last >= 512);
+  }
+  // A file of large scenes depends on it.
+  CHECK(cut_stretches(2'359'295, {}).size() == 2);
+  CHECK(cut_stretches(2'359'296, {}) == std::vector<std::uint64_t>{0, 1'572'864, 2'359'296});
+}
+
+TEST_CASE("the levels of a stretch are those of a scene of its own, up to where stretches meet") {
+  rgs::test::SplitMix random(8);
+  const rgs::SplatCloud cloud = rgs::test::wall(80, 1, random);  // 6,400
+  BuildOptions options = small_pages();
+  options.stretch_pages = 8;  // 2,048 Gaussians: three stretches, the last of 2,304
+  options.stretch_levels = 1;
+  const Levels whole = build_levels(cloud.view(), options);
+  check_levels(whole, cloud, options);
+  const std::vector<std::uint32_t> pages = pages_of_level(whole.pages, 1);
+  std::size_t next = 0;
+  const std::vector<std::uint64_t> begins = cut_stretches(cloud.size(), options);
+  REQUIRE(begins.size() == 4);
+  for (std::size_t i = 0; i < 3; ++i) {
+    rgs::SplatCloud part;
+    part.resize(begins[i + 1] - begins[i], cloud.sh_degree);
+    for (std::uint64_t k = 0; k < part.size(); ++k) part.set(k, cloud.view().splat(begins[i] + k));
+    const std::vector<Page> leaves = cut_leaves(part.view(), options);
+    const Level level = build_level(part.view(), leaves, group_pages(leaves, options), options);
+    REQUIRE(level.pages.size() >= 2);
+    for (const Page& page : level.pages) {
+      REQUIRE(next < pages.size());
+      const Page& found = whole.pages[pages[next++]];
+      REQUIRE(found.count == page.count);
+      CHECK(found.error == page.error);
+      CHECK(found.bounds.min == page.bounds.min);
+      CHECK(found.core.max == page.core.max);
+      const auto at = [](const rgs::SplatCloud& splats, std::uint64_t row) {
+        return splats.mean.begin() + static_cast<std::ptrdiff_t>(3 * row);
+      };
+      CHECK(std::equal(at(level.splats, page.first), at(level.splats, page.first + page.count),
+                       at(whole.splats, found.first)));
+    }
+  }
+  CHECK(next == pages.size());
 }
 
 TEST_CASE("a floater far away gets a page of its own") {

@@ -67,7 +67,9 @@ SplatCloud scene(std::uint64_t side = 120) {
 TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads, and are those of levels in memory") {
   const SplatCloud cloud = scene();
   const test::TemporaryFolder folder;
-  for (const Order order : {Order::morton, Order::input}) {
+  for (const auto& [order, stretch_pages] :
+       {std::pair(Order::morton, 1024U), {Order::input, 1024U}, {Order::morton, 8U}}) {
+    CAPTURE(stretch_pages);
     EncodeOptions encode;
     encode.profile = Profile::packed;
     encode.chunk_size = 64;
@@ -76,6 +78,8 @@ TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads,
     encode.on_bad = order == Order::morton ? BadPolicy::repair : BadPolicy::drop;
     StreamOptions options;
     options.scratch = folder.path();
+    options.build.stretch_pages = stretch_pages;  // 8: five stretches
+    options.build.stretch_levels = stretch_pages == 8 ? 1 : 4;
     const auto whole = streamed(stream_of(cloud), encode, options);
     REQUIRE(whole);
     for (const std::uint64_t memory : {1'500'000U, 4'000'000U, 40'000'000U}) {
@@ -119,7 +123,9 @@ TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads,
     encode.n_source = cloud.size();
     encode.n_repaired = mender.n_repaired();
     std::vector<std::byte> in_memory;
-    REQUIRE(write_levels(build_levels(sorted.view(), {.chunk_size = 64}), encode, in_memory));
+    BuildOptions build = options.build;
+    build.chunk_size = 64;
+    REQUIRE(write_levels(build_levels(sorted.view(), build), encode, in_memory));
     CHECK(in_memory == *whole);
   }
 }
