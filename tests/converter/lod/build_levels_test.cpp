@@ -141,7 +141,7 @@ TEST_CASE("stretches are whole chunks and like each other, whatever the number o
 
 TEST_CASE("the levels of a stretch are those of a scene of its own, up to where stretches meet") {
   rgs::test::SplitMix random(8);
-  const rgs::SplatCloud cloud = rgs::test::wall(80, 1, random);  // 6,400
+  const rgs::SplatCloud cloud = rgs::test::wall(82, 1, random);  // 6,724
   BuildOptions options = small_pages();
   options.stretch_pages = 7;  // 1,792 Gaussians: four stretches, of which no group of four pages ends where one does
   options.stretch_levels = 1;
