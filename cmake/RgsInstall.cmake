@@ -1,5 +1,6 @@
 # Install rules, the CMake package rgs with the components format, interchange, cuda and runtime, and for pkg-config
-# rgs-format, rgs-interchange, rgs-cameras and rgs-runtime.
+# rgs-format, rgs-interchange, rgs-cameras and rgs-runtime. `cmake --install BUILD --component programs`, libraries (shared ones) or
+# development installs a part; packages are made of these.
 # SPDX-License-Identifier: Apache-2.0
 include(CMakePackageConfigHelpers)
 set(rgs_package_folder ${CMAKE_INSTALL_LIBDIR}/cmake/rgs)
@@ -72,7 +73,7 @@ foreach(component format interchange cuda runtime)
         # Found from the file's own place, so that the folder installed to can be chosen late and moved.
         file(RELATIVE_PATH prefix /prefix/${rgs_pc_folder} /prefix)
         configure_file(cmake/library.pc.in ${PROJECT_BINARY_DIR}/${module}.pc @ONLY)
-        install(FILES ${PROJECT_BINARY_DIR}/${module}.pc DESTINATION ${rgs_pc_folder})
+        install(FILES ${PROJECT_BINARY_DIR}/${module}.pc DESTINATION ${rgs_pc_folder} COMPONENT development)
       endif()
     endif()
   endforeach()
@@ -83,22 +84,29 @@ foreach(component format interchange cuda runtime)
   list(APPEND rgs_components ${component})
   string(APPEND rgs_component_packages "set(rgs_packages_of_${component} ${component_packages})\n")
   install(TARGETS ${targets} EXPORT rgs-${component}
-    ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
-  install(EXPORT rgs-${component} NAMESPACE rgs:: DESTINATION ${rgs_package_folder})
+    ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT development
+    LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT libraries NAMELINK_COMPONENT development)
+  install(EXPORT rgs-${component} NAMESPACE rgs:: DESTINATION ${rgs_package_folder} COMPONENT development)
 endforeach()
 
+set(RGS_INSTALLED_PROGRAMS "")
 foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-render rgs-bench rgs-bench-opening)
   if(TARGET ${program})
-    install(TARGETS ${program} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
+    list(APPEND RGS_INSTALLED_PROGRAMS ${program})
+    install(TARGETS ${program} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT programs)
   endif()
 endforeach()
+include(RgsManual)
 
 foreach(folder format kernels/math runtime converter/formats)
-  install(DIRECTORY ${folder}/include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} FILES_MATCHING PATTERN "*.hpp")
+  install(DIRECTORY ${folder}/include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT development
+    FILES_MATCHING PATTERN "*.hpp")
 endforeach()
 
 configure_package_config_file(cmake/rgsConfig.cmake.in ${PROJECT_BINARY_DIR}/rgsConfig.cmake
   INSTALL_DESTINATION ${rgs_package_folder} NO_SET_AND_CHECK_MACRO)
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/rgsConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/rgsConfig.cmake ${PROJECT_BINARY_DIR}/rgsConfigVersion.cmake
-  cmake/FindLibZip.cmake cmake/FindWebP.cmake cmake/FindxxHash.cmake DESTINATION ${rgs_package_folder})
+  cmake/FindLibZip.cmake cmake/FindWebP.cmake cmake/FindxxHash.cmake DESTINATION ${rgs_package_folder}
+  COMPONENT development)
+include(RgsPackages)
