@@ -98,9 +98,15 @@ foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-rend
 endforeach()
 include(RgsManual)
 
-foreach(folder format kernels/math runtime converter/formats)
-  install(DIRECTORY ${folder}/include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT development
-    FILES_MATCHING PATTERN "*.hpp")
+foreach(row "rgs_format;format;*" "rgs_math;kernels/math;*" "rgs_cameras;runtime;camera*" "rgs_runtime;runtime;*"
+    "rgs_interchange;converter/formats;*")
+  list(GET row 0 target)
+  list(GET row 1 folder)
+  list(GET row 2 names)
+  if(TARGET ${target})
+    install(DIRECTORY ${folder}/include/ DESTINATION ${CMAKE_INSTALL_INCLUDEDIR} COMPONENT development
+      FILES_MATCHING PATTERN "${names}.hpp")
+  endif()
 endforeach()
 
 configure_package_config_file(cmake/rgsConfig.cmake.in ${PROJECT_BINARY_DIR}/rgsConfig.cmake

@@ -1,12 +1,12 @@
 #!/bin/sh
 # test.sh - makes each package and uses it in a bare root: sh packaging/test.sh [STEP...]
-# Steps: deb. Needs root for the bare roots; some minutes and a gigabyte in build/roots the first time.
+# Steps: deb libraries. Needs root for the bare roots; some minutes and a gigabyte in build/roots the first time.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
 sh scripts/install-deps.sh packaging
 mkdir -p build/packaging
-steps=${*:-deb}
+steps=${*:-deb libraries}
 failed=
 
 # step NAME COMMAND...: its log is build/packaging/NAME.log.
@@ -31,6 +31,20 @@ deb() {
   step deb-programs sh packaging/bare_root.sh sh /project/tests/packaging/programs.sh
   step deb-development sh packaging/bare_root.sh --packages "g++ cmake ninja-build pkgconf" \
     sh /project/tests/packaging/development.sh
+}
+
+libraries() {
+  for build in libraries libraries-small; do
+    [ $build = libraries ] && options= || options="-DRGS_ENABLE_DRACO=OFF -DRGS_BUILD_RUNTIME=OFF"
+    # shellcheck disable=SC2086  # a list of options
+    step $build-build sh -c '
+      cmake -S . -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=OFF -DBUILD_SHARED_LIBS=ON -DRGS_PROGRAMS=OFF "$@" &&
+        cmake --build "$2" --parallel "${RGS_JOBS:-$(nproc)}"' sh -B build/$build $options
+  done
+  step libraries-needed /usr/bin/python3 tests/packaging/needed_test.py build/libraries/lib
+  step libraries-small-needed /usr/bin/python3 tests/packaging/needed_test.py build/libraries-small/lib --without-draco
+  step libraries-bare sh packaging/bare_root.sh --packages "g++ cmake ninja-build pkgconf libexpected-dev libxxhash-dev
+    libzstd-dev libhwy-dev libglm-dev nlohmann-json3-dev zlib1g-dev libwebp-dev libzip-dev" sh /project/tests/packaging/libraries.sh
 }
 
 for each in $steps; do $each; done

@@ -90,13 +90,15 @@ struct EncodeOptions {
 EncodeOptions keep_declarations(EncodeOptions options, const Declarations& declared);
 
 /// Whether a scene with this scan can be encoded with these options; an empty scan has the options alone checked.
-/// Errors: bad_argument (options out of range), bad_value (BadPolicy::refuse), too_many_bad.
+/// Errors: bad_argument (options out of range), unavailable (Profile::archive in a build without Draco), bad_value
+/// (BadPolicy::refuse), too_many_bad.
 Status check_encodable(const SceneScan& scan, const EncodeOptions& options);
 
 /// The file for `splats`. Deterministic (packed and archive: for one version of Zstandard and Draco; archive: and of the C
 /// library's exp() and log() on one kind of processor). Single-threaded but for Profile::archive.
 /// Errors: bad_argument (options out of range, sizes of the view or of source_index disagree), bad_value (BadPolicy::refuse; offset is the
-/// Gaussian's index), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those of SceneWriter::finish().
+/// Gaussian's index), unavailable (see check_encodable()), too_many_bad, limit_exceeded (more than 2^32 - 1 Gaussians to sort); those
+/// of SceneWriter::finish().
 Result<std::vector<std::byte>> encode(const SplatView& splats, const EncodeOptions& options = {});
 
 /// The mean that a file with these parameters decodes to where its source has `mean`: finds Gaussians again that Draco has

@@ -17,7 +17,7 @@ enum class Errc : std::uint16_t {
 
   bad_argument = 200,  ///< an option is out of its documented range
   bad_camera,          ///< a camera has a non-finite or non-positive parameter
-  unavailable,         ///< the requested backend is not built or no device answers
+  unavailable,         ///< what was asked for is not built, or no device answers
 
   open_failed = 300,  ///< a file could not be opened
   read_failed,        ///< reading failed, or the file changed while being read

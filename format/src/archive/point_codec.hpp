@@ -14,7 +14,10 @@ namespace rgs::detail {
 
 using GridPoint = std::array<std::uint32_t, 3>;
 
-/// A Draco stream of the points, at least one, in an order of its own. Deterministic. Errors: internal.
+/// Whether this build has Draco; without it nothing is encoded, see RGS_ENABLE_DRACO.
+bool can_encode_points();
+
+/// A Draco stream of the points, at least one, in an order of its own. Deterministic. Errors: internal, unavailable (no Draco).
 Result<std::vector<std::byte>> encode_points(std::span<const GridPoint> points);
 
 /// The head of a stream of n points, coordinates of at most `max_bits` bits.

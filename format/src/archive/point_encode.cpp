@@ -9,6 +9,10 @@
 
 namespace rgs::detail {
 
+bool can_encode_points() {
+  return true;
+}
+
 Result<std::vector<std::byte>> encode_points(std::span<const GridPoint> points) {
   assert(!points.empty());
   const auto n = static_cast<std::uint32_t>(points.size());

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <utility>
 
+#include "archive/point_codec.hpp"
 #include "file/layout_io.hpp"
 #include "file/repeated_index.hpp"
 #include "packed/packed.hpp"
@@ -23,6 +24,10 @@ Status check_options(const EncodeOptions& o) {
   }
   if (o.level < 1 || o.level > kMaxLevel) return bad("the level must be 1 to 19");
   if (o.profile == Profile::archive) {
+    if (!detail::can_encode_points()) {
+      return make_error(Errc::unavailable, Error::kNone,
+                        "this build reads archive files and writes none: build it with RGS_ENABLE_DRACO=ON");
+    }
     const ArchiveOptions& a = o.archive;
     if (a.mean_cells < 4 || a.mean_cells > 20) return bad("archive: mean cells must be 2^4 to 2^20");
     if (!(a.sh_step >= 0x1p-20f && a.sh_step <= 0x1p20f)) return bad("archive: the SH step must be 2^-20 to 2^20");

@@ -1,0 +1,24 @@
+#!/bin/sh
+# libraries.sh - in a bare root with a compiler: RGS_PROGRAMS=OFF builds with what the libraries need, and no more.
+# The packages that bare_root.sh is told to install are those without Draco, TBB and libcurl. SPDX-License-Identifier: Apache-2.0
+set -eux
+cd /tmp
+configure() { cmake -S /project -G Ninja -DRGS_PROGRAMS=OFF -DCMAKE_BUILD_TYPE=Debug -DCMAKE_CXX_FLAGS_DEBUG=-O0 "$@"; }
+# What is missing is named.
+if configure -B refused 2>refused.txt; then exit 1; fi
+grep libdraco-dev refused.txt
+configure -B small -DRGS_ENABLE_DRACO=OFF -DRGS_BUILD_RUNTIME=OFF
+cmake --build small
+cmake --install small --prefix installed
+c++ -std=c++20 /project/tests/packaging/without_draco.cpp -o without_draco \
+  $(PKG_CONFIG_PATH=installed/lib/x86_64-linux-gnu/pkgconfig:installed/lib/pkgconfig pkg-config --cflags --libs rgs-format)
+./without_draco /project/tests/golden/archive_degree3.rgs
+test -f installed/include/rgs/camera_file.hpp
+if test -f installed/include/rgs/renderer.hpp; then exit 1; fi
+
+apt-get -q update
+apt-get -q -y install --no-install-recommends libdraco-dev libtbb-dev libcurl4-openssl-dev
+configure -B whole
+# Programs, samples and tests come with RGS_PROGRAMS alone.
+if configure -B refused -DRGS_BUILD_TESTS=ON 2>refused.txt; then exit 1; fi
+grep RGS_PROGRAMS=ON refused.txt

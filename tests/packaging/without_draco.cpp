@@ -1,0 +1,34 @@
+// without_draco.cpp - a build without Draco reads files of the profile archive and says why it writes none:
+// without_draco ARCHIVE.rgs
+// SPDX-License-Identifier: Apache-2.0
+#include <cstdio>
+#include <cstring>
+#include <rgs/decode.hpp>
+#include <rgs/encode.hpp>
+#include <rgs/file.hpp>
+
+namespace {
+
+bool check(bool holds, const char* what) {
+  if (!holds) std::fprintf(stderr, "without_draco: not so: %s\n", what);
+  return holds;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc != 2) return 2;
+  const auto file = rgs::MappedFile::open(argv[1]);
+  if (!check(file.has_value(), "the file opens")) return 1;
+  const auto cloud = rgs::decode(file->bytes());
+  if (!check(cloud && cloud->size() > 0, "it decodes")) return 1;
+
+  rgs::EncodeOptions options;
+  bool ok = check(rgs::encode(cloud->view(), options).has_value(), "packed is written");
+  options.profile = rgs::Profile::archive;
+  const auto archive = rgs::encode(cloud->view(), options);
+  ok &= check(!archive && archive.error().code == rgs::Errc::unavailable &&
+                  std::strstr(archive.error().what, "RGS_ENABLE_DRACO") != nullptr,
+              "archive is refused with what to do");
+  return ok ? 0 : 1;
+}
