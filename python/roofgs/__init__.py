@@ -12,6 +12,7 @@ docs/PYTHON.md is the way in; the docstrings are the manual.
 from . import cameras
 from ._errors import (ArgumentError, DeviceError, Error, FormatError, IncompleteError, InputOutputError, InternalError,
                       MissingFileError, OutOfMemoryError, OutputExistsError, QualityError, UnavailableError)
+from ._rasterization import rasterization
 from ._render import Frame, Renderer
 from ._roofgs import Camera
 from ._roofgs import version as __version__
@@ -20,5 +21,6 @@ from ._scene import Scene, StreamedScene, info, load
 __all__ = [
     "ArgumentError", "Camera", "DeviceError", "Error", "FormatError", "Frame", "IncompleteError",
     "InputOutputError", "InternalError", "MissingFileError", "OutOfMemoryError", "OutputExistsError", "QualityError",
-    "Renderer", "Scene", "StreamedScene", "UnavailableError", "cameras", "info", "load", "__version__",
+    "Renderer", "Scene", "StreamedScene", "UnavailableError", "cameras", "info", "load", "rasterization",
+    "__version__",
 ]

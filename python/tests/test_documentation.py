@@ -17,7 +17,7 @@ def test_snippets_run(examples, tmp_path, monkeypatch):
     text = PAGE.read_text()
     begin = re.search(r"\n\n((?:    .*\n|\n)+)", text)[1]
     snippets = [re.sub(r"^    ", "", begin, flags=re.M), *re.findall(r"```python\n(.*?)```", text, re.S)]
-    assert len(snippets) > 4 and "import roofgs" in snippets[0]
+    assert len(snippets) > 4 and "roofgs" in snippets[0]
     names = {}
     for i, snippet in enumerate(snippets):
         exec(compile(snippet, f"{PAGE.name}, snippet {i}", "exec"), names)
