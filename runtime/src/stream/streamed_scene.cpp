@@ -97,7 +97,6 @@ Status StreamedState::make_room_for_pages() {
   if (Status taken = take(Residency::bytes(n_pages) + n_pages * sizeof(blocks[0])); !taken) return taken;
   residency.emplace(file->pages(), n_pages);
   blocks.resize(n_pages);
-  put_offs.reserve(PutOff::kMost);
   const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
   std::uint64_t read_bytes = std::max(least, traits.most_bytes);
   auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
@@ -122,6 +121,7 @@ Status StreamedState::read_root() {
   stats.bytes_read += readers.front()->take_bytes_read();
   if (!block) return tl::unexpected(block.error());
   blocks[0] = *std::move(block);
+  readable = readers.front()->last_read();
   stats.bytes_decoded += file->decoded_bytes(0);
   // Without lists a view cannot be drawn.
   const std::scoped_lock lock(pool->mutex);
