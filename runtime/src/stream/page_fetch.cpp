@@ -4,7 +4,6 @@
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
-#include "splat_arrays.hpp"
 #include "stream/page_reader.hpp"
 #include "stream/streamed_state.hpp"
 
@@ -45,7 +44,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
     view->next_want = 0;
   }
   bool is_refused = false, is_pinned = false;
-  std::uint64_t could_go = pool->budget;  // for the next want, at most
+  std::uint64_t could_go = pool->pages_budget();  // for the next want, at most
   for (int looks = 0;;) {
     StreamView* best = nullptr;
     WantList::Want want{};
@@ -70,10 +69,10 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       return Choice::table;
     }
     const std::uint64_t n = group_bytes(want.group);
-    if (pool->left() < n && (n > pool->left() + could_go || ++looks > kMostLooks)) continue;
-    const StreamPoolState::Room room = pool->take(n, own);
+    if (pool->left_for_pages() < n && (n > pool->left_for_pages() + could_go || ++looks > kMostLooks)) continue;
+    const StreamPoolState::Room room = pool->take_pages(n, own);
     if (room == StreamPoolState::Room::taken) {
-      residency->request(want.group);
+      requested(want.group);
       run = {want.group, 1};
       extend(run, own);
       return Choice::run;
@@ -122,8 +121,8 @@ void StreamedState::extend(Run& run, const Worth& best) {
     if (was_put_off(group)) return false;
     const Worth own = worth(group);
     if (own.now != best.now || own.px <= 0 || own.px < kSideShare * best.px) return false;
-    if (pool->take(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
-    residency->request(group);
+    if (pool->take_pages(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
+    requested(group);
     ++run.n;
     return true;
   };
@@ -152,17 +151,15 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
   reader.begin_run();
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
     const lod::Page above = page_of(group);
-    const Status read = guard_memory([&]() -> Status {
+    Status read = guard_memory([&]() -> Status {
       for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
-        auto block = reader.read(child, end);
-        if (!block) return tl::unexpected(block.error());
-        blocks[child] = *std::move(block);
+        if (Status put = reader.read(child, end); !put) return put;
       }
       return {};
     });
-    if (!read) {
-      for (std::uint32_t k = 0; k < above.n_children; ++k) blocks[above.first_child + k].reset();
-    }
+    // What has failed, too: its slots are others' from here on.
+    const Status there = reader.finish();
+    if (read) read = there;
     const std::scoped_lock lock(pool->mutex);
     stats.bytes_read += reader.take_bytes_read();
     if (read) {
@@ -171,7 +168,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
       if (n_waiting > 0) pool->news.notify_all();
       continue;
     }
-    pool->give(group_bytes(group));
+    give_room(group);
     if (is_damage(read.error().code)) {
       residency->refuse(group);
       if (damage) damage = read;
@@ -184,7 +181,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     for (std::uint32_t rest = group + 1; rest < run.first + run.n; ++rest) {
       residency->drop(rest);
       put_off(rest);
-      pool->give(group_bytes(rest));
+      give_room(rest);
     }
     for (const auto& view : views) {
       for (std::uint32_t again = group; again < run.first + run.n; ++again) {
