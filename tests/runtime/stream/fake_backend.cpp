@@ -58,7 +58,7 @@ void add_row(const SlotDraw& draw, std::uint64_t row, Drawn& out) {
 }  // namespace
 
 struct CudaBackend::Impl {
-  ReferenceRenderer renderer{2, true};
+  ReferenceRenderer renderer{1, true};
 };
 
 CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}

@@ -142,6 +142,16 @@ bool FakeCuda::is_written(const std::byte* from, std::size_t bytes) const {
   return false;
 }
 
+std::size_t FakeCuda::n_pending() const {
+  const std::scoped_lock lock(impl->mutex);
+  std::size_t n = 0;
+  for (const CUstream_st* stream : impl->streams) {
+    const std::scoped_lock of_stream(stream->mutex);
+    for (const CUstream_st::Work& work : stream->queue) n += work.bytes != 0;
+  }
+  return n;
+}
+
 bool FakeCuda::is_allocated(const std::byte* from, std::size_t bytes) const {
   const std::scoped_lock lock(impl->mutex);
   return Impl::holds(impl->device, from, bytes);
@@ -230,7 +240,8 @@ cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaM
   }
   auto* const target = static_cast<std::byte*>(to);
   const auto* const source = static_cast<const std::byte*>(from);
-  bool is_sound = kind == cudaMemcpyHostToDevice && cuda.is_allocated(target, bytes);
+  // What is on its way to a slot comes first, also where streams would have it so: nobody else knows that it is.
+  bool is_sound = kind == cudaMemcpyHostToDevice && cuda.is_allocated(target, bytes) && !cuda.is_written(target, bytes);
   {
     const std::scoped_lock lock(cuda.impl->mutex);
     is_sound = is_sound && FakeCuda::Impl::holds(cuda.impl->pinned, source, bytes);

@@ -25,6 +25,8 @@ class FakeCuda {
 
   /// Whether a copy to these bytes of the device is on its way.
   bool is_written(const std::byte* from, std::size_t bytes) const;
+  /// Copies that are on their way.
+  std::size_t n_pending() const;
   /// Whether they are the device's, allocated.
   bool is_allocated(const std::byte* from, std::size_t bytes) const;
 
