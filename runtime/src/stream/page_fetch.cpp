@@ -5,7 +5,6 @@
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
-#include "splat_arrays.hpp"
 #include "stream/page_reader.hpp"
 #include "stream/streamed_state.hpp"
 
@@ -58,7 +57,7 @@ void StreamedState::find_wants(bool now) {
 StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
   find_wants(now);
   bool is_refused = false, is_pinned = false;
-  std::uint64_t could_go = pool->budget;  // for the next want, at most
+  std::uint64_t could_go = pool->pages_budget();  // for the next want, at most
   for (int looks = 0;;) {
     StreamView* best = nullptr;
     WantList::Want want{};
@@ -78,7 +77,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
     if (own.px <= 0 || is_put_off(want.group, run)) continue;
     if (residency->is_known(want.group)) {
       const std::uint64_t n = group_bytes(want.group);
-      if (pool->left() < n && (n > pool->left() + could_go || ++looks > kMostLooks)) continue;
+      if (pool->left_for_pages() < n && (n > pool->left_for_pages() + could_go || ++looks > kMostLooks)) continue;
     }
     const Choice choice = claim(want.group, own, run);
     if (choice == Choice::run || choice == Choice::table) return choice;
@@ -116,10 +115,10 @@ StreamedState::Choice StreamedState::claim(std::uint32_t group, const Worth& own
     const lod::Page& above = file->pages()[group];
     return claim_table((above.first_child + above.n_children - file->n_pages() + 1) * kRecordBytes, run);
   }
-  const StreamPoolState::Room room = pool->take(group_bytes(group), own);
+  const StreamPoolState::Room room = pool->take_pages(group_bytes(group), own);
   if (room != StreamPoolState::Room::taken)
     return room == StreamPoolState::Room::pinned ? Choice::pinned : Choice::no_room;
-  residency->request(group);
+  requested(group);
   run.first = group, run.n = 1;
   extend(run, own);
   return Choice::run;
@@ -170,8 +169,8 @@ void StreamedState::extend(Run& run, const Worth& best) {
     if (residency->n_failed(group) > 0) return false;
     const Worth own = worth(group);
     if (own.now != best.now || own.px <= 0 || own.px < kSideShare * best.px) return false;
-    if (pool->take(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
-    residency->request(group);
+    if (pool->take_pages(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
+    requested(group);
     ++run.n;
     return true;
   };
@@ -200,17 +199,15 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
   reader.begin_run();
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
     const lod::Page above = page_of(group);
-    const Status read = guard_memory([&]() -> Status {
+    Status read = guard_memory([&]() -> Status {
       for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
-        auto block = reader.read(child, end);
-        if (!block) return tl::unexpected(block.error());
-        blocks[child] = *std::move(block);
+        if (Status put = reader.read(child, end); !put) return put;
       }
       return {};
     });
-    if (!read) {
-      for (std::uint32_t k = 0; k < above.n_children; ++k) blocks[above.first_child + k].reset();
-    }
+    // What has failed, too: its slots are others' from here on.
+    const Status there = reader.finish();
+    if (read) read = there;
     std::unique_lock lock(pool->mutex);
     stats.bytes_read += reader.take_bytes_read();
     if (read) {
@@ -220,8 +217,8 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
       if (n_waiting > 0) pool->news.notify_all();
       continue;
     }
+    give_room(group);
     if (is_damage(read.error().code)) {
-      pool->give(group_bytes(group));
       residency->refuse(group);
       if (damage) damage = read;
       pool->changed();
@@ -230,7 +227,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     // Without bytes or memory now. What is left of the run is put off with it.
     const std::uint32_t now = milliseconds(StreamClock::now());
     for (std::uint32_t again = group; again < run.first + run.n; ++again) {
-      pool->give(group_bytes(again));
+      if (again > group) give_room(again);
       residency->fail(again, now);
       for (const auto& view : views) {
         if (const float px = residency->wanted_px(again, *view->now); px > 0)

@@ -10,7 +10,6 @@
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
-#include "splat_arrays.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -24,8 +23,6 @@ constexpr double kMostTurn = 1;           // radians ahead
 constexpr std::size_t kFirstDrawn = 256;  // pages
 /// A block of memory costs its allocator some bytes of its own.
 constexpr std::uint64_t kAllocationBytes = 32;
-/// A large one is whole pages of the system's.
-constexpr std::uint64_t kLargeBlock = 64 << 10, kSystemPage = 4096;
 
 bool is_more(const WantList::Want& a, const WantList::Want& b) {
   return a.rank > b.rank;
@@ -34,10 +31,6 @@ bool is_more(const WantList::Want& a, const WantList::Want& b) {
 bool is_same(const StreamEye& a, const StreamEye& b) {
   return a.eye.position == b.eye.position && a.eye.focal_px == b.eye.focal_px && a.eye.z_near == b.eye.z_near &&
          a.detail_px == b.detail_px && a.volume == b.volume;
-}
-
-std::uint64_t list_bytes(std::size_t n) {
-  return n * (sizeof(std::uint32_t) + sizeof(ScenePart)) + 2 * kAllocationBytes;
 }
 
 std::uint64_t view_bytes() {
@@ -106,20 +99,19 @@ void WantList::tidy(const Residency& residency) {
   });
 }
 
-std::uint64_t StreamedState::least_view_bytes() {
-  return view_bytes() + list_bytes(kFirstDrawn);
+std::uint64_t StreamedState::list_bytes(std::size_t n) const {
+  const std::uint64_t drawn = store->is_on_device() ? file->page_chunks() * sizeof(std::uint32_t) : sizeof(ScenePart);
+  return n * (sizeof(std::uint32_t) + drawn) + 2 * kAllocationBytes;
 }
 
-std::uint64_t StreamedState::page_bytes(std::uint32_t page) const {
-  const std::uint64_t n =
-      file->pages()[page].count * SplatArrays::floats(file->head().header().sh_degree) * sizeof(float);
-  return n + kAllocationBytes + (n >= kLargeBlock ? kSystemPage : 0);
+std::uint64_t StreamedState::least_view_bytes() const {
+  return view_bytes() + list_bytes(kFirstDrawn);
 }
 
 std::uint64_t StreamedState::group_bytes(std::uint32_t group) const {
   const lod::Page& above = file->pages()[group];
   std::uint64_t sum = 0;
-  for (std::uint32_t k = 0; k < above.n_children; ++k) sum += page_bytes(above.first_child + k);
+  for (std::uint32_t k = 0; k < above.n_children; ++k) sum += store->page_bytes(above.first_child + k);
   return sum;
 }
 
@@ -136,14 +128,25 @@ Worth StreamedState::worth(std::uint32_t group) const {
   return worth;
 }
 
+void StreamedState::requested(std::uint32_t group) {
+  residency->request(group);
+  const lod::Page& above = file->pages()[group];
+  for (std::uint32_t k = 0; k < above.n_children; ++k) store->reserve(above.first_child + k);
+}
+
+void StreamedState::give_room(std::uint32_t group) {
+  const lod::Page& above = file->pages()[group];
+  for (std::uint32_t k = 0; k < above.n_children; ++k) store->free(above.first_child + k);
+  pool->give_pages(group_bytes(group));
+}
+
 void StreamedState::evict(std::uint32_t group) {
   residency->evict(group);
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
-    blocks[child].reset();
     stats.bytes_evicted += file->decoded_bytes(child);
   }
-  pool->give(group_bytes(group));
+  give_room(group);
   for (const auto& view : views) {
     if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, px);
   }
@@ -155,6 +158,7 @@ void StreamedState::placed(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
     stats.bytes_decoded += file->decoded_bytes(child);
+    if (store->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(child);
   }
   for (const auto& view : views) {
     view->is_soon_known = false;
@@ -238,7 +242,12 @@ bool StreamedState::grow(DrawLists& lists) {
   if (pool->take(list_bytes(n), kNeeded) != StreamPoolState::Room::taken) return false;
   free(lists);
   lists.bytes = list_bytes(n);
-  lists.pages.reserve(n), lists.parts.reserve(n);
+  lists.pages.reserve(n);
+  if (store->is_on_device()) {
+    lists.chunks.reserve(n * file->page_chunks());
+  } else {
+    lists.parts.reserve(n);
+  }
   return true;
 }
 
@@ -293,11 +302,13 @@ Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std
   if (Status there = s.need(lists); !there) return tl::unexpected(there.error());
   StreamFrame frame;
   frame.cut_ = s.cut(**view, &lists);
-  lists.parts.clear();
+  lists.parts.clear(), lists.chunks.clear();
   for (const std::uint32_t page : lists.pages) {
-    const std::uint64_t n = s.file->pages()[page].count;
-    const SplatArrays a(s.blocks[page].get(), n, s.file->head().header().sh_degree);
-    lists.parts.push_back({n, a.mean, a.rotation, a.scale, a.opacity, a.sh});
+    if (s.store->is_on_device()) {
+      s.store->add_chunks(page, lists.chunks);
+    } else {
+      lists.parts.push_back(s.store->part(page));
+    }
   }
   s.stats.pages_missing = frame.cut_.missing;
   s.stats.detail_reached_px = frame.cut_.reached_px;

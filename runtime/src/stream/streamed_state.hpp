@@ -20,6 +20,7 @@
 #include "rgs/paged_file.hpp"
 #include "rgs/streamed_scene.hpp"
 #include "stream/page_reader.hpp"
+#include "stream/page_store.hpp"
 #include "stream/residency.hpp"
 #include "stream/stream_pool.hpp"
 
@@ -70,8 +71,9 @@ struct StreamRule {
 /// What a frame draws. Of the view between frames, of the frame while it is at work.
 struct DrawLists {
   std::vector<std::uint32_t> pages;
-  std::vector<ScenePart> parts;
-  std::uint64_t bytes = 0;  ///< taken from the pool
+  std::vector<ScenePart> parts;       ///< on the host
+  std::vector<std::uint32_t> chunks;  ///< on a device
+  std::uint64_t bytes = 0;            ///< taken from the pool
 };
 
 /// What one renderer sees of a scene.
@@ -106,6 +108,7 @@ struct StreamedState {
   TableMutex table;
   std::optional<Declarations> declarations;
   bool prefetches = true;
+  bool has_root = false;  // its room is taken
   ByteSource::Traits traits;
 
   // Of pool->mutex.
@@ -130,8 +133,8 @@ struct StreamedState {
   /// Value of pool->changes when the threads last found nothing that they could do.
   std::uint64_t settled_at = 0;
 
-  // A page's arrays. Those of requested groups are of the thread that reads them, the others constant.
-  std::vector<std::unique_ptr<float[]>> blocks;
+  // Pages of requested groups are of the thread that reads them, those of resident ones constant.
+  std::optional<PageStore> store;
   std::vector<std::unique_ptr<PageReader>> readers;  // one a thread
   std::vector<std::thread> threads;
 
@@ -146,11 +149,13 @@ struct StreamedState {
   Status take(std::uint64_t n);
 
   /// What the first frame of a view takes.
-  static std::uint64_t least_view_bytes();
+  std::uint64_t least_view_bytes() const;
 
   // With the lock.
-  std::uint64_t page_bytes(std::uint32_t page) const;  // in memory
-  std::uint64_t group_bytes(std::uint32_t group) const;
+  std::uint64_t group_bytes(std::uint32_t group) const;  // room that its pages take
+  std::uint64_t list_bytes(std::size_t n_pages) const;
+  void requested(std::uint32_t group);  // its room is taken
+  void give_room(std::uint32_t group);  // of pages that are not drawn
   Worth worth(std::uint32_t group) const;
   void evict(std::uint32_t group);  // and gives its memory back
   /// Views that count are those of frames at work and of the last second, and the pool's last.
@@ -215,7 +220,10 @@ class StreamFrame {
   StreamFrame& operator=(StreamFrame&&) = delete;
   ~StreamFrame();
 
-  std::span<const ScenePart> parts() const { return lists_.parts; }
+  std::size_t n_pages() const { return lists_.pages.size(); }
+  std::span<const ScenePart> parts() const { return lists_.parts; }        ///< on the host
+  std::span<const std::uint32_t> chunks() const { return lists_.chunks; }  ///< on a device, of slots()
+  const DeviceSlots* slots() const { return state_->store->slots().get(); }
   const Residency::Cut& cut() const { return cut_; }
   const StreamStats& stats() const { return stats_; }
 

@@ -122,7 +122,7 @@ TEST_CASE("a frame whose list of pages finds no room is not called complete") {
   REQUIRE(all.parts().size() > 600);
   CHECK(all.cut().missing == 0);
   // All that is there is pinned, and the rest of the pool taken.
-  const std::uint64_t taken = opened.pool->left() - StreamedState::least_view_bytes();
+  const std::uint64_t taken = opened.pool->left() - opened.state->least_view_bytes();
   {
     const std::scoped_lock lock(opened.pool->mutex);
     opened.pool->held += taken;
