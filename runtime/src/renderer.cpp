@@ -37,6 +37,8 @@ struct Renderer::Impl {
 
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
+  Result<FrameStats> render(const detail::StreamFrame& frame, const StreamedScene& scene, const Camera& camera,
+                            const RenderTarget& target, const RenderOptions& options);
   Result<detail::StreamRule> rule_of(const StreamedScene& scene, const Camera& camera,
                                      const RenderOptions& options) const;
   static std::uint64_t next_identity() {
@@ -131,16 +133,37 @@ Result<FrameStats> Renderer::Impl::render(const Scene& scene, const Camera& came
 // How a streamed scene is drawn: as one with levels that is there as a whole.
 Result<detail::StreamRule> Renderer::Impl::rule_of(const StreamedScene& scene, const Camera& camera,
                                                    const RenderOptions& options) const {
-  if (cuda) {
-    return make_error(Errc::unavailable, Error::kNone,
-                      "streamed scenes are drawn by the CPU so far: Backend::cpu, or open the file as a Scene");
+  const bool is_on_device = scene.state_->store->is_on_device();
+  if (cuda && !is_on_device) {
+    return make_error(
+        Errc::unavailable, Error::kNone,
+        "CUDA draws streamed scenes whose pool has memory of the device: StreamPoolOptions::device_memory, "
+        "or Backend::cpu");
+  }
+  if (!cuda && is_on_device) {
+    return make_error(
+        Errc::unavailable, Error::kNone,
+        "the scene's pages are in a device's memory, where the CPU does not draw them: Backend::cuda, or a "
+        "pool without device_memory");
   }
   if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
   const auto detail = detail::drawn_detail(options, true);
   if (!detail) return tl::unexpected(detail.error());
-  const auto settings = detail::resolve(detail::with_levels(options, *detail), scene.declarations(), Backend::cpu);
+  const auto settings =
+      detail::resolve(detail::with_levels(options, *detail), scene.declarations(), cuda ? Backend::cuda : Backend::cpu);
   if (!settings) return tl::unexpected(settings.error());
   return detail::StreamRule{*settings, scene.origin(), scene.declarations()->z_near, *detail};
+}
+
+Result<FrameStats> Renderer::Impl::render(const detail::StreamFrame& frame, const StreamedScene& scene,
+                                          const Camera& camera, const RenderTarget& target,
+                                          const RenderOptions& options) {
+  return cuda->render({.slots = *frame.slots(),
+                       .chunks = frame.chunks(),
+                       .gaussians = frame.cut().gaussians,
+                       .pages = static_cast<std::uint32_t>(frame.n_pages()),
+                       .declarations = *scene.declarations()},
+                      camera, target, options);
 }
 
 Result<FrameStats> Renderer::render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
@@ -159,10 +182,11 @@ Result<FrameStats> Renderer::render(const StreamedScene& scene, const Camera& ca
       return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxDrawn - 1,
                         frame->cut().gaussians);
     }
-    auto stats =
-        impl_->reference->render({scene.sh_degree(), scene.origin(), frame->parts()}, camera, target, rule->settings);
+    auto stats = impl_->cuda ? impl_->render(*frame, scene, camera, target, options)
+                             : impl_->reference->render({scene.sh_degree(), scene.origin(), frame->parts()}, camera,
+                                                        target, rule->settings);
     if (!stats) return stats;
-    stats->pages = frame->parts().size();
+    stats->pages = frame->n_pages();
     stats->stream = frame->stats();
     stats->depth_resolution = detail::depth_resolution(rule->settings, stats->depth_bits, camera, scene.declarations());
     return stats;

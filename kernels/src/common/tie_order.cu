@@ -5,7 +5,8 @@
 // In/Out  attributes [n] -> order [n], rank [n]
 // Cost    n log2 n comparisons of 4 B each and gathered, mostly from L1 and L2; more where values are equal, at most all of
 //         both Gaussians. 8 B written a Gaussian
-// Launch  CUB's merge sort of indices; 256 threads, one an index, for the inverse
+// Launch  CUB's merge sort of indices; 256 threads, one an index, for the inverse. launch_chosen_ties() sorts what one frame of a streamed
+//         scene draws, in that frame
 // Order   deterministic: the order is total. Compiled without contraction to FMA, so that rotations are those of the CPU to
 //         the bit
 //
@@ -64,11 +65,37 @@ struct TiesBefore {
   }
 };
 
+// The same of drawn rows, by the rows that they are.
+struct ChosenTiesBefore {
+  TieValues<PagedAttributes> values;
+  const std::uint32_t* chunks;
+
+  __device__ __noinline__ bool operator()(std::uint32_t a, std::uint32_t b) const {
+    const int c = math::compare_ties(values, row(a), row(b));
+    return c != 0 ? c < 0 : a < b;
+  }
+  __device__ std::uint32_t row(std::uint32_t i) const {
+    const std::uint32_t size = values.attributes.chunk_size, k = i / size;
+    return __ldg(chunks + k) * size + (i - k * size);
+  }
+};
+
+template <class Before>
+cudaError_t sort_by(const Before& before, std::uint32_t n, std::uint32_t* order, void* temporary, std::size_t& bytes,
+                    Stream stream) {
+  return cub::DeviceMergeSort::SortKeysCopy(temporary, bytes, thrust::counting_iterator<std::uint32_t>(0), order, n,
+                                            before, stream);
+}
 template <class A>
 cudaError_t sort(const A& attributes, std::uint32_t n, std::uint32_t* order, void* temporary, std::size_t& bytes,
                  Stream stream) {
-  return cub::DeviceMergeSort::SortKeysCopy(temporary, bytes, thrust::counting_iterator<std::uint32_t>(0), order, n,
-                                            TiesBefore<A>{{attributes}}, stream);
+  return sort_by(TiesBefore<A>{{attributes}}, n, order, temporary, bytes, stream);
+}
+
+__global__ void __launch_bounds__(kThreads)
+    rows_kernel(ChosenTiesBefore chosen, std::uint32_t n, std::uint32_t* order) {
+  const std::uint32_t k = blockIdx.x * kThreads + threadIdx.x;
+  if (k < n) order[k] = chosen.row(order[k]);
 }
 
 __global__ void __launch_bounds__(kThreads)
@@ -80,15 +107,19 @@ __global__ void __launch_bounds__(kThreads)
 }  // namespace
 
 Result<std::uint64_t> tie_order_bytes(std::uint32_t n) {
-  std::size_t fp32 = 0, compact = 0;
+  std::size_t fp32 = 0, compact = 0, chosen = 0;
   auto ok = checked(sort(Fp32Attributes{}, n, nullptr, nullptr, fp32, nullptr),
                     "the size of the tie order's temporary memory is unknown");
   if (ok) {
     ok = checked(sort(CompactAttributes{}, n, nullptr, nullptr, compact, nullptr),
                  "the size of the tie order's temporary memory is unknown");
   }
+  if (ok) {
+    ok = checked(sort_by(ChosenTiesBefore{}, n, nullptr, nullptr, chosen, nullptr),
+                 "the size of the tie order's temporary memory is unknown");
+  }
   if (!ok) return tl::unexpected(ok.error());
-  return math::max(fp32, compact);
+  return math::max(math::max(fp32, compact), chosen);
 }
 
 Status launch_tie_order(const TieOrderArguments& a, Stream stream) {
@@ -101,6 +132,22 @@ Status launch_tie_order(const TieOrderArguments& a, Stream stream) {
   if (!ok) return ok;
   inverse_kernel<<<blocks_for(a.n, kThreads), kThreads, 0, stream>>>(a.order, a.n, a.rank);
   return launched("the inverse of the tie order could not be launched");
+}
+
+Status launch_chosen_ties(const ChosenTiesArguments& a, Stream stream) {
+  const std::uint32_t n = a.n_chunks * a.attributes.chunk_size;
+  if (n == 0) return {};
+  const ChosenTiesBefore chosen{{a.attributes}, a.chunks};
+  std::size_t bytes = a.temporary_bytes;
+  const auto ok = checked(sort_by(chosen, n, a.order, a.temporary, bytes, stream),
+                          "the sort of drawn rows by tie order could not be launched");
+  if (!ok) return ok;
+  if (a.rank == nullptr) {
+    rows_kernel<<<blocks_for(n, kThreads), kThreads, 0, stream>>>(chosen, n, a.order);
+  } else {
+    inverse_kernel<<<blocks_for(n, kThreads), kThreads, 0, stream>>>(a.order, n, a.rank);
+  }
+  return launched("the tie order of drawn rows could not be completed");
 }
 
 }  // namespace rgs::cuda

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <utility>
 
 #include "rgs/camera.hpp"
 #include "rgs/decode.hpp"
@@ -57,8 +58,9 @@ struct UploadOptions {
 };
 
 namespace detail {
+class CudaBackend;
 struct SceneStorage;
-}
+}  // namespace detail
 
 /// Gaussians in the current device's memory. Copies share them; the last one frees them. Reading is thread-safe.
 class DeviceScene {
@@ -98,6 +100,8 @@ class DeviceScene {
 
  private:
   friend class CudaRenderer;
+  friend class detail::CudaBackend;
+  explicit DeviceScene(std::shared_ptr<const detail::SceneStorage> storage) : storage_(std::move(storage)) {}
   static Result<DeviceScene> upload_decoded(const FileView& file, const UploadOptions& options);
   std::shared_ptr<const detail::SceneStorage> storage_;
 };

@@ -175,7 +175,7 @@ class Renderer {
                             const RenderOptions& options = {});
 
   /// The same of what is there of a streamed scene: the frame waits for no input, and FrameStats::stream says what it lacks. Errors: also
-  /// unavailable (CUDA, which draws whole scenes so far).
+  /// unavailable (CUDA, of a pool without StreamPoolOptions::device_memory; the CPU, of one with it).
   Result<FrameStats> render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
   /// Waits until nothing is missing that this view wants, and the file's table of pages is read and checked; then render() gives the

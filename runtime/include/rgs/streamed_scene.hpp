@@ -26,16 +26,22 @@ struct StreamPoolOptions {
   /// CPU renderer, pages that are there (236 bytes a Gaussian at SH degree 3). What a ByteSource holds of its own comes on top: of
   /// open_url_source() 64 KiB and as much for each of UrlOptions::reads_at_once, besides connections.
   std::uint64_t host_memory = std::uint64_t{2} << 30;
+  /// For drawing on CUDA: memory of the current device that its scenes' pages take, allocated as a whole when the first scene is opened and given
+  /// back with the last; 84 bytes a Gaussian at SH degree 3. The renderers' workspaces come on top. 0: pages are in the host's memory, where the
+  /// CPU draws them.
+  std::uint64_t device_memory = 0;
 };
 
-/// A memory budget that streamed scenes share: what shows the largest error in pixels gets room first, whichever scene it is of. Copies are the
-/// same pool.
+/// A memory budget that streamed scenes share: what shows the largest error in pixels gets room first, whichever scene it is of. With memory of a
+/// device, its scenes have one SH degree, chunk size and page size. Copies are the same pool.
 class StreamPool {
  public:
   /// Errors: bad_argument (a budget of 0).
   static Result<StreamPool> create(const StreamPoolOptions& options = {});
-  std::uint64_t host_bytes() const;   ///< held now
-  std::uint64_t host_memory() const;  ///< the budget
+  std::uint64_t host_bytes() const;     ///< held now
+  std::uint64_t host_memory() const;    ///< the budget
+  std::uint64_t device_bytes() const;   ///< held now on the device
+  std::uint64_t device_memory() const;  ///< the budget there
 
  private:
   friend class StreamedScene;
@@ -57,7 +63,7 @@ struct StreamStats {
       0;                         ///< that the view wants and are not drawn, since they are not there; damaged ones too
   std::uint64_t bytes_read = 0;  ///< from disk or network, tables included
   std::uint64_t bytes_decoded = 0;   ///< of pages as a GPU reads them
-  std::uint64_t bytes_uploaded = 0;  ///< to a device
+  std::uint64_t bytes_uploaded = 0;  ///< of these, to a device
   std::uint64_t bytes_evicted = 0;   ///< of decoded pages that gave room to others
   /// Largest error of a page drawn in view, px: error over footprint (docs/FORMAT.md, "Error and cut"). At most the detail asked
   /// for once nothing is missing.
@@ -71,7 +77,8 @@ class StreamedScene {
  public:
   /// Reads the head, the beginning of the table of pages and the root, and starts the threads. Errors: those of open_source() and
   /// PagedFile::open(); missing_section (a file without levels: open it as a Scene); host_out_of_memory or limit_exceeded (the pool does not hold the
-  /// tables and the root: Error::expected says how many bytes it takes).
+  /// tables and the root: Error::expected says how many bytes it takes); of a pool with memory of a device also unavailable (no CUDA),
+  /// bad_argument (the scenes in it are of another shape), device_out_of_memory, device_failed.
   static Result<StreamedScene> open(const std::string& path_or_url, const StreamOptions& options = {});
   static Result<StreamedScene> open(std::unique_ptr<ByteSource> source, const StreamOptions& options = {});
 

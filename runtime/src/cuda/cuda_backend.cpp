@@ -7,6 +7,8 @@
 #include <utility>
 
 #include "cuda/device_memory.hpp"
+#include "cuda/device_scene.hpp"
+#include "cuda/file_upload.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"
@@ -31,6 +33,9 @@ Result<DeviceScene> upload(const Scene& scene) {
 }  // namespace
 
 struct CudaBackend::Impl {
+  Result<FrameStats> draw(const DeviceScene& of, const Camera& camera, const RenderTarget& target,
+                          const RenderOptions& options);
+
   CudaRenderer renderer;
   std::shared_ptr<const DeviceMemory> memory;
   DeviceScene scene = {};
@@ -69,25 +74,57 @@ Status CudaBackend::prepare(const Scene& scene) {
 Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                                        const RenderOptions& options) {
   if (const auto ok = prepare(scene); !ok) return tl::unexpected(ok.error());
+  return impl_->draw(impl_->scene, camera, target, options);
+}
 
+// The storage of such a scene lives as long as its frame: its destructor waits for it, so that the slots may be others' afterwards.
+Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
+                                       const RenderOptions& options) {
+  int device = 0;
+  if (Status ok = device_status(cudaGetDevice(&device), "the current device could not be read"); !ok)
+    return tl::unexpected(ok.error());
+  if (device != draw.slots.device()) {
+    return make_error(Errc::bad_argument, Error::kNone, "the scene's pages are on another device than the current one");
+  }
+  const SlotPlan& plan = draw.slots.plan();
+  auto storage = std::make_shared<SceneStorage>();
+  storage->n = draw.gaussians;
+  storage->sh_degree = plan.shape.sh_degree;
+  storage->declarations = draw.declarations;
+  storage->origin = draw.declarations.origin;
+  SectionPlaces places{};
+  for (std::size_t k = 0; k < places.size(); ++k) places[k] = draw.slots.at(k, 0);
+  Header header;
+  header.chunk_size = plan.shape.chunk_size;
+  header.sh_degree = static_cast<std::uint8_t>(plan.shape.sh_degree);
+  storage->attributes = cuda::PagedAttributes{compact_attributes(header, places)};
+  ScenePages& pages = storage->pages.emplace();
+  pages.chunk_size = plan.shape.chunk_size;
+  pages.n_chunks = std::uint64_t{plan.n_slots} * plan.shape.page_chunks;
+  pages.chosen = {draw.chunks, {draw.gaussians, draw.pages, static_cast<std::uint32_t>(draw.chunks.size())}};
+  return impl_->draw(DeviceScene(std::move(storage)), camera, target, options);
+}
+
+Result<FrameStats> CudaBackend::Impl::draw(const DeviceScene& of, const Camera& camera, const RenderTarget& target,
+                                           const RenderOptions& options) {
   DeviceTarget device;
   Status ok;
   const auto wanted = [this, &ok](DeviceBuffer& buffer, const auto& span, auto*& pointer) {
     if (span.empty() || !ok) return;
-    ok = buffer.reserve(span.size_bytes(), impl_->memory, nullptr);
+    ok = buffer.reserve(span.size_bytes(), memory, nullptr);
     pointer = buffer.as<std::remove_pointer_t<std::remove_reference_t<decltype(pointer)>>>();
   };
-  wanted(impl_->rgb, target.rgb, device.rgb);
-  wanted(impl_->alpha, target.alpha, device.alpha);
-  wanted(impl_->depth, target.depth, device.depth);
-  wanted(impl_->evaluated, target.evaluated, device.evaluated);
-  wanted(impl_->blended, target.blended, device.blended);
+  wanted(rgb, target.rgb, device.rgb);
+  wanted(alpha, target.alpha, device.alpha);
+  wanted(depth, target.depth, device.depth);
+  wanted(evaluated, target.evaluated, device.evaluated);
+  wanted(blended, target.blended, device.blended);
   if (!ok) return tl::unexpected(ok.error());
 
   RenderOptions timed = options;
   timed.measure.timings = true;  // the copies below wait anyway
   timed.turbo.asynchronous = false;
-  auto stats = impl_->renderer.render(impl_->scene, camera, device, timed);
+  auto stats = renderer.render(of, camera, device, timed);
   if (!stats) return stats;
   const auto fetch = [&ok](const auto& span, const void* pointer) {
     if (span.empty() || !ok) return;

@@ -2,11 +2,24 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cstdint>
 #include <memory>
+#include <optional>
+#include <span>
 
 #include "rgs/renderer.hpp"
+#include "stream/device_slots.hpp"
 
 namespace rgs::detail {
+
+/// What a frame draws of a scene whose pages are in slots of a device. Nothing of it changes until the frame is made.
+struct SlotDraw {
+  const DeviceSlots& slots;
+  std::span<const std::uint32_t> chunks;  ///< of all slots' chunks, page after page in the order of leaves
+  std::uint64_t gaussians;                ///< of these pages
+  std::uint32_t pages;
+  const Declarations& declarations;
+};
 
 /// Frames in host memory by way of a device. Keeps the last scene on the device.
 class CudaBackend {
@@ -21,6 +34,9 @@ class CudaBackend {
   Status prepare(const Scene& scene);
   /// Camera, options and target are valid (the caller has checked them). Errors: those of CudaRenderer::render().
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
+                            const RenderOptions& options);
+  /// The same of a part of a scene; the frame is made on return, whatever that is. Errors: also bad_argument (another device is current).
+  Result<FrameStats> render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
   const char* name() const;
 

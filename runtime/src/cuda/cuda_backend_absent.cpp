@@ -19,6 +19,9 @@ Status CudaBackend::prepare(const Scene&) {
 Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const RenderTarget&, const RenderOptions&) {
   return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
+Result<FrameStats> CudaBackend::render(const SlotDraw&, const Camera&, const RenderTarget&, const RenderOptions&) {
+  return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+}
 const char* CudaBackend::name() const {
   return "";
 }

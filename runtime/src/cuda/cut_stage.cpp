@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <variant>
 
+#include "common/tie_order.hpp"
 #include "cuda/workspace_growth.hpp"
 
 namespace rgs::detail {
@@ -27,7 +28,8 @@ std::uint64_t CutStage::held(const SceneStorage& scene, const DeviceBuffer& spla
 
 std::uint64_t CutStage::bytes() const {
   std::uint64_t sum = 0;
-  for (const DeviceBuffer* b : {&counts_, &chosen_, &in_view_, &chunks_, &places_, &bits_, &bit_sums_, &order_, &rank_})
+  for (const DeviceBuffer* b :
+       {&counts_, &chosen_, &in_view_, &chunks_, &places_, &bits_, &bit_sums_, &order_, &rank_, &sort_})
     sum += b->bytes();
   return sum;
 }
@@ -37,12 +39,17 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
   const ScenePages& pages = *scene.pages;
   const std::uint64_t word = sizeof(std::uint32_t), limit = std::min(max_chunks, pages.n_chunks);
   const auto n_all = static_cast<std::uint32_t>(pages.n_chunks);
-  Status ok = reserve(counts_, (std::uint64_t{2} + cuda::cut_blocks(pages.n_pages)) * sizeof(cuda::CutCounts));
-  if (ok) ok = reserve(chosen_, pages.n_chunks * word);
-  if (ok) ok = reserve(in_view_, cuda::cull_blocks(n_all) * word);
-  if (ok) ok = reserve(places_, pages.n_chunks * word);
-  if (ok) ok = reserve(bits_, cuda::drawn_ties_words(n_all_rows(scene)) * word);
-  if (ok) ok = reserve(bit_sums_, cuda::drawn_ties_blocks(n_all_rows(scene)) * word);
+  const std::uint32_t n_blocks = pages.chosen ? 0 : cuda::cut_blocks(pages.n_pages);
+  Status ok = reserve(counts_, (std::uint64_t{2} + n_blocks) * sizeof(cuda::CutCounts));
+  if (pages.chosen) {
+    n_chunks = std::max<std::uint64_t>(pages.chosen->chunks.size(), 1);
+  } else {
+    if (ok) ok = reserve(chosen_, pages.n_chunks * word);
+    if (ok) ok = reserve(in_view_, cuda::cull_blocks(n_all) * word);
+    if (ok) ok = reserve(places_, pages.n_chunks * word);
+    if (ok) ok = reserve(bits_, cuda::drawn_ties_words(n_all_rows(scene)) * word);
+    if (ok) ok = reserve(bit_sums_, cuda::drawn_ties_blocks(n_all_rows(scene)) * word);
+  }
   const std::uint64_t before = held(scene, splats);
   const std::uint64_t guess = std::max<std::uint64_t>(kFirstRows / pages.chunk_size, 1);
   const std::uint64_t least = std::min(n_chunks != 0 ? n_chunks : before != 0 ? before : guess, limit);
@@ -60,6 +67,11 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
     });
   }
   capacity_ = ok ? std::min(held(scene, splats), limit) : 0;
+  if (!ok || !pages.chosen) return ok;
+  const auto bytes = cuda::tie_order_bytes(static_cast<std::uint32_t>(capacity_ * pages.chunk_size));
+  if (bytes) ok = reserve(sort_, *bytes);
+  if (!bytes) ok = tl::unexpected(bytes.error());
+  if (!ok) capacity_ = 0;
   return ok;
 }
 
@@ -67,8 +79,29 @@ cuda::DrawnChunks CutStage::drawn() const {
   return {chunks_.as<std::uint32_t>(), counts_.as<cuda::CutCounts>() + 1, static_cast<std::uint32_t>(capacity_)};
 }
 
+// The list goes to the device, and its rows are put in tie order: slots have others from frame to frame, so that there is no order of all
+// rows to take it from. Nothing is drawn where there is no room for the list.
+Status CutStage::launch_chosen(const SceneStorage& scene, bool by_row, CudaStream stream) const {
+  const ChosenChunks& chosen = *scene.pages->chosen;
+  const bool has_room = chosen.chunks.size() <= capacity_;
+  *seen_.get() = chosen.counts;
+  Status ok = device_status(cudaMemcpyAsync(counts_.as<cuda::CutCounts>() + 1, seen_.get(), sizeof(cuda::CutCounts),
+                                            cudaMemcpyHostToDevice, stream),
+                            "the number of drawn chunks could not be copied to the device");
+  if (!ok || !has_room || chosen.chunks.empty()) return ok;
+  ok = device_status(cudaMemcpyAsync(chunks_.as<void>(), chosen.chunks.data(), chosen.chunks.size_bytes(),
+                                     cudaMemcpyHostToDevice, stream),
+                     "the list of drawn chunks could not be copied to the device");
+  if (!ok) return ok;
+  return cuda::launch_chosen_ties({std::get<cuda::PagedAttributes>(scene.attributes), chunks_.as<std::uint32_t>(),
+                                   static_cast<std::uint32_t>(chosen.chunks.size()), order_.as<std::uint32_t>(),
+                                   by_row ? nullptr : rank_.as<std::uint32_t>(), sort_.as<void>(), sort_.bytes()},
+                                  stream);
+}
+
 Status CutStage::launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const {
   const ScenePages& pages = *scene.pages;
+  if (pages.chosen) return launch_chosen(scene, choice.by_row, stream);
   auto* const counts = counts_.as<cuda::CutCounts>();
   auto* const chosen = chosen_.as<std::uint32_t>();
   auto* const places = places_.as<std::uint32_t>();

@@ -47,6 +47,7 @@ class CutStage {
   std::uint64_t bytes() const;
 
  private:
+  Status launch_chosen(const SceneStorage& scene, bool by_row, CudaStream stream) const;
   std::uint64_t held(const SceneStorage& scene, const DeviceBuffer& splats) const;
 
   std::uint64_t capacity_ = 0;
@@ -58,6 +59,7 @@ class CutStage {
   DeviceBuffer places_;   ///< [all chunks]
   DeviceBuffer bits_, bit_sums_;
   DeviceBuffer order_, rank_;  ///< [rows]
+  DeviceBuffer sort_;          ///< of what the host has chosen
 };
 
 }  // namespace rgs::detail

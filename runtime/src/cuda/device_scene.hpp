@@ -6,8 +6,10 @@
 #include <memory>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <vector>
 
+#include "common/cut.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "cuda/device_memory.hpp"
 #include "rgs/cuda_renderer.hpp"
@@ -15,12 +17,20 @@
 
 namespace rgs::detail {
 
+/// Of a streamed scene: what the host has chosen to draw, of chunks that are there.
+struct ChosenChunks {
+  std::span<const std::uint32_t> chunks;  ///< on the host; constant until the frame is made
+  cuda::CutCounts counts;
+};
+
 /// Pages of a scene with levels of detail; its attributes are cuda::PagedAttributes.
 struct ScenePages {
   DeviceBuffer table;  ///< cuda::CutPage [n_pages]
   std::uint32_t n_pages = 0;
   std::uint32_t chunk_size = 0;
   std::uint64_t n_chunks = 0;  ///< of all pages
+  /// In place of a table, from which the device chooses, and of the tie order of all rows.
+  std::optional<ChosenChunks> chosen;
 };
 
 struct SceneStorage {

@@ -7,28 +7,18 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
-#include <cmath>
-#include <cstring>
-#include <limits>
 #include <memory>
 #include <mutex>
 #include <utility>
 
 #include "cuda/cuda_objects.hpp"
+#include "page_sections.hpp"
 #include "parallel.hpp"
-#include "rgs/quantize.hpp"
 
 namespace rgs::detail {
 namespace {
 
 constexpr std::uint64_t kBatchRows = std::uint64_t{1} << 18;  // 20 MB at SH degree 3, page-locked twice
-
-// Byte places in an entry of CHNK.
-constexpr std::size_t kStepSetAt = 32, kScaleUnitAt = 44;
-
-std::array<std::uint64_t, 5> row_bytes(int sh_degree) {
-  return {kMeanBytes, kGeometryBytes, sh_bytes(sh_degree), kStepSetBytes, kChunkEntryBytes};
-}
 
 // Pages begin .. end - 1 of the file.
 struct Batch {
@@ -70,7 +60,7 @@ class PageUpload {
         places_(places),
         stream_(stream),
         sh_degree_(file.head().header().sh_degree),
-        row_bytes_(row_bytes(sh_degree_)) {}
+        row_bytes_(section_row_bytes(sh_degree_)) {}
   PageUpload(const PageUpload&) = delete;
   PageUpload& operator=(const PageUpload&) = delete;
   ~PageUpload() { cudaStreamSynchronize(stream_); }  // the copies read what is freed now
@@ -137,28 +127,9 @@ Status PageUpload::fill_page(std::uint32_t page, const Batch& batch, const Stagi
   const auto to = [&](std::size_t k) {
     return staging.at[k] + (rows(k, page, page).first - rows(k, batch.begin, batch.begin).first) * row_bytes_[k];
   };
-  const std::array<std::span<const std::byte>, 5> from{decoded->means, decoded->geometry, decoded->sh, decoded->steps,
-                                                       decoded->chunks};
-  for (std::size_t k = 0; k < from.size(); ++k) std::ranges::copy(from[k], to(k));
-  // Rows that fill up the last chunk are nowhere, so that they are in no view.
-  const std::uint64_t n = decoded->n, n_padded = rows(0, page, page + 1).second;
-  constexpr float kNowhere = std::numeric_limits<float>::quiet_NaN();
-  constexpr std::uint16_t kNoSize[8] = {0x3C00, 0, 0, 0, 0, 0, 0, 0};
-  for (std::uint64_t i = n; i < n_padded; ++i) {
-    const float mean[3] = {kNowhere, kNowhere, kNowhere};
-    std::memcpy(to(0) + i * kMeanBytes, mean, kMeanBytes);
-    std::memcpy(to(1) + i * kGeometryBytes, kNoSize, kGeometryBytes);
-  }
-  std::memset(to(2) + n * row_bytes_[2], 0, (n_padded - n) * row_bytes_[2]);
-  // See PagedAttributes.
-  const float scale_unit = std::ldexp(1.0F, -decoded->scale_exponent);
-  const bool has_one_set = file_.stored(page).n_step_sets == 1;
-  for (std::uint64_t i = 0; i < rows(4, page, page + 1).second; ++i) {
-    std::byte* const entry = to(4) + i * kChunkEntryBytes;
-    const std::uint64_t set = plan_.first_set[page] + (has_one_set ? 0 : i);
-    std::memcpy(entry + kStepSetAt, &set, sizeof set);
-    std::memcpy(entry + kScaleUnitAt, &scale_unit, sizeof scale_unit);
-  }
+  std::array<std::byte*, 5> places{};
+  for (std::size_t k = 0; k < places.size(); ++k) places[k] = to(k);
+  write_page_sections(*decoded, plan_.chunk_size, plan_.first_set[page], places);
   return {};
 }
 
@@ -237,7 +208,7 @@ PagePlan::PagePlan(const PagedFile& file) : n_pages(file.n_present()), chunk_siz
 }
 
 std::array<std::uint64_t, 5> PagePlan::section_bytes(int sh_degree) const {
-  const std::array<std::uint64_t, 5> of = row_bytes(sh_degree);
+  const std::array<std::uint64_t, 5> of = section_row_bytes(sh_degree);
   return {n_rows() * of[0], n_rows() * of[1], n_rows() * of[2], first_set.back() * of[3], n_chunks() * of[4]};
 }
 

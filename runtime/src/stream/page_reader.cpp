@@ -7,13 +7,14 @@
 
 namespace rgs::detail {
 
-std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes) {
+std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots) {
   // What a decoder keeps from page to page: contents of a frame or codes of an archive, up to twice what the largest takes, and
   // its tables.
   constexpr std::uint64_t kTables = 320 << 10;
   const std::uint64_t largest = file.most_decoded_bytes();
   const std::uint64_t times = file.codec() == Codec::none ? 0 : file.codec() == Codec::planes ? 2 : 3;
-  return sizeof(PageReader) + read_bytes + (1 + times) * largest + (times > 0 ? kTables : 4096);
+  const std::uint64_t staged = slots == nullptr ? 0 : staging_bytes(slots->plan().shape);
+  return sizeof(PageReader) + read_bytes + (1 + times) * largest + (times > 0 ? kTables : 4096) + staged;
 }
 
 Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
@@ -45,33 +46,40 @@ Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
   return {};
 }
 
-Result<std::unique_ptr<float[]>> PageReader::decode(std::uint32_t page) {
+Status PageReader::decode(std::uint32_t page) {
   const std::shared_lock lock(table_);
   const StoredPage& stored = file_.stored(page);
   const std::span<const std::byte> bytes(stored_.get() + (stored.offset - begin_), stored.stored_bytes);
   const auto rows = decoder_.decode(page, bytes, decoded_.first(file_.decoded_bytes(page)));
   if (!rows) return tl::unexpected(rows.error());
-  const int sh_degree = file_.head().header().sh_degree;
-  auto block = SplatArrays::memory(rows->n, sh_degree);
-  const Status set = SplatArrays(block.get(), rows->n, sh_degree).set_page(file_, page, *rows, 0);
-  if (!set) return tl::unexpected(set.error());
-  return block;
+  return store_.put(page, *rows, writer_ ? &*writer_ : nullptr);
 }
 
-Result<std::unique_ptr<float[]>> PageReader::read(std::uint32_t page, std::uint32_t end) {
+Status PageReader::finish() {
+  return writer_ ? writer_->finish() : Status();
+}
+
+Status PageReader::read(std::uint32_t page, std::uint32_t end) {
   const auto is_there = [&] {
     const std::shared_lock lock(table_);
     const StoredPage& stored = file_.stored(page);
     return stored.offset >= begin_ && stored.offset + stored.stored_bytes <= end_;
   };
   if (!is_there()) {
-    if (const Status filled = fill(page, end); !filled) return tl::unexpected(filled.error());
+    if (Status filled = fill(page, end); !filled) return filled;
   }
-  auto block = decode(page);
-  if (block || block.error().code == Errc::host_out_of_memory) return block;
+  Status put = decode(page);
+  if (put || put.error().code == Errc::host_out_of_memory || put.error().code == Errc::device_failed) return put;
   // Bytes may be damaged on their way.
-  if (const Status filled = fill(page, page + 1); !filled) return tl::unexpected(filled.error());
+  if (Status filled = fill(page, page + 1); !filled) return filled;
   return decode(page);
+}
+
+Status PageReader::read_again(const FileRange& range) {
+  begin_run();
+  if (Status read = source_.read(range.offset, {stored_.get(), range.bytes}); !read) return read;
+  bytes_read_ += range.bytes;
+  return {};
 }
 
 Result<FilePart> PageReader::read_table(const FileRange& unread, std::uint64_t n) {

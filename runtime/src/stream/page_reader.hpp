@@ -1,11 +1,13 @@
-// page_reader.hpp - pages from their source to FP32 arrays: what one thread needs for it.
+// page_reader.hpp - pages from their source to where they are drawn: what one thread needs for it.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <shared_mutex>
 #include <utility>
 
@@ -13,6 +15,7 @@
 #include "rgs/paged_file.hpp"
 #include "rgs/result.hpp"
 #include "splat_arrays.hpp"
+#include "stream/page_store.hpp"
 
 namespace rgs::detail {
 
@@ -39,17 +42,21 @@ class TableMutex {
 class PageReader {
  public:
   /// `read_bytes`: of one read, at least least_bytes(file). `table` guards the file's table of pages, which may grow. All must outlive it.
-  PageReader(const PagedFile& file, TableMutex& table, ByteSource& source, std::uint64_t read_bytes)
+  /// `writer`: of a store that is on a device.
+  PageReader(const PagedFile& file, TableMutex& table, ByteSource& source, std::uint64_t read_bytes, PageStore& store,
+             std::optional<SlotWriter> writer)
       : file_(file),
         table_(table),
         source_(source),
+        store_(store),
+        writer_(std::move(writer)),
         stored_(std::make_unique_for_overwrite<std::byte[]>(read_bytes)),
         capacity_(read_bytes),
         decoded_(file.most_decoded_bytes()),
         decoder_(file) {}
 
-  /// Most memory that one takes.
-  static std::uint64_t bytes(const PagedFile& file, std::uint64_t read_bytes);
+  /// Most memory that one takes. `slots`: of a store that is on a device.
+  static std::uint64_t bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots);
   /// Room for any page: what coding makes larger than it is is a little larger.
   static std::uint64_t least_bytes(const PagedFile& file) {
     const std::uint64_t largest = file.most_decoded_bytes();
@@ -58,22 +65,30 @@ class PageReader {
 
   /// Before pages that do not follow those that were read before.
   void begin_run() { begin_ = end_ = 0; }
-  /// SplatArrays of a page, checked. Reads along what follows of pages before `end`, for the next calls. Errors: those of
-  /// ByteSource::read(), PageDecoder::decode() and check_page_values(), the latter two of a page that was read twice.
-  Result<std::unique_ptr<float[]>> read(std::uint32_t page, std::uint32_t end);
+  /// Puts a page in its place. Reads along what follows of pages before `end`, for the next calls. Errors: those of
+  /// ByteSource::read(), PageDecoder::decode() and PageStore::put(); damage is that of a page that was read twice.
+  Status read(std::uint32_t page, std::uint32_t end);
+  /// Waits until what was put is where it is drawn; whatever it returns, nothing is on its way any more. Errors: device_failed.
+  Status finish();
   /// What follows of the table of pages, `n` bytes or as many as fit, valid until the next call of any. Errors: those of
   /// ByteSource::read().
   Result<FilePart> read_table(const FileRange& unread, std::uint64_t n);
+  /// Of the bytes that the last read() gave the first, a few hundred.
+  FileRange last_read() const { return {begin_, std::min<std::uint64_t>(end_ - begin_, 512)}; }
+  /// Reads what could be read before. Errors: those of ByteSource::read().
+  Status read_again(const FileRange& range);
   /// Since the last call.
   std::uint64_t take_bytes_read() { return std::exchange(bytes_read_, 0); }
 
  private:
   Status fill(std::uint32_t page, std::uint32_t end);
-  Result<std::unique_ptr<float[]>> decode(std::uint32_t page);
+  Status decode(std::uint32_t page);
 
   const PagedFile& file_;
   TableMutex& table_;
   ByteSource& source_;
+  PageStore& store_;
+  std::optional<SlotWriter> writer_;
   std::unique_ptr<std::byte[]> stored_;  // bytes begin_ .. end_ - 1 of the file
   std::uint64_t capacity_, begin_ = 0, end_ = 0, bytes_read_ = 0;
   PageMemory decoded_;

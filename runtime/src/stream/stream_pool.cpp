@@ -48,26 +48,33 @@ StreamPoolState::Room StreamPoolState::look_for_victims(std::uint64_t bytes, con
   std::sort(victims_.begin(), victims_.begin() + static_cast<std::ptrdiff_t>(n_victims_),
             [](const Victim& a, const Victim& b) { return goes_before(b, a); });
   could_go_ = would_go;
-  if (could_go >= bytes - left()) return Room::taken;
+  if (could_go >= bytes - left_for_pages()) return Room::taken;
   return would_go >= bytes - left() ? Room::pinned : Room::none;
 }
 
 StreamPoolState::Room StreamPoolState::take(std::uint64_t bytes, const Worth& worth) {
-  could_go_ = budget;
-  if (bytes > budget) return Room::none;
+  if (!is_on_device()) return take_pages(bytes, worth);
+  if (bytes > left()) return Room::none;
+  held += bytes;
+  return Room::taken;
+}
+
+StreamPoolState::Room StreamPoolState::take_pages(std::uint64_t bytes, const Worth& worth) {
+  could_go_ = pages_budget();
+  if (bytes > pages_budget()) return Room::none;
   // Whether those that were found before are enough; frames have moved on since.
-  bool is_enough = left() >= bytes;
+  bool is_enough = left_for_pages() >= bytes;
   if (!is_enough) {
     std::uint64_t sum = 0;
-    for (std::size_t i = n_victims_; i-- > 0 && sum < bytes - left();) {
+    for (std::size_t i = n_victims_; i-- > 0 && sum < bytes - left_for_pages();) {
       Victim& v = victims_[i];
       v.worth = v.scene->worth(v.group);
       if (!v.scene->residency->can_evict(v.group) || !outranks(worth, v.worth)) break;
       sum += v.scene->group_bytes(v.group);
     }
-    is_enough = sum >= bytes - left();
+    is_enough = sum >= bytes - left_for_pages();
   }
-  while (left() < bytes) {
+  while (left_for_pages() < bytes) {
     if (n_victims_ == 0 || !is_enough) {
       if (const Room room = look_for_victims(bytes, worth); room != Room::taken) return room;
       is_enough = true;
@@ -75,8 +82,23 @@ StreamPoolState::Room StreamPoolState::take(std::uint64_t bytes, const Worth& wo
     const Victim& v = victims_[--n_victims_];
     if (v.scene->residency->can_evict(v.group)) v.scene->evict(v.group);
   }
-  held += bytes;
+  (is_on_device() ? slots_held : held) += bytes;
   return Room::taken;
+}
+
+Result<std::shared_ptr<DeviceSlots>> StreamPoolState::slots_of(const SlotShape& shape) {
+  if (auto there = slots.lock()) {
+    if (there->plan().shape == shape) return there;
+    return make_error(
+        Errc::bad_argument, Error::kNone,
+        "the pool's device memory is of scenes of another SH degree, chunk or page size: a pool of its own");
+  }
+  auto made = DeviceSlots::create(shape, device_memory);
+  if (!made) return made;
+  slots = *made;
+  slots_budget = (*made)->plan().n_slots * (*made)->plan().slot_bytes();
+  slots_held = 0;
+  return made;
 }
 
 void StreamPoolState::changed() {

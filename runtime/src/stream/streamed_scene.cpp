@@ -94,35 +94,62 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
 Status StreamedState::make_room_for_pages() {
   traits = source->traits();
   const std::uint32_t n_pages = file->n_pages_in_all();
-  if (Status taken = take(Residency::bytes(n_pages) + n_pages * sizeof(blocks[0])); !taken) return taken;
+  std::shared_ptr<DeviceSlots> slots;
+  if (pool->is_on_device()) {
+    const std::scoped_lock lock(pool->mutex);
+    auto made = pool->slots_of(SlotShape::of(*file));
+    if (!made) return tl::unexpected(made.error());
+    slots = *std::move(made);
+  }
+  if (Status taken = take(Residency::bytes(n_pages) + PageStore::bytes(n_pages, slots.get())); !taken) return taken;
   residency.emplace(file->pages(), n_pages);
-  blocks.resize(n_pages);
-  put_offs.reserve(PutOff::kMost);
+  store.emplace(*file, slots);
   const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
   std::uint64_t read_bytes = std::max(least, traits.most_bytes);
   auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
-  while (n > 1 && n * PageReader::bytes(*file, read_bytes) > share) {
+  const auto reader_bytes = [&] { return PageReader::bytes(*file, read_bytes, slots.get()); };
+  while (n > 1 && n * reader_bytes() > share) {
     if (read_bytes / 2 >= std::max(least, kLeastReadBytes)) {
       read_bytes /= 2;
     } else {
       n -= 1;
     }
   }
-  if (PageReader::bytes(*file, read_bytes) > share) read_bytes = least;
+  if (reader_bytes() > share) read_bytes = least;
   traits.most_bytes = read_bytes;
-  if (Status taken = take(n * PageReader::bytes(*file, read_bytes)); !taken) return taken;
-  for (std::uint64_t i = 0; i < n; ++i)
-    readers.push_back(std::make_unique<PageReader>(*file, table, *source, read_bytes));
+  if (Status taken = take(n * reader_bytes()); !taken) return taken;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    std::optional<SlotWriter> writer;
+    if (slots != nullptr) {
+      auto created = SlotWriter::create(slots);
+      if (!created) return tl::unexpected(created.error());
+      writer.emplace(*std::move(created));
+    }
+    readers.push_back(std::make_unique<PageReader>(*file, table, *source, read_bytes, *store, std::move(writer)));
+  }
   return {};
 }
 
 Status StreamedState::read_root() {
-  if (Status taken = take(page_bytes(0)); !taken) return taken;
-  auto block = readers.front()->read(0, 1);
+  {
+    const std::scoped_lock lock(pool->mutex);
+    const std::uint64_t n = store->page_bytes(0);
+    if (pool->take_pages(n, kNeeded) != StreamPoolState::Room::taken) {
+      if (!pool->is_on_device()) return too_small(pool->held + n, pool->budget);
+      return make_error(Errc::limit_exceeded, Error::kNone,
+                        "the device's budget does not hold the scene's coarsest page", pool->device_memory + n,
+                        pool->device_memory);
+    }
+    store->reserve(0);
+    has_root = true;
+  }
+  Status read = readers.front()->read(0, 1);
+  if (const Status there = readers.front()->finish(); read) read = there;
   stats.bytes_read += readers.front()->take_bytes_read();
-  if (!block) return tl::unexpected(block.error());
-  blocks[0] = *std::move(block);
+  if (!read) return read;
+  readable = readers.front()->last_read();
   stats.bytes_decoded += file->decoded_bytes(0);
+  if (pool->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(0);
   // Without lists a view cannot be drawn.
   const std::scoped_lock lock(pool->mutex);
   if (pool->take(least_view_bytes(), kNeeded) != StreamPoolState::Room::taken)
@@ -172,18 +199,19 @@ StreamedState::~StreamedState() {
   for (std::thread& thread : threads) thread.join();
   const std::scoped_lock lock(pool->mutex);
   // Others may use the room as soon as the lock is gone: nothing is left in it by then.
-  std::uint64_t given = bytes;
+  std::uint64_t given = bytes, given_pages = has_root ? store->page_bytes(0) : 0;
   for (const auto& view : views) {
     given += view->bytes + view->lists.bytes;
     if (pool->last_view == view.get()) pool->last_view = nullptr;
   }
   for (std::uint32_t group = 0; residency && group < residency->n_groups(); ++group) {
-    if (residency->state(group) == Residency::State::resident) given += group_bytes(group);
+    if (residency->state(group) == Residency::State::resident) given_pages += group_bytes(group);
   }
   views.clear(), readers.clear();
-  blocks = decltype(blocks)();
+  store.reset();
   residency.reset(), file.reset();
   pool->give(given);
+  pool->give_pages(given_pages);
   pool->forget(this);
 }
 
@@ -194,7 +222,7 @@ Result<StreamPool> StreamPool::create(const StreamPoolOptions& options) {
     if (options.host_memory == 0) {
       return make_error(Errc::bad_argument, Error::kNone, "a memory budget of 0 bytes holds no scene");
     }
-    return StreamPool(std::make_shared<StreamPoolState>(options.host_memory));
+    return StreamPool(std::make_shared<StreamPoolState>(options.host_memory, options.device_memory));
   });
 }
 
@@ -204,6 +232,14 @@ std::uint64_t StreamPool::host_bytes() const {
 }
 std::uint64_t StreamPool::host_memory() const {
   return state_->budget;
+}
+std::uint64_t StreamPool::device_bytes() const {
+  const std::scoped_lock lock(state_->mutex);
+  const auto slots = state_->slots.lock();
+  return slots ? slots->plan().bytes : 0;
+}
+std::uint64_t StreamPool::device_memory() const {
+  return state_->device_memory;
 }
 
 StreamedScene::StreamedScene(std::shared_ptr<StreamedState> state) : state_(std::move(state)) {}

@@ -10,7 +10,6 @@
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
-#include "splat_arrays.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -24,21 +23,14 @@ constexpr double kMostTurn = 1;           // radians ahead
 constexpr std::size_t kFirstDrawn = 256;  // pages
 /// A block of memory costs its allocator some bytes of its own.
 constexpr std::uint64_t kAllocationBytes = 32;
-/// A large one is whole pages of the system's.
-constexpr std::uint64_t kLargeBlock = 64 << 10, kSystemPage = 4096;
-constexpr std::uint64_t kLastingTrouble = 3;  // reads that failed one after the other
 
 bool is_more(const WantList::Want& a, const WantList::Want& b) {
-  return a.px > b.px;
+  return a.rank > b.rank;
 }
 
 bool is_same(const StreamEye& a, const StreamEye& b) {
   return a.eye.position == b.eye.position && a.eye.focal_px == b.eye.focal_px && a.eye.z_near == b.eye.z_near &&
          a.detail_px == b.detail_px && a.volume == b.volume;
-}
-
-std::uint64_t list_bytes(std::size_t n) {
-  return n * (sizeof(std::uint32_t) + sizeof(ScenePart)) + 2 * kAllocationBytes;
 }
 
 std::uint64_t view_bytes() {
@@ -75,15 +67,15 @@ Camera moved_on(const Camera& before, const Camera& now, double ahead, double fa
 
 }  // namespace
 
-void WantList::add(std::uint32_t group, float px) {
+void WantList::add(std::uint32_t group, float rank) {
   if (wants_.size() < kMost) {
-    wants_.push_back({px, group});
+    wants_.push_back({rank, group});
     return;
   }
   if (!std::exchange(is_cut_off_, true)) std::ranges::make_heap(wants_, is_more);
-  if (!(px > wants_.front().px)) return;
+  if (!(rank > wants_.front().rank)) return;
   std::ranges::pop_heap(wants_, is_more);
-  wants_.back() = {px, group};
+  wants_.back() = {rank, group};
   std::ranges::push_heap(wants_, is_more);
 }
 
@@ -91,13 +83,14 @@ void WantList::order() {
   std::ranges::stable_sort(wants_, is_more);
 }
 
-void WantList::insert(std::uint32_t group, float px) {
+void WantList::insert(std::uint32_t group, float rank) {
+  std::erase_if(wants_, [&](const Want& want) { return want.group == group; });
   if (wants_.size() == kMost) {
     is_cut_off_ = true;
-    if (!(px > wants_.back().px)) return;
+    if (!(rank > wants_.back().rank)) return;
     wants_.pop_back();
   }
-  wants_.insert(std::ranges::upper_bound(wants_, Want{px, group}, is_more), {px, group});
+  wants_.insert(std::ranges::upper_bound(wants_, Want{rank, group}, is_more), {rank, group});
 }
 
 void WantList::tidy(const Residency& residency) {
@@ -106,20 +99,19 @@ void WantList::tidy(const Residency& residency) {
   });
 }
 
-std::uint64_t StreamedState::least_view_bytes() {
-  return view_bytes() + list_bytes(kFirstDrawn);
+std::uint64_t StreamedState::list_bytes(std::size_t n) const {
+  const std::uint64_t drawn = store->is_on_device() ? file->page_chunks() * sizeof(std::uint32_t) : sizeof(ScenePart);
+  return n * (sizeof(std::uint32_t) + drawn) + 2 * kAllocationBytes;
 }
 
-std::uint64_t StreamedState::page_bytes(std::uint32_t page) const {
-  const std::uint64_t n =
-      file->pages()[page].count * SplatArrays::floats(file->head().header().sh_degree) * sizeof(float);
-  return n + kAllocationBytes + (n >= kLargeBlock ? kSystemPage : 0);
+std::uint64_t StreamedState::least_view_bytes() const {
+  return view_bytes() + list_bytes(kFirstDrawn);
 }
 
 std::uint64_t StreamedState::group_bytes(std::uint32_t group) const {
   const lod::Page& above = file->pages()[group];
   std::uint64_t sum = 0;
-  for (std::uint32_t k = 0; k < above.n_children; ++k) sum += page_bytes(above.first_child + k);
+  for (std::uint32_t k = 0; k < above.n_children; ++k) sum += store->page_bytes(above.first_child + k);
   return sum;
 }
 
@@ -136,14 +128,25 @@ Worth StreamedState::worth(std::uint32_t group) const {
   return worth;
 }
 
+void StreamedState::requested(std::uint32_t group) {
+  residency->request(group);
+  const lod::Page& above = file->pages()[group];
+  for (std::uint32_t k = 0; k < above.n_children; ++k) store->reserve(above.first_child + k);
+}
+
+void StreamedState::give_room(std::uint32_t group) {
+  const lod::Page& above = file->pages()[group];
+  for (std::uint32_t k = 0; k < above.n_children; ++k) store->free(above.first_child + k);
+  pool->give_pages(group_bytes(group));
+}
+
 void StreamedState::evict(std::uint32_t group) {
   residency->evict(group);
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
-    blocks[child].reset();
     stats.bytes_evicted += file->decoded_bytes(child);
   }
-  pool->give(group_bytes(group));
+  give_room(group);
   for (const auto& view : views) {
     if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, px);
   }
@@ -155,12 +158,13 @@ void StreamedState::placed(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
     stats.bytes_decoded += file->decoded_bytes(child);
+    if (store->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(child);
   }
   for (const auto& view : views) {
     view->is_soon_known = false;
     for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
       if (child >= residency->n_groups()) break;
-      if (const float px = residency->wanted_px(child, *view->now); px > 0) view->wants.insert(child, px);
+      if (const float px = residency->wanted_px(child, *view->now); px > 0) view->wants.insert(child, rank(child, px));
     }
   }
   pool->changed();
@@ -238,7 +242,12 @@ bool StreamedState::grow(DrawLists& lists) {
   if (pool->take(list_bytes(n), kNeeded) != StreamPoolState::Room::taken) return false;
   free(lists);
   lists.bytes = list_bytes(n);
-  lists.pages.reserve(n), lists.parts.reserve(n);
+  lists.pages.reserve(n);
+  if (store->is_on_device()) {
+    lists.chunks.reserve(n * file->page_chunks());
+  } else {
+    lists.parts.reserve(n);
+  }
   return true;
 }
 
@@ -261,7 +270,8 @@ Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
       return true;
     };
     const Residency::Cut cut = residency->cut(
-        eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, px); }, view.now->detail_px);
+        eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, rank(group, px)); },
+        view.now->detail_px);
     if (cut.fits) {
       view.wants.order();
       return cut;
@@ -292,11 +302,13 @@ Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std
   if (Status there = s.need(lists); !there) return tl::unexpected(there.error());
   StreamFrame frame;
   frame.cut_ = s.cut(**view, &lists);
-  lists.parts.clear();
+  lists.parts.clear(), lists.chunks.clear();
   for (const std::uint32_t page : lists.pages) {
-    const std::uint64_t n = s.file->pages()[page].count;
-    const SplatArrays a(s.blocks[page].get(), n, s.file->head().header().sh_degree);
-    lists.parts.push_back({n, a.mean, a.rotation, a.scale, a.opacity, a.sh});
+    if (s.store->is_on_device()) {
+      s.store->add_chunks(page, lists.chunks);
+    } else {
+      lists.parts.push_back(s.store->part(page));
+    }
   }
   s.stats.pages_missing = frame.cut_.missing;
   s.stats.detail_reached_px = frame.cut_.reached_px;
@@ -334,7 +346,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
   if (Status there = s.need(view.lists); !there) return tl::unexpected(there.error());
   view.is_refined = true;
   ++view.n_busy, ++s.n_waiting;
-  s.hurry();
+  s.pool->changed();  // pauses are shorter now
   struct Waiter {
     StreamedState& scene;
     StreamView& view;
@@ -348,6 +360,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
   const auto n_failures = [&] {
     return std::min(static_cast<std::uint64_t>(s.n_failures), s.n_failed - n_failed_before);
   };
+  const auto fails_for_long = [&] { return s.is_lasting && n_failures() >= StreamedState::kLastingTrouble; };
   for (;;) {
     // Its lists too: the frame that follows shall need no more room.
     const Residency::Cut cut = s.cut(view, &view.lists);
@@ -359,12 +372,12 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
     const bool is_late = StreamClock::now() >= deadline;
-    const bool is_failing = n_failures() >= (is_late ? 1 : kLastingTrouble);
+    const bool is_failing = is_late ? n_failures() > 0 : fails_for_long();
     if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(s.trouble.error());
     if (cut.damaged > 0 && (is_settled() || is_late || is_failing)) return tl::unexpected(s.damage.error());
     if (is_settled() || is_late) return false;
     s.pool->news.wait_until(lock, deadline, [&] {
-      if (is_settled() || n_failures() >= kLastingTrouble) return true;
+      if (is_settled() || fails_for_long()) return true;
       if (cut.missing == 0) return !s.can_extend();
       view.wants.tidy(*s.residency);
       return view.wants.wants().empty() && s.residency->n_resident() != n_resident;

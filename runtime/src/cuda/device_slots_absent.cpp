@@ -1,0 +1,36 @@
+// device_slots_absent.cpp - stands for a device's memory in builds without CUDA: there is none.
+// SPDX-License-Identifier: Apache-2.0
+#include <utility>
+
+#include "stream/device_slots.hpp"
+
+namespace rgs::detail {
+namespace {
+
+tl::unexpected<Error> not_built() {
+  return make_error(Errc::unavailable, Error::kNone,
+                    "this build has no CUDA, so that a pool cannot have a device's memory");
+}
+
+}  // namespace
+
+Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape&, std::uint64_t) {
+  return not_built();
+}
+DeviceSlots::~DeviceSlots() = default;
+
+struct SlotWriter::Impl {};
+SlotWriter::SlotWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+SlotWriter::SlotWriter(SlotWriter&&) noexcept = default;
+SlotWriter::~SlotWriter() = default;
+Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots>) {
+  return not_built();
+}
+Status SlotWriter::write(const PageRows&, std::uint32_t) {
+  return not_built();
+}
+Status SlotWriter::finish() {
+  return not_built();
+}
+
+}  // namespace rgs::detail

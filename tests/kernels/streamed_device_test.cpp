@@ -1,0 +1,209 @@
+// streamed_device_test.cpp - streamed scenes on the device: the pictures of whole files, small pools, and what the driver says of their memory.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <algorithm>
+#include <atomic>
+#include <thread>
+
+#include "device_fixture.hpp"
+#include "grid_scene.hpp"
+#include "streamed_fixture.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+constexpr ByteSource::Traits kTraits{.reads_at_once = 3, .most_bytes = 64 << 10, .gap_bytes = 4096};
+
+Renderer device_renderer() {
+  auto renderer = Renderer::create({.backend = Backend::cuda});
+  require_ok(renderer);
+  return *std::move(renderer);
+}
+
+StreamPool device_pool(std::uint64_t device_memory) {
+  auto pool = StreamPool::create({.host_memory = std::uint64_t{64} << 20, .device_memory = device_memory});
+  require_ok(pool);
+  return *std::move(pool);
+}
+
+StreamedScene streamed_in(const StreamPool& pool, const Bytes& bytes) {
+  return streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+}
+
+struct Way {
+  const char* name;
+  RenderOptions options;
+  std::vector<float> details;
+};
+std::vector<Way> ways() {
+  RenderOptions scattered = paper_options();
+  scattered.paper.front_end = PaperSteps::FrontEnd::separate;
+  RenderOptions fp32 = turbo_options();
+  fp32.turbo.tensor_cores = false;
+  return {{"turbo", turbo_options(), {1, 0}},
+          {"turbo in FP32", fp32, {1}},
+          {"paper", paper_options(), {1, 0}},
+          {"paper, separate", scattered, {1}},
+          {"baseline", baseline_options(), {0}}};
+}
+
+/// Colour alone, for which turbo has a way of its own.
+std::vector<float> colours(Renderer& renderer, const auto& scene, const Camera& camera, const RenderOptions& options) {
+  std::vector<float> rgb(3 * static_cast<std::size_t>(camera.width) * static_cast<std::size_t>(camera.height), NAN);
+  require_ok(renderer.render(scene, camera, {.rgb = rgb}, options));
+  return rgb;
+}
+
+std::vector<Camera> cameras(unsigned seed, int n) {
+  auto all = town_cameras(seed, n);
+  for (Camera& camera : all) camera = resized(camera, sized(320, 160, 64), sized(200, 96, 48));
+  return all;
+}
+
+std::uint64_t free_memory() {
+  std::size_t free = 0, total = 0;
+  require_cuda(cudaMemGetInfo(&free, &total));
+  return free;
+}
+
+}  // namespace
+
+TEST_CASE("on the device a refined picture is that of the whole file, byte for byte, by every pipeline") {
+  if (!device_answers()) return;
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    if (race_sizes() && profile != Profile::direct) continue;
+    for (const int sh_degree : sized<std::vector<int>>({0, 1, 2, 3}, {1, 3}, {1})) {
+      const Bytes bytes = town({.profile = profile, .n = sized(20000, 6000, 1000), .sh_degree = sh_degree});
+      const Scene all = whole(bytes);
+      const StreamPool pool = device_pool(32 << 20);
+      const StreamedScene scene = streamed_in(pool, bytes);
+      Renderer renderer = device_renderer(), reference = device_renderer();
+      for (const Way& way : ways()) {
+        for (const float detail : way.details) {
+          RenderOptions options = way.options;
+          options.detail_px = detail;
+          for (const Camera& camera : cameras(3, sized(6, 3, 1))) {
+            CAPTURE(way.name);
+            CAPTURE(detail);
+            CAPTURE(sh_degree);
+            REQUIRE(renderer.refine(scene, camera, kLong, options) == true);
+            CHECK(colours(renderer, scene, camera, options) == colours(reference, all, camera, options));
+            CHECK(is_same_picture(draw(renderer, scene, camera, options), draw(reference, all, camera, options)));
+          }
+        }
+      }
+      CHECK(scene.stats().bytes_uploaded > 0);
+    }
+  }
+}
+
+TEST_CASE("equal depths are drawn in tie order, whatever slots they are in") {
+  if (!device_answers()) return;
+  // A grid seen along its axis: many means at one depth, in pages that come in any order.
+  EncodeOptions options;
+  options.chunk_size = 32;
+  const auto plain = encode(cloud_of(grid_splats(5, sized(8000, 3000, 600)), 3).view(), options);
+  require_ok(plain);
+  const auto cloud = decode(*plain);
+  require_ok(cloud);
+  options.order = Order::morton;
+  Bytes bytes;
+  require_ok(write_levels(trivial_levels(*cloud, {.chunk_size = 32, .page_chunks = 2}), options, bytes));
+  const Scene all = whole(bytes);
+  Renderer reference = device_renderer();
+  const Camera camera = front_camera(sized(256, 128, 64), sized(192, 96, 48));
+  for (const Way& way : ways()) {
+    RenderOptions leaves = way.options;
+    leaves.detail_px = 0;
+    const std::vector<float> expected = colours(reference, all, camera, leaves);
+    for (int i = 0; i < 3; ++i) {
+      CAPTURE(way.name);
+      const StreamPool pool = device_pool(16 << 20);
+      const StreamedScene scene = streamed_in(pool, bytes);
+      Renderer renderer = device_renderer();
+      REQUIRE(renderer.refine(scene, camera, kLong, leaves) == true);
+      CHECK(colours(renderer, scene, camera, leaves) == expected);
+    }
+  }
+}
+
+TEST_CASE(
+    "a small pool: coarser pictures, pages that come and go, and never more of the device's memory than its budget") {
+  if (!device_answers()) return;
+  const Bytes bytes = town({.n = sized(60000, 20000, 3000)});
+  const Scene all = whole(bytes);
+  Renderer renderer = device_renderer(), reference = device_renderer();
+  const auto views = cameras(9, sized(80, 20, 4));
+  colours(reference, all, views.front(), at_detail(0));  // the library's own memory is there
+  for (const std::uint64_t device_memory : {std::uint64_t{64} << 20, std::uint64_t{400} << 10}) {
+    CAPTURE(device_memory);
+    const std::uint64_t before = free_memory();
+    const StreamPool pool = device_pool(device_memory);
+    {
+      const StreamedScene scene = streamed_in(pool, bytes);
+      CHECK(pool.device_bytes() <= device_memory);
+      // The driver gives whole pieces of 2 MiB.
+      CHECK(before - std::min(before, free_memory()) <= device_memory + (std::uint64_t{4} << 20));
+      double coarsest = 0;
+      for (std::size_t i = 0; i < views.size(); ++i) {
+        if (i % 4 == 0) require_ok(renderer.refine(scene, views[i], kLong, at_detail(0.05F)));
+        const Frame frame = draw(renderer, scene, views[i], at_detail(0.05F));
+        coarsest = std::max(coarsest, frame.stats.stream.detail_reached_px);
+        if (frame.stats.stream.pages_missing == 0) {
+          CHECK(is_same_picture(frame, draw(reference, all, views[i], at_detail(0.05F))));
+        }
+      }
+      CHECK(scene.status());
+      if (device_memory < std::uint64_t{1} << 20) CHECK(coarsest > 0.05);
+      if (device_memory < std::uint64_t{1} << 20 && !race_sizes()) CHECK(scene.stats().bytes_evicted > 0);
+    }
+    CHECK(pool.device_bytes() == 0);
+  }
+}
+
+TEST_CASE("two scenes in one pool, each by renderers of its own, at once") {
+  if (!device_answers() || race_sizes()) return;
+  const Bytes bytes[2] = {town({.n = sized(40000, 10000, 3000)}), town({.n = sized(40000, 10000, 3000), .seed = 18})};
+  const StreamPool pool = device_pool(1 << 20);
+  const StreamedScene scenes[2] = {streamed_in(pool, bytes[0]), streamed_in(pool, bytes[1])};
+  std::atomic<int> n_failed{0};
+  std::vector<std::thread> threads;
+  for (unsigned t = 0; t < 4; ++t) {
+    threads.emplace_back([&, t] {
+      auto renderer = Renderer::create({.backend = Backend::cuda});
+      for (const Camera& camera : cameras(30 + t, sized(40, 8, 2))) {
+        Frame frame = Frame::of(camera);
+        if (!renderer || !renderer->render(scenes[t % 2], camera, frame.target(), at_detail(0.1F))) ++n_failed;
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  CHECK(n_failed == 0);
+  CHECK(scenes[0].status());
+  CHECK(scenes[1].status());
+  // Each alone is right afterwards.
+  Renderer renderer = device_renderer(), reference = device_renderer();
+  for (int k = 0; k < 2; ++k) {
+    const Camera camera = cameras(77, 1).front();
+    REQUIRE(renderer.refine(scenes[k], camera, kLong, at_detail(4)));
+    const Frame frame = draw(renderer, scenes[k], camera, at_detail(4));
+    if (frame.stats.stream.pages_missing != 0) continue;
+    CHECK(is_same_picture(frame, draw(reference, whole(bytes[k]), camera, at_detail(4))));
+  }
+}
+
+TEST_CASE("a pool that is larger than the device is refused, and one without its memory is not drawn on it") {
+  if (!device_answers()) return;
+  const Bytes bytes = town({.n = 3000});
+  const auto refused = try_streaming(bytes, std::make_shared<Script>(), {.pool = device_pool(std::uint64_t{1} << 44)});
+  REQUIRE(!refused);
+  CHECK((refused.error().code == Errc::device_out_of_memory));
+  Renderer renderer = device_renderer();
+  const StreamedScene on_host = streamed(bytes);
+  Frame frame = Frame::of(front_camera(64, 48));
+  CHECK(renderer.render(on_host, front_camera(64, 48), frame.target()).error().code == Errc::unavailable);
+  CHECK(streamed_in(device_pool(1 << 20), bytes).size() == 3000);  // nothing of the refusal stays
+}

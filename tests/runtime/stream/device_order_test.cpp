@@ -1,0 +1,329 @@
+// device_order_test.cpp - pages on their way to a device and in its slots: nothing is drawn before it is there, and nothing is written while it
+// is drawn. On a device that does what it is told as late as it may, or at any time.
+// SPDX-License-Identifier: Apache-2.0
+#include <doctest/doctest.h>
+
+#include <array>
+#include <atomic>
+#include <optional>
+#include <thread>
+
+#include "fake_cuda.hpp"
+#include "streamed_fixture.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+constexpr FakeCuda::Pace kPaces[] = {FakeCuda::Pace::late, FakeCuda::Pace::any_time};
+constexpr ByteSource::Traits kTraits{.reads_at_once = 3, .most_bytes = 64 << 10, .gap_bytes = 4096};
+
+Renderer device_renderer() {
+  auto renderer = Renderer::create({.backend = Backend::cuda});
+  REQUIRE(renderer);
+  return *std::move(renderer);
+}
+
+StreamPool device_pool(std::uint64_t device_memory, std::uint64_t host_memory = std::uint64_t{64} << 20) {
+  auto pool = StreamPool::create({.host_memory = host_memory, .device_memory = device_memory});
+  REQUIRE(pool);
+  return *std::move(pool);
+}
+
+}  // namespace
+
+TEST_CASE("on a device, too, a refined picture is that of the whole file, byte for byte, in every profile") {
+  for (const FakeCuda::Pace pace : kPaces) {
+    for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+      for (const int sh_degree : {0, 3}) {
+        CAPTURE(static_cast<int>(pace));
+        CAPTURE(static_cast<int>(profile));
+        CAPTURE(sh_degree);
+        const Bytes bytes = town({.profile = profile, .n = 8000, .sh_degree = sh_degree});
+        const Scene all = whole(bytes);
+        FakeCuda cuda(pace);
+        {
+          const StreamPool pool = device_pool(16 << 20);
+          const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+          Renderer renderer = device_renderer(), reference = cpu_renderer(1);
+          for (const Camera& camera : town_cameras(5, 6)) {
+            for (const float detail : {2.0F, 0.0F}) {
+              REQUIRE(renderer.refine(scene, camera, kLong, at_detail(detail)) == true);
+              const Frame frame = draw(renderer, scene, camera, at_detail(detail));
+              CHECK(is_same_picture(frame, draw(reference, all, camera, at_detail(detail))));
+              CHECK(frame.stats.stream.pages_missing == 0);
+              CHECK(frame.stats.pages >= 1);
+            }
+          }
+          const StreamStats stats = scene.stats();
+          CHECK(stats.bytes_uploaded == stats.bytes_decoded);
+          CHECK(stats.bytes_uploaded > 0);
+          CHECK(stats.bytes_evicted == 0);
+        }
+        CHECK(cuda.n_faults == 0);
+        CHECK(cuda.device_bytes == 0);
+        CHECK(cuda.pinned_bytes == 0);
+      }
+    }
+  }
+}
+
+TEST_CASE("frames of what is there, while pages come and go: no page is drawn that is on its way") {
+  const Bytes bytes = town({.n = 30000});
+  for (const FakeCuda::Pace pace : kPaces) {
+    for (const std::uint64_t device_memory : {std::uint64_t{120} << 10, std::uint64_t{400} << 10}) {
+      CAPTURE(static_cast<int>(pace));
+      CAPTURE(device_memory);
+      FakeCuda cuda(pace, device_memory, 7);
+      {
+        const StreamPool pool = device_pool(device_memory);
+        const auto script = std::make_shared<Script>();
+        const StreamedScene scene = streamed(bytes, script, {.pool = pool, .traits = kTraits});
+        CHECK(pool.device_bytes() <= device_memory);
+        CHECK(pool.device_bytes() == cuda.device_bytes);
+        Renderer renderer = device_renderer();
+        const std::vector<Camera> cameras = town_cameras(11, 60);
+        double coarsest = 0;
+        for (std::size_t i = 0; i < cameras.size(); ++i) {
+          if (i % 5 == 0) {
+            const auto complete = renderer.refine(scene, cameras[i], kLong, at_detail(0.05F));
+            REQUIRE(complete);
+          }
+          const Frame frame = draw(renderer, scene, cameras[i], at_detail(0.05F));
+          CHECK((frame.stats.stream.pages_missing > 0 || frame.stats.stream.detail_reached_px <= 0.05));
+          coarsest = std::max(coarsest, frame.stats.stream.detail_reached_px);
+        }
+        CHECK(coarsest > 0.05);  // the pool is too small for these views
+        CHECK(scene.stats().bytes_evicted > 0);
+        CHECK(scene.status());
+      }
+      CHECK(cuda.n_faults == 0);
+      CHECK(cuda.most_device_bytes <= device_memory);
+      CHECK(cuda.n_allocations == 1);  // once, not page by page
+      CHECK(cuda.device_bytes == 0);
+    }
+  }
+}
+
+TEST_CASE("a pool that is smaller than a view gives a coarser picture, and the same one again") {
+  const Bytes bytes = town({.n = 30000});
+  FakeCuda cuda(FakeCuda::Pace::late);
+  const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+  double finer = -1;
+  for (const std::uint64_t device_memory :
+       {std::uint64_t{8} << 20, std::uint64_t{300} << 10, std::uint64_t{60} << 10}) {
+    CAPTURE(device_memory);
+    const StreamPool pool = device_pool(device_memory);
+    const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    Renderer renderer = device_renderer();
+    const auto complete = renderer.refine(scene, camera, kLong, at_detail(0));
+    REQUIRE(complete);
+    CHECK(*complete == (device_memory == std::uint64_t{8} << 20));
+    const Frame frame = draw(renderer, scene, camera, at_detail(0));
+    CHECK(frame.stats.stream.detail_reached_px > finer);
+    finer = frame.stats.stream.detail_reached_px;
+    CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), frame));
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("two scenes share a pool's slots, and the last one gives the memory back") {
+  const Bytes bytes = town({.n = 20000}), others = town({.n = 20000, .seed = 18}),
+              unlike = town({.n = 3000, .sh_degree = 2});
+  for (const FakeCuda::Pace pace : kPaces) {
+    FakeCuda cuda(pace);
+    {
+      const StreamPool pool = device_pool(1800 << 10);
+      std::optional<StreamedScene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+      const StreamedScene two = streamed(others, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+      const auto refused = try_streaming(unlike, std::make_shared<Script>(), {.pool = pool});
+      REQUIRE(!refused);
+      CHECK(refused.error().code == Errc::bad_argument);
+      const Scene all_one = whole(bytes), all_two = whole(others);
+      Renderer a = device_renderer(), b = device_renderer(), reference = cpu_renderer(1);
+      const Camera camera = camera_at({12, 2, 12}, {30, 0, 30});
+      for (int i = 0; i < 4; ++i) {
+        const bool is_first = i % 2 == 0;
+        const StreamedScene& scene = is_first ? *one : two;
+        Renderer& renderer = is_first ? a : b;
+        REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0.1F)) == true);
+        CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0.1F)),
+                              draw(reference, is_first ? all_one : all_two, camera, at_detail(0.1F))));
+      }
+      CHECK(cuda.n_allocations == 1);
+      one.reset();
+      CHECK(pool.device_bytes() == cuda.device_bytes);
+      // What the first had is the second's, whose pages take more than half of the pool.
+      const Camera over = camera_at({0, 30, 40}, {0, 0, 0});
+      CHECK(b.refine(two, over, kLong, at_detail(0)) == true);
+      CHECK(two.stats().pages_resident * 5504 > pool.device_bytes() / 2);
+    }
+    CHECK(cuda.n_faults == 0);
+    CHECK(cuda.device_bytes == 0);
+    CHECK(cuda.pinned_bytes == 0);
+  }
+}
+
+TEST_CASE("one scene serves several renderers at once on a device") {
+  const Bytes bytes = town({.n = 20000});
+  for (const FakeCuda::Pace pace : kPaces) {
+    CAPTURE(static_cast<int>(pace));
+    FakeCuda cuda(pace, std::uint64_t{1} << 30, 3);
+    {
+      const StreamPool pool = device_pool(400 << 10);
+      const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+      std::atomic<int> n_failed{0};
+      std::vector<std::thread> threads;
+      for (unsigned t = 0; t < 3; ++t) {
+        threads.emplace_back([&, t, copy = scene] {
+          auto renderer = Renderer::create({.backend = Backend::cuda});
+          for (const Camera& camera : town_cameras(20 + t, 30)) {
+            Frame frame = Frame::of(camera);
+            if (!renderer || !renderer->render(copy, camera, frame.target(), at_detail(0.1F))) ++n_failed;
+          }
+        });
+      }
+      for (std::thread& thread : threads) thread.join();
+      CHECK(n_failed == 0);
+      CHECK(scene.stats().bytes_evicted > 0);
+    }
+    CHECK(cuda.n_faults == 0);
+  }
+}
+
+TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot is others'") {
+  const Bytes bytes = town();
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const Scene all = whole(bytes);
+  const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+  for (const FakeCuda::Pace pace : kPaces) {
+    CAPTURE(static_cast<int>(pace));
+    FakeCuda cuda(pace);
+    {
+      const StreamPool pool = device_pool(8 << 20);
+      const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+      cuda.fails_next = 1;
+      Renderer renderer = device_renderer(), reference = cpu_renderer(1);
+      CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
+      CHECK(cuda.fails_next == 0);
+      CHECK(scene.status());
+      CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), draw(reference, all, camera, at_detail(0))));
+
+      // The last of its siblings: the others are on their way when it is found.
+      const lod::Page& above = file->pages()[file->pages()[file->n_pages() - file->n_pages() / 3].parent];
+      REQUIRE(above.n_children > 1);
+      const StoredPage& stored = file->stored(above.first_child + above.n_children - 1);
+      const auto script = std::make_shared<Script>();
+      script->flip_from = stored.offset + 40, script->flip_to = stored.offset + 41;
+      const StreamedScene damaged = streamed(bytes, script, {.pool = pool, .traits = kTraits});
+      CHECK(!renderer.refine(damaged, camera, kLong, at_detail(0)));
+      CHECK(draw(renderer, damaged, camera, at_detail(0)).stats.stream.pages_missing > 0);
+      CHECK(damaged.status().error().code == Errc::checksum_mismatch);
+    }
+    CHECK(cuda.n_faults == 0);
+    CHECK(cuda.device_bytes == 0);
+  }
+}
+
+TEST_CASE("of pages that are given up nothing is on its way any more: their slots are others'") {
+  const Bytes bytes = town({.n = 500});
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  REQUIRE(file->n_levels() == 2);
+  const auto script = std::make_shared<Script>();
+  script->flip_from = file->stored(file->n_pages() - 1).offset + 40, script->flip_to = script->flip_from + 1;
+  FakeCuda cuda(FakeCuda::Pace::late);
+  {
+    const StreamedScene scene = streamed(bytes, script, {.pool = device_pool(8 << 20), .traits = kTraits});
+    Renderer renderer = device_renderer();
+    CHECK(!renderer.refine(scene, camera_at({0, 30, 40}, {0, 0, 0}), kLong, at_detail(0)));
+    CHECK(cuda.n_pending() == 0);
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("what a pool lacks on a device is said, with the bytes that it takes, and nothing stays taken") {
+  const Bytes bytes = town();
+  {
+    // No device at all.
+    const StreamPool pool = device_pool(8 << 20);
+    const auto scene = try_streaming(bytes, std::make_shared<Script>(), {.pool = pool});
+    REQUIRE(!scene);
+    CHECK(scene.error().code == Errc::unavailable);
+    CHECK(pool.host_bytes() == 0);
+  }
+  FakeCuda cuda(FakeCuda::Pace::late, 1 << 20);
+  {
+    const StreamPool pool = device_pool(100);
+    CHECK(pool.device_memory() == 100);
+    const auto scene = try_streaming(bytes, std::make_shared<Script>(), {.pool = pool});
+    REQUIRE(!scene);
+    CHECK(scene.error().code == Errc::limit_exceeded);
+    CHECK(scene.error().found == 100);
+    const StreamPool enough = device_pool(scene.error().expected);
+    const StreamedScene least = streamed(bytes, std::make_shared<Script>(), {.pool = enough});
+    Renderer renderer = device_renderer();
+    const Frame frame = draw(renderer, least, camera_at({0, 12, 30}, {0, 0, 0}));
+    CHECK(frame.stats.pages == 1);  // the root
+    CHECK(frame.stats.stream.pages_missing > 0);
+    // A second scene has its coarsest page, too.
+    const auto second = try_streaming(bytes, std::make_shared<Script>(), {.pool = enough});
+    REQUIRE(!second);
+    CHECK(second.error().code == Errc::limit_exceeded);
+  }
+  {
+    const StreamPool pool = device_pool(2 << 20);  // more than the device has
+    const auto scene = try_streaming(bytes, std::make_shared<Script>(), {.pool = pool});
+    REQUIRE(!scene);
+    CHECK(scene.error().code == Errc::device_out_of_memory);
+    CHECK(pool.host_bytes() == 0);
+  }
+  CHECK(cuda.device_bytes == 0);
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("a scene is drawn where its pages are, and the other renderer says so") {
+  const Bytes bytes = town({.n = 3000});
+  FakeCuda cuda(FakeCuda::Pace::late);
+  {
+    const StreamedScene on_device = streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(1 << 20)});
+    const StreamedScene on_host = streamed(bytes);
+    Renderer device = device_renderer(), host = cpu_renderer(1);
+    const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+    Frame frame = Frame::of(camera);
+    CHECK(device.render(on_device, camera, frame.target()));
+    CHECK(host.render(on_host, camera, frame.target()));
+    CHECK(device.render(on_host, camera, frame.target()).error().code == Errc::unavailable);
+    CHECK(host.render(on_device, camera, frame.target()).error().code == Errc::unavailable);
+    CHECK(device.refine(on_host, camera, 0).error().code == Errc::unavailable);
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("page-locked memory and tables are of the host's budget") {
+  const Bytes bytes = town({.n = 30000});
+  FakeCuda cuda(FakeCuda::Pace::any_time);
+  {
+    const std::uint64_t host_memory = 2 << 20;
+    const StreamPool pool = device_pool(8 << 20, host_memory);
+    const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    CHECK(cuda.pinned_bytes > 0);
+    // The same scene without a device takes less for its tables and threads, by the page-locked memory at least.
+    const auto host_pool = StreamPool::create({.host_memory = host_memory});
+    REQUIRE(host_pool);
+    const StreamedScene on_host = streamed(bytes, std::make_shared<Script>(), {.pool = *host_pool, .traits = kTraits});
+    const std::uint64_t root = on_host.stats().bytes_decoded * 2;  // at most: FP32 in place of what is stored
+    CHECK(pool.host_bytes() + root >= host_pool->host_bytes() + cuda.pinned_bytes);
+    const std::uint64_t before = pool.host_bytes();
+    Renderer renderer = device_renderer();
+    const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+    REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
+    CHECK(pool.host_bytes() <= host_memory);
+    // Pages take none of it.
+    CHECK(pool.host_bytes() - before < scene.stats().bytes_uploaded / 4);
+  }
+  CHECK(cuda.pinned_bytes == 0);
+  CHECK(cuda.n_faults == 0);
+}

@@ -1,0 +1,111 @@
+// fake_backend.cpp - the CUDA backend on the fake device: slots are read as kernels read them, and drawn by the CPU renderer.
+// SPDX-License-Identifier: Apache-2.0
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "cpu/reference_renderer.hpp"
+#include "cuda/cuda_backend.hpp"
+#include "fake_cuda.hpp"
+#include "page_sections.hpp"
+#include "render_options.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+namespace {
+
+template <class T>
+T read(const std::byte* from) {
+  T value;
+  std::memcpy(&value, from, sizeof value);
+  return value;
+}
+
+// FP32 attributes of what is drawn.
+struct Drawn {
+  std::vector<float> mean, rotation, scale, opacity, sh;
+};
+
+// Row `row` of all slots, by PagedAttributes; nothing where it fills up a chunk.
+void add_row(const SlotDraw& draw, std::uint64_t row, Drawn& out) {
+  const SlotShape& shape = draw.slots.plan().shape;
+  const std::uint64_t chunk = row / shape.chunk_size;
+  const auto at = [&](std::size_t k, std::uint64_t i) {
+    return draw.slots.at(k, 0) + i * section_row_bytes(shape.sh_degree)[k];
+  };
+  const auto mean = read<std::array<float, 3>>(at(0, row));
+  if (std::isnan(mean[0])) return;
+  const auto geometry = read<std::array<std::uint16_t, 8>>(at(1, row));
+  const std::byte* const entry = at(4, chunk);
+  const auto scale_unit = read<float>(entry + 44);
+  const auto set = read<std::uint32_t>(entry + 32);
+  out.mean.insert(out.mean.end(), mean.begin(), mean.end());
+  float q[4];
+  dequantize_rotation(geometry.data(), q);
+  out.rotation.insert(out.rotation.end(), q, q + 4);
+  for (std::size_t k = 4; k < 7; ++k) out.scale.push_back(float_from_half(geometry[k]) * scale_unit);
+  out.opacity.push_back(float_from_half(geometry[7]));
+  for (int k = 0; k < 3 * sh_coefficients(shape.sh_degree); ++k) {
+    const int degree = sh_degree_of(k / 3);
+    const auto step = read<float>(at(3, set) + sizeof(float) * static_cast<std::size_t>(3 * degree + k % 3));
+    out.sh.push_back(dequantize_sh(read<std::int8_t>(at(2, row) + k), step));
+  }
+}
+
+}  // namespace
+
+struct CudaBackend::Impl {
+  ReferenceRenderer renderer{1, true};
+};
+
+CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+CudaBackend::CudaBackend(CudaBackend&&) noexcept = default;
+CudaBackend& CudaBackend::operator=(CudaBackend&&) noexcept = default;
+CudaBackend::~CudaBackend() = default;
+
+Result<CudaBackend> CudaBackend::create() {
+  if (test::FakeCuda::current() == nullptr)
+    return make_error(Errc::unavailable, Error::kNone, "the test has no device now");
+  return CudaBackend(std::make_unique<Impl>());
+}
+Status CudaBackend::prepare(const Scene&) {
+  return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
+}
+Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const RenderTarget&, const RenderOptions&) {
+  return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
+}
+
+// What is drawn is read slowly: nobody may write it meanwhile.
+Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
+                                       const RenderOptions& options) {
+  test::FakeCuda& cuda = *test::FakeCuda::current();
+  const SlotShape& shape = draw.slots.plan().shape;
+  Drawn drawn;
+  for (const std::uint32_t chunk : draw.chunks) {
+    const std::uint64_t first = std::uint64_t{chunk} * shape.chunk_size;
+    for (const std::size_t k : {0u, 1u, 2u, 4u}) {
+      const std::uint64_t row_bytes = section_row_bytes(shape.sh_degree)[k];
+      const std::byte* const from = draw.slots.at(k, 0) + (k == 4 ? chunk : first) * row_bytes;
+      const std::uint64_t bytes = (k == 4 ? 1 : shape.chunk_size) * row_bytes;
+      if (!cuda.is_allocated(from, bytes) || cuda.is_written(from, bytes)) ++cuda.n_faults;
+    }
+    for (std::uint64_t j = 0; j < shape.chunk_size; ++j) add_row(draw, first + j, drawn);
+    std::this_thread::yield();
+  }
+  if (drawn.opacity.size() != draw.gaussians) ++cuda.n_faults;
+  const auto detail = drawn_detail(options, true);
+  if (!detail) return tl::unexpected(detail.error());
+  const auto settings = resolve(with_levels(options, *detail), draw.declarations, Backend::cpu);
+  if (!settings) return tl::unexpected(settings.error());
+  const std::array parts{ScenePart{draw.gaussians, drawn.mean.data(), drawn.rotation.data(), drawn.scale.data(),
+                                   drawn.opacity.data(), drawn.sh.data()}};
+  return impl_->renderer.render({shape.sh_degree, draw.declarations.origin, parts}, camera, target, *settings);
+}
+const char* CudaBackend::name() const {
+  return "cuda of the tests";
+}
+
+}  // namespace rgs::detail

@@ -1,0 +1,309 @@
+// fake_cuda.cpp - streams as queues, memory as memory.
+// SPDX-License-Identifier: Apache-2.0
+#include "fake_cuda.hpp"
+
+#include <cuda_runtime_api.h>
+
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <functional>
+#include <map>
+#include <mutex>
+#include <random>
+#include <thread>
+#include <vector>
+
+struct CUstream_st {
+  struct Work {
+    std::function<void()> run;
+    std::byte* to = nullptr;  // of a copy
+    std::size_t bytes = 0;
+  };
+  mutable std::mutex mutex;
+  std::condition_variable done_one;
+  std::deque<Work> queue;  // the first is at work if is_busy
+  bool is_busy = false;
+  std::uint64_t n_queued = 0, n_done = 0;
+
+  std::uint64_t add(Work work) {
+    const std::scoped_lock lock(mutex);
+    queue.push_back(std::move(work));
+    return ++n_queued;
+  }
+  // The work itself is done without the lock: what races with it is seen to.
+  bool do_one() {
+    std::function<void()> run;
+    {
+      const std::scoped_lock lock(mutex);
+      if (is_busy || queue.empty()) return false;
+      is_busy = true;
+      run = queue.front().run;
+    }
+    run();
+    const std::scoped_lock lock(mutex);
+    queue.pop_front();
+    is_busy = false;
+    ++n_done;
+    done_one.notify_all();
+    return true;
+  }
+  void finish(std::uint64_t ticket) {
+    for (;;) {
+      {
+        std::unique_lock lock(mutex);
+        done_one.wait(lock, [&] { return !is_busy; });
+        if (n_done >= ticket) return;
+      }
+      do_one();
+    }
+  }
+};
+
+struct CUevent_st {
+  std::mutex mutex;
+  CUstream_st* stream = nullptr;
+  std::uint64_t ticket = 0;
+};
+
+namespace rgs::test {
+namespace {
+
+FakeCuda* the_device = nullptr;
+constexpr int kPoison = 0xFB;  // of memory that nobody has written: no number
+
+bool overlap(const std::byte* a, std::size_t n, const std::byte* b, std::size_t m) {
+  return a < b + m && b < a + n;
+}
+
+void note_most(std::atomic<std::uint64_t>& most, std::uint64_t now) {
+  for (std::uint64_t before = most; now > before && !most.compare_exchange_weak(before, now);) {
+  }
+}
+
+}  // namespace
+
+struct FakeCuda::Impl {
+  mutable std::mutex mutex;  // of what follows
+  std::map<std::byte*, std::size_t> device, pinned;
+  std::vector<CUstream_st*> streams;
+  std::uint64_t device_memory = 0;
+  bool is_stopping = false;
+  std::mt19937 random;
+  std::thread engine;
+
+  static bool holds(const std::map<std::byte*, std::size_t>& memory, const std::byte* from, std::size_t bytes) {
+    for (const auto& [begin, size] : memory) {
+      if (from >= begin && from + bytes <= begin + size) return true;
+    }
+    return false;
+  }
+  void work() {
+    for (;;) {
+      {
+        const std::scoped_lock lock(mutex);
+        if (is_stopping) return;
+        // With the lock: a stream that is destroyed is none of these.
+        if (!streams.empty() && random() % 4 != 0) streams[random() % streams.size()]->do_one();
+      }
+      std::this_thread::yield();
+    }
+  }
+};
+
+FakeCuda::FakeCuda(Pace pace, std::uint64_t device_memory, unsigned seed) : impl(std::make_unique<Impl>()) {
+  impl->device_memory = device_memory;
+  impl->random.seed(seed);
+  the_device = this;
+  if (pace == Pace::any_time) impl->engine = std::thread([this] { impl->work(); });
+}
+
+FakeCuda::~FakeCuda() {
+  {
+    const std::scoped_lock lock(impl->mutex);
+    impl->is_stopping = true;
+  }
+  if (impl->engine.joinable()) impl->engine.join();
+  the_device = nullptr;
+}
+
+FakeCuda* FakeCuda::current() {
+  return the_device;
+}
+
+bool FakeCuda::is_written(const std::byte* from, std::size_t bytes) const {
+  const std::scoped_lock lock(impl->mutex);
+  for (const CUstream_st* stream : impl->streams) {
+    const std::scoped_lock of_stream(stream->mutex);
+    for (const CUstream_st::Work& work : stream->queue) {
+      if (work.bytes != 0 && overlap(work.to, work.bytes, from, bytes)) return true;
+    }
+  }
+  return false;
+}
+
+std::size_t FakeCuda::n_pending() const {
+  const std::scoped_lock lock(impl->mutex);
+  std::size_t n = 0;
+  for (const CUstream_st* stream : impl->streams) {
+    const std::scoped_lock of_stream(stream->mutex);
+    for (const CUstream_st::Work& work : stream->queue) n += work.bytes != 0;
+  }
+  return n;
+}
+
+bool FakeCuda::is_allocated(const std::byte* from, std::size_t bytes) const {
+  const std::scoped_lock lock(impl->mutex);
+  return Impl::holds(impl->device, from, bytes);
+}
+
+}  // namespace rgs::test
+
+using rgs::test::FakeCuda;
+
+namespace {
+
+cudaError_t allocate(void** memory, std::size_t bytes, bool is_pinned) {
+  FakeCuda& cuda = *FakeCuda::current();
+  const std::scoped_lock lock(cuda.impl->mutex);
+  auto& held = is_pinned ? cuda.pinned_bytes : cuda.device_bytes;
+  if (!is_pinned && held + bytes > cuda.impl->device_memory) return cudaErrorMemoryAllocation;
+  auto* const made = static_cast<std::byte*>(::operator new (bytes, std::align_val_t{256}));
+  std::memset(made, rgs::test::kPoison, bytes);
+  (is_pinned ? cuda.impl->pinned : cuda.impl->device)[made] = bytes;
+  held += bytes;
+  rgs::test::note_most(is_pinned ? cuda.most_pinned_bytes : cuda.most_device_bytes, held);
+  if (!is_pinned) ++cuda.n_allocations;
+  *memory = made;
+  return cudaSuccess;
+}
+
+cudaError_t release(void* memory, bool is_pinned) {
+  if (memory == nullptr) return cudaSuccess;
+  FakeCuda& cuda = *FakeCuda::current();
+  auto* const from = static_cast<std::byte*>(memory);
+  const std::size_t bytes = [&] {
+    const std::scoped_lock lock(cuda.impl->mutex);
+    auto& all = is_pinned ? cuda.impl->pinned : cuda.impl->device;
+    const auto found = all.find(from);
+    if (found == all.end()) return std::size_t{0};
+    const std::size_t size = found->second;
+    all.erase(found);
+    return size;
+  }();
+  if (bytes == 0 || (!is_pinned && cuda.is_written(from, bytes))) ++cuda.n_faults;
+  (is_pinned ? cuda.pinned_bytes : cuda.device_bytes) -= bytes;
+  ::operator delete (memory, std::align_val_t{256});
+  return cudaSuccess;
+}
+
+}  // namespace
+
+cudaError_t cudaGetLastError() {
+  return cudaSuccess;
+}
+cudaError_t cudaGetDeviceCount(int* n) {
+  *n = FakeCuda::current() != nullptr ? 1 : 0;
+  return cudaSuccess;
+}
+cudaError_t cudaGetDevice(int* device) {
+  *device = 0;
+  return cudaSuccess;
+}
+cudaError_t cudaSetDevice(int device) {
+  return device == 0 ? cudaSuccess : cudaErrorInvalidValue;
+}
+cudaError_t cudaMalloc(void** memory, std::size_t bytes) {
+  return allocate(memory, bytes, false);
+}
+cudaError_t cudaFree(void* memory) {
+  return release(memory, false);
+}
+cudaError_t cudaMallocHost(void** memory, std::size_t bytes) {
+  return allocate(memory, bytes, true);
+}
+cudaError_t cudaHostAlloc(void** memory, std::size_t bytes, unsigned) {
+  return allocate(memory, bytes, true);
+}
+cudaError_t cudaFreeHost(void* memory) {
+  return release(memory, true);
+}
+cudaError_t cudaHostGetDevicePointer(void** on_device, void* memory, unsigned) {
+  *on_device = memory;
+  return cudaSuccess;
+}
+
+cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaMemcpyKind kind, cudaStream_t stream) {
+  FakeCuda& cuda = *FakeCuda::current();
+  for (int n = cuda.fails_next; n > 0;) {
+    if (cuda.fails_next.compare_exchange_weak(n, n - 1)) return cudaErrorUnknown;
+  }
+  auto* const target = static_cast<std::byte*>(to);
+  const auto* const source = static_cast<const std::byte*>(from);
+  // What is on its way to a slot comes first, also where streams would have it so: nobody else knows that it is.
+  bool is_sound = kind == cudaMemcpyHostToDevice && cuda.is_allocated(target, bytes) && !cuda.is_written(target, bytes);
+  {
+    const std::scoped_lock lock(cuda.impl->mutex);
+    is_sound = is_sound && FakeCuda::Impl::holds(cuda.impl->pinned, source, bytes);
+  }
+  if (!is_sound) {
+    ++cuda.n_faults;
+    return cudaErrorInvalidValue;
+  }
+  stream->add({[target, source, bytes] { std::memcpy(target, source, bytes); }, target, bytes});
+  return cudaSuccess;
+}
+
+cudaError_t cudaStreamCreateWithPriority(cudaStream_t* stream, unsigned, int) {
+  *stream = new CUstream_st;
+  const std::scoped_lock lock(FakeCuda::current()->impl->mutex);
+  FakeCuda::current()->impl->streams.push_back(*stream);
+  return cudaSuccess;
+}
+// Work that is queued is done all the same.
+cudaError_t cudaStreamDestroy(cudaStream_t stream) {
+  {
+    const std::scoped_lock lock(FakeCuda::current()->impl->mutex);
+    std::erase(FakeCuda::current()->impl->streams, stream);
+  }
+  cudaStreamSynchronize(stream);
+  delete stream;
+  return cudaSuccess;
+}
+cudaError_t cudaStreamSynchronize(cudaStream_t stream) {
+  std::uint64_t ticket = 0;
+  {
+    const std::scoped_lock lock(stream->mutex);
+    ticket = stream->n_queued;
+  }
+  stream->finish(ticket);
+  return cudaSuccess;
+}
+cudaError_t cudaStreamWaitEvent(cudaStream_t stream, cudaEvent_t event) {
+  stream->add({[event] { cudaEventSynchronize(event); }});
+  return cudaSuccess;
+}
+cudaError_t cudaEventCreateWithFlags(cudaEvent_t* event, unsigned) {
+  *event = new CUevent_st;
+  return cudaSuccess;
+}
+cudaError_t cudaEventDestroy(cudaEvent_t event) {
+  delete event;
+  return cudaSuccess;
+}
+cudaError_t cudaEventRecord(cudaEvent_t event, cudaStream_t stream) {
+  const std::scoped_lock lock(event->mutex);
+  event->stream = stream;
+  event->ticket = stream->add({[] {}});
+  return cudaSuccess;
+}
+cudaError_t cudaEventSynchronize(cudaEvent_t event) {
+  CUstream_st* stream = nullptr;
+  std::uint64_t ticket = 0;
+  {
+    const std::scoped_lock lock(event->mutex);
+    stream = event->stream, ticket = event->ticket;
+  }
+  if (stream != nullptr) stream->finish(ticket);
+  return cudaSuccess;
+}

@@ -1,0 +1,42 @@
+// fake_cuda.hpp - a CUDA runtime without a device: copies happen as late as their streams' order allows, or at any time, on a thread.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <atomic>
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+namespace rgs::test {
+
+/// The device, while it is there; without one there is none. One at a time.
+class FakeCuda {
+ public:
+  enum class Pace : std::uint8_t {
+    late,      ///< what is queued is done when somebody waits for it, and not before
+    any_time,  ///< a thread does it, now of one stream, now of another
+  };
+  explicit FakeCuda(Pace pace, std::uint64_t device_memory = std::uint64_t{1} << 30, unsigned seed = 1);
+  FakeCuda(const FakeCuda&) = delete;
+  FakeCuda& operator=(const FakeCuda&) = delete;
+  ~FakeCuda();
+
+  static FakeCuda* current();
+
+  /// Whether a copy to these bytes of the device is on its way.
+  bool is_written(const std::byte* from, std::size_t bytes) const;
+  /// Copies that are on their way.
+  std::size_t n_pending() const;
+  /// Whether they are the device's, allocated.
+  bool is_allocated(const std::byte* from, std::size_t bytes) const;
+
+  std::atomic<std::uint64_t> device_bytes{0}, most_device_bytes{0}, pinned_bytes{0}, most_pinned_bytes{0};
+  std::atomic<int> n_allocations{0};  ///< of the device's memory, ever
+  std::atomic<int> n_faults{0};       ///< of the caller: bytes that are nobody's, memory freed while it is in use
+  std::atomic<int> fails_next{0};     ///< so many copies are refused
+
+  struct Impl;
+  std::unique_ptr<Impl> impl;
+};
+
+}  // namespace rgs::test
