@@ -2,7 +2,6 @@
 // src/convert_*.cpp and rgs::interchange.
 // SPDX-License-Identifier: Apache-2.0
 #include <tbb/global_control.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <array>
@@ -25,13 +24,13 @@
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
 #include "input_declarations.hpp"
+#include "failure.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
 #include "rgs/camera_file.hpp"
-#include "rgs/checksum.hpp"
 #include "rgs/paged_file.hpp"
-#include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
+#include "scene_input.hpp"
 #include "scratch_file.hpp"
 #include "sibling_program.hpp"
 #include "stage_clock.hpp"
@@ -41,6 +40,10 @@ namespace {
 
 namespace fs = std::filesystem;
 namespace tool = rgs::tool;
+using Input = rgs::SceneInput;
+using rgs::failed;
+using rgs::Failure;
+using rgs::Outcome;
 using rgs::SplatFormat;
 
 // Knobs of archive that were given.
@@ -117,67 +120,6 @@ bool concerns_output(rgs::Errc code) {
   return code == Errc::write_failed || code == Errc::output_exists || code == Errc::output_unusable;
 }
 
-// An input's bytes: a mapped file, or standard input spooled.
-class Input {
- public:
-  rgs::Status open(const std::string& path) {
-    path_ = path;
-    if (path != "-") {
-      auto file = rgs::MappedFile::open(path);
-      if (!file) return tl::unexpected(file.error());
-      file_ = std::move(*file);
-      bytes_ = file_.bytes();
-      return {};
-    }
-    std::vector<std::byte> buffer(std::size_t{1} << 20);
-    for (;;) {
-      const ssize_t n = ::read(STDIN_FILENO, buffer.data(), buffer.size());
-      if (n < 0 && errno == EINTR) continue;
-      if (n < 0) {
-        return rgs::make_error(rgs::Errc::read_failed, rgs::Error::kNone, "cannot read standard input",
-                               rgs::Error::kNone, rgs::Error::kNone, errno);
-      }
-      if (n == 0) break;
-      if (rgs::Status s = spool_.append(std::span(buffer).first(static_cast<std::size_t>(n))); !s) return s;
-    }
-    if (rgs::Status s = spool_.finish(); !s) return s;
-    bytes_ = spool_.bytes();
-    return {};
-  }
-  const std::string& path() const { return path_; }
-  std::span<const std::byte> bytes() const { return bytes_; }
-  const rgs::MappedFile& file() const { return file_; }
-  std::string name() const {
-    std::string name = path_ == "-" ? "stdin" : std::filesystem::path(path_).filename().string();
-    name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
-    return name;
-  }
-  rgs::Result<rgs::SplatFile> read(rgs::ReadOptions options) const {
-    options.keep_axes = true;
-    // The bytes that are hashed, unless others lie beside them: a SOG may be a folder.
-    const bool folder = path_ != "-" && rgs::detect_format(bytes_) == SplatFormat::sog;
-    return folder ? rgs::read_splats(path_, options) : rgs::read_splats(bytes_, options);
-  }
-
- private:
-  std::string path_;
-  rgs::MappedFile file_;
-  rgs::detail::SpoolFile spool_;
-  std::span<const std::byte> bytes_;
-};
-
-// The error of one file, or of none ("").
-struct Failure {
-  std::string file;
-  rgs::Error error;
-};
-template <class T>
-using Outcome = tl::expected<T, Failure>;
-
-tl::unexpected<Failure> failed(const std::string& file, const rgs::Error& error) {
-  return tl::unexpected(Failure{file, error});
-}
-
 // What an input no longer holds reads as zeros: that it changed explains whatever was found wrong in it.
 Failure explained(Failure failure, const std::deque<Input>& inputs) {
   if (concerns_output(failure.error.code)) return failure;
@@ -231,7 +173,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
                                      rgs::DeclaredLoss& loss) {
   rgs::LoadedScene scene;
   rgs::EncodeOptions& encode = arguments.convert.encode;
-  rgs::Hasher hash;
+  std::vector<std::uint64_t> hashes;
   std::vector<rgs::InputDeclarations> declared;
   rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
@@ -243,7 +185,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     scene.bytes += file->bytes;
     scene.n_source += file->cloud.size();
     scene.source_sh_degree = std::max(scene.source_sh_degree, file->cloud.sh_degree);
-    hash.update(inputs[i].bytes());
+    hashes.push_back(inputs[i].hash());
     scene.unused.insert(scene.unused.end(), file->unused.begin(), file->unused.end());
     rgs::convert_axes(file->cloud, file->axes, encode.axes);
     rgs::convert_axes(file->origin, file->axes, encode.axes);
@@ -264,7 +206,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   if (auto s = rgs::declare_scene(encode, declared, arguments.asked, loss.notes); !s)
     return failed(inputs.front().path(), s.error());
   const std::vector<std::uint64_t> kept = rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
-  scene.xxh3 = hash.digest();
+  scene.xxh3 = rgs::hash_of_sources(hashes);
   if (!rgs::keep_source(encode, scene, only, kept, moves(arguments))) {
     loss.notes.push_back("positions are those in " + inputs.front().name() +
                          ", which keeps none in its own source (--keep-permutation when it was made)");
@@ -302,28 +244,25 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   SplatFormat first_format = SplatFormat::unknown;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
     const Input& input = inputs[i];
-    rgs::Tile& tile = tiles[i];
+    SplatFormat format = format_of_input(arguments, input);
+    auto opened = input.tile(format, read_options(arguments));
+    if (!opened) return failed(input.path(), opened.error());
+    rgs::Tile& tile = tiles[i] = std::move(*opened);
     tile.placed = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
                                         of_input(arguments.scale, i))
                       .value();
-    SplatFormat format = format_of_input(arguments, input);
-    if (format == SplatFormat::ply) {
-      auto ply = rgs::PlyFile::open(input.bytes());
-      if (!ply) return failed(input.path(), ply.error());
-      tile.axes = ply->declarations().axes;
-      declared.push_back(rgs::declared_by(*ply, input.name(), tile.placed.scale));
-      tile.ply.emplace(std::move(*ply));
-      if (input.file().bytes().data() == input.bytes().data()) tile.file = &input.file();
+    if (tile.ply) {
+      tile.axes = tile.ply->declarations().axes;
+      declared.push_back(rgs::declared_by(*tile.ply, input.name(), tile.placed.scale));
       bytes += input.bytes().size();
     } else {
-      const auto file = input.read(read_options(arguments));
+      const auto file = tile.load();
       if (!file) return failed(input.path(), file.error());
       tile.axes = file->axes;
       format = file->format;
       bytes += file->bytes;
       unused.insert(unused.end(), file->unused.begin(), file->unused.end());
       declared.push_back(rgs::declared_by(*file, input.name(), tile.placed.scale));
-      tile.load = [&input, &arguments] { return input.read(read_options(arguments)); };
     }
     if (i == 0) first_format = format;
     if (arguments.axes_given) tile.axes = rgs::parse_axes(arguments.axes).value();
@@ -340,15 +279,9 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   facts.bytes = bytes;
   facts.origin = scene->origin();
   facts.hash = [&inputs] {
-    constexpr std::size_t kPart = std::size_t{16} << 20;
-    rgs::Hasher hash;
-    for (const Input& input : inputs) {
-      for (std::size_t first = 0; first < input.bytes().size(); first += kPart) {
-        hash.update(input.bytes().subspan(first, std::min(kPart, input.bytes().size() - first)));
-        input.file().advise(rgs::MappedFile::Access::done, first, kPart);
-      }
-    }
-    return hash.digest();
+    std::vector<std::uint64_t> hashes;
+    for (const Input& input : inputs) hashes.push_back(input.hash());
+    return rgs::hash_of_sources(hashes);
   };
   auto summary = rgs::convert_to_levels(scene->stream(), facts, arguments.output(), arguments.convert, observer);
   if (!summary) {
