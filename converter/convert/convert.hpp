@@ -71,6 +71,9 @@ struct ConvertSummary {
   WriteReport clamped;  ///< formats other than .rgs, whose counts are in `declarations`
 };
 
+/// Whether a file may hold so many Gaussians. Errors: limit_exceeded.
+Status check_count(std::uint64_t n);
+
 /// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two
 /// threads. The bytes do not depend on the number of threads (which the caller limits through oneTBB's global_control).
 /// Errors: those of PlyFile, SceneWriter, depth_range_from_cameras, AtomicFile; limit_exceeded for more than 2^32 - 1

@@ -18,15 +18,17 @@
 
 #include "batch.hpp"
 #include "batch_plan.hpp"
+#include "batch_state.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
 #include "convert.hpp"
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
-#include "input_declarations.hpp"
 #include "failure.hpp"
+#include "input_declarations.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
+#include "parts_command.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/version.hpp"
@@ -76,6 +78,7 @@ struct Arguments {
        memory_given = false;
   int threads = 0;
   const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
+  rgs::PartsCommand parts;
 
   const std::string& output() const { return files.back(); }
   std::size_t n_inputs() const { return files.size() - 1; }
@@ -233,6 +236,41 @@ std::string concerned(const Arguments& arguments, const Input& input, const rgs:
   return arguments.convert.scratch.empty() ? "." : arguments.convert.scratch;
 }
 
+// An input as a part of the whole.
+struct LookedAt {
+  rgs::Tile tile;
+  rgs::InputDeclarations declared;
+  SplatFormat format = SplatFormat::unknown;
+  std::uint64_t bytes = 0;
+  std::vector<std::string> unused;
+};
+
+Outcome<LookedAt> look_at(const Arguments& arguments, const Input& input, std::size_t i) {
+  LookedAt out;
+  out.format = format_of_input(arguments, input);
+  auto tile = input.tile(out.format, read_options(arguments));
+  if (!tile) return failed(input.path(), tile.error());
+  out.tile = std::move(*tile);
+  out.tile.placed = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
+                                          of_input(arguments.scale, i))
+                        .value();
+  if (out.tile.ply) {
+    out.tile.axes = out.tile.ply->declarations().axes;
+    out.declared = rgs::declared_by(*out.tile.ply, input.name(), out.tile.placed.scale);
+    out.bytes = input.bytes().size();
+  } else {
+    const auto file = out.tile.load();
+    if (!file) return failed(input.path(), file.error());
+    out.tile.axes = file->axes;
+    out.format = file->format;
+    out.bytes = file->bytes;
+    out.unused = file->unused;
+    out.declared = rgs::declared_by(*file, input.name(), out.tile.placed.scale);
+  }
+  if (arguments.axes_given) out.tile.axes = rgs::parse_axes(arguments.axes).value();
+  return out;
+}
+
 // The same as load_scene() and then convert_scene(), tile by tile.
 Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Input>& inputs, rgs::DeclaredLoss& loss,
                                            const rgs::StageObserver& observer) {
@@ -243,30 +281,14 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   std::uint64_t bytes = 0;
   SplatFormat first_format = SplatFormat::unknown;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    const Input& input = inputs[i];
-    SplatFormat format = format_of_input(arguments, input);
-    auto opened = input.tile(format, read_options(arguments));
-    if (!opened) return failed(input.path(), opened.error());
-    rgs::Tile& tile = tiles[i] = std::move(*opened);
-    tile.placed = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
-                                        of_input(arguments.scale, i))
-                      .value();
-    if (tile.ply) {
-      tile.axes = tile.ply->declarations().axes;
-      declared.push_back(rgs::declared_by(*tile.ply, input.name(), tile.placed.scale));
-      bytes += input.bytes().size();
-    } else {
-      const auto file = tile.load();
-      if (!file) return failed(input.path(), file.error());
-      tile.axes = file->axes;
-      format = file->format;
-      bytes += file->bytes;
-      unused.insert(unused.end(), file->unused.begin(), file->unused.end());
-      declared.push_back(rgs::declared_by(*file, input.name(), tile.placed.scale));
-    }
-    if (i == 0) first_format = format;
-    if (arguments.axes_given) tile.axes = rgs::parse_axes(arguments.axes).value();
-    if (i == 0) encode.axes = target_axes(arguments, tile.axes, format, SplatFormat::rgs);
+    auto looked = look_at(arguments, inputs[i], i);
+    if (!looked) return tl::unexpected(looked.error());
+    if (i == 0) first_format = looked->format;
+    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
+    bytes += looked->bytes;
+    unused.insert(unused.end(), looked->unused.begin(), looked->unused.end());
+    declared.push_back(std::move(looked->declared));
+    tiles[i] = std::move(looked->tile);
   }
   std::size_t tile = 0;
   const auto scene = rgs::TileStream::open(std::move(tiles), encode.axes, tile);
@@ -550,6 +572,128 @@ int convert_main(Arguments& arguments) {
   return run_audit(arguments, auditor);
 }
 
+// ---- one scene of many processes
+
+// The job that inputs and options are; a file is open only while it is looked at.
+Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& options_hash) {
+  rgs::PartsJob job;
+  rgs::EncodeOptions& encode = arguments.convert.encode;
+  std::vector<rgs::InputDeclarations> declared;
+  std::uint64_t file_bytes = 0;
+  for (std::size_t i = 0; i < arguments.n_inputs(); ++i) {
+    rgs::PartsInput& part = job.inputs.emplace_back();
+    Input input;
+    if (const rgs::Status s = input.open(arguments.files[i]); !s) return failed(arguments.files[i], s.error());
+    auto looked = look_at(arguments, input, i);
+    if (!looked) return tl::unexpected(looked.error());
+    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
+    const auto facts = rgs::look_at_tile(looked->tile, encode.axes);
+    if (!facts) return failed(input.path(), facts.error());
+    std::error_code ignored;
+    part = {fs::absolute(input.path(), ignored).string(),
+            input.name(),
+            input.bytes().size(),
+            looked->format,
+            looked->tile.axes,
+            looked->tile.placed,
+            *facts,
+            job.n};
+    job.n += facts->n;
+    job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
+    if (encode.origin == rgs::kNoOrigin) encode.origin = facts->origin;
+    file_bytes += input.bytes().size();
+    job.unused.insert(job.unused.end(), looked->unused.begin(), looked->unused.end());
+    declared.push_back(std::move(looked->declared));
+  }
+  const std::string& first = arguments.files.front();
+  if (job.inputs.size() == 1 && job.inputs.front().format == SplatFormat::rgs) {
+    return failed(first, {rgs::Errc::bad_argument, rgs::Error::kNone,
+                          "one .rgs alone is converted by one process: rgs-convert --lod", rgs::Error::kNone,
+                          rgs::Error::kNone, 0});
+  }
+  if (const rgs::Status s = rgs::check_count(job.n); !s) return failed(first, s.error());
+  if (auto s = rgs::declare_scene(encode, declared, arguments.asked, job.notes); !s) return failed(first, s.error());
+  const std::string name = job.inputs.front().name + (job.inputs.size() == 1 ? "" : " and more");
+  encode.provenance = rgs::Provenance{file_bytes, 0, name, "rgs-convert " RGS_VERSION};
+  encode.n_source = job.n;
+  encode.n_repaired = 0;
+  if (const rgs::Status s = rgs::check_encodable(rgs::SceneScan(0), encode); !s) return failed(first, s.error());
+  job.source_format = job.inputs.size() == 1 ? rgs::format_name(job.inputs.front().format) : "merged";
+  job.read = read_options(arguments);
+  job.encode = encode;
+  job.quality = *arguments.convert.levels;
+  job.n_ranges = arguments.parts.n_ranges;
+  job.bin_rows = rgs::choose_bin_rows(encode, job.output_degree(), arguments.convert.memory_bytes);
+  std::error_code ignored;
+  if (!arguments.cameras.empty()) job.cameras = fs::absolute(arguments.cameras, ignored).string();
+  job.options_hash = options_hash;
+  job.z_near = arguments.convert.z_near;
+  job.z_far = arguments.convert.z_far;
+  job.strict = arguments.convert.strict;
+  return job;
+}
+
+// What parts cannot do; the message for the user.
+std::optional<std::string> check_parts(const Arguments& a) {
+  if (!a.parts.partition.empty() && a.n_inputs() > 0) {
+    if (a.parts.n_ranges == 0)
+      return "--lod-partition takes inputs together with --ranges N, how many processes may build";
+    if (a.convert.encode.profile == rgs::Profile::archive)
+      return "--profile archive looks at all Gaussians at once: convert in one process with --lod, or choose packed";
+    if (a.keep_order) return "parts are ranges of the Morton curve: --keep-order is for one process with --lod";
+    if (!a.filter.keeps_all() || !a.crop.empty() || !a.max_count.empty() || a.level_of_detail)
+      return "--crop, --min-opacity, --max-count and --level-of-detail take all Gaussians into memory: apply them "
+             "before";
+    if (a.audit) return "--audit compares one file with another: run rgs-audit afterwards";
+    if (std::find(a.files.begin(), a.files.end() - 1, "-") != a.files.end() - 1)
+      return "several processes read the inputs: name files instead of -";
+    return std::nullopt;
+  }
+  if (!a.given.empty() || !a.cameras.empty() || a.parts.n_ranges != 0)
+    return "the options are those that the work began with: they are given to --lod-partition, together with the "
+           "inputs";
+  if (!a.parts.assemble.empty() && a.files.size() != 1) return "--lod-assemble FOLDER takes one output";
+  if (a.parts.assemble.empty() && !a.parts.partition.empty() && a.parts.overwrite)
+    return "--overwrite begins again: it goes with the inputs";
+  if (a.parts.assemble.empty() && a.parts.partition.empty() && !a.files.empty())
+    return "the folder of the work says all: " + a.files.front() + " is one too many";
+  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 128MiB";
+  return std::nullopt;
+}
+
+int convert_parts(Arguments& a) {
+  rgs::PartsCommand& parts = a.parts;
+  parts.overwrite = a.convert.output.overwrite;
+  parts.json = a.json;
+  parts.quiet = a.quiet;
+  const bool begins = !parts.partition.empty() && !a.files.empty();
+  if (!parts.partition.empty()) a.files.push_back(parts.partition + "/job");
+  if (const auto message = check_parts(a)) return tool::report_usage(*message);
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, n_threads(a));
+  std::function<Outcome<rgs::PartsJob>()> describe;
+  std::string options_hash;
+  if (begins) {
+    a.lod = a.merge = true;
+    if (const auto message = check_arguments(a)) return tool::report_usage(*message);
+    settle_options(a);
+    if (const int code = check_outputs(a); code != tool::kSuccess) return code;
+    const auto hash = rgs::options_hash(a.given, a.cameras);
+    if (!hash) return tool::report(a.cameras, hash.error());
+    options_hash = *hash;
+    describe = [&] { return describe_job(a, options_hash); };
+  }
+  tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+  rgs::PartsRun run;
+  run.folder = parts.folder();
+  run.memory_bytes = a.convert.memory_bytes;
+  run.scratch = a.convert.scratch.empty() || begins ? run.folder : a.convert.scratch;
+  run.sync = !a.no_sync;
+  run.observer = observe(progress);
+  rgs::AtomicFile::Options output = a.convert.output;
+  output.sync = run.sync;
+  return rgs::run_parts(parts, run, describe, a.files.empty() ? "" : a.output(), output);
+}
+
 // ---- many scenes
 
 // One of many, in a process of its own.
@@ -726,6 +870,39 @@ void add_batch_options(CLI::App& app, Arguments& a) {
       ->group(group);
 }
 
+void add_parts_options(CLI::App& app, Arguments& a) {
+  const std::string group = "One scene of many processes (docs/CLUSTER.md)";
+  auto* partition =
+      app.add_option("--lod-partition", a.parts.partition,
+                     "Begin in this folder to convert the inputs as --lod does, or go on: scan them, plan, "
+                     "place their Gaussians by ranges")
+          ->option_text("FOLDER")
+          ->group(group);
+  auto* build = app.add_option("--lod-build", a.parts.build, "Then build the levels of the ranges")
+                    ->option_text("FOLDER")
+                    ->group(group)
+                    ->excludes(partition);
+  auto* assemble = app.add_option("--lod-assemble", a.parts.assemble, "Then make one .rgs of them, the output")
+                       ->option_text("FOLDER")
+                       ->group(group)
+                       ->excludes(partition)
+                       ->excludes(build);
+  app.add_option("--lod-list", a.parts.list, "Print as JSON which inputs and ranges there are, and what is done")
+      ->option_text("FOLDER")
+      ->group(group)
+      ->excludes(partition)
+      ->excludes(build)
+      ->excludes(assemble);
+  app.add_option("--ranges", a.parts.n_ranges, "How many ranges there shall be; the output does not depend on it")
+      ->check(CLI::Range(1, 65536))
+      ->group(group);
+  app.add_option(
+         "--lod-input", a.parts.selected,
+         "Which inputs, or ranges, this process takes, from 0 on: K, K-M, all, none [all]; all and none also plan")
+      ->option_text("K|K-M|all|none")
+      ->group(group);
+}
+
 void add_options(CLI::App& app, Arguments& a) {
   rgs::EncodeOptions& e = a.convert.encode;
   std::map<std::string, SplatFormat> readable, writable;
@@ -750,8 +927,7 @@ void add_options(CLI::App& app, Arguments& a) {
          "Inputs, " RGS_SCENE_FORMATS
          " (with --merge more than one), then the output; - for a standard stream. Or a folder of scenes, then the "
          "folder of the outputs")
-      ->required()
-      ->expected(1, -1)
+      ->expected(0, -1)
       ->option_text("input... output");
   app.add_option("--from", a.from, "Format of the inputs; default: by their content")
       ->transform(tool::one_of(readable))
@@ -851,6 +1027,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary");
   add_batch_options(app, a);
+  add_parts_options(app, a);
   app.footer(
       "Written are .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
       "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 the end of a file with levels "
@@ -863,9 +1040,11 @@ void add_options(CLI::App& app, Arguments& a) {
 
 // The options that show in an output, in one order however they were given.
 std::string given_options(const CLI::App& app) {
-  constexpr std::string_view kUnseen[] = {"files",  "--threads", "--memory", "--scratch",    "--overwrite",
-                                          "--json", "--no-sync", "--quiet",  "--cameras",    "--list",
-                                          "--jobs", "--shard",   "--report", "--keep-going", "--no-keep-going"};
+  constexpr std::string_view kUnseen[] = {
+      "files",      "--threads",    "--memory",        "--scratch",       "--overwrite", "--json",
+      "--no-sync",  "--quiet",      "--cameras",       "--list",          "--jobs",      "--shard",
+      "--report",   "--keep-going", "--no-keep-going", "--lod-partition", "--lod-build", "--lod-assemble",
+      "--lod-list", "--lod-input",  "--ranges"};
   std::map<std::string, std::string> given;
   for (const CLI::Option* option : app.get_options()) {
     if (option->count() == 0 || std::ranges::find(kUnseen, option->get_name()) != std::end(kUnseen)) continue;
@@ -888,6 +1067,12 @@ int parse_and_convert(int argc, char** argv) {
   }
   arguments.given = given_options(app);
   arguments.memory_given = app.get_option("--memory")->count() != 0;
+  if (!arguments.parts.folder().empty()) return convert_parts(arguments);
+  for (const char* name : {"--lod-input", "--ranges"}) {
+    if (app.get_option(name)->count() != 0)
+      return tool::report_usage(std::string(name) + " is of --lod-partition and --lod-build");
+  }
+  if (arguments.files.empty()) return tool::report_usage("files is required: rgs-convert INPUT OUTPUT");
   std::error_code ignored;
   if (!arguments.list.empty() || fs::is_directory(arguments.files.front(), ignored)) return convert_many(arguments);
   if (arguments.files.size() < 2) return tool::report_usage("an input needs an output: rgs-convert INPUT OUTPUT");
