@@ -39,6 +39,7 @@ struct ConvertOptions {
   int spz_version = WriteOptions{}.spz_version;
   /// Levels of detail beside the Gaussians of an .rgs (docs/LEVELS.md).
   std::optional<lod::Quality> levels;
+  lod::BuildOptions build;                           ///< of levels, but its quality and chunks
   std::uint64_t memory_bytes = lod::kDefaultMemory;  ///< for levels, see lod::StreamOptions
   std::string scratch;                               ///< for levels: folder of temporary files
   bool strict =

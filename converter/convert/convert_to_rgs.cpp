@@ -342,6 +342,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   auto file = AtomicFile::create(output_path, options.output);
   if (!file) return tl::unexpected(file.error());
   lod::StreamOptions stages;
+  stages.build = options.build;
   stages.build.quality = options.levels.value_or(lod::Quality::fast);
   stages.memory_bytes = options.memory_bytes;
   stages.scratch = options.scratch;

@@ -64,12 +64,13 @@ struct PartsPlan {
   std::uint64_t identity = 0;
 };
 
-/// What a process works with; nothing of it shows in what is written.
+/// What a process works with; nothing of it but `build` shows in what is written.
 struct PartsRun {
   std::string folder;
   std::uint64_t memory_bytes = lod::kDefaultMemory;
   std::string scratch;
   bool sync = true;
+  lod::BuildOptions build;  ///< but its quality and chunks; of all processes the same
   StageObserver observer;
 
   std::string job_path() const { return folder + "/job"; }
@@ -94,10 +95,10 @@ Outcome<std::optional<PartsPlan>> find_plan(const PartsRun& run, const PartsJob&
 /// What a step did: true if there was anything to do.
 using Done = Outcome<bool>;
 Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input);
-/// Errors: open_failed for a scan that is missing; those of convert_to_levels() that concern the whole scene. `find_depth`: sets
-/// the depth range from cameras, if there are any, given an even sample of means.
+/// Errors: open_failed for a scan that is missing; those of convert_to_levels() that concern the whole scene.
 Done make_plan(const PartsRun& run, const PartsJob& job);
 Done place_input(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::size_t input);
+/// A range without stretches, of which there are some where ranges are many, needs no file.
 Done build_range(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::size_t range);
 Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job, const PartsPlan& plan,
                                        const std::string& output_path, const AtomicFile::Options& output);

@@ -35,6 +35,8 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
                                             std::size_t n_stretches) {
   std::vector<OpenRange> ranges;
   for (std::size_t r = 0; r < job.n_ranges; ++r) {
+    const StretchRange of = stretches_of_range(n_stretches, r, job.n_ranges);
+    if (of.first == of.last) continue;
     const std::string path = run.range_path(r);
     auto file = WorkFile::open(path, WorkKind::range);
     const bool missing = !file && file.error().code == Errc::open_failed && file.error().system == ENOENT;
@@ -46,7 +48,6 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
     }
     auto built = range_of(*file);
     if (!built) return failed(path, built.error());
-    const StretchRange of = stretches_of_range(n_stretches, r, job.n_ranges);
     if (built->stretches.size() != of.last - of.first) return failed(path, not_as_written());
     if (!ranges.empty() && built->rows_identity != ranges.front().built.rows_identity) {
       return failed(path, {Errc::read_failed, Error::kNone,
@@ -64,6 +65,7 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
 Status read_hashed(WorkFile& file, const HashedBytes& part, std::vector<std::byte>& bytes) {
   if (part.bytes > file.end()) return tl::unexpected(not_as_written());
   bytes.resize(part.bytes);
+  if (bytes.empty()) return {};
   if (Status s = file.read(part.offset, bytes); !s) return s;
   if (xxh3(bytes) == part.xxh3) return {};
   return make_error(Errc::checksum_mismatch, part.offset,

@@ -227,11 +227,12 @@ Result<BuiltRange> range_of(const WorkFile& file) {
 
 Done build_range(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::size_t range) {
   const std::string path = run.range_path(range);
+  const std::vector<std::uint64_t> begins = stretches_of(run, job, plan);
+  const StretchRange of = stretches_of_range(begins.size() - 1, range, job.n_ranges);
+  if (of.first == of.last) return false;
   if (const auto old = WorkFile::open(path, WorkKind::range); old && old->basis() == plan.identity) return false;
   auto leaves = LeafReader::open(run, job, plan);
   if (!leaves) return tl::unexpected(leaves.error());
-  const std::vector<std::uint64_t> begins = stretches_of(run, job, plan);
-  const StretchRange of = stretches_of_range(begins.size() - 1, range, job.n_ranges);
   auto writer = WorkWriter::create(path, WorkKind::range, plan.identity, run.sync);
   if (!writer) return failed(path, writer.error());
   run.observer.begin("build", begins[of.last] - begins[of.first] + (begins[of.last] - begins[of.first]) / 3,

@@ -261,6 +261,7 @@ bool is_there(const std::string& path) {
 
 lod::StreamOptions PartsRun::stream_options(lod::Quality quality) const {
   lod::StreamOptions options;
+  options.build = build;
   options.build.quality = quality;
   options.memory_bytes = memory_bytes;
   options.scratch = scratch;
@@ -387,12 +388,10 @@ Outcome<std::string> list_parts(const PartsRun& run) {
   }
   const std::size_t n_stretches = *plan ? stretches_of(run, *job, **plan).size() - 1 : 0;
   for (std::size_t i = 0; i < job->n_ranges; ++i) {
-    json range{{"range", i}, {"built", *plan && done(run.range_path(i), WorkKind::range, (*plan)->identity)}};
-    if (*plan) {
-      const StretchRange of = stretches_of_range(n_stretches, i, job->n_ranges);
-      range["stretches"] = of.last - of.first;
-    }
-    ranges.push_back(std::move(range));
+    const StretchRange of = stretches_of_range(n_stretches, i, job->n_ranges);
+    const bool nothing = *plan && of.first == of.last;
+    const bool built = nothing || (*plan && done(run.range_path(i), WorkKind::range, (*plan)->identity));
+    ranges.push_back({{"range", i}, {"stretches", of.last - of.first}, {"built", built}});
   }
   const json list{{"schema", "rgs-parts/1"},
                   {"gaussians", job->n},

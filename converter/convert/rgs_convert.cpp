@@ -666,6 +666,12 @@ int convert_parts(Arguments& a) {
   parts.overwrite = a.convert.output.overwrite;
   parts.json = a.json;
   parts.quiet = a.quiet;
+  if (!parts.partition.empty() && !a.list.empty()) {
+    const auto lines = rgs::lines_of(a.list);
+    if (!lines) return tool::report(a.list, lines.error());
+    std::ranges::copy_if(*lines, std::back_inserter(a.files), [](const std::string& line) { return !line.empty(); });
+    if (a.files.empty()) return tool::report_usage("no input is named in " + a.list);
+  }
   const bool begins = !parts.partition.empty() && !a.files.empty();
   if (!parts.partition.empty()) a.files.push_back(parts.partition + "/job");
   if (const auto message = check_parts(a)) return tool::report_usage(*message);
@@ -851,7 +857,7 @@ void add_batch_options(CLI::App& app, Arguments& a) {
   app.add_option(
          "--list", a.list,
          "Convert the inputs in this file, one a line, each perhaps with a tab and its output in the folder; - for "
-         "standard input")
+         "standard input. Of --lod-partition: the inputs, beside those that are named")
       ->option_text("FILE")
       ->group(group);
   app.add_option("--jobs,-j", a.jobs, "Scenes side by side [1]; threads and --memory are divided among them")
