@@ -80,16 +80,11 @@ std::uint64_t bytes_of(const std::string& input) {
 
 tl::expected<BatchPlan, PlanFailure> plan_list(const std::string& list, const std::string& folder,
                                                const std::string& out, SplatFormat to) {
-  const auto text = read_text(list);
-  if (!text) return failed(list, text.error());
+  const auto lines = lines_of(list);
+  if (!lines) return failed(list, lines.error());
   BatchPlan plan;
-  std::string_view left = *text;
-  if (left.starts_with("\xEF\xBB\xBF")) left.remove_prefix(3);
-  for (std::size_t number = 1; !left.empty(); ++number) {
-    const std::size_t end = std::min(left.find('\n'), left.size());
-    std::string_view line = left.substr(0, end);
-    left.remove_prefix(std::min(end + 1, left.size()));
-    if (line.ends_with('\r')) line.remove_suffix(1);
+  for (std::size_t number = 1; number <= lines->size(); ++number) {
+    const std::string_view line = (*lines)[number - 1];
     if (line.empty()) continue;
     const std::string where = fmt::format("{}, line {}: ", list, number);
     const std::size_t tab = line.find('\t');
@@ -114,6 +109,22 @@ tl::expected<BatchPlan, PlanFailure> plan_list(const std::string& list, const st
 }
 
 }  // namespace
+
+Result<std::vector<std::string>> lines_of(const std::string& list) {
+  const auto text = read_text(list);
+  if (!text) return tl::unexpected(text.error());
+  std::vector<std::string> lines;
+  std::string_view left = *text;
+  if (left.starts_with("\xEF\xBB\xBF")) left.remove_prefix(3);
+  while (!left.empty()) {
+    const std::size_t end = std::min(left.find('\n'), left.size());
+    std::string_view line = left.substr(0, end);
+    left.remove_prefix(std::min(end + 1, left.size()));
+    if (line.ends_with('\r')) line.remove_suffix(1);
+    lines.emplace_back(line);
+  }
+  return lines;
+}
 
 tl::expected<BatchPlan, PlanFailure> plan_batch(const std::string& list, const std::string& folder,
                                                 const std::string& out, SplatFormat to) {

@@ -25,6 +25,9 @@ struct PlanFailure {
   Error error = {};
 };
 
+/// The lines of a list of files, "-" for standard input; empty ones too. Errors: open_failed, read_failed.
+Result<std::vector<std::string>> lines_of(const std::string& list);
+
 /// The scenes below `folder`, or those named in the file `list` ("-": standard input), relative to `folder` if there is one
 /// (both may be empty, not both at once). a/b.ply of a folder becomes out/a/b.ENDING, with the ending of format `to`; so
 /// does a relative path in a list, others lose their folders. A line of a list may name its output after a tab.

@@ -39,6 +39,7 @@ struct ConvertOptions {
   int spz_version = WriteOptions{}.spz_version;
   /// Levels of detail beside the Gaussians of an .rgs (docs/LEVELS.md).
   std::optional<lod::Quality> levels;
+  lod::BuildOptions build;                           ///< of levels, but its quality and chunks
   std::uint64_t memory_bytes = lod::kDefaultMemory;  ///< for levels, see lod::StreamOptions
   std::string scratch;                               ///< for levels: folder of temporary files
   bool strict =
@@ -70,6 +71,9 @@ struct ConvertSummary {
       0;                ///< how far coordinates were rounded, world units: see rgs::position_rounding(), and merging
   WriteReport clamped;  ///< formats other than .rgs, whose counts are in `declarations`
 };
+
+/// Whether a file may hold so many Gaussians. Errors: limit_exceeded.
+Status check_count(std::uint64_t n);
 
 /// To .rgs, two passes over the source; for a mapped PLY anonymous memory is at most 64 MB + 48 bytes a Gaussian on two
 /// threads. The bytes do not depend on the number of threads (which the caller limits through oneTBB's global_control).

@@ -15,6 +15,7 @@
 #include <limits>
 
 #include "convert.hpp"
+#include "convert_steps.hpp"
 #include "depth_range.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/scene_writer.hpp"
@@ -80,9 +81,6 @@ std::vector<std::uint32_t> kept_indices(const Scanned& scanned) {
   return indices;
 }
 
-// An even sample of the kept means; depth_range_from_cameras would not look at more.
-constexpr std::uint64_t kDepthSample = 65536;
-
 std::vector<float> sample_means(const Scanned& scanned, std::span<const std::uint32_t> indices) {
   const std::size_t n = std::min<std::size_t>(indices.size(), kDepthSample);
   std::vector<float> sample(3 * n);
@@ -90,23 +88,6 @@ std::vector<float> sample_means(const Scanned& scanned, std::span<const std::uin
     std::copy_n(&scanned.means[3 * std::size_t{indices[k * indices.size() / n]}], 3, &sample[3 * k]);
   }
   return sample;
-}
-
-Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
-                        std::span<const float> sample) {
-  if (!options.cameras.empty()) {
-    const auto range = depth_range_from_cameras(options.cameras, sample, encode.origin);
-    if (!range) return tl::unexpected(range.error());
-    encode.depth = *range;
-  }
-  if (options.z_near || options.z_far) {
-    DepthRange range = encode.depth.value_or(depth_range_from_extent(scan.robust(), encode.depth_mapping));
-    range.z_near = options.z_near.value_or(range.z_near);
-    range.z_far = options.z_far.value_or(range.z_far);
-    range.source = DepthSource::by_hand;
-    encode.depth = range;
-  }
-  return {};
 }
 
 void sort_morton(std::vector<std::uint32_t>& indices, std::vector<float>& means, const Box& robust) {
@@ -169,53 +150,6 @@ Result<WrittenScene> write_plain(const SplatSource& source, AtomicFile& file, co
   return writer->finish();
 }
 
-Status too_many(std::uint64_t n) {
-  if (n <= std::numeric_limits<std::uint32_t>::max()) return {};
-  return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
-                    std::numeric_limits<std::uint32_t>::max(), n);
-}
-
-tl::unexpected<Error> damaged(std::uint64_t offset, const SceneScan& scan) {
-  return make_error(Errc::bad_value, offset,
-                    "a damaged Gaussian; --on-bad drop leaves such out, --on-bad repair mends them", 0,
-                    scan.n_source() - scan.n_kept());
-}
-
-// What is checked once all is written, and the file's name.
-Result<double> commit(AtomicFile& file, const WrittenScene& written, const ConvertOptions& options, StageClock& clock) {
-  const Declarations& counts = written.declarations;
-  if (const std::uint64_t n = counts.n_scale_subnormal + counts.n_scale_zero; options.strict && n != 0) {
-    return make_error(
-        Errc::bad_value, Error::kNone,
-        "scales are so far below the scene's largest that FP16 flushes or coarsens them; without --strict "
-        "they are stored so",
-        0, n);
-  }
-  clock.begin("commit", 0, "");
-  const auto synced = file.commit();
-  clock.end();
-  return synced;
-}
-
-void summarise(ConvertSummary& summary, const SceneScan& scan, WrittenScene&& written) {
-  summary.source_format = "ply";
-  summary.output_format = "rgs";
-  summary.output_bytes = written.header.file_bytes;
-  summary.n_source = scan.n_source();
-  summary.n_written = scan.n_kept();
-  summary.n_repaired = scan.n_repaired();
-  summary.sh_degree = scan.sh_degree();
-  for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan.defects(static_cast<Defect>(i));
-  summary.header = written.header;
-  summary.declarations = written.declarations;
-  summary.sections = std::move(written.sections);
-  if (scan.n_kept() == 0) return;
-  summary.min_scale = scale_from_log(scan.min_log_scale());
-  summary.max_scale = scale_from_log(scan.max_log_scale());
-  summary.min_opacity = opacity_from_logit(scan.min_opacity_logit());
-  summary.max_opacity = opacity_from_logit(scan.max_opacity_logit());
-}
-
 // Lets bytes of a mapped file that have been read leave memory; without effect on others.
 class ReadOnce {
  public:
@@ -271,9 +205,78 @@ StreamFacts facts_of(const SplatSource& source, const ReadOnce& memory) {
 
 }  // namespace
 
+Status check_count(std::uint64_t n) {
+  if (n <= std::numeric_limits<std::uint32_t>::max()) return {};
+  return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
+                    std::numeric_limits<std::uint32_t>::max(), n);
+}
+
+Status find_depth_range(EncodeOptions& encode, const ConvertOptions& options, const SceneScan& scan,
+                        std::span<const float> sample) {
+  if (!options.cameras.empty()) {
+    const auto range = depth_range_from_cameras(options.cameras, sample, encode.origin);
+    if (!range) return tl::unexpected(range.error());
+    encode.depth = *range;
+  }
+  if (options.z_near || options.z_far) {
+    DepthRange range = encode.depth.value_or(depth_range_from_extent(scan.robust(), encode.depth_mapping));
+    range.z_near = options.z_near.value_or(range.z_near);
+    range.z_far = options.z_far.value_or(range.z_far);
+    range.source = DepthSource::by_hand;
+    encode.depth = range;
+  }
+  return {};
+}
+
+tl::unexpected<Error> damaged_gaussian(std::uint64_t offset, const SceneScan& scan) {
+  return make_error(Errc::bad_value, offset,
+                    "a damaged Gaussian; --on-bad drop leaves such out, --on-bad repair mends them", 0,
+                    scan.n_source() - scan.n_kept());
+}
+
+tl::unexpected<Error> nothing_for_levels() {
+  return make_error(Errc::bad_argument, Error::kNone,
+                    "a scene without Gaussians has no levels of detail: convert it without --lod");
+}
+
+Result<double> commit_scene(AtomicFile& file, const WrittenScene& written, const ConvertOptions& options,
+                            StageClock& clock) {
+  const Declarations& counts = written.declarations;
+  if (const std::uint64_t n = counts.n_scale_subnormal + counts.n_scale_zero; options.strict && n != 0) {
+    return make_error(
+        Errc::bad_value, Error::kNone,
+        "scales are so far below the scene's largest that FP16 flushes or coarsens them; without --strict "
+        "they are stored so",
+        0, n);
+  }
+  clock.begin("commit", 0, "");
+  const auto synced = file.commit();
+  clock.end();
+  return synced;
+}
+
+void summarise(ConvertSummary& summary, const SceneScan& scan, WrittenScene&& written) {
+  summary.source_format = "ply";
+  summary.output_format = "rgs";
+  summary.output_bytes = written.header.file_bytes;
+  summary.n_source = scan.n_source();
+  summary.n_written = scan.n_kept();
+  summary.n_repaired = scan.n_repaired();
+  summary.sh_degree = scan.sh_degree();
+  for (std::size_t i = 0; i < kDefectKinds; ++i) summary.defects[i] = scan.defects(static_cast<Defect>(i));
+  summary.header = written.header;
+  summary.declarations = written.declarations;
+  summary.sections = std::move(written.sections);
+  if (scan.n_kept() == 0) return;
+  summary.min_scale = scale_from_log(scan.min_log_scale());
+  summary.max_scale = scale_from_log(scan.max_log_scale());
+  summary.min_opacity = opacity_from_logit(scan.min_opacity_logit());
+  summary.max_opacity = opacity_from_logit(scan.max_opacity_logit());
+}
+
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer) {
-  if (const Status s = too_many(source.size()); !s) return tl::unexpected(s.error());
+  if (const Status s = check_count(source.size()); !s) return tl::unexpected(s.error());
   if (options.levels) {
     const ReadOnce memory(source.source(), options.output.inputs);
     return convert_to_levels(stream_of(source, memory), facts_of(source, memory), output_path, options, observer);
@@ -298,7 +301,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   clock.begin("scan", source.size(), "Gaussians");
   Scanned scanned = scan_source(source, encode, observer);
   if (encode.on_bad == BadPolicy::refuse && scanned.scan.n_kept() != scanned.scan.n_source()) {
-    return damaged(source.row_offset(first_damaged(source, scanned.scan.sh_degree())), scanned.scan);
+    return damaged_gaussian(source.row_offset(first_damaged(source, scanned.scan.sh_degree())), scanned.scan);
   }
   clock.begin("sort", 0, "");
   std::vector<std::uint32_t> indices = kept_indices(scanned);
@@ -317,7 +320,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
     if (error.code == Errc::bad_value && error.found != Error::kNone) error.offset = source.row_offset(error.found);
     return tl::unexpected(error);
   }
-  const auto synced = commit(*file, *written, options, clock);
+  const auto synced = commit_scene(*file, *written, options, clock);
   if (!synced) return tl::unexpected(synced.error());
   summary.sync_seconds = *synced;
   summarise(summary, scanned.scan, std::move(*written));
@@ -330,7 +333,7 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
 Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const StreamFacts& facts,
                                          const std::string& output_path, const ConvertOptions& options,
                                          const StageObserver& observer) {
-  if (const Status s = too_many(stream.n); !s) return tl::unexpected(s.error());
+  if (const Status s = check_count(stream.n); !s) return tl::unexpected(s.error());
   ConvertSummary summary;
   StageClock clock(observer, summary.seconds);
   EncodeOptions encode = options.encode;
@@ -339,6 +342,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   auto file = AtomicFile::create(output_path, options.output);
   if (!file) return tl::unexpected(file.error());
   lod::StreamOptions stages;
+  stages.build = options.build;
   stages.build.quality = options.levels.value_or(lod::Quality::fast);
   stages.memory_bytes = options.memory_bytes;
   stages.scratch = options.scratch;
@@ -352,12 +356,11 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
   std::uint64_t first_damaged = Error::kNone;
   if (const Status s = lod::scan_stream(stream, stages, scan, first_damaged); !s) return tl::unexpected(s.error());
   if (encode.on_bad == BadPolicy::refuse && scan.n_kept() != scan.n_source()) {
-    return damaged(facts.row_offset(first_damaged), scan);
+    return damaged_gaussian(facts.row_offset(first_damaged), scan);
   }
   if (const Status s = check_encodable(scan, encode); !s) return tl::unexpected(s.error());
   if (scan.n_kept() == 0) {
-    return make_error(Errc::bad_argument, Error::kNone,
-                      "a scene without Gaussians has no levels of detail: convert it without --lod");
+    return nothing_for_levels();
   }
   // About 300 bytes a Gaussian beside the Gaussians themselves, see LevelsWriter.
   const std::uint64_t all_bytes =
@@ -392,7 +395,7 @@ Result<ConvertSummary> convert_to_levels(const lod::SplatStream& stream, const S
     }
     return tl::unexpected(error);
   }
-  const auto synced = commit(*file, *written, options, clock);
+  const auto synced = commit_scene(*file, *written, options, clock);
   if (!synced) return tl::unexpected(synced.error());
   summary.sync_seconds = *synced;
   summarise(summary, scan, std::move(*written));

@@ -2,7 +2,6 @@
 // src/convert_*.cpp and rgs::interchange.
 // SPDX-License-Identifier: Apache-2.0
 #include <tbb/global_control.h>
-#include <unistd.h>
 
 #include <algorithm>
 #include <array>
@@ -19,19 +18,21 @@
 
 #include "batch.hpp"
 #include "batch_plan.hpp"
+#include "batch_state.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
 #include "convert.hpp"
 #include "convert_arguments.hpp"
 #include "convert_summary.hpp"
+#include "failure.hpp"
 #include "input_declarations.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
+#include "parts_command.hpp"
 #include "rgs/camera_file.hpp"
-#include "rgs/checksum.hpp"
 #include "rgs/paged_file.hpp"
-#include "rgs/spool_file.hpp"
 #include "rgs/version.hpp"
+#include "scene_input.hpp"
 #include "scratch_file.hpp"
 #include "sibling_program.hpp"
 #include "stage_clock.hpp"
@@ -41,6 +42,10 @@ namespace {
 
 namespace fs = std::filesystem;
 namespace tool = rgs::tool;
+using Input = rgs::SceneInput;
+using rgs::failed;
+using rgs::Failure;
+using rgs::Outcome;
 using rgs::SplatFormat;
 
 // Knobs of archive that were given.
@@ -73,6 +78,7 @@ struct Arguments {
        memory_given = false;
   int threads = 0;
   const char* rgs_option = nullptr;  // one that was given, see kRgsOptions
+  rgs::PartsCommand parts;
 
   const std::string& output() const { return files.back(); }
   std::size_t n_inputs() const { return files.size() - 1; }
@@ -115,67 +121,6 @@ rgs::StageObserver observe(tool::Progress& progress) {
 bool concerns_output(rgs::Errc code) {
   using rgs::Errc;
   return code == Errc::write_failed || code == Errc::output_exists || code == Errc::output_unusable;
-}
-
-// An input's bytes: a mapped file, or standard input spooled.
-class Input {
- public:
-  rgs::Status open(const std::string& path) {
-    path_ = path;
-    if (path != "-") {
-      auto file = rgs::MappedFile::open(path);
-      if (!file) return tl::unexpected(file.error());
-      file_ = std::move(*file);
-      bytes_ = file_.bytes();
-      return {};
-    }
-    std::vector<std::byte> buffer(std::size_t{1} << 20);
-    for (;;) {
-      const ssize_t n = ::read(STDIN_FILENO, buffer.data(), buffer.size());
-      if (n < 0 && errno == EINTR) continue;
-      if (n < 0) {
-        return rgs::make_error(rgs::Errc::read_failed, rgs::Error::kNone, "cannot read standard input",
-                               rgs::Error::kNone, rgs::Error::kNone, errno);
-      }
-      if (n == 0) break;
-      if (rgs::Status s = spool_.append(std::span(buffer).first(static_cast<std::size_t>(n))); !s) return s;
-    }
-    if (rgs::Status s = spool_.finish(); !s) return s;
-    bytes_ = spool_.bytes();
-    return {};
-  }
-  const std::string& path() const { return path_; }
-  std::span<const std::byte> bytes() const { return bytes_; }
-  const rgs::MappedFile& file() const { return file_; }
-  std::string name() const {
-    std::string name = path_ == "-" ? "stdin" : std::filesystem::path(path_).filename().string();
-    name.resize(std::min<std::size_t>(name.size(), rgs::kMaxProvenanceText));
-    return name;
-  }
-  rgs::Result<rgs::SplatFile> read(rgs::ReadOptions options) const {
-    options.keep_axes = true;
-    // The bytes that are hashed, unless others lie beside them: a SOG may be a folder.
-    const bool folder = path_ != "-" && rgs::detect_format(bytes_) == SplatFormat::sog;
-    return folder ? rgs::read_splats(path_, options) : rgs::read_splats(bytes_, options);
-  }
-
- private:
-  std::string path_;
-  rgs::MappedFile file_;
-  rgs::detail::SpoolFile spool_;
-  std::span<const std::byte> bytes_;
-};
-
-// The error of one file, or of none ("").
-struct Failure {
-  std::string file;
-  rgs::Error error;
-};
-template <class T>
-using Outcome = tl::expected<T, Failure>;
-
-tl::unexpected<Failure> failed(const std::string& file, const rgs::Error& error) {
-  return tl::unexpected(Failure{file, error});
 }
 
 // What an input no longer holds reads as zeros: that it changed explains whatever was found wrong in it.
@@ -231,7 +176,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
                                      rgs::DeclaredLoss& loss) {
   rgs::LoadedScene scene;
   rgs::EncodeOptions& encode = arguments.convert.encode;
-  rgs::Hasher hash;
+  std::vector<std::uint64_t> hashes;
   std::vector<rgs::InputDeclarations> declared;
   rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
@@ -243,7 +188,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     scene.bytes += file->bytes;
     scene.n_source += file->cloud.size();
     scene.source_sh_degree = std::max(scene.source_sh_degree, file->cloud.sh_degree);
-    hash.update(inputs[i].bytes());
+    hashes.push_back(inputs[i].hash());
     scene.unused.insert(scene.unused.end(), file->unused.begin(), file->unused.end());
     rgs::convert_axes(file->cloud, file->axes, encode.axes);
     rgs::convert_axes(file->origin, file->axes, encode.axes);
@@ -264,7 +209,7 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   if (auto s = rgs::declare_scene(encode, declared, arguments.asked, loss.notes); !s)
     return failed(inputs.front().path(), s.error());
   const std::vector<std::uint64_t> kept = rgs::filter_splats(scene.cloud, arguments.filter, scene.origin);
-  scene.xxh3 = hash.digest();
+  scene.xxh3 = rgs::hash_of_sources(hashes);
   if (!rgs::keep_source(encode, scene, only, kept, moves(arguments))) {
     loss.notes.push_back("positions are those in " + inputs.front().name() +
                          ", which keeps none in its own source (--keep-permutation when it was made)");
@@ -291,6 +236,41 @@ std::string concerned(const Arguments& arguments, const Input& input, const rgs:
   return arguments.convert.scratch.empty() ? "." : arguments.convert.scratch;
 }
 
+// An input as a part of the whole.
+struct LookedAt {
+  rgs::Tile tile;
+  rgs::InputDeclarations declared;
+  SplatFormat format = SplatFormat::unknown;
+  std::uint64_t bytes = 0;
+  std::vector<std::string> unused;
+};
+
+Outcome<LookedAt> look_at(const Arguments& arguments, const Input& input, std::size_t i) {
+  LookedAt out;
+  out.format = format_of_input(arguments, input);
+  auto tile = input.tile(out.format, read_options(arguments));
+  if (!tile) return failed(input.path(), tile.error());
+  out.tile = std::move(*tile);
+  out.tile.placed = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
+                                          of_input(arguments.scale, i))
+                        .value();
+  if (out.tile.ply) {
+    out.tile.axes = out.tile.ply->declarations().axes;
+    out.declared = rgs::declared_by(*out.tile.ply, input.name(), out.tile.placed.scale);
+    out.bytes = input.bytes().size();
+  } else {
+    const auto file = out.tile.load();
+    if (!file) return failed(input.path(), file.error());
+    out.tile.axes = file->axes;
+    out.format = file->format;
+    out.bytes = file->bytes;
+    out.unused = file->unused;
+    out.declared = rgs::declared_by(*file, input.name(), out.tile.placed.scale);
+  }
+  if (arguments.axes_given) out.tile.axes = rgs::parse_axes(arguments.axes).value();
+  return out;
+}
+
 // The same as load_scene() and then convert_scene(), tile by tile.
 Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Input>& inputs, rgs::DeclaredLoss& loss,
                                            const rgs::StageObserver& observer) {
@@ -301,33 +281,14 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   std::uint64_t bytes = 0;
   SplatFormat first_format = SplatFormat::unknown;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    const Input& input = inputs[i];
-    rgs::Tile& tile = tiles[i];
-    tile.placed = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
-                                        of_input(arguments.scale, i))
-                      .value();
-    SplatFormat format = format_of_input(arguments, input);
-    if (format == SplatFormat::ply) {
-      auto ply = rgs::PlyFile::open(input.bytes());
-      if (!ply) return failed(input.path(), ply.error());
-      tile.axes = ply->declarations().axes;
-      declared.push_back(rgs::declared_by(*ply, input.name(), tile.placed.scale));
-      tile.ply.emplace(std::move(*ply));
-      if (input.file().bytes().data() == input.bytes().data()) tile.file = &input.file();
-      bytes += input.bytes().size();
-    } else {
-      const auto file = input.read(read_options(arguments));
-      if (!file) return failed(input.path(), file.error());
-      tile.axes = file->axes;
-      format = file->format;
-      bytes += file->bytes;
-      unused.insert(unused.end(), file->unused.begin(), file->unused.end());
-      declared.push_back(rgs::declared_by(*file, input.name(), tile.placed.scale));
-      tile.load = [&input, &arguments] { return input.read(read_options(arguments)); };
-    }
-    if (i == 0) first_format = format;
-    if (arguments.axes_given) tile.axes = rgs::parse_axes(arguments.axes).value();
-    if (i == 0) encode.axes = target_axes(arguments, tile.axes, format, SplatFormat::rgs);
+    auto looked = look_at(arguments, inputs[i], i);
+    if (!looked) return tl::unexpected(looked.error());
+    if (i == 0) first_format = looked->format;
+    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
+    bytes += looked->bytes;
+    unused.insert(unused.end(), looked->unused.begin(), looked->unused.end());
+    declared.push_back(std::move(looked->declared));
+    tiles[i] = std::move(looked->tile);
   }
   std::size_t tile = 0;
   const auto scene = rgs::TileStream::open(std::move(tiles), encode.axes, tile);
@@ -340,15 +301,9 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   facts.bytes = bytes;
   facts.origin = scene->origin();
   facts.hash = [&inputs] {
-    constexpr std::size_t kPart = std::size_t{16} << 20;
-    rgs::Hasher hash;
-    for (const Input& input : inputs) {
-      for (std::size_t first = 0; first < input.bytes().size(); first += kPart) {
-        hash.update(input.bytes().subspan(first, std::min(kPart, input.bytes().size() - first)));
-        input.file().advise(rgs::MappedFile::Access::done, first, kPart);
-      }
-    }
-    return hash.digest();
+    std::vector<std::uint64_t> hashes;
+    for (const Input& input : inputs) hashes.push_back(input.hash());
+    return rgs::hash_of_sources(hashes);
   };
   auto summary = rgs::convert_to_levels(scene->stream(), facts, arguments.output(), arguments.convert, observer);
   if (!summary) {
@@ -617,6 +572,134 @@ int convert_main(Arguments& arguments) {
   return run_audit(arguments, auditor);
 }
 
+// ---- one scene of many processes
+
+// The job that inputs and options are; a file is open only while it is looked at.
+Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& options_hash) {
+  rgs::PartsJob job;
+  rgs::EncodeOptions& encode = arguments.convert.encode;
+  std::vector<rgs::InputDeclarations> declared;
+  std::uint64_t file_bytes = 0;
+  for (std::size_t i = 0; i < arguments.n_inputs(); ++i) {
+    rgs::PartsInput& part = job.inputs.emplace_back();
+    Input input;
+    if (const rgs::Status s = input.open(arguments.files[i]); !s) return failed(arguments.files[i], s.error());
+    auto looked = look_at(arguments, input, i);
+    if (!looked) return tl::unexpected(looked.error());
+    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
+    const auto facts = rgs::look_at_tile(looked->tile, encode.axes);
+    if (!facts) return failed(input.path(), facts.error());
+    std::error_code ignored;
+    part = {fs::absolute(input.path(), ignored).string(),
+            input.name(),
+            input.bytes().size(),
+            looked->format,
+            looked->tile.axes,
+            looked->tile.placed,
+            *facts,
+            job.n};
+    job.n += facts->n;
+    job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
+    if (encode.origin == rgs::kNoOrigin) encode.origin = facts->origin;
+    file_bytes += input.bytes().size();
+    job.unused.insert(job.unused.end(), looked->unused.begin(), looked->unused.end());
+    declared.push_back(std::move(looked->declared));
+  }
+  const std::string& first = arguments.files.front();
+  if (job.inputs.size() == 1 && job.inputs.front().format == SplatFormat::rgs) {
+    return failed(first, {rgs::Errc::bad_argument, rgs::Error::kNone,
+                          "one .rgs alone is converted by one process: rgs-convert --lod", rgs::Error::kNone,
+                          rgs::Error::kNone, 0});
+  }
+  if (const rgs::Status s = rgs::check_count(job.n); !s) return failed(first, s.error());
+  if (auto s = rgs::declare_scene(encode, declared, arguments.asked, job.notes); !s) return failed(first, s.error());
+  const std::string name = job.inputs.front().name + (job.inputs.size() == 1 ? "" : " and more");
+  encode.provenance = rgs::Provenance{file_bytes, 0, name, "rgs-convert " RGS_VERSION};
+  encode.n_source = job.n;
+  encode.n_repaired = 0;
+  if (const rgs::Status s = rgs::check_encodable(rgs::SceneScan(0), encode); !s) return failed(first, s.error());
+  job.source_format = job.inputs.size() == 1 ? rgs::format_name(job.inputs.front().format) : "merged";
+  job.read = read_options(arguments);
+  job.encode = encode;
+  job.quality = *arguments.convert.levels;
+  job.n_ranges = arguments.parts.n_ranges;
+  job.bin_rows = rgs::choose_bin_rows(encode, job.output_degree(), arguments.convert.memory_bytes);
+  std::error_code ignored;
+  if (!arguments.cameras.empty()) job.cameras = fs::absolute(arguments.cameras, ignored).string();
+  job.options_hash = options_hash;
+  job.z_near = arguments.convert.z_near;
+  job.z_far = arguments.convert.z_far;
+  job.strict = arguments.convert.strict;
+  return job;
+}
+
+// What parts cannot do; the message for the user.
+std::optional<std::string> check_parts(const Arguments& a) {
+  if (!a.parts.partition.empty() && a.n_inputs() > 0) {
+    if (a.parts.n_ranges == 0)
+      return "--lod-partition takes inputs together with --ranges N, how many processes may build";
+    if (a.convert.encode.profile == rgs::Profile::archive)
+      return "--profile archive looks at all Gaussians at once: convert in one process with --lod, or choose packed";
+    if (a.keep_order) return "parts are ranges of the Morton curve: --keep-order is for one process with --lod";
+    if (!a.filter.keeps_all() || !a.crop.empty() || !a.max_count.empty() || a.level_of_detail)
+      return "--crop, --min-opacity, --max-count and --level-of-detail take all Gaussians into memory: apply them "
+             "before";
+    if (a.audit) return "--audit compares one file with another: run rgs-audit afterwards";
+    if (std::find(a.files.begin(), a.files.end() - 1, "-") != a.files.end() - 1)
+      return "several processes read the inputs: name files instead of -";
+    return std::nullopt;
+  }
+  if (!a.given.empty() || !a.cameras.empty() || a.parts.n_ranges != 0)
+    return "the options are those that the work began with: they are given to --lod-partition, together with the "
+           "inputs";
+  if (!a.parts.assemble.empty() && a.files.size() != 1) return "--lod-assemble FOLDER takes one output";
+  if (a.parts.assemble.empty() && !a.parts.partition.empty() && a.parts.overwrite)
+    return "--overwrite begins again: it goes with the inputs";
+  if (a.parts.assemble.empty() && a.parts.partition.empty() && !a.files.empty())
+    return "the folder of the work says all: " + a.files.front() + " is one too many";
+  if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 128MiB";
+  return std::nullopt;
+}
+
+int convert_parts(Arguments& a) {
+  rgs::PartsCommand& parts = a.parts;
+  parts.overwrite = a.convert.output.overwrite;
+  parts.json = a.json;
+  parts.quiet = a.quiet;
+  if (!parts.partition.empty() && !a.list.empty()) {
+    const auto lines = rgs::lines_of(a.list);
+    if (!lines) return tool::report(a.list, lines.error());
+    std::ranges::copy_if(*lines, std::back_inserter(a.files), [](const std::string& line) { return !line.empty(); });
+    if (a.files.empty()) return tool::report_usage("no input is named in " + a.list);
+  }
+  const bool begins = !parts.partition.empty() && !a.files.empty();
+  if (!parts.partition.empty()) a.files.push_back(parts.partition + "/job");
+  if (const auto message = check_parts(a)) return tool::report_usage(*message);
+  const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, n_threads(a));
+  std::function<Outcome<rgs::PartsJob>()> describe;
+  std::string options_hash;
+  if (begins) {
+    a.lod = a.merge = true;
+    if (const auto message = check_arguments(a)) return tool::report_usage(*message);
+    settle_options(a);
+    if (const int code = check_outputs(a); code != tool::kSuccess) return code;
+    const auto hash = rgs::options_hash(a.given, a.cameras);
+    if (!hash) return tool::report(a.cameras, hash.error());
+    options_hash = *hash;
+    describe = [&] { return describe_job(a, options_hash); };
+  }
+  tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+  rgs::PartsRun run;
+  run.folder = parts.folder();
+  run.memory_bytes = a.convert.memory_bytes;
+  run.scratch = a.convert.scratch.empty() || begins ? run.folder : a.convert.scratch;
+  run.sync = !a.no_sync;
+  run.observer = observe(progress);
+  rgs::AtomicFile::Options output = a.convert.output;
+  output.sync = run.sync;
+  return rgs::run_parts(parts, run, describe, a.files.empty() ? "" : a.output(), output);
+}
+
 // ---- many scenes
 
 // One of many, in a process of its own.
@@ -774,7 +857,7 @@ void add_batch_options(CLI::App& app, Arguments& a) {
   app.add_option(
          "--list", a.list,
          "Convert the inputs in this file, one a line, each perhaps with a tab and its output in the folder; - for "
-         "standard input")
+         "standard input. Of --lod-partition: the inputs, beside those that are named")
       ->option_text("FILE")
       ->group(group);
   app.add_option("--jobs,-j", a.jobs, "Scenes side by side [1]; threads and --memory are divided among them")
@@ -790,6 +873,39 @@ void add_batch_options(CLI::App& app, Arguments& a) {
       ->group(group);
   app.add_option("--report", a.report, "Write the line of JSON about each scene to this file, not to standard output")
       ->option_text("FILE")
+      ->group(group);
+}
+
+void add_parts_options(CLI::App& app, Arguments& a) {
+  const std::string group = "One scene of many processes (docs/CLUSTER.md)";
+  auto* partition =
+      app.add_option("--lod-partition", a.parts.partition,
+                     "Begin in this folder to convert the inputs as --lod does, or go on: scan them, plan, "
+                     "place their Gaussians by ranges")
+          ->option_text("FOLDER")
+          ->group(group);
+  auto* build = app.add_option("--lod-build", a.parts.build, "Then build the levels of the ranges")
+                    ->option_text("FOLDER")
+                    ->group(group)
+                    ->excludes(partition);
+  auto* assemble = app.add_option("--lod-assemble", a.parts.assemble, "Then make one .rgs of them, the output")
+                       ->option_text("FOLDER")
+                       ->group(group)
+                       ->excludes(partition)
+                       ->excludes(build);
+  app.add_option("--lod-list", a.parts.list, "Print as JSON which inputs and ranges there are, and what is done")
+      ->option_text("FOLDER")
+      ->group(group)
+      ->excludes(partition)
+      ->excludes(build)
+      ->excludes(assemble);
+  app.add_option("--ranges", a.parts.n_ranges, "How many ranges there shall be; the output does not depend on it")
+      ->check(CLI::Range(1, 65536))
+      ->group(group);
+  app.add_option(
+         "--lod-input", a.parts.selected,
+         "Which inputs, or ranges, this process takes, from 0 on: K, K-M, all, none [all]; all and none also plan")
+      ->option_text("K|K-M|all|none")
       ->group(group);
 }
 
@@ -817,8 +933,7 @@ void add_options(CLI::App& app, Arguments& a) {
          "Inputs, " RGS_SCENE_FORMATS
          " (with --merge more than one), then the output; - for a standard stream. Or a folder of scenes, then the "
          "folder of the outputs")
-      ->required()
-      ->expected(1, -1)
+      ->expected(0, -1)
       ->option_text("input... output");
   app.add_option("--from", a.from, "Format of the inputs; default: by their content")
       ->transform(tool::one_of(readable))
@@ -918,6 +1033,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary");
   add_batch_options(app, a);
+  add_parts_options(app, a);
   app.footer(
       "Written are .rgs, .ply, .compressed.ply, .spz, .splat and .glb.\n"
       "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 the end of a file with levels "
@@ -930,9 +1046,11 @@ void add_options(CLI::App& app, Arguments& a) {
 
 // The options that show in an output, in one order however they were given.
 std::string given_options(const CLI::App& app) {
-  constexpr std::string_view kUnseen[] = {"files",  "--threads", "--memory", "--scratch",    "--overwrite",
-                                          "--json", "--no-sync", "--quiet",  "--cameras",    "--list",
-                                          "--jobs", "--shard",   "--report", "--keep-going", "--no-keep-going"};
+  constexpr std::string_view kUnseen[] = {
+      "files",      "--threads",    "--memory",        "--scratch",       "--overwrite", "--json",
+      "--no-sync",  "--quiet",      "--cameras",       "--list",          "--jobs",      "--shard",
+      "--report",   "--keep-going", "--no-keep-going", "--lod-partition", "--lod-build", "--lod-assemble",
+      "--lod-list", "--lod-input",  "--ranges"};
   std::map<std::string, std::string> given;
   for (const CLI::Option* option : app.get_options()) {
     if (option->count() == 0 || std::ranges::find(kUnseen, option->get_name()) != std::end(kUnseen)) continue;
@@ -955,6 +1073,12 @@ int parse_and_convert(int argc, char** argv) {
   }
   arguments.given = given_options(app);
   arguments.memory_given = app.get_option("--memory")->count() != 0;
+  if (!arguments.parts.folder().empty()) return convert_parts(arguments);
+  for (const char* name : {"--lod-input", "--ranges"}) {
+    if (app.get_option(name)->count() != 0)
+      return tool::report_usage(std::string(name) + " is of --lod-partition and --lod-build");
+  }
+  if (arguments.files.empty()) return tool::report_usage("files is required: rgs-convert INPUT OUTPUT");
   std::error_code ignored;
   if (!arguments.list.empty() || fs::is_directory(arguments.files.front(), ignored)) return convert_many(arguments);
   if (arguments.files.size() < 2) return tool::report_usage("an input needs an output: rgs-convert INPUT OUTPUT");

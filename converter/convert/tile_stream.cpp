@@ -13,10 +13,7 @@ namespace {
 
 constexpr std::uint64_t kRows = 65536;
 
-}  // namespace
-
-Status TileStream::read_tile(std::size_t i, const Visit& visit) const {
-  const Tile& tile = tiles_[i];
+Status read_tile(const Tile& tile, const std::function<Status(SplatCloud& block)>& visit) {
   if (!tile.ply) {
     auto loaded = tile.load();
     if (!loaded) return tl::unexpected(loaded.error());
@@ -36,13 +33,44 @@ Status TileStream::read_tile(std::size_t i, const Visit& visit) const {
   return {};
 }
 
+}  // namespace
+
+Result<TileFacts> look_at_tile(const Tile& tile, const Axes& axes) {
+  TileFacts facts;
+  FarMove move(tile.placed);
+  if (tile.ply) {
+    facts = {tile.ply->size(), tile.ply->sh_degree(), false, tile.ply->origin()};
+    if (tile.placed.translation != glm::dvec3(0) && facts.origin == kNoOrigin) {
+      const auto add = [&move](SplatCloud& block) {
+        move.add(block.mean);
+        return Status();
+      };
+      if (Status s = read_tile(tile, add); !s) return tl::unexpected(s.error());
+    }
+  } else {
+    const auto loaded = tile.load();
+    if (!loaded) return tl::unexpected(loaded.error());
+    facts = {loaded->cloud.size(), loaded->cloud.sh_degree, false, loaded->origin};
+    move.add(loaded->cloud.mean);
+  }
+  // As transform_splats() of a scene with an origin, and append_splats().
+  convert_axes(facts.origin, tile.axes, axes);
+  facts.gets_origin = facts.origin != kNoOrigin || move.is_far();
+  if (facts.gets_origin) {
+    const Similarity& far = tile.placed;
+    const glm::dvec3 at =
+        far.rotation * glm::dvec3(facts.origin[0], facts.origin[1], facts.origin[2]) * far.scale + far.translation;
+    facts.origin = {at.x + 0.0, at.y + 0.0, at.z + 0.0};
+  }
+  return facts;
+}
+
 void TileStream::place(std::size_t i, SplatCloud& block) const {
-  const Placed& placed = placed_[i];
   Similarity moved = tiles_[i].placed;
   convert_axes(block, tiles_[i].axes, axes_);
-  if (placed.gets_origin) moved.translation = {0, 0, 0};
+  if (facts_[i].gets_origin) moved.translation = {0, 0, 0};
   transform_splats(block, moved);
-  rounding_ = std::max(rounding_, rebase_splats(block, placed.origin, origin_));
+  rounding_ = std::max(rounding_, rebase_splats(block, facts_[i].origin, origin_));
 }
 
 Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, std::size_t& failed) {
@@ -51,39 +79,12 @@ Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, s
   out.axes_ = axes;
   for (std::size_t i = 0; i < out.tiles_.size(); ++i) {
     failed = i;
-    const Tile& tile = out.tiles_[i];
-    Placed& placed = out.placed_.emplace_back();
-    FarMove move(tile.placed);
-    const bool moves = tile.placed.translation != glm::dvec3(0);
-    if (tile.ply) {
-      placed.origin = tile.ply->origin();
-      out.n_ += tile.ply->size();
-      out.sh_degree_ = std::max(out.sh_degree_, tile.ply->sh_degree());
-      if (moves && placed.origin == kNoOrigin) {
-        const auto add = [&move](SplatCloud& block) {
-          move.add(block.mean);
-          return Status();
-        };
-        if (Status s = out.read_tile(i, add); !s) return tl::unexpected(s.error());
-      }
-    } else {
-      const auto loaded = tile.load();
-      if (!loaded) return tl::unexpected(loaded.error());
-      placed.origin = loaded->origin;
-      out.n_ += loaded->cloud.size();
-      out.sh_degree_ = std::max(out.sh_degree_, loaded->cloud.sh_degree);
-      move.add(loaded->cloud.mean);
-    }
-    // As transform_splats() of a scene with an origin, and append_splats().
-    convert_axes(placed.origin, tile.axes, axes);
-    placed.gets_origin = placed.origin != kNoOrigin || move.is_far();
-    if (placed.gets_origin) {
-      const Similarity& far = tile.placed;
-      const glm::dvec3 at =
-          far.rotation * glm::dvec3(placed.origin[0], placed.origin[1], placed.origin[2]) * far.scale + far.translation;
-      placed.origin = {at.x + 0.0, at.y + 0.0, at.z + 0.0};
-    }
-    if (out.origin_ == kNoOrigin) out.origin_ = placed.origin;
+    const auto facts = look_at_tile(out.tiles_[i], axes);
+    if (!facts) return tl::unexpected(facts.error());
+    out.facts_.push_back(*facts);
+    out.n_ += facts->n;
+    out.sh_degree_ = std::max(out.sh_degree_, facts->sh_degree);
+    if (out.origin_ == kNoOrigin) out.origin_ = facts->origin;
   }
   if (out.n_ > std::numeric_limits<std::uint32_t>::max()) {
     return make_error(Errc::limit_exceeded, Error::kNone, "more than 2^32 - 1 Gaussians; split the scene",
@@ -92,12 +93,24 @@ Result<TileStream> TileStream::open(std::vector<Tile> tiles, const Axes& axes, s
   return out;
 }
 
+TileStream TileStream::of_one(Tile tile, const TileFacts& facts, const Axes& axes, const Origin& origin,
+                              int sh_degree) {
+  TileStream out;
+  out.tiles_.push_back(std::move(tile));
+  out.facts_ = {facts};
+  out.axes_ = axes;
+  out.origin_ = origin;
+  out.n_ = facts.n;
+  out.sh_degree_ = sh_degree;
+  return out;
+}
+
 lod::SplatStream TileStream::stream() const {
   return {n_, sh_degree_, [this](const lod::SplatStream::Visit& visit) -> Status {
             std::uint64_t first = 0;
             std::vector<Splat> rows;
             for (std::size_t i = 0; i < tiles_.size(); ++i) {
-              const Status read = read_tile(i, [&](SplatCloud& block) -> Status {
+              const Status read = read_tile(tiles_[i], [&](SplatCloud& block) -> Status {
                 place(i, block);
                 const SplatView view = block.view();
                 for (std::uint64_t at = 0; at < view.n; at += kRows) {

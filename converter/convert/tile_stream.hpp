@@ -23,11 +23,23 @@ struct Tile {
   Similarity placed;  ///< in the axes of the whole
 };
 
+/// What merging needs to know of each scene before it reads any.
+struct TileFacts {
+  std::uint64_t n = 0;
+  int sh_degree = 0;
+  bool gets_origin = false;  ///< its means become relative to `origin`, in the axes of the whole
+  Origin origin = kNoOrigin;
+};
+/// Reads PLY files only where a translation may move them far. Errors: the tile's.
+Result<TileFacts> look_at_tile(const Tile& tile, const Axes& axes);
+
 /// Gaussians are those that merging all tiles in memory gives, in the same order and with the same bits.
 class TileStream {
  public:
   /// Reads all tiles once. Errors: load's, with `failed` being that tile; limit_exceeded (more than 2^32 - 1 Gaussians).
   static Result<TileStream> open(std::vector<Tile> tiles, const Axes& axes, std::size_t& failed);
+  /// One tile of a whole that has this origin and degree.
+  static TileStream of_one(Tile tile, const TileFacts& facts, const Axes& axes, const Origin& origin, int sh_degree);
 
   lod::SplatStream stream() const;  ///< a view: the TileStream must outlive it
   const Origin& origin() const { return origin_; }
@@ -38,16 +50,10 @@ class TileStream {
   double position_rounding() const { return rounding_; }
 
  private:
-  struct Placed {
-    bool gets_origin = false;  // its translation becomes its origin
-    Origin origin = kNoOrigin;
-  };
-  using Visit = std::function<Status(SplatCloud& block)>;
-  Status read_tile(std::size_t i, const Visit& visit) const;
   void place(std::size_t i, SplatCloud& block) const;
 
   std::vector<Tile> tiles_;
-  std::vector<Placed> placed_;
+  std::vector<TileFacts> facts_;
   Axes axes_ = kAxes3dgs;
   Origin origin_ = kNoOrigin;
   std::uint64_t n_ = 0;

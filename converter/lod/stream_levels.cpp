@@ -26,7 +26,6 @@ namespace {
 
 constexpr std::size_t kValues = 11;                             // of a Gaussian beside its harmonics
 constexpr std::uint64_t kGroupBytes = std::uint64_t{64} << 20;  // that a group takes while it is simplified
-constexpr std::uint64_t kPageBytes = std::uint64_t{4} << 20;    // that a page takes while it is encoded
 constexpr int kMostCellBits = 24;                               // of the upper bits of a Morton key
 
 Error source_changed() {
@@ -38,26 +37,6 @@ void each_in_parallel(std::size_t n, const F& f) {
   tbb::parallel_for(tbb::blocked_range<std::size_t>(0, n), [&f](const tbb::blocked_range<std::size_t>& range) {
     for (std::size_t i = range.begin(); i < range.end(); ++i) f(i);
   });
-}
-
-// The same, at most `at_once` at a time.
-template <class F>
-void each_at_once(std::size_t n, std::uint64_t at_once, const F& f) {
-  const auto run = [&] {
-    tbb::parallel_for(
-        tbb::blocked_range<std::size_t>(0, n, 1),
-        [&f](const tbb::blocked_range<std::size_t>& range) {
-          for (std::size_t i = range.begin(); i < range.end(); ++i) f(i);
-        },
-        tbb::simple_partitioner());
-  };
-  if (at_once >= static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency())) return run();
-  tbb::task_arena(static_cast<int>(at_once)).execute(run);
-}
-
-std::uint64_t most_at_once(const StreamOptions& options, std::uint64_t bytes_each) {
-  const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
-  return std::clamp<std::uint64_t>(options.memory_bytes / 4 / bytes_each, 1, threads);
 }
 
 // The first failure of jobs that run side by side.
@@ -78,9 +57,34 @@ class FirstFailure {
   Status status_;
 };
 
-// Calls visit(position of each in the source, the kept rows as they are mended) for blocks of the stream.
-template <class F>
-Status each_kept(const SplatStream& stream, int sh_degree, BadPolicy on_bad, const F& visit) {
+}  // namespace
+
+Status each_at_once(std::size_t n, std::uint64_t at_once, const std::function<Status(std::size_t i)>& job) {
+  FirstFailure failure;
+  const auto run = [&] {
+    tbb::parallel_for(
+        tbb::blocked_range<std::size_t>(0, n, 1),
+        [&](const tbb::blocked_range<std::size_t>& range) {
+          for (std::size_t i = range.begin(); i < range.end() && !failure.any(); ++i) {
+            failure.note(detail::guard_memory([&] { return job(i); }));
+          }
+        },
+        tbb::simple_partitioner());
+  };
+  if (at_once >= static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency())) {
+    run();
+  } else {
+    tbb::task_arena(static_cast<int>(at_once)).execute(run);
+  }
+  return failure.status();
+}
+
+std::uint64_t most_at_once(const StreamOptions& options, std::uint64_t bytes_each) {
+  const auto threads = static_cast<std::uint64_t>(tbb::this_task_arena::max_concurrency());
+  return std::clamp<std::uint64_t>(options.memory_bytes / 4 / bytes_each, 1, threads);
+}
+
+Status each_kept(const SplatStream& stream, int sh_degree, BadPolicy on_bad, const VisitKept& visit) {
   constexpr std::size_t kPart = 4096;
   std::vector<Splat> kept;
   std::vector<std::uint32_t> positions;
@@ -106,6 +110,49 @@ Status each_kept(const SplatStream& stream, int sh_degree, BadPolicy on_bad, con
   });
 }
 
+std::vector<std::uint64_t> keys_of(std::span<const Splat> rows, const MortonKey& key) {
+  std::vector<std::uint64_t> keys(rows.size());
+  each_in_parallel(rows.size(), [&](std::size_t i) { keys[i] = key(rows[i].mean); });
+  return keys;
+}
+
+void sort_rows(std::vector<std::byte>& rows, std::uint64_t row_bytes, const MortonKey& key) {
+  const std::uint64_t n = rows.size() / row_bytes;
+  std::vector<std::uint64_t> keys(n);
+  std::vector<std::uint32_t> indices(n);
+  each_in_parallel(n, [&](std::size_t i) {
+    float mean[3];
+    std::memcpy(mean, &rows[i * row_bytes], sizeof mean);
+    keys[i] = key(mean);
+    indices[i] = static_cast<std::uint32_t>(i);
+  });
+  const std::vector<std::size_t> starts = partition_by_key(keys, indices);
+  each_in_parallel(starts.size() - 1, [&](std::size_t bucket) {
+    const std::size_t begin = starts[bucket], count = starts[bucket + 1] - begin;
+    if (count > 1) sort_bucket(std::span(keys).subspan(begin, count), std::span(indices).subspan(begin, count));
+  });
+  keys = {};
+  std::vector<std::byte> sorted(rows.size());
+  each_in_parallel(
+      n, [&](std::size_t i) { std::memcpy(&sorted[i * row_bytes], &rows[indices[i] * row_bytes], row_bytes); });
+  rows = std::move(sorted);
+}
+
+void add_to_chunks(const LevelRows& leaves, std::uint64_t first, std::span<const std::byte> rows,
+                   std::uint64_t chunk_size, std::vector<ChunkBoxes>& chunks) {
+  const std::uint64_t row_bytes = leaves.row_bytes(), last = first + rows.size() / row_bytes;
+  const std::uint64_t first_chunk = first / chunk_size;
+  each_in_parallel((last + chunk_size - 1) / chunk_size - first_chunk, [&](std::size_t k) {
+    const std::uint64_t begin = std::max(first, (first_chunk + k) * chunk_size);
+    const std::uint64_t end = std::min(last, (first_chunk + k + 1) * chunk_size);
+    SplatCloud part;
+    leaves.unpack(rows.subspan((begin - first) * row_bytes, (end - begin) * row_bytes), part);
+    chunks[first_chunk + k].add(chunk_boxes(part.view(), 0, end - begin));
+  });
+}
+
+namespace {
+
 // Where rows of a range go: one after the other, in the order in which they come.
 struct Ranges {
   std::vector<std::uint32_t> of_cell;  // empty: the order is the source's, or there is one range
@@ -113,12 +160,6 @@ struct Ranges {
   std::uint64_t rows_each = 0;         // without cells
   int cell_bits = 0;
 };
-
-std::vector<std::uint64_t> keys_of(std::span<const Splat> rows, const MortonKey& key) {
-  std::vector<std::uint64_t> keys(rows.size());
-  each_in_parallel(rows.size(), [&](std::size_t i) { keys[i] = key(rows[i].mean); });
-  return keys;
-}
 
 Result<Ranges> cut_ranges(const SplatStream& stream, const SceneScan& scan, const EncodeOptions& encode,
                           std::uint64_t most_rows, const StreamOptions& options) {
@@ -216,46 +257,21 @@ Status sort_range(std::uint64_t first, std::uint64_t last, const SceneScan& scan
   std::vector<std::byte> rows(n * row_bytes);
   if (Status s = leaves.file().read(first * row_bytes, rows); !s) return s;
   if (encode.order == Order::morton) {
-    std::vector<std::uint64_t> keys(n);
-    std::vector<std::uint32_t> indices(n);
-    const MortonKey key(scan.robust());
-    each_in_parallel(n, [&](std::size_t i) {
-      float mean[3];
-      std::memcpy(mean, &rows[i * row_bytes], sizeof mean);
-      keys[i] = key(mean);
-      indices[i] = static_cast<std::uint32_t>(i);
-    });
-    const std::vector<std::size_t> starts = partition_by_key(keys, indices);
-    each_in_parallel(starts.size() - 1, [&](std::size_t bucket) {
-      const std::size_t begin = starts[bucket], count = starts[bucket + 1] - begin;
-      if (count > 1) sort_bucket(std::span(keys).subspan(begin, count), std::span(indices).subspan(begin, count));
-    });
-    keys = {};
-    std::vector<std::byte> sorted(rows.size());
-    each_in_parallel(
-        n, [&](std::size_t i) { std::memcpy(&sorted[i * row_bytes], &rows[indices[i] * row_bytes], row_bytes); });
-    rows = std::move(sorted);
+    sort_rows(rows, row_bytes, MortonKey(scan.robust()));
     if (Status s = leaves.file().write(first * row_bytes, rows); !s) return s;
   }
   if (encode.keep_permutation) {
     for (std::uint64_t i = 0; i < n; ++i) out.positions[first + i] = leaves.position(&rows[i * row_bytes]);
   }
-  const std::uint64_t chunk = encode.chunk_size, first_chunk = first / chunk;
-  each_in_parallel((last + chunk - 1) / chunk - first_chunk, [&](std::size_t k) {
-    const std::uint64_t begin = std::max(first, (first_chunk + k) * chunk);
-    const std::uint64_t end = std::min(last, (first_chunk + k + 1) * chunk);
-    SplatCloud part;
-    leaves.unpack(std::span(rows).subspan((begin - first) * row_bytes, (end - begin) * row_bytes), part);
-    out.chunks[first_chunk + k].add(chunk_boxes(part.view(), 0, end - begin));
-  });
+  add_to_chunks(leaves, first, rows, encode.chunk_size, out.chunks);
   return {};
 }
+
+}  // namespace
 
 Result<ScratchFile> scratch_file(bool on_disk, const StreamOptions& options) {
   return on_disk ? ScratchFile::create(options.scratch) : ScratchFile();
 }
-
-}  // namespace
 
 std::uint64_t LevelRows::row_bytes() const {
   const auto n_sh = static_cast<std::uint64_t>(3 * sh_coefficients(sh_degree_));
@@ -412,14 +428,17 @@ Status order_leaves(const SplatStream& stream, const SceneScan& scan, const Enco
   });
 }
 
-Status build_upper(const EncodeOptions& encode, const StreamOptions& options, StreamedLevels& out) {
+BuildOptions build_options(const EncodeOptions& encode, const StreamOptions& options) {
+  BuildOptions build = options.build;
+  build.chunk_size = encode.chunk_size;
+  build.page_chunks = std::clamp(kMaxPageRows / build.chunk_size, 1U, build.page_chunks);  // of large chunks fewer
+  return build;
+}
+
+Status build_upper(const EncodeOptions& encode, const StreamOptions& options, StreamedLevels& out, std::uint32_t last) {
   return detail::guard_memory([&]() -> Status {
-    BuildOptions build = options.build;
-    build.chunk_size = encode.chunk_size;
-    build.page_chunks = std::clamp(kMaxPageRows / build.chunk_size, 1U, build.page_chunks);  // of large chunks fewer
-    const int sh_degree = out.rows.front().sh_degree();
     std::vector<std::uint32_t> stretches;
-    out.pages.assign(1, cut_leaf_pages(out.chunks, out.n_leaves, build, stretches));
+    out.pages.assign(1, cut_leaf_pages(out.chunks, out.n_leaves, build_options(encode, options), stretches));
     out.chunks = {};
     if (std::vector<Page>& leaves = out.pages.front(); leaves.size() == 1) {
       SplatCloud splats;
@@ -427,10 +446,19 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
       leaves[0].core = core_of(splats.view(), 0, out.n_leaves);
     }
     options.begin("levels", out.n_leaves + out.n_leaves / 3, "Gaussians");
+    return build_above(encode, options, std::move(stretches), out, last);
+  });
+}
+
+Status build_above(const EncodeOptions& encode, const StreamOptions& options, std::vector<std::uint32_t> stretches,
+                   StreamedLevels& out, std::uint32_t last) {
+  return detail::guard_memory([&]() -> Status {
+    const BuildOptions build = build_options(encode, options);
+    const int sh_degree = out.rows.back().sh_degree();
     const std::uint64_t at_once = most_at_once(options, kGroupBytes), batch = 32 * at_once;
     std::vector<SplatCloud> parts(batch);
-    while (out.pages.back().size() > 1) {
-      const std::vector<Page>& below = out.pages.back();
+    while (out.pages.back().size() > 1 && out.pages.back().front().level < last) {
+      std::vector<Page>& below = out.pages.back();
       const std::vector<std::uint32_t> begins = group_stretches(below, stretches, build);
       const std::uint64_t n_groups = begins.size() - 1;
       std::vector<Page> pages(n_groups);
@@ -439,33 +467,29 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
       if (!file) return tl::unexpected(file.error());
       LevelRows to(std::move(*file), sh_degree, LevelRows::Kind::upper);
       std::uint64_t n_above = 0;
-      FirstFailure failure;
       for (std::uint64_t first = 0; first < n_groups; first += batch) {
         const std::uint64_t n = std::min(batch, n_groups - first);
-        each_at_once(n, at_once, [&](std::size_t k) {
-          if (failure.any()) return;
+        const Status built = each_at_once(n, at_once, [&](std::size_t k) -> Status {
           const std::uint64_t i = first + k;
           std::vector<Page> group(below.begin() + begins[i], below.begin() + begins[i + 1]);
           const std::uint64_t begin = group.front().first, end = group.back().first + group.back().count;
           SplatCloud splats;
-          failure.note(detail::guard_memory([&]() -> Status {
-            if (Status s = from.read(begin, end - begin, splats); !s) return s;
-            for (std::size_t j = 0; j < group.size(); ++j) {
-              Page& page = group[j];
-              page.first -= begin;
-              if (page.level > 0) continue;
-              // Here all leaves are in memory once, and no other group has this page.
-              page.core = core_of(splats.view(), page.first, page.count);
-              out.pages.front()[begins[i] + j].core = page.core;
-            }
-            parts[k].resize(0, sh_degree);
-            pages[i] = build_page(splats.view(), group, 0, static_cast<std::uint32_t>(group.size()), build, parts[k]);
-            pages[i].first_child = begins[i];
-            return {};
-          }));
+          if (Status s = from.read(begin, end - begin, splats); !s) return s;
+          for (std::size_t j = 0; j < group.size(); ++j) {
+            Page& page = group[j];
+            page.first -= begin;
+            if (page.level > 0) continue;
+            // Here all leaves are in memory once, and no other group has this page.
+            page.core = core_of(splats.view(), page.first, page.count);
+            below[begins[i] + j].core = page.core;
+          }
+          parts[k].resize(0, sh_degree);
+          pages[i] = build_page(splats.view(), group, 0, static_cast<std::uint32_t>(group.size()), build, parts[k]);
+          pages[i].first_child = begins[i];
           options.advance(end - begin);
+          return {};
         });
-        if (failure.any()) return failure.status();
+        if (!built) return built;
         for (std::uint64_t k = 0; k < n; ++k) {
           Page& page = pages[first + k];
           page.first = n_above;
@@ -480,21 +504,26 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
   });
 }
 
+EncodeOptions file_options(const SceneScan& scan, const EncodeOptions& encode,
+                           std::span<const std::uint32_t> positions) {
+  EncodeOptions options = encode;
+  if (encode.keep_permutation) options.source_index = positions;
+  options.n_source = std::max(encode.n_source, scan.n_source());
+  options.n_repaired += scan.n_repaired();
+  return options;
+}
+
 Result<WrittenScene> write_tree(const StreamedLevels& levels, const SceneScan& scan, const EncodeOptions& encode,
                                 const StreamOptions& options, Sink sink) {
   return detail::guard_memory([&]() -> Result<WrittenScene> {
-    EncodeOptions with_positions = encode;
     std::vector<std::uint32_t> positions;
     if (!encode.source_index.empty()) {
       positions = levels.positions;
       for (std::uint32_t& position : positions) position = encode.source_index[position];
     }
-    if (encode.keep_permutation) {
-      with_positions.source_index =
-          encode.source_index.empty() ? std::span(levels.positions) : std::span<const std::uint32_t>(positions);
-    }
-    with_positions.n_source = std::max(encode.n_source, scan.n_source());
-    with_positions.n_repaired += scan.n_repaired();
+    const EncodeOptions with_positions = file_options(
+        scan, encode,
+        encode.source_index.empty() ? std::span(levels.positions) : std::span<const std::uint32_t>(positions));
     std::vector<std::uint64_t> firsts;  // of a page within its level
     for (std::size_t level = levels.pages.size(); level-- > 0;) {
       for (const Page& page : levels.pages[level]) firsts.push_back(page.first);
@@ -507,17 +536,13 @@ Result<WrittenScene> write_tree(const StreamedLevels& levels, const SceneScan& s
     for (std::uint64_t i = 0; i < at_once; ++i) encoders.emplace_back(*writer);
     for (std::uint64_t first = 0; first < n_pages; first += at_once) {
       const std::uint64_t n = std::min(at_once, n_pages - first);
-      FirstFailure failure;
-      each_at_once(n, at_once, [&](std::size_t i) {
-        if (failure.any()) return;
-        failure.note(detail::guard_memory([&]() -> Status {
-          const Page& page = writer->pages()[first + i];
-          SplatCloud splats;
-          if (Status s = levels.rows[page.level].read(firsts[first + i], page.count, splats); !s) return s;
-          return encoders[i].encode(static_cast<std::uint32_t>(first + i), splats.view());
-        }));
+      const Status encoded = each_at_once(n, at_once, [&](std::size_t i) -> Status {
+        const Page& page = writer->pages()[first + i];
+        SplatCloud splats;
+        if (Status s = levels.rows[page.level].read(firsts[first + i], page.count, splats); !s) return s;
+        return encoders[i].encode(static_cast<std::uint32_t>(first + i), splats.view());
       });
-      if (failure.any()) return tl::unexpected(failure.status().error());
+      if (!encoded) return tl::unexpected(encoded.error());
       for (std::uint64_t i = 0; i < n; ++i) {
         if (const Status s = writer->add(encoders[i]); !s) return tl::unexpected(s.error());
         options.advance(writer->pages()[first + i].count);

@@ -1,7 +1,7 @@
 // stream_levels.hpp - a scene of any size to a file with levels, in bounded memory.
 // SPDX-License-Identifier: Apache-2.0
 //
-// The steps, each over ranges that know nothing of each other, so that other processes may run them one day:
+// The steps, each over ranges that know nothing of each other, so that other processes may run their parts:
 //   order_leaves()  Gaussians go to ranges of the Morton curve in a scratch file; each range is sorted by itself.
 //   build_upper()   Leaf pages are cut, and groups of them simplified, level by level; each level is a scratch file.
 //   write_tree()    Pages are written coarse to fine.
@@ -18,6 +18,7 @@
 #include "rgs/encode.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/scene_scan.hpp"
+#include "rgs/spatial_order.hpp"
 #include "scratch_file.hpp"
 
 namespace rgs::lod {
@@ -80,6 +81,22 @@ struct StreamedLevels {
   std::uint64_t n_stored() const;
 };
 
+/// Calls visit(position of each in the source, the kept rows as they are mended) for blocks of the stream.
+using VisitKept = std::function<Status(std::span<const std::uint32_t> positions, std::span<const Splat> rows)>;
+Status each_kept(const SplatStream& stream, int sh_degree, BadPolicy on_bad, const VisitKept& visit);
+/// Morton keys of all means.
+std::vector<std::uint64_t> keys_of(std::span<const Splat> rows, const MortonKey& key);
+/// Brings rows of `row_bytes`, which begin with their means, into the order of the curve; equal keys stay as they come.
+/// Memory: the rows again and 24 bytes of each.
+void sort_rows(std::vector<std::byte>& rows, std::uint64_t row_bytes, const MortonKey& key);
+/// Adds rows first ... of the leaves to the boxes of their chunks.
+void add_to_chunks(const LevelRows& leaves, std::uint64_t first, std::span<const std::byte> rows,
+                   std::uint64_t chunk_size, std::vector<ChunkBoxes>& chunks);
+/// Bytes of a row that, twice and with its key, is in memory while it is sorted.
+constexpr std::uint64_t sorting_bytes(std::uint64_t row_bytes) {
+  return 2 * row_bytes + 24;
+}
+
 /// First pass: what there is to know of the scene. `first_damaged`: the position of the first Gaussian that is not kept or was
 /// mended, Error::kNone if there is none.
 Status scan_stream(const SplatStream& stream, const StreamOptions& options, SceneScan& scan,
@@ -92,7 +109,25 @@ Status sample_means(const SplatStream& stream, const StreamOptions& options, con
 /// limit_exceeded (so many Gaussians are near each other that they cannot be sorted in this memory).
 Status order_leaves(const SplatStream& stream, const SceneScan& scan, const EncodeOptions& encode,
                     const StreamOptions& options, StreamedLevels& out);
-Status build_upper(const EncodeOptions& encode, const StreamOptions& options, StreamedLevels& out);
+/// Up to one page, or to level `last`.
+Status build_upper(const EncodeOptions& encode, const StreamOptions& options, StreamedLevels& out,
+                   std::uint32_t last = kMaxLevels);
+/// The same, where the pages of some level are there: out.rows.back() and out.pages.back(), a page or more. `stretches`: where
+/// stretches begin among these, see cut_leaf_pages().
+Status build_above(const EncodeOptions& encode, const StreamOptions& options, std::vector<std::uint32_t> stretches,
+                   StreamedLevels& out, std::uint32_t last = kMaxLevels);
+/// What levels are built with for a file with these options.
+BuildOptions build_options(const EncodeOptions& encode, const StreamOptions& options);
+/// As write_tree() passes them on: what the scan says of the source, and `positions` of the leaves if they are asked for.
+EncodeOptions file_options(const SceneScan& scan, const EncodeOptions& encode,
+                           std::span<const std::uint32_t> positions);
+/// At most `at_once` of n jobs at a time, none after one that fails; the first failure.
+Status each_at_once(std::size_t n, std::uint64_t at_once, const std::function<Status(std::size_t i)>& job);
+/// Jobs that take so many bytes each and fit into a quarter of the memory, at least one and at most as many as threads.
+std::uint64_t most_at_once(const StreamOptions& options, std::uint64_t bytes_each);
+/// On the disk, or in memory.
+Result<ScratchFile> scratch_file(bool on_disk, const StreamOptions& options);
+inline constexpr std::uint64_t kPageBytes = std::uint64_t{4} << 20;  ///< that a page takes while it is encoded
 /// Errors: LevelsWriter's too.
 Result<WrittenScene> write_tree(const StreamedLevels& levels, const SceneScan& scan, const EncodeOptions& encode,
                                 const StreamOptions& options, Sink sink);

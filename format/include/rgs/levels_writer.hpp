@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <memory>
+#include <span>
 #include <vector>
 
 #include "rgs/encode.hpp"
@@ -43,6 +44,9 @@ class LevelsWriter {
   /// Writes an encoded page: 0, then 1, ... Errors: those of Encoder::encode(), Sink::write_at(), bad_argument (another page
   /// is next). After an error the file is of no use: later calls give the same one.
   Status add(const Encoder& page);
+  /// The same with a page that a PageEncoder for the same scan and options encoded, here or in another process. Errors too:
+  /// truncated, checksum_mismatch (the record is damaged).
+  Status add(std::span<const std::byte> record);
   /// Tables, head and end of the file, once all pages are there. Errors: as SceneWriter::finish().
   Result<WrittenScene> finish();
 
@@ -71,6 +75,25 @@ class LevelsWriter::Encoder {
   LevelsWriter::State* writer_;
   std::unique_ptr<State> state_;
   Status status_;
+};
+
+/// Pages encoded before there is a writer, or in another process: a record each, for LevelsWriter::add(). Its bytes are of this
+/// version of the library alone.
+class PageEncoder {
+ public:
+  /// `leaves` and `options`: as for LevelsWriter::create(). Errors: check_encodable()'s, bad_argument (Profile::archive).
+  static Result<PageEncoder> create(const SceneScan& leaves, const EncodeOptions& options);
+  PageEncoder(PageEncoder&& other) noexcept;
+  ~PageEncoder();
+
+  /// Of the page its level, count and error are looked at. The record is there until the next call. Errors: those of
+  /// LevelsWriter::Encoder::encode().
+  Result<std::span<const std::byte>> encode(const lod::Page& page, const SplatView& splats);
+
+ private:
+  struct State;
+  explicit PageEncoder(std::unique_ptr<State> state);
+  std::unique_ptr<State> state_;
 };
 
 /// The file for `levels`, whose leaves are sound (see find_defects()) and in the order of options.order, on `threads`

@@ -5,9 +5,11 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "rgs/layout.hpp"
+#include "rgs/result.hpp"
 #include "rgs/splat_cloud.hpp"
 
 namespace RGS_API rgs {
@@ -48,6 +50,7 @@ class ShMagnitudes {
   ShStepSet steps() const;
 
  private:
+  friend class SceneScan;                // which writes all of itself
   std::array<std::int32_t, 48> bits_{};  // magnitudes as integers, which order alike and vectorise on any x86-64
 };
 
@@ -63,6 +66,10 @@ class SceneScan {
   void merge(const SceneScan& other);
   /// Of the Gaussians that were kept alone, as they are after being mended.
   SceneScan of_kept() const;
+  /// All of it, for another process with this version of the library.
+  std::vector<std::byte> to_bytes() const;
+  /// Errors: truncated, bad_value, trailing_bytes (not what to_bytes() gives).
+  static Result<SceneScan> from_bytes(std::span<const std::byte> bytes);
 
   int sh_degree() const { return sh_degree_; }
   std::uint64_t n_source() const { return n_source_; }

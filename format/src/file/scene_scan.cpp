@@ -7,6 +7,8 @@
 #include <cmath>
 #include <limits>
 
+#include "file/byte_reader.hpp"
+#include "file/byte_writer.hpp"
 #include "rgs/quantize.hpp"
 
 namespace rgs {
@@ -161,6 +163,64 @@ void SceneScan::merge(const SceneScan& other) {
   max_opacity_logit_ = std::max(max_opacity_logit_, other.max_opacity_logit_);
   sh_magnitudes_.merge(other.sh_magnitudes_);
   for (std::size_t i = 0; i < histogram_.size(); ++i) histogram_[i] += other.histogram_[i];
+}
+
+std::vector<std::byte> SceneScan::to_bytes() const {
+  detail::ByteWriter out;
+  out.u32(static_cast<std::uint32_t>(sh_degree_));
+  out.u32(static_cast<std::uint32_t>(on_bad_));
+  for (const std::uint64_t count : {n_source_, n_kept_, n_repaired_}) out.u64(count);
+  for (const std::uint64_t count : defects_) out.u64(count);
+  for (const auto& corner : {full_.min, full_.max}) {
+    for (const float x : corner) out.f32(x);
+  }
+  for (const float x : {min_log_scale_, max_log_scale_, min_opacity_logit_, max_opacity_logit_}) out.f32(x);
+  for (const std::int32_t bits : sh_magnitudes_.bits_) out.u32(static_cast<std::uint32_t>(bits));
+  // Few of the bins hold anything.
+  out.u64(static_cast<std::uint64_t>(std::ranges::count_if(histogram_, [](std::uint64_t n) { return n != 0; })));
+  for (std::size_t i = 0; i < histogram_.size(); ++i) {
+    if (histogram_[i] == 0) continue;
+    out.u32(static_cast<std::uint32_t>(i));
+    out.u64(histogram_[i]);
+  }
+  return out.take();
+}
+
+Result<SceneScan> SceneScan::from_bytes(std::span<const std::byte> bytes) {
+  detail::ByteReader in(bytes);
+  const std::uint32_t sh_degree = in.u32(), on_bad = in.u32();
+  if (sh_degree > kMaxShDegree || on_bad > static_cast<std::uint32_t>(BadPolicy::repair)) {
+    return make_error(Errc::bad_value, 0, "these bytes are no scan of a scene");
+  }
+  SceneScan scan(static_cast<int>(sh_degree), static_cast<BadPolicy>(on_bad));
+  for (std::uint64_t* count : {&scan.n_source_, &scan.n_kept_, &scan.n_repaired_}) *count = in.u64();
+  for (std::uint64_t& count : scan.defects_) count = in.u64();
+  for (auto* corner : {&scan.full_.min, &scan.full_.max}) {
+    for (float& x : *corner) x = in.f32();
+  }
+  for (float* x : {&scan.min_log_scale_, &scan.max_log_scale_, &scan.min_opacity_logit_, &scan.max_opacity_logit_}) {
+    *x = in.f32();
+  }
+  for (std::int32_t& bits : scan.sh_magnitudes_.bits_) bits = static_cast<std::int32_t>(in.u32());
+  std::array<std::uint64_t, 3> on_axis{};
+  for (std::uint64_t left = in.u64(); left > 0 && in.ok(); --left) {
+    const std::uint64_t at = in.offset();
+    const std::uint32_t i = in.u32();
+    const std::uint64_t n = in.u64();
+    if (!in.ok()) break;
+    if (i >= scan.histogram_.size() || n > scan.n_kept_) {
+      return make_error(Errc::bad_value, at, "these bytes are no scan of a scene");
+    }
+    scan.histogram_[i] = n;
+    on_axis[i / kBins] += n;
+  }
+  if (!in.ok()) return make_error(Errc::truncated, bytes.size(), "the scan of a scene ends too early");
+  if (in.remaining() != 0) return make_error(Errc::trailing_bytes, in.offset(), "bytes after the scan of a scene");
+  // Whoever looks for a robust box counts on it.
+  if (on_axis != std::array{scan.n_kept_, scan.n_kept_, scan.n_kept_}) {
+    return make_error(Errc::bad_value, 0, "the counts of a scan contradict each other");
+  }
+  return scan;
 }
 
 Box SceneScan::robust() const {

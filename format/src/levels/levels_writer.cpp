@@ -13,6 +13,8 @@
 #include <utility>
 
 #include "archive/archive_encode.hpp"
+#include "file/byte_reader.hpp"
+#include "file/byte_writer.hpp"
 #include "file/encode_rows.hpp"
 #include "file/layout_io.hpp"
 #include "file/value_checks.hpp"
@@ -39,6 +41,164 @@ void round_means(std::span<Splat> splats, float error) {
   }
 }
 
+// A page while it is encoded.
+struct PageBuffers {
+  std::vector<Splat> splats;
+  float smallest = 0, largest = 0;     // log-scale
+  std::vector<std::byte> rows, frame;  // decoded, and coded
+  EncodedPage encoded;
+  ValueTotals totals;
+  std::optional<FrameEncoder> encoder;
+};
+
+Status not_of_page() {
+  return make_error(Errc::bad_argument, Error::kNone, "these are not the Gaussians of this page");
+}
+
+// The page's Gaussians as they are encoded.
+Status take_splats(const EncodePlan& plan, const lod::Page& page, const SplatView& splats, PageBuffers& b) {
+  if (splats.n != page.count || !splats.consistent() || splats.sh_degree < plan.header.sh_degree) return not_of_page();
+  const bool leaf = page.level == 0;
+  b.splats.resize(splats.n);
+  b.smallest = std::numeric_limits<float>::infinity();
+  b.largest = -b.smallest;
+  for (std::uint64_t i = 0; i < splats.n; ++i) {
+    Splat& s = b.splats[i] = splats.splat(i);
+    const std::uint32_t defects = find_defects(s, plan.header.sh_degree);
+    if (defects != 0 && !(leaf && plan.mends && repair(s, defects))) {
+      return leaf ? source_changed()
+                  : make_error(Errc::bad_value, i,
+                               "a Gaussian above the finest level cannot be drawn: its place or size is beyond FP32");
+    }
+    for (const float value : s.log_scale) {
+      b.smallest = std::min(b.smallest, value);
+      b.largest = std::max(b.largest, value);
+    }
+  }
+  return {};
+}
+
+// Of every profile but archive.
+Status encode_page(const EncodePlan& plan, const lod::Page& page, PageBuffers& b) {
+  const bool leaf = page.level == 0;
+  const int degree = plan.header.sh_degree;
+  Header header = plan.header;
+  if (!leaf) {
+    round_means(b.splats, page.error);
+    header.scale_exponent =
+        static_cast<std::int16_t>(choose_scale_exponent(scale_from_log(b.smallest), scale_from_log(b.largest)));
+  }
+  const auto n = static_cast<std::uint32_t>(b.splats.size());
+  const std::uint64_t n_chunks = chunks_of(n, header.chunk_size);
+  const std::uint64_t n_sets = plan.options.chunk_step_sets ? n_chunks : 1;
+  const PageLayout l = page_layout(n, header.chunk_size, n_sets, degree);
+  b.rows.assign(l.bytes, std::byte{0});
+  std::vector<ShStepSet> sets(n_chunks);
+  ShMagnitudes of_page;
+  if (!plan.options.chunk_step_sets) {
+    for (const Splat& s : b.splats) of_page.add(s.sh, degree);
+  }
+  b.totals = {};
+  ByteWriter entries, steps;
+  for (std::uint64_t chunk = 0; chunk < n_chunks; ++chunk) {
+    const std::uint64_t first = chunk * header.chunk_size;
+    const auto part = std::span(b.splats).subspan(first, std::min<std::uint64_t>(header.chunk_size, n - first));
+    if (plan.options.chunk_step_sets) {
+      ShMagnitudes magnitudes;
+      for (const Splat& s : part) magnitudes.add(s.sh, degree);
+      sets[chunk] = magnitudes.steps();
+    } else {
+      sets[chunk] = leaf ? plan.file_steps : of_page.steps();
+    }
+    if (chunk < n_sets) write_step_set(steps, sets[chunk]);
+    ChunkEntry entry = encode_rows(part, header, sets[chunk], &b.rows[l.means + first * kMeanBytes],
+                                   &b.rows[l.geometry + first * kGeometryBytes],
+                                   &b.rows[l.sh + first * sh_bytes(degree)], b.totals.counts);
+    if (!std::isfinite(entry.radius)) return source_changed();
+    entry.step_set = n_sets == 1 ? 0 : chunk;
+    write_chunk_entry(entries, entry);
+    b.totals.add({{}, entry.means, false});
+  }
+  std::ranges::copy(entries.bytes(), b.rows.begin() + static_cast<std::ptrdiff_t>(l.chunks));
+  std::ranges::copy(steps.bytes(), b.rows.begin() + static_cast<std::ptrdiff_t>(l.steps));
+  const PageRows rows = page_rows(b.rows, l, n, header.scale_exponent, degree);
+  ExtentBox extent;
+  for (std::uint64_t i = 0; i < n; ++i) {
+    extent.add(extent_of(rows.means.data() + i * kMeanBytes, rows.geometry.data() + i * kGeometryBytes,
+                         header.scale_exponent));
+  }
+  b.encoded = {b.rows, 0, static_cast<std::uint32_t>(n_sets), header.scale_exponent, {}, extent.box()};
+  if (plan.options.profile == Profile::packed) {
+    if (!b.encoder) b.encoder.emplace(plan.options.level);
+    b.frame = b.encoder->page(rows.steps, rows.means, rows.geometry, rows.sh, {degree, header.chunk_size, sets});
+    b.encoded.bytes = b.frame;
+  }
+  b.encoded.xxh3 = xxh3(b.encoded.bytes);
+  return {};
+}
+
+// Records of PageEncoder: a head with its hash, then the page as it is stored.
+constexpr std::uint64_t kRecordHeadBytes = 4 + 4 + 4 + 4 + 24 + 24 + 32 + 8;
+
+void write_box(ByteWriter& out, const Box& box) {
+  for (const float x : box.min) out.f32(x);
+  for (const float x : box.max) out.f32(x);
+}
+
+Box read_box(ByteReader& in) {
+  Box box;
+  for (float& x : box.min) x = in.f32();
+  for (float& x : box.max) x = in.f32();
+  return box;
+}
+
+std::vector<std::byte> write_record(const lod::Page& page, const PageBuffers& b) {
+  ByteWriter out;
+  out.u32(page.level);
+  out.u32(page.count);
+  out.u32(b.encoded.n_step_sets);
+  out.i16(b.encoded.scale_exponent);
+  out.u16(0);
+  write_box(out, b.encoded.extent);
+  write_box(out, b.totals.full);
+  out.u64(b.totals.counts.scale_subnormal);
+  out.u64(b.totals.counts.scale_zero);
+  out.u64(b.totals.counts.opacity_zero);
+  out.u64(b.totals.counts.opacity_one);
+  out.u64(b.encoded.xxh3);
+  assert(out.bytes().size() == kRecordHeadBytes);
+  out.u64(xxh3(out.bytes()));
+  std::vector<std::byte> record = out.take();
+  record.insert(record.end(), b.encoded.bytes.begin(), b.encoded.bytes.end());
+  return record;
+}
+
+Status read_record(std::span<const std::byte> record, const lod::Page& page, EncodedPage& encoded,
+                   ValueTotals& totals) {
+  ByteReader in(record);
+  const std::uint32_t level = in.u32(), count = in.u32();
+  encoded.n_step_sets = in.u32();
+  encoded.scale_exponent = in.i16();
+  in.u16();
+  encoded.extent = read_box(in);
+  totals = {{}, read_box(in), false};
+  totals.counts.scale_subnormal = in.u64();
+  totals.counts.scale_zero = in.u64();
+  totals.counts.opacity_zero = in.u64();
+  totals.counts.opacity_one = in.u64();
+  encoded.xxh3 = in.u64();
+  const std::uint64_t hash = in.u64();
+  if (!in.ok()) return make_error(Errc::truncated, record.size(), "the record of an encoded page ends too early");
+  encoded.bytes = record.subspan(kRecordHeadBytes + 8);
+  if (xxh3(record.first(kRecordHeadBytes)) != hash || xxh3(encoded.bytes) != encoded.xxh3) {
+    return make_error(Errc::checksum_mismatch, Error::kNone, "the record of an encoded page is damaged");
+  }
+  if (level != page.level || count != page.count) {
+    return make_error(Errc::bad_argument, Error::kNone, "the record is that of another page", page.count, count);
+  }
+  return {};
+}
+
 }  // namespace
 
 struct LevelsWriter::State {
@@ -57,11 +217,13 @@ struct LevelsWriter::State {
 
 struct LevelsWriter::Encoder::State {
   std::uint32_t page = lod::kNoPage;
-  std::vector<Splat> splats;
-  std::vector<std::byte> rows, frame;  // decoded, and coded
-  EncodedPage encoded;
-  ValueTotals totals;
-  std::optional<FrameEncoder> encoder;
+  PageBuffers buffers;
+};
+
+struct PageEncoder::State {
+  EncodePlan plan;
+  PageBuffers buffers;
+  std::vector<std::byte> record;
 };
 
 LevelsWriter::LevelsWriter(std::unique_ptr<State> state) : state_(std::move(state)) {}
@@ -123,8 +285,25 @@ Status LevelsWriter::add(const Encoder& page) {
   }
   ++s.n_added;
   if (s.archive()) return {};
-  if (s.pages()[page.state_->page].level == 0) s.leaves.add(page.state_->totals);
-  return s.status = guard_memory([&] { return s.file->add(page.state_->encoded); });
+  if (s.pages()[page.state_->page].level == 0) s.leaves.add(page.state_->buffers.totals);
+  return s.status = guard_memory([&] { return s.file->add(page.state_->buffers.encoded); });
+}
+
+Status LevelsWriter::add(std::span<const std::byte> record) {
+  State& s = *state_;
+  if (!s.status) return s.status;
+  return s.status = guard_memory([&]() -> Status {
+           if (s.archive() || s.n_added == s.pages().size()) {
+             return make_error(Errc::bad_argument, Error::kNone, "not the next page of this writer");
+           }
+           EncodedPage encoded;
+           ValueTotals totals;
+           const lod::Page& page = s.pages()[s.n_added];
+           if (Status read = read_record(record, page, encoded, totals); !read) return read;
+           ++s.n_added;
+           if (page.level == 0) s.leaves.add(totals);
+           return s.file->add(encoded);
+         });
 }
 
 Result<WrittenScene> LevelsWriter::finish() {
@@ -157,95 +336,44 @@ LevelsWriter::Encoder::~Encoder() = default;
 Status LevelsWriter::Encoder::encode(std::uint32_t page, const SplatView& splats) {
   return status_ = guard_memory([&]() -> Status {
            const EncodePlan& plan = writer_->plan;
-           if (page >= writer_->pages().size() || splats.n != writer_->pages()[page].count || !splats.consistent() ||
-               splats.sh_degree < plan.header.sh_degree) {
-             return make_error(Errc::bad_argument, Error::kNone, "these are not the Gaussians of this page");
-           }
+           if (page >= writer_->pages().size()) return not_of_page();
            if (!state_) state_ = std::make_unique<State>();
-           State& b = *state_;
+           PageBuffers& b = state_->buffers;
            const lod::Page& p = writer_->pages()[page];
-           const bool leaf = p.level == 0;
-           const int degree = plan.header.sh_degree;
-           b.page = page;
-           b.splats.resize(splats.n);
-           float smallest = std::numeric_limits<float>::infinity(), largest = -smallest;
+           state_->page = page;
+           if (Status s = take_splats(plan, p, splats, b); !s) return s;
+           if (!writer_->archive()) return encode_page(plan, p, b);
            for (std::uint64_t i = 0; i < splats.n; ++i) {
-             Splat& s = b.splats[i] = splats.splat(i);
-             const std::uint32_t defects = find_defects(s, degree);
-             if (defects != 0 && !(leaf && plan.mends && repair(s, defects))) {
-               return leaf ? source_changed()
-                           : make_error(
-                                 Errc::bad_value, i,
-                                 "a Gaussian above the finest level cannot be drawn: its place or size is beyond FP32");
-             }
-             for (const float value : s.log_scale) {
-               smallest = std::min(smallest, value);
-               largest = std::max(largest, value);
-             }
+             for (float& value : b.splats[i].log_scale) value = std::max(value, -kMaxLogScale);
+             writer_->scene.set(p.first + i, b.splats[i]);
            }
-           if (writer_->archive()) {
-             for (std::uint64_t i = 0; i < splats.n; ++i) {
-               for (float& value : b.splats[i].log_scale) value = std::max(value, -kMaxLogScale);
-               writer_->scene.set(p.first + i, b.splats[i]);
-             }
-             return {};
-           }
-           Header header = plan.header;
-           if (!leaf) {
-             round_means(b.splats, p.error);
-             header.scale_exponent =
-                 static_cast<std::int16_t>(choose_scale_exponent(scale_from_log(smallest), scale_from_log(largest)));
-           }
-           const auto n = static_cast<std::uint32_t>(splats.n);
-           const std::uint64_t n_chunks = chunks_of(n, header.chunk_size);
-           const std::uint64_t n_sets = plan.options.chunk_step_sets ? n_chunks : 1;
-           const PageLayout l = page_layout(n, header.chunk_size, n_sets, degree);
-           b.rows.assign(l.bytes, std::byte{0});
-           std::vector<ShStepSet> sets(n_chunks);
-           ShMagnitudes of_page;
-           if (!plan.options.chunk_step_sets) {
-             for (const Splat& s : b.splats) of_page.add(s.sh, degree);
-           }
-           b.totals = {};
-           ByteWriter entries, steps;
-           for (std::uint64_t chunk = 0; chunk < n_chunks; ++chunk) {
-             const std::uint64_t first = chunk * header.chunk_size;
-             const auto part =
-                 std::span(b.splats).subspan(first, std::min<std::uint64_t>(header.chunk_size, n - first));
-             if (plan.options.chunk_step_sets) {
-               ShMagnitudes magnitudes;
-               for (const Splat& s : part) magnitudes.add(s.sh, degree);
-               sets[chunk] = magnitudes.steps();
-             } else {
-               sets[chunk] = leaf ? plan.file_steps : of_page.steps();
-             }
-             if (chunk < n_sets) write_step_set(steps, sets[chunk]);
-             ChunkEntry entry = encode_rows(part, header, sets[chunk], &b.rows[l.means + first * kMeanBytes],
-                                            &b.rows[l.geometry + first * kGeometryBytes],
-                                            &b.rows[l.sh + first * sh_bytes(degree)], b.totals.counts);
-             if (!std::isfinite(entry.radius)) return source_changed();
-             entry.step_set = n_sets == 1 ? 0 : chunk;
-             write_chunk_entry(entries, entry);
-             b.totals.add({{}, entry.means, false});
-           }
-           std::ranges::copy(entries.bytes(), b.rows.begin() + static_cast<std::ptrdiff_t>(l.chunks));
-           std::ranges::copy(steps.bytes(), b.rows.begin() + static_cast<std::ptrdiff_t>(l.steps));
-           const PageRows rows = page_rows(b.rows, l, n, header.scale_exponent, degree);
-           ExtentBox extent;
-           for (std::uint64_t i = 0; i < n; ++i) {
-             extent.add(extent_of(rows.means.data() + i * kMeanBytes, rows.geometry.data() + i * kGeometryBytes,
-                                  header.scale_exponent));
-           }
-           b.encoded = {b.rows, 0, static_cast<std::uint32_t>(n_sets), header.scale_exponent, {}, extent.box()};
-           if (plan.options.profile == Profile::packed) {
-             if (!b.encoder) b.encoder.emplace(plan.options.level);
-             b.frame =
-                 b.encoder->page(rows.steps, rows.means, rows.geometry, rows.sh, {degree, header.chunk_size, sets});
-             b.encoded.bytes = b.frame;
-           }
-           b.encoded.xxh3 = xxh3(b.encoded.bytes);
            return {};
          });
+}
+
+PageEncoder::PageEncoder(std::unique_ptr<State> state) : state_(std::move(state)) {}
+PageEncoder::PageEncoder(PageEncoder&& other) noexcept = default;
+PageEncoder::~PageEncoder() = default;
+
+Result<PageEncoder> PageEncoder::create(const SceneScan& leaves, const EncodeOptions& options) {
+  return guard_memory([&]() -> Result<PageEncoder> {
+    auto plan = make_plan(leaves, options);
+    if (!plan) return tl::unexpected(plan.error());
+    if (plan->options.profile == Profile::archive) {
+      return make_error(Errc::bad_argument, Error::kNone, "pages of an archive are encoded with all others");
+    }
+    return PageEncoder(std::make_unique<State>(State{*std::move(plan), {}, {}}));
+  });
+}
+
+Result<std::span<const std::byte>> PageEncoder::encode(const lod::Page& page, const SplatView& splats) {
+  return guard_memory([&]() -> Result<std::span<const std::byte>> {
+    State& s = *state_;
+    if (Status taken = take_splats(s.plan, page, splats, s.buffers); !taken) return tl::unexpected(taken.error());
+    if (Status coded = encode_page(s.plan, page, s.buffers); !coded) return tl::unexpected(coded.error());
+    s.record = write_record(page, s.buffers);
+    return std::span<const std::byte>(s.record);
+  });
 }
 
 Result<WrittenScene> write_levels(const lod::Levels& levels, const EncodeOptions& options, Sink sink,

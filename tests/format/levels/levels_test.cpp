@@ -178,6 +178,63 @@ TEST_CASE("the bytes do not depend on threads") {
   }
 }
 
+TEST_CASE("pages that were encoded elsewhere, in any order, make the same file, and damaged ones none") {
+  for (const GoldenLevels& scene : all_golden_levels()) {
+    CAPTURE(scene.name);
+    SceneScan scan(scene.leaves.sh_degree, BadPolicy::refuse);
+    for (std::uint64_t i = 0; i < scene.leaves.size(); ++i) {
+      Splat s = scene.leaves.view().splat(i);
+      scan.add(s);
+    }
+    auto encoder = PageEncoder::create(scan, scene.options);
+    if (scene.options.profile == Profile::archive) {
+      REQUIRE_FALSE(encoder);
+      CHECK(encoder.error().code == Errc::bad_argument);
+      continue;
+    }
+    REQUIRE(encoder);
+    const std::vector<lod::Page>& pages = scene.levels.pages;
+    std::vector<Bytes> records(pages.size());
+    for (std::size_t i = pages.size(); i-- > 0;) {
+      const auto record = encoder->encode(pages[i], part(scene.levels.splats.view(), pages[i].first, pages[i].count));
+      REQUIRE(record);
+      records[i].assign(record->begin(), record->end());
+    }
+    Bytes bytes;
+    auto writer = LevelsWriter::create(bytes, scan, scene.options, pages, scene.levels.quality_db);
+    REQUIRE(writer);
+    for (const Bytes& record : records) REQUIRE(writer->add(record));
+    CHECK(writer->add(records[0]).error().code == Errc::bad_argument);  // no page is left
+    CHECK_FALSE(writer->finish());
+
+    bytes.clear();
+    auto again = LevelsWriter::create(bytes, scan, scene.options, pages, scene.levels.quality_db);
+    REQUIRE(again);
+    for (const Bytes& record : records) REQUIRE(again->add(record));
+    REQUIRE(again->finish());
+    CHECK(bytes == encode_levels(scene));
+
+    // Each byte of a record is looked at, and each beginning.
+    const auto added = [&](const Bytes& record) {
+      Bytes nothing;
+      auto other = LevelsWriter::create(nothing, scan, scene.options, pages, scene.levels.quality_db);
+      REQUIRE(other);
+      return other->add(record);
+    };
+    for (std::size_t i = 0; i < records[0].size(); i += i < 200 ? 1 : 97) {
+      Bytes damaged = records[0];
+      damaged[i] ^= std::byte{1};
+      REQUIRE(added(damaged).error().code == Errc::checksum_mismatch);
+    }
+    for (std::size_t n = 0; n < 200 && n < records[0].size(); ++n) {
+      const Errc code =
+          added(Bytes(records[0].begin(), records[0].begin() + static_cast<std::ptrdiff_t>(n))).error().code;
+      REQUIRE((code == Errc::truncated || code == Errc::checksum_mismatch));
+    }
+    if (pages.size() > 1) CHECK(added(records.back()).error().code == Errc::bad_argument);  // another page
+  }
+}
+
 TEST_CASE("whatever is sound can be written with levels, and is valid") {
   for (std::uint64_t seed = 0; seed < 60; ++seed) {
     CAPTURE(seed);

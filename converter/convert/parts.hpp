@@ -1,0 +1,117 @@
+// parts.hpp - one scene with levels of detail, converted by many processes that share a folder. docs/CLUSTER.md "One scene".
+// SPDX-License-Identifier: Apache-2.0
+//
+// The steps and the files of the folder that they make; each may be killed and run again, and knows what is there already:
+//   begin     job       looks at all inputs: the options, and what of each input the others need to know
+//   scan      scan.K    of input K: its damage, bounds and ranges of values, its hash, a sample of its means
+//   plan      plan      puts the scans together and cuts the Morton curve into bins, which fit into memory
+//   place     rows.K    the Gaussians of input K by bins
+//   build     range.R   the stretches of range R: leaves, levels, pages as they are stored
+//   assemble            the levels above the stretches, and the file
+// The file has the bytes of convert_to_levels(), for any number of inputs a process and of ranges.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "convert.hpp"
+#include "failure.hpp"
+#include "rgs/encode.hpp"
+#include "rgs/interchange.hpp"
+#include "rgs/scene_scan.hpp"
+#include "tile_stream.hpp"
+#include "work_file.hpp"
+
+namespace rgs {
+
+struct PartsInput {
+  std::string path, name;  ///< absolute; without folders
+  std::uint64_t bytes = 0;
+  SplatFormat format = SplatFormat::unknown;
+  Axes axes = kAxes3dgs;
+  Similarity placed;
+  TileFacts facts;
+  std::uint64_t first = 0;  ///< position of its first Gaussian among those of all inputs
+};
+
+struct PartsJob {
+  std::vector<PartsInput> inputs;
+  ReadOptions read;
+  EncodeOptions encode;  ///< what is declared and asked for; of all inputs
+  lod::Quality quality = lod::Quality::fast;
+  std::uint32_t n_ranges = 1;
+  std::uint64_t bin_rows = 0;  ///< Gaussians of a bin, about
+  std::string cameras;         ///< path; empty: none
+  std::string options_hash;
+  std::optional<float> z_near, z_far;
+  bool strict = false;
+  int sh_degree = 0;  ///< of the inputs
+  std::uint64_t n = 0;
+  std::string source_format;
+  std::vector<std::string> unused, notes;
+  std::uint64_t identity = 0;
+
+  int output_degree() const { return std::min(sh_degree, encode.sh_degree); }
+};
+
+struct PartsPlan {
+  SceneScan scan{0};
+  EncodeOptions encode;             ///< all that the file is written with, but positions
+  std::vector<std::uint64_t> bins;  ///< first Morton key of each; 0 first
+  std::uint64_t identity = 0;
+};
+
+/// What a process works with; nothing of it but `build` shows in what is written.
+struct PartsRun {
+  std::string folder;
+  std::uint64_t memory_bytes = lod::kDefaultMemory;
+  std::string scratch;
+  bool sync = true;
+  lod::BuildOptions build;  ///< but its quality and chunks; of all processes the same
+  StageObserver observer;
+
+  std::string job_path() const { return folder + "/job"; }
+  std::string plan_path() const { return folder + "/plan"; }
+  std::string scan_path(std::size_t input) const { return folder + "/scan." + std::to_string(input); }
+  std::string rows_path(std::size_t input) const { return folder + "/rows." + std::to_string(input); }
+  std::string range_path(std::size_t range) const { return folder + "/range." + std::to_string(range); }
+  lod::StreamOptions stream_options(lod::Quality quality) const;
+};
+
+/// Gaussians of a bin so that it can be sorted in that memory, whatever the sample misses.
+std::uint64_t choose_bin_rows(const EncodeOptions& encode, int sh_degree, std::uint64_t memory_bytes);
+
+/// Writes the job, in a folder that is made if need be. The same job again changes nothing; another one is refused
+/// (output_exists), or with `overwrite` takes its place, and what was made for the old one is removed.
+Outcome<PartsJob> begin_parts(const PartsRun& run, PartsJob job, bool overwrite);
+/// Errors: WorkFile's.
+Outcome<PartsJob> open_job(const PartsRun& run);
+/// The plan, if it was made of the scans that are there; none if a scan is missing or newer.
+Outcome<std::optional<PartsPlan>> find_plan(const PartsRun& run, const PartsJob& job);
+
+/// What a step did: true if there was anything to do.
+using Done = Outcome<bool>;
+Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input);
+/// Errors: open_failed for a scan that is missing; those of convert_to_levels() that concern the whole scene.
+Done make_plan(const PartsRun& run, const PartsJob& job);
+Done place_input(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::size_t input);
+/// A range without stretches, of which there are some where ranges are many, needs no file.
+Done build_range(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::size_t range);
+Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job, const PartsPlan& plan,
+                                       const std::string& output_path, const AtomicFile::Options& output);
+
+/// Where the stretches of all leaves begin, see lod::cut_stretches().
+std::vector<std::uint64_t> stretches_of(const PartsRun& run, const PartsJob& job, const PartsPlan& plan);
+/// The stretches [first, last) of a range: as many for each, but one.
+struct StretchRange {
+  std::size_t first = 0, last = 0;
+};
+StretchRange stretches_of_range(std::size_t n_stretches, std::size_t range, std::size_t n_ranges);
+
+/// The state of the work as JSON: inputs and ranges, and of each whether it is done; see docs/CLUSTER.md.
+Outcome<std::string> list_parts(const PartsRun& run);
+
+}  // namespace rgs

@@ -1,0 +1,45 @@
+// parts_range.hpp - what range.R holds: of each stretch its pages, as records of PageEncoder, and the rows that pages above are
+// made of.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "failure.hpp"
+#include "parts.hpp"
+#include "rgs/page.hpp"
+#include "work_file.hpp"
+
+namespace rgs {
+
+/// Pages of one level of a stretch. Records lie one after the other.
+struct StretchLevel {
+  std::vector<lod::Page> pages;  ///< first and first_child count within the level, and the level below, of the stretch
+  std::vector<std::uint32_t> record_bytes;
+  std::uint64_t offset = 0;  ///< of the first record
+};
+
+/// Bytes of the file, and their hash.
+struct HashedBytes {
+  std::uint64_t offset = 0, bytes = 0, xxh3 = 0;
+};
+
+struct BuiltStretch {
+  std::vector<StretchLevel> levels;  ///< leaves first
+  HashedBytes tops;                  ///< rows of the last level, where it has several pages
+  HashedBytes positions;             ///< of the leaves in the source, where they are kept
+};
+
+struct BuiltRange {
+  std::uint64_t rows_identity = 0;  ///< LeafReader's
+  std::vector<BuiltStretch> stretches;
+};
+
+nlohmann::json about_range(const BuiltRange& range);
+/// Errors: bad_value (a table is not as it was written).
+Result<BuiltRange> range_of(const WorkFile& file);
+
+}  // namespace rgs

@@ -1,0 +1,83 @@
+// scene_input.cpp - inputs by path, or from standard input by way of a spool file.
+// SPDX-License-Identifier: Apache-2.0
+#include "scene_input.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <filesystem>
+#include <utility>
+#include <vector>
+
+#include "rgs/checksum.hpp"
+#include "rgs/layout.hpp"
+
+namespace rgs {
+
+Status SceneInput::open(const std::string& path) {
+  path_ = path;
+  if (path != "-") {
+    auto file = MappedFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    file_ = std::move(*file);
+    bytes_ = file_.bytes();
+    return {};
+  }
+  std::vector<std::byte> buffer(std::size_t{1} << 20);
+  for (;;) {
+    const ssize_t n = ::read(STDIN_FILENO, buffer.data(), buffer.size());
+    if (n < 0 && errno == EINTR) continue;
+    if (n < 0) {
+      return make_error(Errc::read_failed, Error::kNone, "cannot read standard input", Error::kNone, Error::kNone,
+                        errno);
+    }
+    if (n == 0) break;
+    if (Status s = spool_.append(std::span(buffer).first(static_cast<std::size_t>(n))); !s) return s;
+  }
+  if (Status s = spool_.finish(); !s) return s;
+  bytes_ = spool_.bytes();
+  return {};
+}
+
+std::string SceneInput::name() const {
+  std::string name = path_ == "-" ? "stdin" : std::filesystem::path(path_).filename().string();
+  name.resize(std::min<std::size_t>(name.size(), kMaxProvenanceText));
+  return name;
+}
+
+std::uint64_t SceneInput::hash() const {
+  constexpr std::size_t kPart = std::size_t{16} << 20;
+  Hasher hash;
+  for (std::size_t first = 0; first < bytes_.size(); first += kPart) {
+    hash.update(bytes_.subspan(first, std::min(kPart, bytes_.size() - first)));
+    file_.advise(MappedFile::Access::done, first, kPart);
+  }
+  return hash.digest();
+}
+
+Result<SplatFile> SceneInput::read(ReadOptions options) const {
+  options.keep_axes = true;
+  // The bytes that are hashed, unless others lie beside them: a SOG may be a folder.
+  const bool folder = path_ != "-" && detect_format(bytes_) == SplatFormat::sog;
+  return folder ? read_splats(path_, options) : read_splats(bytes_, options);
+}
+
+Result<Tile> SceneInput::tile(SplatFormat format, const ReadOptions& options) const {
+  Tile tile;
+  if (format != SplatFormat::ply) {
+    tile.load = [this, options] { return read(options); };
+    return tile;
+  }
+  auto ply = PlyFile::open(bytes_);
+  if (!ply) return tl::unexpected(ply.error());
+  tile.ply.emplace(std::move(*ply));
+  if (file_.bytes().data() == bytes_.data()) tile.file = &file_;
+  return tile;
+}
+
+std::uint64_t hash_of_sources(std::span<const std::uint64_t> hashes) {
+  return hashes.size() == 1 ? hashes.front() : xxh3(std::as_bytes(hashes));
+}
+
+}  // namespace rgs

@@ -1,0 +1,267 @@
+# city_test.py - samples/cluster/city and "One scene" of docs/CLUSTER.md: city_test.py CASE, or --list. Programs: RGS_BIN.
+# SPDX-License-Identifier: Apache-2.0
+import json
+import os
+import random
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+
+sys.path.insert(0, os.path.dirname(__file__))
+from cluster_test import BIN, ROOT, environment, need, page_block, same, shell, slurm
+from slurm_cluster import wait_for
+
+CITY = f"{ROOT}/samples/cluster/city"
+PROFILES = f"{ROOT}/samples/cluster/scenes/profiles"
+OPTIONS = "--chunk-size 32"  # of the page: two stretches of few Gaussians
+TILES = [f"tiles/{i}.ply" for i in range(4)]
+CASES = {}
+
+
+def case(name):
+    def add(function):
+        CASES[name] = function
+        return function
+    return add
+
+
+def command(profile, *config):
+    return ["snakemake", "--snakefile", f"{CITY}/Snakefile", "--profile", f"{PROFILES}/{profile}", "--config",
+            "ranges=4", f"options={OPTIONS}", *config]
+
+
+class Run:
+    """One run of the Snakefile: its exit code, output, and the jobs that it began: ["begin", "scan 0", ...]."""
+
+    def __init__(self, folder, *config, profile="local", limit="", **variables):
+        words = " ".join(f"'{word}'" for word in command(profile, *config))
+        done = subprocess.run(["bash", "-c", f"{limit}exec {words}"], cwd=folder, env=environment() | variables,
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False)
+        self.code, self.text = done.returncode, done.stdout
+        print(self.text)
+        found = re.findall(r"^(?:rule|checkpoint) (\w+):\n((?:    .*\n)*)", self.text, re.M)
+        self.jobs = sorted(f"{rule} {''.join(re.findall(r'n=([0-9]+)$', said, re.M))}".strip() for rule, said in found
+                           if rule != "all")
+
+
+EVERYTHING = sorted(["begin", "plan", "assemble", "build 1", "build 3"] + [f"{rule} {n}" for rule in ("scan", "place")
+                                                                            for n in range(4)])
+
+
+def make_tiles(folder):
+    same(shell(page_block("tiles"), folder).returncode, 0)
+
+
+def by_hand(folder, name="by_hand.rgs"):
+    """The file that one process makes."""
+    subprocess.run([f"{BIN}/rgs-convert", "--quiet", "--overwrite", "--lod", "--merge", *OPTIONS.split(), *TILES, name],
+                   cwd=folder, check=True, stdin=subprocess.DEVNULL)
+    with open(f"{folder}/{name}", "rb") as file:
+        return file.read()
+
+
+def check_city(folder, wanted):
+    with open(f"{folder}/city.rgs", "rb") as file:
+        assert file.read() == wanted, "other bytes than by hand"
+
+
+def left_over(folder):
+    return [name for name in os.listdir(f"{folder}/city.work") if ".tmp-" in name]
+
+
+@case("the page's local run, and what it says of the next")
+def page_local(folder):
+    make_tiles(folder)
+    wanted = by_hand(folder)
+    done = shell(page_block("city"), folder)
+    same(done.returncode, 0)
+    check_city(folder, wanted)
+    listed = json.loads(subprocess.run([f"{BIN}/rgs-convert", "--lod-list", "city.work"], cwd=folder, check=True,
+                                       capture_output=True).stdout)
+    same([part["stretches"] for part in listed["ranges"]], [0, 1, 0, 1])
+    assert all(part["placed"] for part in listed["inputs"]) and all(part["built"] for part in listed["ranges"])
+    run = Run(folder)
+    same((run.code, run.jobs), (0, []))
+
+
+@case("a run does only what is missing or changed")
+def reruns(folder):
+    make_tiles(folder)
+
+    def expect(what, jobs, *config, code=0):
+        run = Run(folder, *config)
+        assert (run.code, run.jobs) == (code, sorted(jobs)), f"after {what}: {run.code} {run.jobs}"
+
+    expect("nothing", EVERYTHING)
+    wanted = by_hand(folder)
+    check_city(folder, wanted)
+    os.remove(f"{folder}/city.rgs")
+    expect("the loss of the file", ["assemble"])
+    os.remove(f"{folder}/city.work/range.1")
+    expect("the loss of what is not needed any more", [])
+    os.remove(f"{folder}/city.rgs")
+    expect("the loss of both", ["build 1", "assemble"])
+    check_city(folder, wanted)
+    os.utime(f"{folder}/tiles/3.ply")
+    expect("a touched tile", [job for job in EVERYTHING if not re.match("scan [012]", job)])
+    check_city(folder, wanted)
+    os.remove(f"{folder}/tiles/3.ply")
+    subprocess.run([f"{BIN}/rgs-make-scene", "--quiet", "--seed", "9", "--gaussians", "80k", "--degree", "1", "tiles/3.ply"],
+                   cwd=folder, check=True)
+    expect("a changed tile", [job for job in EVERYTHING if not re.match("scan [012]", job)])
+    wanted = by_hand(folder)
+    check_city(folder, wanted)
+    expect("another profile", EVERYTHING, f"options={OPTIONS} --profile direct")
+    expect("the first again", EVERYTHING)
+    check_city(folder, wanted)
+
+
+@case("a full disk and a vanished tile: the rest goes on, and the next run does what is missing")
+def faults(folder):
+    make_tiles(folder)
+    wanted = by_hand(folder)
+    run = Run(folder, limit="ulimit -f 5000; ")  # KiB of a file: less than the rows of a tile
+    same(run.code, 1)
+    assert not any(job.startswith("build") for job in run.jobs), run.jobs
+    same([name for name in sorted(os.listdir(f"{folder}/city.work")) if name.startswith(("rows", "range"))], [])
+    same(left_over(folder), [])
+    assert os.path.exists(f"{folder}/city.work/plan") and "File too large" in run.text, "the reason is not told"
+
+    # The program in front of the one under test loses a tile while others are placed.
+    os.makedirs(f"{folder}/losing")
+    with open(f"{folder}/losing/rgs-convert", "w", encoding="utf-8") as file:
+        file.write(f'#!/bin/sh\ncase "$*" in *"--lod-input 2 "*) mv "{folder}/tiles/2.ply" "{folder}/lost" ;; esac\n'
+                   f'exec {BIN}/rgs-convert "$@"\n')
+    os.chmod(f"{folder}/losing/rgs-convert", 0o755)
+    run = Run(folder, PATH=f"{folder}/losing:{BIN}:{os.environ['PATH']}")
+    same((run.code, run.jobs), (1, [f"place {n}" for n in range(4)]))
+    assert "tiles/2.ply" in run.text
+    os.rename(f"{folder}/lost", f"{folder}/tiles/2.ply")
+    run = Run(folder)
+    same((run.code, run.jobs), (0, sorted(["place 2", "build 1", "build 3", "assemble"])))
+    check_city(folder, wanted)
+
+
+@case("killed twenty times, at any moment, it ends with the same bytes")
+def killed(folder):
+    make_tiles(folder)
+    wanted = by_hand(folder)
+    chance = random.Random(18)
+    n_at_work = 0
+    for _ in range(20):
+        run = subprocess.Popen(command("local"), cwd=folder, env=environment(), start_new_session=True,
+                               stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL)
+        try:
+            run.wait(chance.uniform(1, 8))
+        except subprocess.TimeoutExpired:
+            n_at_work += 1
+            os.killpg(run.pid, signal.SIGKILL)
+        run.wait()
+        subprocess.run([*command("local"), "--unlock"], cwd=folder, env=environment(), check=True, capture_output=True)
+        if os.path.exists(f"{folder}/city.rgs"):  # once more, from somewhere on
+            check_city(folder, wanted)
+            os.remove(f"{folder}/city.rgs")
+            for name in chance.sample(["plan", "rows.0", "range.1", "range.3"], 2):
+                os.remove(f"{folder}/city.work/{name}")
+    assert n_at_work > 5, f"only {n_at_work} kills"
+    print(f"{n_at_work} of 20 runs were killed at work; what killed programs left: {left_over(folder)}")
+    same(Run(folder).code, 0)
+    check_city(folder, wanted)
+    same(Run(folder).jobs, [])
+
+
+@case("what cannot be meant is refused before anything runs")
+def refusals(folder):
+    make_tiles(folder)
+
+    def refused(words, *config):
+        run = Run(folder, *config)
+        assert run.code == 1 and words in run.text and not run.jobs, f"{words}: {run.code}"
+        assert "Traceback" not in run.text
+
+    refused("there is no 'tile'", "tile=tiles")
+    refused("'nowhere' is no folder", "tiles=nowhere")
+    refused("ranges is a number", "ranges=0")
+    refused("memory is a size", "memory=much")
+    refused("would be a tile", "out=tiles/city.rgs")
+    os.symlink("nowhere.ply", f"{folder}/tiles/link.ply")
+    refused("a link to nowhere")
+    assert not os.path.exists(f"{folder}/city.work")
+    # An option that the program refuses fails the first job, with its words.
+    os.remove(f"{folder}/tiles/link.ply")
+    run = Run(folder, "options=--profile archive:high")
+    same((run.code, run.jobs), (1, ["begin"]))
+    assert "--profile archive looks at all Gaussians at once" in run.text
+
+
+@case("the page's GNU parallel, and a Slurm array's steps by hand")
+def page_parallel(folder):
+    need("parallel")
+    make_tiles(folder)
+    wanted = by_hand(folder)
+    same(shell(page_block("city-parallel"), folder).returncode, 0)
+    check_city(folder, wanted)
+    before = os.stat(f"{folder}/work/rows.0").st_mtime_ns
+    os.remove(f"{folder}/city.rgs")
+    same(shell(page_block("city-parallel"), folder).returncode, 0)
+    check_city(folder, wanted)
+    same(os.stat(f"{folder}/work/rows.0").st_mtime_ns, before)
+
+
+@case("the page's run on Slurm")
+def page_slurm(folder):
+    make_tiles(folder)
+    wanted = by_hand(folder)
+    with slurm(folder) as cluster:
+        done = shell(page_block("city-slurm"), folder, SLURM_CONF=cluster.environment["SLURM_CONF"])
+        same(done.returncode, 0)
+        check_city(folder, wanted)
+        jobs = cluster.run("scontrol", "show", "job", "-o").stdout.splitlines()
+        same(len(jobs), len(EVERYTHING))
+        same({re.search(r"JobState=(\w+)", job)[1] for job in jobs}, {"COMPLETED"})
+        same({re.search(r" NodeList=(\w+)", job)[1] for job in jobs}, {"n1", "n2"})
+
+
+@case("a node of Slurm is taken down in the middle")
+def node_down(folder):
+    make_tiles(folder)
+    wanted = by_hand(folder)
+    os.makedirs(f"{folder}/slow")
+    with open(f"{folder}/slow/rgs-convert", "w", encoding="utf-8") as file:
+        file.write('#!/bin/sh\ncase "$1" in --lod-build) sleep 4 ;; esac\n' f'exec {BIN}/rgs-convert "$@"\n')
+    os.chmod(f"{folder}/slow/rgs-convert", 0o755)
+    with slurm(folder) as cluster:
+        run = subprocess.Popen(command("slurm"), cwd=folder, start_new_session=True, stdin=subprocess.DEVNULL,
+                               env=environment(SLURM_CONF=cluster.environment["SLURM_CONF"]) |
+                               {"PATH": f"{folder}/slow:{BIN}:{os.environ['PATH']}"})
+        try:
+            wait_for(lambda: cluster.run("squeue", "--noheader", "--states=RUNNING", "--nodelist=n2",
+                                         "--name=rgs-build").stdout, "build on n2", 300)
+            time.sleep(1)  # into the program
+            cluster.run("scontrol", "update", "NodeName=n2", "State=DOWN", "Reason=test")
+            same(run.wait(400), 0)
+        finally:
+            if run.poll() is None:
+                os.killpg(run.pid, signal.SIGKILL)
+            run.wait()
+        assert re.search(r"Restarts=[1-9]", cluster.run("scontrol", "show", "job", "-o").stdout), "no job was queued again"
+        check_city(folder, wanted)
+
+
+def main():
+    if sys.argv[1:] == ["--list"]:
+        print("\n".join(CASES))
+        return
+    for name in ("rgs-convert", "rgs-make-scene"):
+        assert os.access(f"{BIN}/{name}", os.X_OK), f"{BIN}/{name} is not there: build it, or set RGS_BIN"
+    need("snakemake")
+    with tempfile.TemporaryDirectory(prefix="rgs-city-") as folder:
+        os.chdir(folder)
+        CASES[sys.argv[1]](folder)
+
+
+if __name__ == "__main__":
+    main()

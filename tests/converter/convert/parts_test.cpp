@@ -1,0 +1,535 @@
+// parts_test.cpp - one scene by many processes: the bytes of one process, whatever is done by whom in which order; what is
+// missing, damaged or of other work is said with its file.
+// SPDX-License-Identifier: Apache-2.0
+#include "parts.hpp"
+
+#include <doctest/doctest.h>
+#include <tbb/task_arena.h>
+
+#include <algorithm>
+#include <deque>
+#include <filesystem>
+#include <fstream>
+#include <functional>
+#include <numeric>
+
+#include "convert_scenes.hpp"
+#include "edit_file.hpp"
+#include "parts_command.hpp"
+#include "plausible_cloud.hpp"
+#include "rgs/camera_file.hpp"
+#include "scene_input.hpp"
+#include "temporary_folder.hpp"
+
+using namespace rgs;
+using namespace rgs::test;
+
+namespace {
+
+// 256 Gaussians a page and 7 pages a stretch of one level: stretches of 1,792, few of whose ends are those of bins.
+lod::BuildOptions small_stretches() {
+  lod::BuildOptions build;
+  build.page_chunks = 4;
+  build.stretch_pages = 7;
+  build.stretch_levels = 1;
+  return build;
+}
+
+struct Scene {
+  std::vector<std::string> paths;
+  EncodeOptions encode;
+  std::vector<Similarity> placed;
+};
+
+// Three tiles of other sizes and degrees, damaged here and there, and one that is empty.
+Scene three_tiles(const std::string& folder) {
+  Scene scene;
+  const std::uint64_t sizes[] = {3000, 0, 1900, 2500};
+  for (std::size_t i = 0; i < 4; ++i) {
+    SplitMix random(40 + i);
+    SplatCloud cloud = plausible_cloud(sizes[i], i == 2 ? 0 : 1, random);
+    if (i == 2) cloud = damaged(std::move(cloud), 500);
+    scene.paths.push_back(write_scene(folder + "/tile" + std::to_string(i) + ".ply", cloud));
+    Similarity placed;
+    placed.translation = {static_cast<double>(i), 0, i == 3 ? -2.0 : 0.0};
+    scene.placed.push_back(placed);
+  }
+  scene.encode.profile = Profile::packed;
+  scene.encode.chunk_size = 64;
+  scene.encode.on_bad = BadPolicy::repair;
+  return scene;
+}
+
+Tile tile_of(const SceneInput& input, const Similarity& placed) {
+  auto tile = input.tile(SplatFormat::ply, {});
+  REQUIRE(tile);
+  tile->placed = placed;
+  return std::move(*tile);
+}
+
+EncodeOptions with_provenance(const Scene& scene) {
+  EncodeOptions encode = scene.encode;
+  std::uint64_t bytes = 0;
+  for (const std::string& path : scene.paths) bytes += std::filesystem::file_size(path);
+  encode.provenance = Provenance{bytes, 0, "tile0.ply and more", "test 1"};
+  return encode;
+}
+
+// As one process converts it.
+Bytes at_once(const Scene& scene, const std::string& path) {
+  std::deque<SceneInput> inputs;
+  std::vector<Tile> tiles;
+  std::vector<std::uint64_t> hashes;
+  for (std::size_t i = 0; i < scene.paths.size(); ++i) {
+    REQUIRE(inputs.emplace_back().open(scene.paths[i]));
+    tiles.push_back(tile_of(inputs.back(), scene.placed[i]));
+    hashes.push_back(inputs.back().hash());
+  }
+  std::size_t failed_tile = 0;
+  const auto stream = TileStream::open(std::move(tiles), scene.encode.axes, failed_tile);
+  REQUIRE(stream);
+  ConvertOptions options;
+  options.encode = with_provenance(scene);
+  options.encode.n_source = stream->size();
+  options.levels = lod::Quality::fast;
+  options.build = small_stretches();
+  options.output = {.overwrite = true, .sync = false};
+  StreamFacts facts;
+  facts.origin = stream->origin();
+  facts.hash = [&] { return hash_of_sources(hashes); };
+  REQUIRE(convert_to_levels(stream->stream(), facts, path, options));
+  return read_bytes(path);
+}
+
+PartsJob job_of(const Scene& scene, std::uint32_t n_ranges) {
+  PartsJob job;
+  job.encode = with_provenance(scene);
+  for (std::size_t i = 0; i < scene.paths.size(); ++i) {
+    SceneInput input;
+    REQUIRE(input.open(scene.paths[i]));
+    const auto facts = look_at_tile(tile_of(input, scene.placed[i]), job.encode.axes);
+    REQUIRE(facts);
+    job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), SplatFormat::ply, kAxes3dgs,
+                          scene.placed[i], *facts, job.n});
+    job.n += facts->n;
+    job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
+    if (job.encode.origin == kNoOrigin) job.encode.origin = facts->origin;
+  }
+  job.encode.n_source = job.n;
+  job.n_ranges = n_ranges;
+  job.bin_rows = 700;
+  return job;
+}
+
+PartsRun run_in(const std::string& folder) {
+  PartsRun run;
+  run.folder = folder;
+  run.scratch = folder;
+  run.sync = false;
+  run.build = small_stretches();
+  return run;
+}
+
+// The error of whatever failed; nothing failed: an empty name.
+template <class T>
+Failure failure_of(const Outcome<T>& outcome) {
+  return outcome ? Failure{"", {}} : outcome.error();
+}
+
+std::vector<std::size_t> numbers(std::size_t n) {
+  std::vector<std::size_t> all(n);
+  std::iota(all.begin(), all.end(), std::size_t{0});
+  return all;
+}
+
+// All steps, each in a process of its own as far as their functions know; `order` brings numbers into some order.
+Failure all_steps(const PartsRun& run, const std::function<void(std::vector<std::size_t>&)>& order,
+                  const std::string& output) {
+  const auto job = open_job(run);
+  if (!job) return job.error();
+  std::vector<std::size_t> inputs = numbers(job->inputs.size()), ranges = numbers(job->n_ranges);
+  order(inputs);
+  order(ranges);
+  for (const std::size_t i : inputs) {
+    if (const auto done = scan_input(run, *job, i); !done) return done.error();
+  }
+  if (const auto done = make_plan(run, *job); !done) return done.error();
+  const auto plan = find_plan(run, *job);
+  if (!plan) return plan.error();
+  REQUIRE(*plan);
+  for (const std::size_t i : inputs) {
+    if (const auto done = place_input(run, *job, **plan, i); !done) return done.error();
+  }
+  for (const std::size_t i : ranges) {
+    if (const auto done = build_range(run, *job, **plan, i); !done) return done.error();
+  }
+  return failure_of(assemble_parts(run, *job, **plan, output, {.overwrite = true, .sync = false}));
+}
+
+Bytes in_parts(const Scene& scene, std::uint32_t n_ranges, const PartsRun& run, bool backwards) {
+  REQUIRE(begin_parts(run, job_of(scene, n_ranges), true));
+  const std::string output = run.folder + "/out.rgs";
+  const Failure failure = all_steps(
+      run,
+      [&](std::vector<std::size_t>& order) {
+        if (backwards) std::ranges::reverse(order);
+      },
+      output);
+  CAPTURE(failure.file);
+  const std::string what = failure.error.what;
+  CAPTURE(what);
+  REQUIRE(failure.file.empty());
+  return read_bytes(output);
+}
+
+void write_file(const std::string& path, const Bytes& bytes) {
+  std::ofstream(path, std::ios::binary)
+      .write(reinterpret_cast<const char*>(bytes.data()), static_cast<std::streamsize>(bytes.size()));
+}
+
+}  // namespace
+
+TEST_CASE("parts make the bytes of one process, for any number of ranges, order, threads and memory") {
+  const TemporaryFolder folder;
+  Scene scene = three_tiles(folder.path());
+  for (const bool positions : {false, true}) {
+    scene.encode.keep_permutation = positions;
+    scene.encode.profile = positions ? Profile::direct : Profile::packed;
+    const Bytes whole = at_once(scene, folder.file("whole.rgs"));
+    for (const std::uint32_t n_ranges : {1U, 2U, 3U, 11U}) {
+      for (const int threads : {1, 2}) {
+        CAPTURE(positions);
+        CAPTURE(n_ranges);
+        CAPTURE(threads);
+        PartsRun run = run_in(folder.file("work"));
+        if (threads == 2) run.memory_bytes = 4'000'000;  // stretches in scratch files
+        Bytes parts;
+        tbb::task_arena(threads).execute([&] { parts = in_parts(scene, n_ranges, run, threads == 2); });
+        CHECK(parts == whole);
+      }
+    }
+  }
+}
+
+TEST_CASE("a scene that is no larger than a stretch has the bytes of one process too, and so has one of one page") {
+  const TemporaryFolder folder;
+  for (const std::uint64_t n : {100U, 1500U}) {
+    SplitMix random(n);
+    Scene scene;
+    scene.paths = {write_scene(folder.file("a.ply"), plausible_cloud(n, 2, random))};
+    scene.placed.resize(1);
+    scene.encode.chunk_size = 64;
+    const Bytes whole = at_once(scene, folder.file("whole.rgs"));
+    CHECK(in_parts(scene, 3, run_in(folder.file("work")), false) == whole);
+  }
+}
+
+TEST_CASE("a step that is done is done, and work that is there is not done again") {
+  const TemporaryFolder folder;
+  const Scene scene = three_tiles(folder.path());
+  const PartsRun run = run_in(folder.file("work"));
+  const Bytes parts = in_parts(scene, 2, run, false);
+  const auto job = open_job(run);
+  REQUIRE(job);
+  for (std::size_t i = 0; i < 4; ++i) CHECK_FALSE(scan_input(run, *job, i).value());
+  CHECK_FALSE(make_plan(run, *job).value());
+  const auto plan = find_plan(run, *job);
+  for (std::size_t i = 0; i < 4; ++i) CHECK_FALSE(place_input(run, *job, **plan, i).value());
+  for (std::size_t i = 0; i < 2; ++i) CHECK_FALSE(build_range(run, *job, **plan, i).value());
+  // Each lost file is made again, and nothing else.
+  for (const std::string& path :
+       {run.scan_path(1), run.plan_path(), run.rows_path(2), run.range_path(0), run.range_path(1)}) {
+    CAPTURE(path);
+    const Bytes before = read_bytes(path);
+    std::filesystem::remove(path);
+    CHECK(scan_input(run, *job, 1).value() == (path == run.scan_path(1)));
+    CHECK(make_plan(run, *job).value() == (path == run.plan_path()));
+    CHECK(place_input(run, *job, **plan, 2).value() == (path == run.rows_path(2)));
+    for (std::size_t i = 0; i < 2; ++i) CHECK(build_range(run, *job, **plan, i).value() == (path == run.range_path(i)));
+    CHECK(read_bytes(path) == before);
+  }
+  // The same job begun again is the same job; a touched input is the same input.
+  REQUIRE(begin_parts(run, job_of(scene, 2), false));
+  std::filesystem::last_write_time(scene.paths[0], std::filesystem::file_time_type::clock::now());
+  CHECK_FALSE(scan_input(run, *job, 0).value());
+}
+
+TEST_CASE("work of other inputs or options is refused, unless it may be overwritten") {
+  const TemporaryFolder folder;
+  Scene scene = three_tiles(folder.path());
+  const PartsRun run = run_in(folder.file("work"));
+  in_parts(scene, 2, run, false);
+  const auto refused = [&](const PartsJob& job) {
+    const auto begun = begin_parts(run, job, false);
+    REQUIRE_FALSE(begun);
+    CHECK(begun.error().file == run.job_path());
+    return begun.error().error.code;
+  };
+  CHECK(refused(job_of(scene, 3)) == Errc::output_exists);
+  Scene other = scene;
+  other.encode.sh_degree = 0;
+  CHECK(refused(job_of(other, 2)) == Errc::output_exists);
+  other = scene;
+  std::swap(other.paths[0], other.paths[2]);
+  CHECK(refused(job_of(other, 2)) == Errc::output_exists);
+  REQUIRE(begin_parts(run, job_of(other, 2), true));
+  CHECK_FALSE(std::filesystem::exists(run.plan_path()));
+  CHECK_FALSE(std::filesystem::exists(run.range_path(1)));
+  CHECK(in_parts(other, 2, run, false) == at_once(other, folder.file("whole.rgs")));
+
+  // A range of another plan is not taken for one of this.
+  const Bytes range = read_bytes(run.range_path(0));
+  in_parts(scene, 2, run, false);
+  const auto job = open_job(run);
+  const auto plan = find_plan(run, *job);
+  write_file(run.range_path(0), range);
+  const auto assembled = assemble_parts(run, *job, **plan, folder.file("no.rgs"), {});
+  REQUIRE_FALSE(assembled);
+  CHECK(assembled.error().file == run.range_path(0));
+  CHECK(build_range(run, *job, **plan, 0).value());
+  CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
+}
+
+TEST_CASE("an input that changes or vanishes is named; what does not need it goes on") {
+  const TemporaryFolder folder;
+  const Scene scene = three_tiles(folder.path());
+  const PartsRun run = run_in(folder.file("work"));
+  REQUIRE(begin_parts(run, job_of(scene, 2), false));
+  const auto job = open_job(run);
+  for (std::size_t i = 0; i < 4; ++i) REQUIRE(scan_input(run, *job, i));
+  REQUIRE(make_plan(run, *job));
+  const auto plan = find_plan(run, *job);
+
+  const Bytes original = read_bytes(scene.paths[2]);
+  Bytes changed = original;
+  changed[changed.size() - 100] ^= std::byte{1};
+  write_file(scene.paths[2], changed);
+  const Failure other = failure_of(place_input(run, *job, **plan, 2));
+  CHECK(other.file == scene.paths[2]);
+  CHECK(other.error.code == Errc::read_failed);
+  // Scanned again it is another scene, whose plan is not this one.
+  CHECK(scan_input(run, *job, 2).value());
+  const auto stale = find_plan(run, *job);
+  REQUIRE(stale);
+  CHECK_FALSE(stale->has_value());
+
+  changed.pop_back();
+  write_file(scene.paths[2], changed);
+  CHECK(failure_of(scan_input(run, *job, 2)).error.code == Errc::read_failed);
+  std::filesystem::remove(scene.paths[2]);
+  const Failure vanished = failure_of(place_input(run, *job, **plan, 2));
+  CHECK(vanished.file == scene.paths[2]);
+  CHECK(vanished.error.code == Errc::open_failed);
+  CHECK(place_input(run, *job, **plan, 0).value());
+  const Failure missing = failure_of(build_range(run, *job, **plan, 0));
+  CHECK(missing.file == run.rows_path(1));
+  CHECK(missing.error.code == Errc::open_failed);
+
+  // As it was: all goes on.
+  write_file(scene.paths[2], original);
+  REQUIRE(scan_input(run, *job, 2));
+  const Failure none = all_steps(
+      run, [](auto&) {}, folder.file("out.rgs"));
+  const std::string what = none.error.what;
+  CAPTURE(what);
+  CHECK(none.file.empty());
+  CHECK(read_bytes(folder.file("out.rgs")) == at_once(scene, folder.file("whole.rgs")));
+}
+
+TEST_CASE("every byte of every file of the work is looked at") {
+  const TemporaryFolder folder;
+  Scene scene = three_tiles(folder.path());
+  scene.encode.keep_permutation = true;
+  const PartsRun run = run_in(folder.file("work"));
+  in_parts(scene, 2, run, false);
+  const auto job = open_job(run);
+  const auto plan = find_plan(run, *job);
+  // The step that reads the file, and first loses what it made of it.
+  const auto reads = [&](const std::string& path) -> Failure {
+    if (path == run.job_path()) return failure_of(open_job(run));
+    if (path == run.plan_path() || path == run.scan_path(0)) {
+      if (path == run.scan_path(0)) std::filesystem::remove(run.plan_path());
+      const Failure planned = path == run.scan_path(0) ? failure_of(make_plan(run, *job)) : Failure{"", {}};
+      return planned.file.empty() ? failure_of(find_plan(run, *job)) : planned;
+    }
+    if (path == run.rows_path(0)) {
+      for (std::size_t i = 0; i < 2; ++i) {
+        std::filesystem::remove(run.range_path(i));
+        if (const Failure built = failure_of(build_range(run, *job, **plan, i)); !built.file.empty()) return built;
+      }
+      return {"", {}};
+    }
+    return failure_of(assemble_parts(run, *job, **plan, folder.file("no.rgs"), {.overwrite = true, .sync = false}));
+  };
+  for (const std::string& path :
+       {run.job_path(), run.scan_path(0), run.rows_path(0), run.plan_path(), run.range_path(1)}) {
+    CAPTURE(path);
+    in_parts(scene, 2, run, false);
+    const Bytes whole = read_bytes(path);
+    const std::size_t step = std::max<std::size_t>(1, whole.size() / (path == run.rows_path(0) ? 12 : 40));
+    for (std::size_t at = 0; at < whole.size(); at += at < 64 ? 7 : step) {
+      CAPTURE(at);
+      Bytes damaged_bytes = whole;
+      damaged_bytes[at] ^= std::byte{4};
+      write_file(path, damaged_bytes);
+      const Failure failure = reads(path);
+      CHECK(failure.file == path);
+      damaged_bytes.resize(at);
+      write_file(path, damaged_bytes);
+      CHECK(reads(path).file == path);
+    }
+    write_file(path, whole);
+    if (path == run.scan_path(0) || path == run.plan_path()) REQUIRE(make_plan(run, *job));
+    CHECK(reads(path).file.empty());
+  }
+}
+
+TEST_CASE("tables whose hashes fit but which contradict the plan are refused") {
+  const TemporaryFolder folder;
+  const Scene scene = three_tiles(folder.path());
+  const PartsRun run = run_in(folder.file("work"));
+  in_parts(scene, 2, run, false);
+  const auto job = open_job(run);
+  const auto plan = find_plan(run, *job);
+  // The file with another table, and its hashes made to fit.
+  const auto reseal = [&](const std::string& path, WorkKind kind, const std::function<void(nlohmann::json&)>& change) {
+    auto file = WorkFile::open(path, kind);
+    REQUIRE(file);
+    Bytes bytes(file->end() - kWorkHeadBytes);
+    REQUIRE(file->read(kWorkHeadBytes, bytes));
+    nlohmann::json about = file->about();
+    change(about);
+    auto writer = WorkWriter::create(path, kind, file->basis(), false);
+    REQUIRE(writer->append(bytes));
+    REQUIRE(writer->finish(about));
+  };
+  const Bytes rows = read_bytes(run.rows_path(0));
+  const std::vector<std::function<void(std::vector<std::uint64_t>&)>> changes{
+      [](auto& t) { t[0] = 1'000'000; }, [](auto& t) { t[1] += 8; },      [](auto& t) { t[1] = ~std::uint64_t{0}; },
+      [](auto& t) { t[2] = 0; },         [](auto& t) { t[2] = ~0ULL; },   [](auto& t) { t[2] -= 1; },
+      [](auto& t) { t.resize(4); },      [](auto& t) { t.push_back(1); }, [](auto& t) { t.clear(); }};
+  for (std::size_t i = 0; i < changes.size(); ++i) {
+    CAPTURE(i);
+    reseal(run.rows_path(0), WorkKind::rows, [&](nlohmann::json& about) {
+      auto table = unpack_numbers<std::uint64_t>(about["blocks"]);
+      changes[i](*table);
+      about["blocks"] = pack_numbers(std::span<const std::uint64_t>(*table));
+    });
+    std::filesystem::remove(run.range_path(0));
+    const Failure failure = failure_of(build_range(run, *job, **plan, 0));
+    CHECK(failure.file == run.rows_path(0));
+    CHECK(failure.error.code == Errc::bad_value);
+    write_file(run.rows_path(0), rows);
+  }
+  for (const auto& value : {nlohmann::json(), nlohmann::json(3), nlohmann::json::binary({1, 2, 3})}) {
+    reseal(run.rows_path(0), WorkKind::rows, [&](nlohmann::json& about) { about["blocks"] = value; });
+    CHECK(failure_of(build_range(run, *job, **plan, 0)).error.code == Errc::bad_value);
+    write_file(run.rows_path(0), rows);
+  }
+  REQUIRE(build_range(run, *job, **plan, 0));
+
+  const Bytes range = read_bytes(run.range_path(1));
+  const std::vector<std::function<void(std::vector<std::uint32_t>&)>> page_changes{
+      [](auto& w) { w[0] ^= 1; },   [](auto& w) { w[3] = 0; },         [](auto& w) { w[3] += 1; },
+      [](auto& w) { w[17] += 1; }, [](auto& w) { w[17] = ~0U; },      [](auto& w) { w[17] = 0; },
+      [](auto& w) { w.clear(); },  [](auto& w) { w.resize(17); },     [](auto& w) { w.resize(18); },
+      [](auto& w) { w[16] = 7; },  [](auto& w) { w[4] = 0x7FC00000; }};
+  for (std::size_t level = 0; level < 2; ++level) {
+    for (std::size_t i = 0; i < page_changes.size(); ++i) {
+      CAPTURE(level);
+      CAPTURE(i);
+      if (i == 9 && level > 0) continue;  // an error of 1e-44 of a page is as good as another that is not 0
+      reseal(run.range_path(1), WorkKind::range, [&](nlohmann::json& about) {
+        nlohmann::json& pages = about["stretches"][0]["levels"][level]["pages"];
+        auto words = unpack_numbers<std::uint32_t>(pages);
+        page_changes[i](*words);
+        pages = pack_numbers(std::span<const std::uint32_t>(*words));
+      });
+      CHECK_FALSE(assemble_parts(run, *job, **plan, folder.file("no.rgs"), {}));
+      write_file(run.range_path(1), range);
+    }
+  }
+  const std::vector<std::function<void(nlohmann::json&)>> about_changes{
+      [](auto& j) { j["stretches"].erase(0); },
+      [](auto& j) { j["stretches"][0]["tops"][0] = ~0ULL; },
+      [](auto& j) { j["stretches"][0]["tops"][1] = 0; },
+      [](auto& j) { j["stretches"][0]["tops"][1] = ~0ULL; },
+      [](auto& j) { j["rows"] = 5; },
+      [](auto& j) { j["stretches"][0]["levels"].erase(1); },
+      [](auto& j) { j.erase("stretches"); },
+      [](auto& j) { j["stretches"][0]["levels"] = {}; },
+      [](auto& j) { j["stretches"][0]["levels"][0]["offset"] = ~0ULL; }};
+  for (std::size_t i = 0; i < about_changes.size(); ++i) {
+    CAPTURE(i);
+    reseal(run.range_path(1), WorkKind::range, about_changes[i]);
+    const Failure failure = failure_of(assemble_parts(run, *job, **plan, folder.file("no.rgs"), {}));
+    CHECK(failure.file == run.range_path(1));
+    write_file(run.range_path(1), range);
+  }
+  CHECK_FALSE(std::filesystem::exists(folder.file("no.rgs")));
+  CHECK(failure_of(assemble_parts(run, *job, **plan, folder.file("yes.rgs"), {.sync = false})).file.empty());
+}
+
+TEST_CASE("damage is treated as asked for, and a scene of nothing is an error") {
+  const TemporaryFolder folder;
+  Scene scene = three_tiles(folder.path());
+  scene.encode.on_bad = BadPolicy::refuse;
+  const PartsRun run = run_in(folder.file("work"));
+  REQUIRE(begin_parts(run, job_of(scene, 2), false));
+  const Failure refused = all_steps(
+      run, [](auto&) {}, folder.file("no.rgs"));
+  CHECK(refused.file == scene.paths[2]);
+  CHECK(refused.error.code == Errc::bad_value);
+  CHECK(refused.error.offset < std::filesystem::file_size(scene.paths[2]));
+
+  scene.paths = {scene.paths[1]};
+  scene.placed.resize(1);
+  REQUIRE(begin_parts(run, job_of(scene, 1), true));
+  const Failure empty = all_steps(
+      run, [](auto&) {}, folder.file("no.rgs"));
+  CHECK(empty.file == scene.paths[0]);
+  CHECK(empty.error.code == Errc::bad_argument);
+}
+
+TEST_CASE("more in one place than fits into memory is said") {
+  const TemporaryFolder folder;
+  SplitMix random(3);
+  SplatCloud cloud = plausible_cloud(20'000, 0, random);
+  for (std::uint64_t i = 0; i < 15'000; ++i) std::copy_n(&cloud.mean[3 * 17'000], 3, &cloud.mean[3 * i]);
+  Scene scene;
+  scene.paths = {write_scene(folder.file("a.ply"), cloud)};
+  scene.placed.resize(1);
+  PartsRun run = run_in(folder.file("work"));
+  run.memory_bytes = 4'000'000;
+  REQUIRE(begin_parts(run, job_of(scene, 2), false));
+  CHECK(all_steps(
+            run, [](auto&) {}, folder.file("no.rgs"))
+            .error.code == Errc::limit_exceeded);
+  run.memory_bytes = 400'000'000;
+  CHECK(all_steps(
+            run, [](auto&) {}, folder.file("yes.rgs"))
+            .file.empty());
+}
+
+TEST_CASE("what a process takes is said by numbers") {
+  CHECK(parse_selection("all")->last == ~std::size_t{0});
+  CHECK(parse_selection("none")->last < parse_selection("none")->first);
+  CHECK(parse_selection("4")->first == 4);
+  CHECK(parse_selection("4")->last == 4);
+  CHECK(parse_selection("4-7")->last == 7);
+  CHECK(parse_selection("4-7")->is_part);
+  for (const char* text : {"", "-", "x", "4-", "-4", "7-4", "4-7x", "4 ", " 4", "99999999999999999999"}) {
+    CAPTURE(text);
+    CHECK_FALSE(parse_selection(text));
+  }
+  for (std::size_t n = 0; n < 9; ++n) {
+    std::size_t next = 0;
+    for (std::size_t range = 0; range < 4; ++range) {
+      const StretchRange of = stretches_of_range(n, range, 4);
+      CHECK(of.first == next);
+      CHECK(of.last - of.first <= n / 4 + 1);
+      next = of.last;
+    }
+    CHECK(next == n);
+  }
+}
