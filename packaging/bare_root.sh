@@ -54,7 +54,8 @@ within() {
 
 base=$roots/$release
 if [ ! -d "$base" ]; then
-  if ! debootstrap --variant=minbase "$release" "$work/base" "${RGS_DEBIAN_MIRROR:-http://deb.debian.org/debian}" \
+  # It mounts file systems in there.
+  if ! unshare --mount debootstrap --variant=minbase "$release" "$work/base" "${RGS_DEBIAN_MIRROR:-http://deb.debian.org/debian}" \
     >"$roots/$release.log" 2>&1; then
     tail -n 20 "$roots/$release.log" >&2
     echo "bare_root.sh: debootstrap $release failed" >&2

@@ -1,12 +1,12 @@
 #!/bin/sh
 # test.sh - makes each package and uses it in a bare root: sh packaging/test.sh [STEP...]
-# Steps: deb libraries. Needs root for the bare roots; some minutes and a gigabyte in build/roots the first time.
+# Steps: deb libraries bundle. Needs root for the bare roots; some minutes and a gigabyte in build/roots the first time.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
 sh scripts/install-deps.sh packaging
 mkdir -p build/packaging
-steps=${*:-deb libraries}
+steps=${*:-deb libraries bundle}
 failed=
 
 # step NAME COMMAND...: its log is build/packaging/NAME.log.
@@ -45,6 +45,18 @@ libraries() {
   step libraries-small-needed /usr/bin/python3 tests/packaging/needed_test.py build/libraries-small/lib --without-draco
   step libraries-bare sh packaging/bare_root.sh --packages "g++ cmake ninja-build pkgconf libexpected-dev libxxhash-dev
     libzstd-dev libhwy-dev libglm-dev nlohmann-json3-dev zlib1g-dev libwebp-dev libzip-dev" sh /project/tests/packaging/libraries.sh
+}
+
+bundle() {
+  rm -f build/packaging/roofgs.tar.gz
+  step bundle-build sh -c '{ [ -f build/release/build.ninja ] || cmake --preset release; } &&
+    cmake --build build/release --parallel "${RGS_JOBS:-$(nproc)}" \
+      --target rgs-audit rgs-convert rgs-info rgs-make-scene rgs-prune rgs-render &&
+    sh scripts/bundle.sh build/release build/packaging/roofgs.tar.gz'
+  # The distribution of the build, and a later one with other libraries.
+  for release in bookworm trixie; do
+    step bundle-$release sh packaging/bare_root.sh --release $release --offline sh /project/tests/packaging/bundle.sh
+  done
 }
 
 for each in $steps; do $each; done

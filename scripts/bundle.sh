@@ -1,14 +1,21 @@
 #!/bin/sh
 # bundle.sh - copies programs and the libraries they need into a folder that runs on other machines:
-#   sh scripts/bundle.sh [BUILD_FOLDER] OUT      BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
+#   sh scripts/bundle.sh [--small] [BUILD_FOLDER] OUT    BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
 # OUT/bin/PROGRAM then needs a Linux of the same processor family with a glibc at least as new as this machine's, and
-# for CUDA a driver; no toolkit, no LD_LIBRARY_PATH. rgs-render is left out: it needs OpenImageIO and its 60 libraries.
+# for CUDA a driver; no toolkit, no LD_LIBRARY_PATH. The folder may be moved. --small leaves out rgs-render and rgs-audit, since
+# they bring OpenImageIO and its 260 libraries.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
+programs="rgs-bench rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
+pictures="rgs-audit rgs-render"
+if [ "${1:-}" = --small ]; then
+  pictures=
+  shift
+fi
 case $# in
   1) build=$(dirname "$0")/../build/cuda out=$1 ;;
   2) build=$1 out=$2 ;;
-  *) sed -n '2,5s/^# //p' "$0" >&2; exit 2 ;;
+  *) sed -n '2,6s/^# //p' "$0" >&2; exit 2 ;;
 esac
 if [ -e "$out" ]; then
   echo "bundle.sh: $out exists; remove it or name another folder" >&2
@@ -28,10 +35,10 @@ case $out in
     ;;
 esac
 # What comes with glibc must be that of the machine that runs the programs.
-glibc='^(linux-vdso|ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil)\.so'
+glibc='^(linux-vdso|ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil|libmvec|libanl|libnsl|libnss_[a-z]*)\.so'
 
 mkdir -p "$out/bin" "$out/lib" "$out/licenses"
-for program in rgs-bench rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels; do
+for program in $programs $pictures; do
   if [ -x "$build/bin/$program" ]; then
     cp "$build/bin/$program" "$out/bin/"
   else
@@ -43,14 +50,21 @@ done
 ldd "$out"/bin/* | awk '$2 == "=>" && $3 ~ /^\// { print $1, $3 }' | sort -u | while read -r name path; do
   echo "$name" | grep -qE "$glibc" || cp -L "$path" "$out/lib/$name"
 done
-strip "$out"/bin/* "$out"/lib/*
+strip "$out"/bin/*
 
 cp "$(dirname "$0")/../LICENSE" "$out/licenses/roofgs"
-for library in "$out"/lib/*; do
-  name=$(basename "$library")
-  package=$(dpkg -S "*/$name" 2>/dev/null | head -n 1 | cut -d: -f1) || package=
-  [ -z "$package" ] || cp -L "/usr/share/doc/$package/copyright" "$out/licenses/$name"
-done
+# "libfmt9:amd64: /usr/lib/x86_64-linux-gnu/libfmt.so.9"
+for library in "$out"/lib/*; do echo "*/${library##*/}"; done | xargs dpkg -S 2>/dev/null | cut -d: -f1 | sort -u |
+  while read -r package; do
+    [ ! -e "/usr/share/doc/$package/copyright" ] || cp -L "/usr/share/doc/$package/copyright" "$out/licenses/$package"
+  done
+# Man pages and completions, where they are built.
+if [ -d "$build/manual" ]; then
+  mkdir -p "$out/share"
+  cp -R "$build/manual" "$out/share/man"
+  rm -f "$out/share/man/made"
+  for folder in bash zsh fish; do mv "$out/share/man/$folder" "$out/share/$folder"; done
+fi
 
 # Every library is found in the bundle or belongs to glibc, in an empty environment.
 for program in "$out"/bin/*; do

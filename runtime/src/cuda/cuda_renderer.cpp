@@ -89,6 +89,31 @@ struct CudaRenderer::Impl {
   FrameStats last;            // of the last frame that was looked at
 };
 
+namespace {
+
+// Why none can be used, by what cudaGetDeviceCount() said. A driver of the toolkit's major version or a later one will do: CUDA
+// Compatibility, "Minor Version Compatibility", whose table has the releases.
+tl::unexpected<Error> no_device(cudaError_t counted) {
+  static_assert(CUDART_VERSION >= 12000, "driver releases below are those of CUDA 12 and later");
+  constexpr bool kCuda12 = CUDART_VERSION < 13000;
+  cudaGetLastError();
+  int driver = 0;  // stays 0 where there is no driver
+  if (counted != cudaErrorInsufficientDriver || cudaDriverGetVersion(&driver) != cudaSuccess)
+    return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
+  if (driver == 0) {
+    return make_error(Errc::unavailable, Error::kNone,
+                      kCuda12 ? "no NVIDIA driver is found; install driver 525 or later, or use the CPU backend"
+                              : "no NVIDIA driver is found; install driver 580 or later, or use the CPU backend");
+  }
+  return make_error(
+      Errc::unavailable, Error::kNone,
+      kCuda12 ? "the NVIDIA driver's CUDA version is too old; install driver 525 or later, or use the CPU backend"
+              : "the NVIDIA driver's CUDA version is too old; install driver 580 or later, or use the CPU backend",
+      CUDART_VERSION / 1000, static_cast<std::uint64_t>(driver / 1000));
+}
+
+}  // namespace
+
 CudaRenderer::CudaRenderer(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 CudaRenderer::CudaRenderer(CudaRenderer&&) noexcept = default;
 CudaRenderer& CudaRenderer::operator=(CudaRenderer&&) noexcept = default;
@@ -97,10 +122,8 @@ CudaRenderer::~CudaRenderer() = default;
 Result<CudaRenderer> CudaRenderer::create(const CudaRendererOptions& options) {
   return detail::guard_memory([&]() -> Result<CudaRenderer> {
     int device = 0, n_devices = 0;
-    if (cudaGetDeviceCount(&n_devices) != cudaSuccess || n_devices == 0 || cudaGetDevice(&device) != cudaSuccess) {
-      cudaGetLastError();
-      return make_error(Errc::unavailable, Error::kNone, "no CUDA device answers; use the CPU backend");
-    }
+    const cudaError_t counted = cudaGetDeviceCount(&n_devices);
+    if (counted != cudaSuccess || n_devices == 0 || cudaGetDevice(&device) != cudaSuccess) return no_device(counted);
     cudaDeviceProp properties{};
     if (const auto ok =
             device_status(cudaGetDeviceProperties(&properties, device), "the device's properties could not be read");
