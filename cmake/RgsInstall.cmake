@@ -87,7 +87,8 @@ foreach(component format interchange cuda runtime)
   install(EXPORT rgs-${component} NAMESPACE rgs:: DESTINATION ${rgs_package_folder})
 endforeach()
 
-foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-render rgs-bench rgs-bench-opening)
+foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-render rgs-bench rgs-bench-flight
+        rgs-bench-opening)
   if(TARGET ${program})
     install(TARGETS ${program} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
   endif()

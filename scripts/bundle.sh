@@ -31,7 +31,7 @@ esac
 glibc='^(linux-vdso|ld-linux[^/]*|libc|libm|libdl|librt|libpthread|libresolv|libutil)\.so'
 
 mkdir -p "$out/bin" "$out/lib" "$out/licenses"
-for program in rgs-bench rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels; do
+for program in rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels; do
   if [ -x "$build/bin/$program" ]; then
     cp "$build/bin/$program" "$out/bin/"
   else
