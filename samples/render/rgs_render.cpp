@@ -397,6 +397,40 @@ void warn_of_coarse_depths(const std::vector<Frame>& frames) {
       tool::printable(coarsest->shot->camera.name), s.depth_bits, s.depth_resolution, rgs::kCoarseDepthResolution));
 }
 
+struct Drawn {
+  std::vector<Frame> frames;
+  double first_frame_ms = 0;  // from `opened` on: what a viewer of the scene waits for
+};
+
+// Draws every shot and writes it, between begin(frame) and check(frame). A picture is encoded while the next frame is rendered; at most
+// two are in memory. Returns an exit code.
+template <class AnyScene, class Begin, class Check>
+int draw_frames(const Options& options, rgs::Renderer& renderer, const AnyScene& scene, const std::vector<Shot>& shots,
+                Clock::time_point opened, const Begin& begin, const Check& check, Drawn& drawn) {
+  const rgs::RenderOptions how = render_options(options);
+  tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
+  progress.begin("rendering", shots.size(), "frames");
+  std::future<int> writing;
+  for (const Shot& shot : shots) {
+    Frame frame{&shot, {}};
+    begin(frame);
+    auto picture = render_shot(renderer, scene, shot, how, options.alpha, frame.stats);
+    if (!picture) return tool::report(shot.camera.name, picture.error());
+    if (drawn.frames.empty()) drawn.first_frame_ms = 1e3 * seconds_since(opened);
+    check(frame);
+    if (writing.valid())
+      if (const int code = writing.get(); code != tool::kSuccess) return code;
+    writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
+      return write_shot(shot, done, options.overwrite);
+    });
+    drawn.frames.push_back(frame);
+    progress.advance(1);
+  }
+  if (const int code = writing.get(); code != tool::kSuccess) return code;
+  progress.finish();
+  return tool::kSuccess;
+}
+
 int render(const Options& options) {
   const auto start = Clock::now();
   tool::InputFiles inputs;
@@ -405,7 +439,7 @@ int render(const Options& options) {
   inputs.add_cameras(options.path);
   auto renderer = rgs::Renderer::create(options.renderer);
   if (!renderer) return tool::report("", renderer.error());
-  const auto opened = Clock::now();  // to the end of the first frame: what a viewer of the scene waits for
+  const auto opened = Clock::now();
   const auto scene = rgs::open_scene_file(options.scene, options.limits);
   rgs::Status prepared;
   // The CPU makes arrays of the pages that it draws, and of no others.
@@ -423,36 +457,18 @@ int render(const Options& options) {
   std::vector<std::string> outputs{options.json || !options.quiet ? "-" : ""};
   for (const Shot& shot : shots) outputs.insert(outputs.end(), {shot.out, shot.depth});
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
-  const rgs::RenderOptions render_how = render_options(options);
-
-  tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
-  progress.begin("rendering", shots.size(), "frames");
-  std::vector<Frame> frames;
-  double first_frame_ms = 0;
-  // A picture is encoded while the next frame is rendered; at most two are in memory.
-  std::future<int> writing;
-  for (const Shot& shot : shots) {
-    Frame frame{&shot, {}};
-    auto picture = render_shot(*renderer, scene->scene, shot, render_how, options.alpha, frame.stats);
-    if (!picture) return tool::report(shot.camera.name, picture.error());
-    if (frames.empty()) first_frame_ms = 1e3 * seconds_since(opened);
-    if (writing.valid())
-      if (const int code = writing.get(); code != tool::kSuccess) return code;
-    writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
-      return write_shot(shot, done, options.overwrite);
-    });
-    frames.push_back(frame);
-    progress.advance(1);
-  }
-  if (const int code = writing.get(); code != tool::kSuccess) return code;
-  progress.finish();
+  Drawn drawn;
+  const auto nothing = [](const Frame&) {};
+  if (const int code = draw_frames(options, *renderer, scene->scene, shots, opened, nothing, nothing, drawn);
+      code != tool::kSuccess)
+    return code;
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess)
     return code;  // a scene reads on as it is drawn
 
-  if (!options.quiet) warn_of_coarse_depths(frames);
+  if (!options.quiet) warn_of_coarse_depths(drawn.frames);
   const double total_seconds = seconds_since(start);
   const SceneFacts facts{scene->file_bytes, scene->scene.size(), scene->scene.bytes(), scene->scene.sh_degree()};
-  print_summary(options, facts, *renderer, frames, load_seconds, first_frame_ms, total_seconds);
+  print_summary(options, facts, *renderer, drawn.frames, load_seconds, drawn.first_frame_ms, total_seconds);
   return tool::kSuccess;
 }
 
@@ -520,50 +536,37 @@ int render_streamed(const Options& options) {
   if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
   const rgs::RenderOptions render_how = render_options(options);
 
-  tool::Progress progress(options.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
-  progress.begin("rendering", shots.size(), "frames");
-  std::vector<Frame> frames;
-  double first_frame_ms = 0;
   bool is_complete = true;
-  std::future<int> writing;
+  rgs::Status why;
+  Drawn drawn;
   const auto flight = Clock::now();
-  for (const Shot& shot : shots) {
-    Frame frame{&shot, {}};
-    rgs::Status why;
+  const auto wait = [&](Frame& frame) {
     if (options.realtime) {
-      frame.due_ms = 1e3 * static_cast<double>(frames.size()) / *options.realtime;
+      frame.due_ms = 1e3 * static_cast<double>(drawn.frames.size()) / *options.realtime;
       std::this_thread::sleep_until(
           flight + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double>(1e-3 * frame.due_ms)));
       frame.begin_ms = 1e3 * seconds_since(flight);
-    } else {
-      const auto waiting = Clock::now();
-      const auto refined = renderer->refine(*scene, shot.camera, options.wait.value_or(kDefaultWait), render_how);
-      // What is wrong with the request is wrong with the frame too; what is wrong with the file leaves a picture.
-      if (!refined) why = tl::unexpected(refined.error());
-      frame.wait_ms = 1e3 * seconds_since(waiting);
+      return;
     }
-    auto picture = render_shot(*renderer, *scene, shot, render_how, options.alpha, frame.stats);
-    if (!picture) return tool::report(shot.camera.name, picture.error());
-    if (frames.empty()) first_frame_ms = 1e3 * seconds_since(opened);
-    if (!options.realtime && frame.stats.stream.pages_missing > 0) {
-      is_complete = false;
-      if (!options.quiet) warn_of_incomplete_frame(frame, why);
-    }
-    if (writing.valid())
-      if (const int code = writing.get(); code != tool::kSuccess) return code;
-    writing = std::async(std::launch::async, [&shot, &options, done = std::move(*picture)] {
-      return write_shot(shot, done, options.overwrite);
-    });
-    frames.push_back(frame);
-    progress.advance(1);
-  }
-  if (const int code = writing.get(); code != tool::kSuccess) return code;
-  progress.finish();
+    const auto waiting = Clock::now();
+    const auto refined = renderer->refine(*scene, frame.shot->camera, options.wait.value_or(kDefaultWait), render_how);
+    // What is wrong with the request is wrong with the frame too; what is wrong with the file leaves a picture.
+    why = refined ? rgs::Status() : tl::unexpected(refined.error());
+    frame.wait_ms = 1e3 * seconds_since(waiting);
+  };
+  const auto check = [&](const Frame& frame) {
+    if (options.realtime || frame.stats.stream.pages_missing == 0) return;
+    is_complete = false;
+    if (!options.quiet) warn_of_incomplete_frame(frame, why);
+  };
+  if (const int code = draw_frames(options, *renderer, *scene, shots, opened, wait, check, drawn);
+      code != tool::kSuccess)
+    return code;
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
-  if (!options.quiet) warn_of_coarse_depths(frames);
+  if (!options.quiet) warn_of_coarse_depths(drawn.frames);
   const SceneFacts facts{file_bytes,          scene->size(),         pool->host_bytes(),  scene->sh_degree(),
                          pool->host_memory(), pool->device_memory(), pool->device_bytes()};
-  print_summary(options, facts, *renderer, frames, load_seconds, first_frame_ms, seconds_since(start));
+  print_summary(options, facts, *renderer, drawn.frames, load_seconds, drawn.first_frame_ms, seconds_since(start));
   if (const rgs::Status status = scene->status(); !status && options.realtime && !options.quiet)
     tool::print_error(
         fmt::format("rgs-render: {}: {}\n", tool::printable(shown_scene(options)), tool::describe(status.error())));

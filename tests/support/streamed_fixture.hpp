@@ -69,6 +69,9 @@ inline Bytes town(const TownOptions& o = {}) {
   return bytes;
 }
 
+/// Bound of waits that end by themselves, seconds: no assertion about time.
+inline constexpr double kLong = 600;
+
 /// Bytes in memory, with what can be wrong with a source.
 struct Script {
   std::atomic<int> delay_us{0};                         ///< of each read
@@ -84,7 +87,14 @@ struct Script {
   std::mutex mutex;
   std::condition_variable opened;
   bool is_cancelled = false;
+  int n_held = 0, n_allowed = 0;  // reads that wait; of these, that need no longer
 
+  /// A read that waits, if there is one, goes on.
+  void let_one_go() {
+    const std::scoped_lock lock(mutex);
+    if (n_allowed < n_held) ++n_allowed;
+    opened.notify_all();
+  }
   void open_gate() {
     const std::scoped_lock lock(mutex);
     is_shut = false;
@@ -119,8 +129,11 @@ class ScriptedSource final : public ByteSource {
     s.n_bytes += out.size();
     {
       std::unique_lock lock(s.mutex);
-      s.opened.wait(lock, [&] { return !s.is_shut || s.is_cancelled; });
+      ++s.n_held;
+      s.opened.wait(lock, [&] { return !s.is_shut || s.n_allowed > 0 || s.is_cancelled; });
+      --s.n_held;
       if (s.is_cancelled) return make_error(Errc::cancelled, offset, "cancelled");
+      if (s.is_shut) --s.n_allowed;
     }
     if (s.delay_us > 0) std::this_thread::sleep_for(std::chrono::microseconds(s.delay_us));
     if (s.fails || (s.fails_every > 0 && number % s.fails_every == 0))
@@ -146,6 +159,17 @@ class ScriptedSource final : public ByteSource {
   std::shared_ptr<Script> script_;
   Traits traits_;
 };
+
+/// Looks until a condition holds; false after kLong.
+template <class Condition>
+bool comes(const Condition& condition) {
+  const auto start = std::chrono::steady_clock::now();
+  while (!condition()) {
+    if (std::chrono::steady_clock::now() - start > std::chrono::duration<double>(kLong)) return false;
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  return true;
+}
 
 struct OpenOptions {
   std::uint64_t memory = std::uint64_t{256} << 20;

@@ -1,6 +1,7 @@
 // page_fetch.cpp - threads that read and decode what views miss: the largest projected error first, then what the camera is about to see.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <limits>
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
@@ -25,10 +26,16 @@ bool is_damage(Errc code) {
   return exit_code(code) == exit_code(Errc::corrupt_data);
 }
 
+/// For Residency: it turns over after 49 days, where a failure is taken for a new one.
+std::uint32_t milliseconds(StreamClock::time_point time) {
+  return static_cast<std::uint32_t>(
+      std::chrono::duration_cast<std::chrono::milliseconds>(time.time_since_epoch()).count());
+}
+
 }  // namespace
 
-// The best group that there is room for, and what lies beside it.
-StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
+// The lists of what views miss, or are about to, as they are now.
+void StreamedState::find_wants(bool now) {
   for (const auto& view : views) {
     if (!view->is_live || (!now && !view->soon)) continue;
     WantList& list = now ? view->wants : view->soon_wants;
@@ -36,13 +43,19 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       list.clear();
       residency->cut(
           *view->soon, pool->tick, [](std::uint32_t) { return true; },
-          [&](std::uint32_t group, float px) { list.add(group, px); }, view->soon->detail_px);
+          [&](std::uint32_t group, float px) { list.add(group, rank(group, px)); }, view->soon->detail_px);
       list.order();
     }
     list.tidy(*residency);
-    if (now && list.wants().empty() && list.is_cut_off()) cut(*view, nullptr);
+    const bool is_used_up = list.wants().empty() || list.wants().front().rank < 0;
+    if (now && is_used_up && list.is_cut_off()) cut(*view, nullptr);
     view->next_want = 0;
   }
+}
+
+// The best group that there is room for, and what lies beside it.
+StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
+  find_wants(now);
   bool is_refused = false, is_pinned = false;
   std::uint64_t could_go = pool->pages_budget();  // for the next want, at most
   for (int looks = 0;;) {
@@ -52,7 +65,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       if (!view->is_live || (!now && !view->soon)) continue;
       const auto wants = (now ? view->wants : view->soon_wants).wants();
       if (view->next_want == wants.size()) continue;
-      if (best != nullptr && wants[view->next_want].px <= want.px) continue;
+      if (best != nullptr && wants[view->next_want].rank <= want.rank) continue;
       best = view.get();
       want = wants[view->next_want];
     }
@@ -62,44 +75,79 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
     if (residency->state(want.group) != Residency::State::absent || !residency->has(want.group)) continue;
     const Worth own = worth(want.group);
     if (own.px <= 0 || is_put_off(want.group, run)) continue;
-    if (!residency->is_known(want.group)) {
-      if (is_extending || !can_extend() || is_put_off(PutOff::kTable, run)) continue;
-      const lod::Page& above = file->pages()[want.group];
-      run.table_bytes = (above.first_child + above.n_children - file->n_pages() + 1) * kRecordBytes;
-      return Choice::table;
+    if (residency->is_known(want.group)) {
+      const std::uint64_t n = group_bytes(want.group);
+      if (pool->left_for_pages() < n && (n > pool->left_for_pages() + could_go || ++looks > kMostLooks)) continue;
     }
-    const std::uint64_t n = group_bytes(want.group);
-    if (pool->left_for_pages() < n && (n > pool->left_for_pages() + could_go || ++looks > kMostLooks)) continue;
-    const StreamPoolState::Room room = pool->take_pages(n, own);
-    if (room == StreamPoolState::Room::taken) {
-      requested(want.group);
-      run = {want.group, 1};
-      extend(run, own);
-      return Choice::run;
-    }
+    const Choice choice = claim(want.group, own, run);
+    if (choice == Choice::run || choice == Choice::table) return choice;
+    if (choice == Choice::nothing) continue;
     is_refused = true;
     could_go = std::min(could_go, pool->could_go());
-    is_pinned = is_pinned || room == StreamPoolState::Room::pinned;
+    is_pinned = is_pinned || choice == Choice::pinned;
   }
   return is_pinned ? Choice::pinned : is_refused ? Choice::no_room : Choice::nothing;
 }
 
+// What has failed least often, while reading fails: what is wanted most may be what cannot be read.
+StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
+  find_wants(true);
+  WantList::Want chosen{0, lod::kNoPage};
+  int least = std::numeric_limits<int>::max();
+  for (const auto& view : views) {
+    if (!view->is_live) continue;
+    for (const WantList::Want& want : view->wants.wants()) {
+      const int failures = residency->is_known(want.group) ? residency->n_failed(want.group) : n_table_failures;
+      if (failures > least || (failures == least && want.rank <= chosen.rank)) continue;
+      if (is_put_off(want.group, run)) continue;
+      least = failures;
+      chosen = want;
+    }
+  }
+  if (chosen.group == lod::kNoPage) return Choice::nothing;
+  const Worth own = worth(chosen.group);
+  return own.px > 0 ? claim(chosen.group, own, run) : Choice::nothing;
+}
+
+// An absent group that a view wants, if there is room for it.
+StreamedState::Choice StreamedState::claim(std::uint32_t group, const Worth& own, Run& run) {
+  if (!residency->is_known(group)) {
+    const lod::Page& above = file->pages()[group];
+    return claim_table((above.first_child + above.n_children - file->n_pages() + 1) * kRecordBytes, run);
+  }
+  const StreamPoolState::Room room = pool->take_pages(group_bytes(group), own);
+  if (room != StreamPoolState::Room::taken)
+    return room == StreamPoolState::Room::pinned ? Choice::pinned : Choice::no_room;
+  requested(group);
+  run.first = group, run.n = 1;
+  extend(run, own);
+  return Choice::run;
+}
+
+StreamedState::Choice StreamedState::claim_table(std::uint64_t n, Run& run) {
+  if (is_extending || !can_extend()) return Choice::nothing;
+  const auto now = StreamClock::now();
+  if (const auto left = pause_left(n_table_failures, now - table_failed_at); left > 0s) {
+    run.later = std::min(run.later, now + left);
+    return Choice::nothing;
+  }
+  run.table_bytes = n;
+  return Choice::table;
+}
+
 StreamedState::Choice StreamedState::choose(Run& run) {
   const auto now = StreamClock::now();
-  if (now < retry_at) {
-    run.later = retry_at;
+  if (const auto left = pause_left(n_away, now - failed_at); left > 0s) {
+    run.later = now + left;
     return Choice::later;
   }
   look_at_clock(now);
-  Choice choice = choose_among(true, run);
+  Choice choice = n_failures > 0 ? choose_elsewhere(run) : Choice::nothing;
+  if (choice != Choice::run && choice != Choice::table) choice = choose_among(true, run);
   // What is about to be seen waits for what is waited for, and takes no room from it.
   if (choice == Choice::nothing && prefetches && n_waiting == 0) choice = choose_among(false, run);
   // With the last of it, its hash is compared. Not beside what a view waits for: its bytes would share the line.
-  if (choice == Choice::nothing && n_at_work == 0 && !views.empty() && !is_extending && can_extend() &&
-      !is_put_off(PutOff::kTable, run)) {
-    run.table_bytes = traits.most_bytes;
-    choice = Choice::table;
-  }
+  if (choice == Choice::nothing && n_at_work == 0 && !views.empty()) choice = claim_table(traits.most_bytes, run);
   if (choice == Choice::pinned) pool->waits_for_pins = true;
   if (choice == Choice::run || choice == Choice::table) return choice;
   if (run.later != StreamClock::time_point::max()) return Choice::later;
@@ -118,7 +166,7 @@ void StreamedState::extend(Run& run, const Worth& best) {
   const auto takes = [&](std::uint32_t group, std::uint64_t begin, std::uint64_t end, std::uint64_t gap) {
     if (run.n == kMostGroups || end - begin > traits.most_bytes || gap > traits.gap_bytes) return false;
     if (residency->state(group) != Residency::State::absent || !residency->has(group)) return false;
-    if (was_put_off(group)) return false;
+    if (residency->n_failed(group) > 0) return false;
     const Worth own = worth(group);
     if (own.now != best.now || own.px <= 0 || own.px < kSideShare * best.px) return false;
     if (pool->take_pages(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
@@ -126,7 +174,7 @@ void StreamedState::extend(Run& run, const Worth& best) {
     ++run.n;
     return true;
   };
-  if (was_put_off(run.first)) return;
+  if (residency->n_failed(run.first) > 0) return;  // what was read along may be what cannot be
   std::uint64_t begin = begin_of(run.first), end = end_of(run.first);
   for (std::uint32_t next = run.first + 1; next < residency->n_groups() && residency->is_known(next); ++next) {
     if (!takes(next, begin, end_of(next), begin_of(next) - end)) break;
@@ -160,10 +208,11 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     // What has failed, too: its slots are others' from here on.
     const Status there = reader.finish();
     if (read) read = there;
-    const std::scoped_lock lock(pool->mutex);
+    std::unique_lock lock(pool->mutex);
     stats.bytes_read += reader.take_bytes_read();
     if (read) {
-      succeed(group);
+      readable = reader.last_read();
+      succeed();
       placed(group);
       if (n_waiting > 0) pool->news.notify_all();
       continue;
@@ -175,80 +224,74 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
       pool->changed();
       continue;
     }
-    // Without bytes or memory now. What is left of the run waits with it.
-    residency->drop(group);
-    put_off(group);
-    for (std::uint32_t rest = group + 1; rest < run.first + run.n; ++rest) {
-      residency->drop(rest);
-      put_off(rest);
-      give_room(rest);
-    }
-    for (const auto& view : views) {
-      for (std::uint32_t again = group; again < run.first + run.n; ++again) {
-        if (const float px = residency->wanted_px(again, *view->now); px > 0) view->wants.insert(again, px);
+    // Without bytes or memory now. What is left of the run is put off with it.
+    const std::uint32_t now = milliseconds(StreamClock::now());
+    for (std::uint32_t again = group; again < run.first + run.n; ++again) {
+      if (again > group) give_room(again);
+      residency->fail(again, now);
+      for (const auto& view : views) {
+        if (const float px = residency->wanted_px(again, *view->now); px > 0)
+          view->wants.insert(again, rank(again, px));
       }
     }
-    fail(read, begun);
-    return;
+    const int n_before = residency->n_failed(group) - 1;
+    lock.unlock();
+    return fail(reader, read, n_before, begun);
   }
 }
 
-StreamClock::duration StreamedState::pause(int n_before) const {
-  const StreamClock::duration grown = kFirstPause * (1 << std::min(n_before, 5));
-  return std::min(grown, n_waiting > 0 ? kLongestWaited : kLongestPause);
+// It grows from failure to failure. A caller that waits makes it shorter, from then on.
+StreamClock::duration StreamedState::pause_left(int n, StreamClock::duration since) const {
+  if (n <= 0) return 0s;
+  const StreamClock::duration grown = kFirstPause * (1 << std::min(n - 1, 5));
+  return std::max<StreamClock::duration>(0s, std::min(grown, n_waiting > 0 ? kLongestWaited : kLongestPause) - since);
 }
 
 // Others are read meanwhile: a range that cannot be read keeps nothing else from being so.
-void StreamedState::put_off(std::uint32_t group) {
-  auto found = std::ranges::find(put_offs, group, &PutOff::group);
-  if (found == put_offs.end() && put_offs.size() < PutOff::kMost) {
-    found = put_offs.insert(found, PutOff{group, 0, {}});
-  } else if (found == put_offs.end()) {
-    found = std::ranges::min_element(put_offs, {}, &PutOff::until);
-    *found = PutOff{group, 0, {}};
-  }
-  found->until = StreamClock::now() + pause(found->n);
-  ++found->n;
-}
-
-bool StreamedState::was_put_off(std::uint32_t group) const {
-  return std::ranges::find(put_offs, group, &PutOff::group) != put_offs.end();
+StreamClock::duration StreamedState::put_off_for(std::uint32_t group) const {
+  const int n = residency->n_failed(group);
+  if (n == 0) return 0s;
+  return pause_left(n, std::chrono::milliseconds(milliseconds(StreamClock::now()) - residency->failed_at(group)));
 }
 
 bool StreamedState::is_put_off(std::uint32_t group, Run& run) const {
-  const auto found = std::ranges::find(put_offs, group, &PutOff::group);
-  if (found == put_offs.end() || found->until <= StreamClock::now()) return false;
-  run.later = std::min(run.later, found->until);
+  const auto left = put_off_for(group);
+  if (left <= 0s) return false;
+  run.later = std::min(run.later, StreamClock::now() + left);
   return true;
 }
 
-void StreamedState::hurry() {
-  const auto latest = StreamClock::now() + kLongestWaited;
-  bool is_sooner = retry_at > latest;
-  retry_at = std::min(retry_at, latest);
-  for (PutOff& each : put_offs) {
-    is_sooner = is_sooner || each.until > latest;
-    each.until = std::min(each.until, latest);
-  }
-  if (is_sooner) pool->changed();
+float StreamedState::rank(std::uint32_t group, float px) const {
+  return put_off_for(group) > 0s ? -1 / px : px;
 }
 
-void StreamedState::succeed(std::uint32_t group) {
-  n_failures = 0;
+void StreamedState::succeed() {
+  n_failures = n_away = 0;
+  is_lasting = false;
   trouble = {};
-  retry_at = {};
-  std::erase_if(put_offs, [&](const PutOff& each) { return each.group == group; });
 }
 
-// Asks again after a pause, which grows. One outage ends all reads at work, and is one failure.
-void StreamedState::fail(const Status& read, std::uint64_t begun) {
-  trouble = read;
-  if (begun == n_failed) {
-    retry_at = StreamClock::now() + pause(n_failures);
-    ++n_failures, ++n_failed;
+// One outage ends all reads at work, and is one failure.
+void StreamedState::fail(PageReader& reader, const Status& read, int n_before, std::uint64_t begun) {
+  FileRange known;
+  {
+    const std::scoped_lock lock(pool->mutex);
+    trouble = read;
+    if (begun == n_failed) {
+      failed_at = StreamClock::now();
+      ++n_failures, ++n_failed, ++n_away;
+      known = readable;
+    }
+    is_lasting = std::max(n_before + 1, n_away) >= kLastingTrouble;
+    pool->changed();
+    if (n_waiting > 0) pool->news.notify_all();
   }
+  // Is it all of the source, or what was asked for?
+  if (known.bytes == 0 || !reader.read_again(known)) return;
+  const std::scoped_lock lock(pool->mutex);
+  stats.bytes_read += reader.take_bytes_read();
+  n_away = 0;
   pool->changed();
-  if (n_waiting > 0) pool->news.notify_all();
 }
 
 bool StreamedState::can_extend() const {
@@ -265,14 +308,17 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
   // Waits for pages that are being decoded: not with the lock that frames need.
   std::unique_lock alone(table, std::defer_lock);
   if (part) alone.lock();
-  const std::scoped_lock lock(pool->mutex);
+  std::unique_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
   is_extending = false;
   if (!part) {
-    put_off(PutOff::kTable);
-    return fail(tl::unexpected(part.error()), begun);
+    table_failed_at = StreamClock::now();
+    const int n_before = n_table_failures++;
+    lock.unlock();
+    return fail(reader, tl::unexpected(part.error()), n_before, begun);
   }
-  succeed(PutOff::kTable);
+  succeed();
+  n_table_failures = 0;
   const Status extended = file->extend(*part);
   residency->extend();
   if (!extended) {

@@ -75,6 +75,13 @@ Status PageReader::read(std::uint32_t page, std::uint32_t end) {
   return decode(page);
 }
 
+Status PageReader::read_again(const FileRange& range) {
+  begin_run();
+  if (Status read = source_.read(range.offset, {stored_.get(), range.bytes}); !read) return read;
+  bytes_read_ += range.bytes;
+  return {};
+}
+
 Result<FilePart> PageReader::read_table(const FileRange& unread, std::uint64_t n) {
   begin_run();
   const std::span<std::byte> bytes(stored_.get(), std::min({n, unread.bytes, capacity_}));

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <memory>
@@ -72,6 +73,10 @@ class PageReader {
   /// What follows of the table of pages, `n` bytes or as many as fit, valid until the next call of any. Errors: those of
   /// ByteSource::read().
   Result<FilePart> read_table(const FileRange& unread, std::uint64_t n);
+  /// Of the bytes that the last read() gave the first, a few hundred.
+  FileRange last_read() const { return {begin_, std::min<std::uint64_t>(end_ - begin_, 512)}; }
+  /// Reads what could be read before. Errors: those of ByteSource::read().
+  Status read_again(const FileRange& range);
   /// Since the last call.
   std::uint64_t take_bytes_read() { return std::exchange(bytes_read_, 0); }
 

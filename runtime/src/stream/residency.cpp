@@ -40,6 +40,13 @@ void Residency::drop(std::uint32_t group) {
   add_below(group, -1);
 }
 
+void Residency::fail(std::uint32_t group, std::uint32_t time) {
+  drop(group);
+  Group& g = groups_[group];
+  if (g.n_failed < std::numeric_limits<std::uint8_t>::max()) ++g.n_failed;
+  g.failed_at = time;
+}
+
 void Residency::refuse(std::uint32_t group) {
   drop(group);
   groups_[group].state = State::refused;
@@ -48,6 +55,7 @@ void Residency::refuse(std::uint32_t group) {
 void Residency::place(std::uint32_t group) {
   assert(state(group) == State::requested);
   groups_[group].state = State::resident;
+  groups_[group].n_failed = 0;
   // Never younger than what is above it, which goes later.
   if (const std::uint32_t above = group_of(group); above != kNoGroup)
     groups_[group].last_used = groups_[above].last_used;

@@ -71,6 +71,12 @@ class Residency {
   void place(std::uint32_t group);    ///< requested -> resident, as old as what is above
   void evict(std::uint32_t group);    ///< resident -> absent; can_evict()
 
+  /// requested -> absent: it could not be read at this time, of a clock of the caller's.
+  void fail(std::uint32_t group, std::uint32_t time);
+  /// Times that it could not be read since it was last there, at most 255, and the last of them.
+  int n_failed(std::uint32_t group) const { return groups_[group].n_failed; }
+  std::uint32_t failed_at(std::uint32_t group) const { return groups_[group].failed_at; }
+
   /// Pages that a frame draws stay.
   void pin(std::span<const std::uint32_t> pages);
   void unpin(std::span<const std::uint32_t> pages);
@@ -106,6 +112,8 @@ class Residency {
   struct Group {
     std::uint32_t last_used = 0;
     std::uint32_t pins = 0;
+    std::uint32_t failed_at = 0;  // if n_failed > 0
+    std::uint8_t n_failed = 0;
     std::uint8_t n_below = 0;  // groups of its pages that are requested or resident
     State state = State::absent;
     bool blocked = false;  // by something below, during for_each_evictable()

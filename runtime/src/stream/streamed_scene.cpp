@@ -104,7 +104,6 @@ Status StreamedState::make_room_for_pages() {
   if (Status taken = take(Residency::bytes(n_pages) + PageStore::bytes(n_pages, slots.get())); !taken) return taken;
   residency.emplace(file->pages(), n_pages);
   store.emplace(*file, slots);
-  put_offs.reserve(PutOff::kMost);
   const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
   std::uint64_t read_bytes = std::max(least, traits.most_bytes);
   auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
@@ -148,6 +147,7 @@ Status StreamedState::read_root() {
   if (const Status there = readers.front()->finish(); read) read = there;
   stats.bytes_read += readers.front()->take_bytes_read();
   if (!read) return read;
+  readable = readers.front()->last_read();
   stats.bytes_decoded += file->decoded_bytes(0);
   if (pool->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(0);
   // Without lists a view cannot be drawn.

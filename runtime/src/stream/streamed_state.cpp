@@ -23,10 +23,9 @@ constexpr double kMostTurn = 1;           // radians ahead
 constexpr std::size_t kFirstDrawn = 256;  // pages
 /// A block of memory costs its allocator some bytes of its own.
 constexpr std::uint64_t kAllocationBytes = 32;
-constexpr std::uint64_t kLastingTrouble = 3;  // reads that failed one after the other
 
 bool is_more(const WantList::Want& a, const WantList::Want& b) {
-  return a.px > b.px;
+  return a.rank > b.rank;
 }
 
 bool is_same(const StreamEye& a, const StreamEye& b) {
@@ -68,15 +67,15 @@ Camera moved_on(const Camera& before, const Camera& now, double ahead, double fa
 
 }  // namespace
 
-void WantList::add(std::uint32_t group, float px) {
+void WantList::add(std::uint32_t group, float rank) {
   if (wants_.size() < kMost) {
-    wants_.push_back({px, group});
+    wants_.push_back({rank, group});
     return;
   }
   if (!std::exchange(is_cut_off_, true)) std::ranges::make_heap(wants_, is_more);
-  if (!(px > wants_.front().px)) return;
+  if (!(rank > wants_.front().rank)) return;
   std::ranges::pop_heap(wants_, is_more);
-  wants_.back() = {px, group};
+  wants_.back() = {rank, group};
   std::ranges::push_heap(wants_, is_more);
 }
 
@@ -84,13 +83,14 @@ void WantList::order() {
   std::ranges::stable_sort(wants_, is_more);
 }
 
-void WantList::insert(std::uint32_t group, float px) {
+void WantList::insert(std::uint32_t group, float rank) {
+  std::erase_if(wants_, [&](const Want& want) { return want.group == group; });
   if (wants_.size() == kMost) {
     is_cut_off_ = true;
-    if (!(px > wants_.back().px)) return;
+    if (!(rank > wants_.back().rank)) return;
     wants_.pop_back();
   }
-  wants_.insert(std::ranges::upper_bound(wants_, Want{px, group}, is_more), {px, group});
+  wants_.insert(std::ranges::upper_bound(wants_, Want{rank, group}, is_more), {rank, group});
 }
 
 void WantList::tidy(const Residency& residency) {
@@ -164,7 +164,7 @@ void StreamedState::placed(std::uint32_t group) {
     view->is_soon_known = false;
     for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
       if (child >= residency->n_groups()) break;
-      if (const float px = residency->wanted_px(child, *view->now); px > 0) view->wants.insert(child, px);
+      if (const float px = residency->wanted_px(child, *view->now); px > 0) view->wants.insert(child, rank(child, px));
     }
   }
   pool->changed();
@@ -270,7 +270,8 @@ Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
       return true;
     };
     const Residency::Cut cut = residency->cut(
-        eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, px); }, view.now->detail_px);
+        eye, pool->tick, draw, [&](std::uint32_t group, float px) { view.wants.add(group, rank(group, px)); },
+        view.now->detail_px);
     if (cut.fits) {
       view.wants.order();
       return cut;
@@ -345,7 +346,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
   if (Status there = s.need(view.lists); !there) return tl::unexpected(there.error());
   view.is_refined = true;
   ++view.n_busy, ++s.n_waiting;
-  s.hurry();
+  s.pool->changed();  // pauses are shorter now
   struct Waiter {
     StreamedState& scene;
     StreamView& view;
@@ -359,6 +360,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
   const auto n_failures = [&] {
     return std::min(static_cast<std::uint64_t>(s.n_failures), s.n_failed - n_failed_before);
   };
+  const auto fails_for_long = [&] { return s.is_lasting && n_failures() >= StreamedState::kLastingTrouble; };
   for (;;) {
     // Its lists too: the frame that follows shall need no more room.
     const Residency::Cut cut = s.cut(view, &view.lists);
@@ -370,12 +372,12 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
     const bool is_late = StreamClock::now() >= deadline;
-    const bool is_failing = n_failures() >= (is_late ? 1 : kLastingTrouble);
+    const bool is_failing = is_late ? n_failures() > 0 : fails_for_long();
     if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(s.trouble.error());
     if (cut.damaged > 0 && (is_settled() || is_late || is_failing)) return tl::unexpected(s.damage.error());
     if (is_settled() || is_late) return false;
     s.pool->news.wait_until(lock, deadline, [&] {
-      if (is_settled() || n_failures() >= kLastingTrouble) return true;
+      if (is_settled() || fails_for_long()) return true;
       if (cut.missing == 0) return !s.can_extend();
       view.wants.tidy(*s.residency);
       return view.wants.wants().empty() && s.residency->n_resident() != n_resident;

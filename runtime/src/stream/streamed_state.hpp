@@ -28,11 +28,11 @@ namespace rgs::detail {
 
 using StreamClock = std::chrono::steady_clock;
 
-/// Groups that a view misses, most projected error first; of very many the first.
+/// Groups that a view misses, most projected error first (StreamedState::rank()); of very many the first.
 class WantList {
  public:
   struct Want {
-    float px;
+    float rank;
     std::uint32_t group;
   };
   static constexpr std::size_t kMost = 1024;
@@ -40,10 +40,10 @@ class WantList {
   WantList() { wants_.reserve(kMost); }
   /// Any number of add(), then order().
   void clear() { wants_.clear(), is_cut_off_ = false; }
-  void add(std::uint32_t group, float px);
+  void add(std::uint32_t group, float rank);
   void order();
-  /// One more, in its place.
-  void insert(std::uint32_t group, float px);
+  /// One more, or one that is there, in its place.
+  void insert(std::uint32_t group, float rank);
   /// Forgets those that are no longer absent.
   void tidy(const Residency& residency);
   std::span<const Want> wants() const { return wants_; }
@@ -74,16 +74,6 @@ struct DrawLists {
   std::vector<ScenePart> parts;       ///< on the host
   std::vector<std::uint32_t> chunks;  ///< on a device
   std::uint64_t bytes = 0;            ///< taken from the pool
-};
-
-/// A group that could not be read, and is read again later and alone: what was read along may be what cannot be.
-struct PutOff {
-  std::uint32_t group;  // kTable: what follows of the table
-  int n = 0;            // times
-  StreamClock::time_point until;
-
-  static constexpr std::uint32_t kTable = lod::kNoPage;
-  static constexpr std::size_t kMost = 64;
 };
 
 /// What one renderer sees of a scene.
@@ -128,13 +118,17 @@ struct StreamedState {
   StreamStats stats;
   std::condition_variable work;  // for threads that read: `pool->changes` grew
   Status damage, trouble;        // of a page; of reading, while it lasts
-  StreamClock::time_point retry_at{};
   int n_failures = 0;  // reads, one after the other; those that began before the last of them failed are part of it
-  std::uint64_t n_failed = 0;    // the same, never less
-  std::vector<PutOff> put_offs;  // at most PutOff::kMost
-  int n_at_work = 0;             // threads that read or decode
-  int n_waiting = 0;             // callers that wait for a view
-  bool is_extending = false;     // a thread reads more of the table
+  std::uint64_t n_failed = 0;  // the same, never less
+  StreamClock::time_point failed_at{};
+  int n_away = 0;            // of n_failures the last, where not even `readable` could be read
+  FileRange readable;        // bytes that were there once
+  bool is_lasting = false;   // n_failures > 0, and what failed last has done so often, or the source
+  int n_table_failures = 0;  // of the table, one after the other
+  StreamClock::time_point table_failed_at{};
+  int n_at_work = 0;          // threads that read or decode
+  int n_waiting = 0;          // callers that wait for a view
+  bool is_extending = false;  // a thread reads more of the table
   bool is_stopping = false;
   /// Value of pool->changes when the threads last found nothing that they could do.
   std::uint64_t settled_at = 0;
@@ -177,7 +171,7 @@ struct StreamedState {
   StreamStats stats_now() const;
   Status status() const { return damage ? trouble : damage; }
 
-  // Threads that read. All but fetch() and work_until_stopped() with the lock.
+  // Threads that read. All but fetch(), extend_table(), fail() and work_until_stopped() with the lock.
   struct Run {
     std::uint32_t first = 0, n = 0;                                  // groups, one after the other
     std::uint64_t table_bytes = 0;                                   // Choice::table
@@ -193,18 +187,25 @@ struct StreamedState {
   };
   Choice choose(Run& run);
   Choice choose_among(bool now, Run& run);
+  Choice choose_elsewhere(Run& run);
+  void find_wants(bool now);
+  Choice claim(std::uint32_t group, const Worth& own, Run& run);
+  Choice claim_table(std::uint64_t n, Run& run);
   void extend(Run& run, const Worth& best);
   void placed(std::uint32_t group);
   void fetch(PageReader& reader, const Run& run, std::uint64_t begun);
   void extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun);
-  /// `begun`: n_failed when the read began.
-  void fail(const Status& read, std::uint64_t begun);
-  void succeed(std::uint32_t group);
-  StreamClock::duration pause(int n_before) const;
-  void put_off(std::uint32_t group);
-  bool was_put_off(std::uint32_t group) const;
-  bool is_put_off(std::uint32_t group, Run& run) const;
-  void hurry();             ///< A caller waits.
+  /// Without the lock. `n_before`: failures of what was to be read, `begun`: n_failed when that began.
+  void fail(PageReader& reader, const Status& read, int n_before, std::uint64_t begun);
+  static constexpr int kLastingTrouble = 3;
+  void succeed();
+  /// Of the pause after n failures, the last of them so long ago.
+  StreamClock::duration pause_left(int n, StreamClock::duration since) const;
+  /// How long a group that could not be read is not asked for.
+  StreamClock::duration put_off_for(std::uint32_t group) const;
+  bool is_put_off(std::uint32_t group, Run& run) const;  ///< and run.later knows it
+  /// Of a want in its list: its projected error; negative if it is put off, and after all others.
+  float rank(std::uint32_t group, float px) const;
   bool can_extend() const;  ///< the table
   void work_until_stopped(PageReader& reader);
 };

@@ -17,7 +17,6 @@ using namespace rgs::test;
 
 namespace {
 
-constexpr double kLong = 60;  // seconds, that no test takes
 constexpr FakeCuda::Pace kPaces[] = {FakeCuda::Pace::late, FakeCuda::Pace::any_time};
 constexpr ByteSource::Traits kTraits{.reads_at_once = 3, .most_bytes = 64 << 10, .gap_bytes = 4096};
 

@@ -69,7 +69,7 @@ TEST_CASE("a pool never holds more than its budget, by the count of every alloca
           CHECK(peak_bytes() - before <= static_cast<std::int64_t>(memory) + kBeside);
           for (std::size_t i = 0; i < cameras.size(); ++i) {
             const RenderOptions options = at_detail(0.02F);
-            if (i % 16 == 0) REQUIRE(renderer.refine(scene, cameras[i], 5, options));
+            if (i % 16 == 0) REQUIRE(renderer.refine(scene, cameras[i], kLong, options));
             REQUIRE(renderer.render(scene, cameras[i], frames[0].target(), options));
             most = std::max(most, pool->host_bytes());
             REQUIRE(pool->host_bytes() <= memory);
@@ -102,7 +102,7 @@ TEST_CASE("a long random flight with a pool that is far too small: no growth, no
   std::uint64_t n_frames = 0, n_scenes = 0;
   std::int64_t after_first = 0;
   const auto elapsed = [&] { return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count(); };
-  while (elapsed() < seconds) {
+  while (elapsed() < seconds || scene.stats().bytes_evicted == 0) {
     const std::vector<Camera> cameras = flight(static_cast<unsigned>(n_frames + 1), 80);
     // Another scene comes and goes in the same pool.
     const auto other = try_streaming(bytes, std::make_shared<Script>(), {.pool = *pool, .traits = traits});
@@ -124,6 +124,5 @@ TEST_CASE("a long random flight with a pool that is far too small: no growth, no
   }
   MESSAGE(n_frames, " frames, ", n_scenes, " other scenes, ", scene.stats().bytes_decoded, " bytes decoded, ",
           scene.stats().bytes_evicted, " evicted");
-  CHECK(scene.stats().bytes_evicted > 0);
   if (counts_memory()) CHECK(live_bytes() <= after_first + (8 << 20));
 }
