@@ -6,7 +6,7 @@
 # they bring OpenImageIO and its 260 libraries.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
-programs="rgs-bench rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
+programs="rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
 pictures="rgs-audit rgs-render"
 if [ "${1:-}" = --small ]; then
   pictures=

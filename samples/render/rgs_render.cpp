@@ -45,7 +45,7 @@ struct Options {
   std::string key = "exact";
   bool has_arithmetic = false;  // an option that excludes --mode is there
   // Of scenes that are streamed: from addresses, and from paths where a budget is given.
-  std::optional<std::uint64_t> host_memory;
+  std::optional<std::uint64_t> host_memory, device_memory;
   std::optional<double> wait, realtime;  // seconds; frames a second
   rgs::RendererOptions renderer;
   // The steps are those of the image's definition, which single options change; without any, they are not read.
@@ -71,7 +71,7 @@ struct Frame {
 constexpr double kDefaultWait = 60;  // seconds a frame
 
 bool is_streamed(const Options& options) {
-  return options.host_memory || rgs::is_url(options.scene);
+  return options.host_memory || options.device_memory || rgs::is_url(options.scene);
 }
 
 // The scene's name as it may be read by others: an address without its user, password, query and fragment.
@@ -257,6 +257,7 @@ struct SceneFacts {
   std::uint64_t file_bytes, gaussians, memory_bytes;
   int sh_degree;
   std::uint64_t budget = 0;  // of a streamed scene
+  std::uint64_t device_budget = 0, device_bytes = 0;
 };
 
 nlohmann::json stream_json(const Options& options, const Frame& frame) {
@@ -322,6 +323,10 @@ nlohmann::json summary(const Options& options, const SceneFacts& scene, const rg
                      {"frames", std::move(pictures)}};
   if (is_streamed(options)) {
     all["host_memory"] = scene.budget;
+    if (options.device_memory) {
+      all["device_memory"] = scene.device_budget;
+      all["scene"]["device_bytes"] = scene.device_bytes;
+    }
     if (options.realtime) {
       all["realtime_fps"] = *options.realtime;
     } else {
@@ -357,9 +362,13 @@ void print_summary(const Options& options, const SceneFacts& scene, const rgs::R
     }
     if (is_streamed(options)) {
       const rgs::StreamStats& s = frames.back().stats.stream;
-      tool::print(fmt::format("read {}, decoded {}, evicted {}; {} of {} held\n", tool::format_bytes(s.bytes_read),
+      tool::print(fmt::format("read {}, decoded {}, evicted {}; {} of {} held{}\n", tool::format_bytes(s.bytes_read),
                               tool::format_bytes(s.bytes_decoded), tool::format_bytes(s.bytes_evicted),
-                              tool::format_bytes(scene.memory_bytes), tool::format_bytes(scene.budget)));
+                              tool::format_bytes(scene.memory_bytes), tool::format_bytes(scene.budget),
+                              scene.device_budget == 0
+                                  ? ""
+                                  : fmt::format(", on the device {} of {}", tool::format_bytes(scene.device_bytes),
+                                                tool::format_bytes(scene.device_budget))));
     }
     tool::print(fmt::format("{} {}: median {} a frame, {} in all\n", frames.size(),
                             frames.size() == 1 ? "picture" : "pictures", tool::format_seconds(median_ms(frames) * 1e-3),
@@ -473,8 +482,9 @@ int report_not_streamed(const Options& options, const rgs::Error& error) {
                          "is no .rgs file with levels of detail, which alone are read from a web server: "
                          "download it first"});
   }
-  return tool::report_usage("--host-memory streams .rgs files with levels of detail, which '" + options.scene +
-                            "' is not: rgs-convert --lod makes one, and without --host-memory it is drawn as a whole");
+  const std::string option = options.device_memory ? "--device-memory" : "--host-memory";
+  return tool::report_usage(option + " streams .rgs files with levels of detail, which '" + options.scene +
+                            "' is not: rgs-convert --lod makes one, and without " + option + " it is drawn as a whole");
 }
 
 void warn_of_incomplete_frame(const Frame& frame, const rgs::Status& why) {
@@ -492,15 +502,20 @@ int render_streamed(const Options& options) {
   inputs.add_cameras(options.cameras);
   inputs.add_cameras(options.path);
   rgs::RendererOptions how = options.renderer;
-  if (how.backend == rgs::Backend::automatic) how.backend = rgs::Backend::cpu;
-  if (how.backend == rgs::Backend::cuda)
+  // Where its pages are it is drawn.
+  if (how.backend == rgs::Backend::automatic)
+    how.backend = options.device_memory ? rgs::Backend::cuda : rgs::Backend::cpu;
+  if (how.backend == rgs::Backend::cuda && !options.device_memory)
     return tool::report_usage(
-        "scenes are streamed to the CPU so far: --backend cpu, or no --host-memory and no address");
+        "a scene is streamed to the GPU within --device-memory; without it --backend cpu draws it");
+  if (how.backend == rgs::Backend::cpu && options.device_memory)
+    return tool::report_usage("--device-memory is of the GPU: --backend cuda, or --host-memory alone");
   auto renderer = rgs::Renderer::create(how);
   if (!renderer) return tool::report("", renderer.error());
   const auto opened = Clock::now();
   rgs::StreamPoolOptions budget;
   if (options.host_memory) budget.host_memory = *options.host_memory;
+  if (options.device_memory) budget.device_memory = *options.device_memory;
   const auto pool = rgs::StreamPool::create(budget);
   if (!pool) return tool::report("", pool.error());
   auto source = rgs::open_source(options.scene);
@@ -549,7 +564,8 @@ int render_streamed(const Options& options) {
     return code;
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!options.quiet) warn_of_coarse_depths(drawn.frames);
-  const SceneFacts facts{file_bytes, scene->size(), pool->host_bytes(), scene->sh_degree(), pool->host_memory()};
+  const SceneFacts facts{file_bytes,          scene->size(),         pool->host_bytes(),  scene->sh_degree(),
+                         pool->host_memory(), pool->device_memory(), pool->device_bytes()};
   print_summary(options, facts, *renderer, drawn.frames, load_seconds, drawn.first_frame_ms, seconds_since(start));
   if (const rgs::Status status = scene->status(); !status && options.realtime && !options.quiet)
     tool::print_error(
@@ -585,6 +601,11 @@ void add_options(CLI::App& app, Options& o) {
   app.add_option(
          "--host-memory", o.host_memory,
          "read of the file what the views need, within so much memory [of addresses 2GiB; of paths all is read]")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->group(stream);
+  app.add_option("--device-memory", o.device_memory,
+                 "the same on the GPU: pages are in so much of its memory, renderers' workspaces come on top")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(stream);
@@ -695,8 +716,9 @@ std::string contradiction(const Options& o) {
       depth && (*depth == rgs::ImageFormat::png || *depth == rgs::ImageFormat::jpeg))
     return "depth needs floating point: name the file .exr or .tif";
   if (o.host_memory == std::uint64_t{0}) return "--host-memory of 0 bytes holds no scene";
+  if (o.device_memory == std::uint64_t{0}) return "--device-memory of 0 bytes holds no scene";
   if ((o.wait || o.realtime) && !is_streamed(o))
-    return "--wait and --realtime are of streamed scenes: give --host-memory, or an address";
+    return "--wait and --realtime are of streamed scenes: give --host-memory, --device-memory, or an address";
   for (const float v : o.render.background)
     if (!std::isfinite(v)) return "--background takes three finite numbers";
   return {};

@@ -32,7 +32,6 @@ class DeviceSlots {
   }
   /// Nothing writes to it or draws it any more.
   void give(std::uint32_t slot) { free_.push_back(slot); }
-  std::size_t n_free() const { return free_.size(); }
   /// Memory that the list of free slots takes on the host.
   static std::uint64_t host_bytes(const SlotPlan& plan) { return plan.n_slots * sizeof(std::uint32_t); }
 

@@ -8,6 +8,7 @@
 #include <optional>
 #include <thread>
 
+#include "counted_memory.hpp"
 #include "fake_cuda.hpp"
 #include "streamed_fixture.hpp"
 
@@ -300,6 +301,48 @@ TEST_CASE("a scene is drawn where its pages are, and the other renderer says so"
     CHECK(device.refine(on_host, camera, 0).error().code == Errc::unavailable);
   }
   CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("a pool with a device holds no more of the host than its budget, by the count of every allocation") {
+  if (!counts_memory()) return;
+  // Threads, and the copies that the test's device has in its queues.
+  constexpr std::int64_t kBeside = 96 << 10;
+  const std::vector<Camera> views = town_cameras(31, 12);
+  for (const Profile profile : {Profile::direct, Profile::packed, Profile::archive}) {
+    const Bytes bytes = town({.profile = profile, .n = 40000, .sh_degree = 3});
+    const std::uint64_t device_memory = 2 << 20;
+    FakeCuda cuda(FakeCuda::Pace::late);
+    // The least that it opens with, and room for lists of views.
+    std::uint64_t least = 1;
+    for (;;) {
+      const auto scene = try_streaming(bytes, std::make_shared<Script>(),
+                                       {.pool = device_pool(device_memory, least), .traits = kTraits});
+      if (scene) break;
+      REQUIRE(scene.error().code == Errc::limit_exceeded);
+      REQUIRE(scene.error().expected > least);
+      least = scene.error().expected;
+    }
+    for (const std::uint64_t host_memory : {least, least + (256 << 10)}) {
+      CAPTURE(static_cast<int>(profile));
+      CAPTURE(host_memory);
+      const StreamPool pool = device_pool(device_memory, host_memory);
+      const std::int64_t before = live_bytes();
+      reset_peak_bytes();
+      {
+        const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+        Renderer renderer = device_renderer();
+        for (const Camera& camera : views) REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0.02F)));
+        CHECK(scene.stats().bytes_evicted > 0);
+        CHECK(pool.host_bytes() <= host_memory);
+        const auto of_device = static_cast<std::int64_t>(cuda.most_device_bytes);
+        CHECK(of_device <= static_cast<std::int64_t>(device_memory));
+        CHECK(peak_bytes() - before - of_device <= static_cast<std::int64_t>(host_memory) + kBeside);
+        MESSAGE("budget ", host_memory, ", counted by the pool ", pool.host_bytes(), ", held at most ",
+                peak_bytes() - before - of_device);
+      }
+      CHECK(live_bytes() - before <= kBeside);
+    }
+  }
 }
 
 TEST_CASE("page-locked memory and tables are of the host's budget") {

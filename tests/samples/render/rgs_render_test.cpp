@@ -575,7 +575,10 @@ TEST_CASE("what cannot be streamed is refused with what to do") {
   refused("@scene.ply --host-memory 1GiB", 2, "rgs-convert --lod");
   refused("@town.rgs --host-memory 0", 2, "0 bytes");
   refused("@town.rgs --host-memory much", 2, "--host-memory");
-  refused("@town.rgs --host-memory 1GiB --backend cuda", 2, "CPU");
+  refused("@town.rgs --host-memory 1GiB --backend cuda", 2, "--device-memory");
+  refused("@town.rgs --device-memory 1GiB --backend cpu", 2, "--device-memory");
+  refused("@town.rgs --device-memory 0", 2, "0 bytes");
+  refused("@scene.rgs --device-memory much", 2, "--device-memory");
   refused("@town.rgs --wait 3", 2, "--host-memory");
   refused("@town.rgs --host-memory 1GiB --realtime 10", 2, "--path");
   refused("@town.rgs --host-memory 1GiB --path @cameras.json --realtime 10 --wait 3", 2, "exclude");
