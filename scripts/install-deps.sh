@@ -1,6 +1,8 @@
 #!/bin/sh
 # install-deps.sh - installs the Debian 12 packages that RoofGS is built with; silent when all are there.
-# `install-deps.sh test` adds those that only tests need (pkgconf, nginx, openssl, and a browser: 80 MB, about 20 s).
+# `install-deps.sh test` adds those that only tests need (pkgconf, nginx, openssl, and a browser: 80 MB, about 20 s),
+# `install-deps.sh web` these and what web/ is built with: clang 19 with what WebAssembly needs (150 MB). Node 20 or newer, which
+# Debian 12 does not have, is not among them.
 # Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
@@ -11,7 +13,9 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   libcurl4-openssl-dev doctest-dev libbenchmark-dev
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
-[ "${1:-}" != test ] || packages="$packages chromium pkgconf nginx-light openssl"
+case ${1:-} in test | web) packages="$packages chromium pkgconf nginx-light openssl" ;; esac
+[ "${1:-}" != web ] || packages="$packages clang-19 lld-19 libc++-19-dev-wasm32 libc++abi-19-dev-wasm32 wasi-libc
+  libclang-rt-19-dev-wasm32"
 
 [ "${RGS_SKIP_INSTALL:-0}" = 1 ] && exit 0
 

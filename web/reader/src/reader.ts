@@ -45,6 +45,9 @@ export class RgsFile {
   readonly sections: readonly Section[];
   /** Null of a file without levels of detail. */
   readonly levels: Levels | null;
+  /** Bytes of the file as it is, which may be fewer than its header says. */
+  readonly fileBytes: number;
+  private last: Promise<unknown> = Promise.resolve();
 
   /** @internal */
   constructor(
@@ -52,7 +55,9 @@ export class RgsFile {
     private readonly source: RangeSource,
     head: Head,
     levels: Levels | null,
+    fileBytes: number,
   ) {
+    this.fileBytes = fileBytes < 0 ? head.header.fileBytes : fileBytes;
     this.header = head.header;
     this.declarations = head.declarations;
     this.provenance = head.provenance;
@@ -60,10 +65,6 @@ export class RgsFile {
     this.levels = levels;
   }
 
-  /** Bytes of the file as it is, which may be fewer than its header says. */
-  get fileBytes(): number {
-    return this.source.size ?? this.header.fileBytes;
-  }
 
   /**
    * All Gaussians, of a file with levels those of the finest. Reads the whole file and checks all of it first and last: every
@@ -141,7 +142,14 @@ export class RgsFile {
     return readExactly(this.source, { offset, bytes: storedBytes }, options.signal);
   }
 
-  private async whole<T>(
+  /** One at a time: each takes memory for the whole file. */
+  private whole<T>(...args: Parameters<typeof this.wholeNow<T>>): Promise<T> {
+    const result = this.last.then(() => this.wholeNow(...args));
+    this.last = result.catch(() => undefined);
+    return result;
+  }
+
+  private async wholeNow<T>(
     { signal, onProgress }: ReadOptions,
     decode: (call: { signal: AbortSignal | undefined; onProgress: (share: number) => void }) => Promise<T>,
   ): Promise<T> {
@@ -173,7 +181,7 @@ function own(bytes: Uint8Array): ArrayBuffer {
   return bytes.buffer as ArrayBuffer;
 }
 
-/** What a source gives is checked: sources may be the caller's. Bytes that are part of a larger buffer are copied. */
+/** What a source gives is checked: sources may be the caller's. The bytes are ours, to be handed over. */
 async function readExactly(source: RangeSource, range: Range, signal: AbortSignal | undefined): Promise<Uint8Array> {
   signal?.throwIfAborted();
   const bytes = range.bytes === 0 ? new Uint8Array(0) : await source.read(range.offset, range.bytes, signal);
@@ -187,7 +195,7 @@ async function readExactly(source: RangeSource, range: Range, signal: AbortSigna
       found: BigInt(bytes.length),
     });
   }
-  return bytes.length === bytes.buffer.byteLength ? bytes : bytes.slice();
+  return bytes;
 }
 
 /** All of a file, some pieces at a time; the first failure stops the others. */
@@ -229,7 +237,12 @@ async function sourceOf(source: Source, options: OpenOptions): Promise<RangeSour
       options.onProgress?.({ phase: "read", done, total });
     return UrlSource.open(String(source), options.url ?? {}, options.signal, onProgress);
   }
-  return source as RangeSource;
+  // What it gives may be part of something that it keeps, and buffers are handed over whole.
+  const own = source as RangeSource;
+  return {
+    size: own.size,
+    read: async (offset, bytes, signal) => new Uint8Array(await own.read(offset, bytes, signal)),
+  };
 }
 
 /** Opens a file with a worker that `start` makes: see web.ts and node.ts. */
@@ -241,14 +254,20 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
   try {
     const limits = options.limits ?? {};
     await client.call("start", { limits, wasm: options.wasm }, { signal });
-    const part = async (range: Range): Promise<void> => {
-      const bytes = await readExactly(from, range, signal);
-      await client.call("part", { offset: range.offset, bytes }, { signal, transfer: [own(bytes)] });
-    };
-    // Of unknown size it is taken to be as long as its header says.
-    const fileBytes = from.size ?? -1;
-    const size = from.size ?? Number.MAX_SAFE_INTEGER;
-    await part({ offset: 0, bytes: Math.min(kFirstBytes, size) });
+    const send = (offset: number, bytes: Uint8Array): Promise<void> =>
+      client.call("part", { offset, bytes }, { signal, transfer: [own(bytes)] });
+    const part = async (range: Range): Promise<void> => send(range.offset, await readExactly(from, range, signal));
+    // A file of unknown size is taken to be as long as its header says, unless it ends before that can be seen.
+    let size = from.size ?? Number.MAX_SAFE_INTEGER;
+    const first = { offset: 0, bytes: Math.min(kFirstBytes, size) };
+    if (from.size === undefined) {
+      const beginning = await from.read(first.offset, first.bytes, signal);
+      if (beginning.length < first.bytes) size = beginning.length;
+      await send(0, beginning);
+    } else {
+      await part(first);
+    }
+    const fileBytes = size === Number.MAX_SAFE_INTEGER ? -1 : size;
     for (;;) {
       const missing = (await client.call("needs", { fileBytes }, { signal })).filter(
         ({ offset, bytes }) => offset + bytes <= size,
@@ -256,8 +275,8 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
       if (missing.length === 0) break;
       await Promise.all(missing.map(part));
     }
-    const { head, unread: first } = await client.call("openParts", { fileBytes }, { signal });
-    let unread = first;
+    const { head, unread: table } = await client.call("openParts", { fileBytes }, { signal });
+    let unread = table;
     while (unread && unread.bytes > 0) {
       const bytes = Math.min(kPieceBytes, unread.bytes, Math.max(0, size - unread.offset));
       if (bytes === 0) {
@@ -272,7 +291,7 @@ export async function openWith(start: () => Port, source: Source, options: OpenO
       }
     }
     const levels = unread ? new Levels(await client.call("levels", {}, { signal })) : null;
-    return new RgsFile(client, from, parseHead(head.values, head.text), levels);
+    return new RgsFile(client, from, parseHead(head.values, head.text), levels, fileBytes);
   } catch (error) {
     client.end();
     throw error;

@@ -6,7 +6,7 @@ import { RgsError } from "./errors.js";
 export interface RangeSource {
   /** Bytes of the file; undefined where nobody knows: then it is what the file's header says. */
   readonly size: number | undefined;
-  /** Exactly these bytes, which are the reader's from then on. `offset + bytes` is at most `size`. */
+  /** Exactly these bytes. `offset + bytes` is at most `size`; of unknown size, fewer at the end of the file. */
   read(offset: number, bytes: number, signal?: AbortSignal): Promise<Uint8Array>;
 }
 
@@ -221,6 +221,9 @@ async function request(
     const coding = answer.headers.get("content-encoding");
     if (answer.status === 206 && coding !== null && coding !== "identity") {
       throw failed(`the server answers with the encoding ${coding}, which has no ranges of the file`, offset);
+    }
+    if (answer.headers.get("content-type")?.startsWith("multipart/") === true) {
+      throw failed("the server answers with several ranges", offset);
     }
     return answer;
   }
