@@ -405,7 +405,10 @@ Result<std::vector<FileRange>> FileView::head_needs(std::span<const FilePart> pa
     const auto beginning = detail::beginning_of(parts);
     const auto head = detail::missing_head(beginning);
     if (!head) return tl::unexpected(head.error());
-    if (*head && (**head).bytes <= size) return std::vector{**head};
+    if (*head) {
+      const FileRange range{0, std::min((**head).bytes, size)};
+      if (beginning.size() < range.bytes) return std::vector{range};
+    }
     const auto view = parse_head(beginning, size, limits, false);
     if (!view) return tl::unexpected(view.error());
     std::vector<FileRange> missing;
