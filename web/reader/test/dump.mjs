@@ -13,6 +13,13 @@ export function filesIn(folder) {
   return readdirSync(folder).filter((name) => name.endsWith(".rgs")).sort().map((name) => join(folder, name));
 }
 
+/** Folder of packed.rgs, direct.rgs and levels.rgs, one scene of 60,000 Gaussians, that scripts/test_web.sh makes. */
+export function scenes() {
+  const folder = process.env.RGS_WEB_SCENES;
+  if (!folder) throw new Error("RGS_WEB_SCENES is not set: sh scripts/test_web.sh");
+  return folder;
+}
+
 /** Arrays by name, or { error: code, offset } of a file that is refused. */
 export function dump(path) {
   const program = process.env.RGS_DUMP_FILE;

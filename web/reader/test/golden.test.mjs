@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { basename, join } from "node:path";
 import test from "node:test";
 import { open, RgsError } from "@roofgs/reader";
-import { dump, filesIn, golden } from "./dump.mjs";
+import { dump, filesIn, golden, scenes } from "./dump.mjs";
 
 const kColumns = 59; // of an ActivatedSplat: mean, rotation, scale, opacity, SH [16, 3]
 
@@ -206,6 +206,16 @@ test("golden files decode to the arrays of the C++ library", async (t) => {
       await (file.levels ? assertLevels : assertPlain)(file, arrays, basename(path));
       file.close();
     });
+  }
+});
+
+test("a file of many frames decodes to the arrays of the C++ library", async () => {
+  for (const name of ["packed.rgs", "direct.rgs"]) {
+    const path = join(scenes(), name);
+    const arrays = dump(path);
+    const file = await open(readFileSync(path));
+    assertSame(asRows(await file.read()), arrays.activated, name);
+    file.close();
   }
 });
 
