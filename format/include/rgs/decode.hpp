@@ -78,6 +78,18 @@ class FileView {
   /// limit_exceeded, bad_value; the offset says where.
   static Result<FileView> open(std::span<const std::byte> bytes, const DecodeLimits& limits = {});
 
+  // For who reads a file in pieces and wants to know what it is before all of it is there; of a file with levels of detail
+  // PagedFile::needs(). `size`: bytes of the whole file. `parts` are what is in memory of it; the first has its beginning.
+  /// What open_head() needs beyond `parts`: the head, then DECL and PROV. Empty if nothing is. No range is larger than 66 KiB.
+  /// Errors: those of open_head() for what is there.
+  static Result<std::vector<FileRange>> head_needs(std::span<const FilePart> parts, std::uint64_t size,
+                                                   const DecodeLimits& limits = {});
+  /// Header, declarations, provenance and sections. Only these may be asked for: no bytes of the file are there, and nothing of
+  /// the others has been checked. Nothing of `parts` is needed afterwards. Errors: those of open() for what is read; truncated if
+  /// head_needs() is not empty.
+  static Result<FileView> open_head(std::span<const FilePart> parts, std::uint64_t size,
+                                    const DecodeLimits& limits = {});
+
   const Header& header() const { return header_; }
   const Declarations& declarations() const { return declarations_; }
   const std::optional<Provenance>& provenance() const { return provenance_; }
@@ -124,7 +136,10 @@ class FileView {
  private:
   friend class PagedFile;
   friend const detail::ArchiveTables* detail::archive_tables(const FileView& view);
-  static Result<FileView> parse_head(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels);
+  static Result<FileView> parse_head(std::span<const std::byte> bytes, std::uint64_t size, const DecodeLimits& limits,
+                                     bool levels);
+  static Result<FileView> parse_front(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
+                                      bool levels);
   static Result<FileView> parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels);
   std::span<const std::byte> table(SectionType type) const;
   static std::optional<std::span<const std::byte>> bytes_of(const SectionEntry& entry, std::span<const FilePart> parts);

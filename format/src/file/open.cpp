@@ -5,6 +5,7 @@
 #include <bit>
 
 #include "file/checked.hpp"
+#include "file/file_parts.hpp"
 #include "file/layout_io.hpp"
 #include "rgs/checksum.hpp"
 #include "rgs/decode.hpp"
@@ -17,6 +18,8 @@ constexpr std::array kKnown = {SectionType::declarations, SectionType::sh_steps,
                                SectionType::means,        SectionType::geometry,  SectionType::sh,
                                SectionType::permutation,  SectionType::provenance};
 constexpr std::size_t kRequired = 6;  // the first six of kKnown
+// Larger than any that is legal: what says more would make a reader fetch what it refuses.
+constexpr std::uint64_t kMostProvenanceBytes = std::uint64_t{1} << 16;
 // What a file with levels of detail must have, and what it must not.
 constexpr std::array kRequiredWithLevels = {SectionType::declarations, SectionType::levels, SectionType::pages};
 constexpr std::array kInPages = {SectionType::sh_steps, SectionType::chunks, SectionType::means, SectionType::geometry,
@@ -271,8 +274,10 @@ Status FileView::parse_declarations(std::span<const FilePart> parts) {
   return {};
 }
 
-// Header and table of sections. With `levels` of a file that must have levels of detail, and may be its beginning.
-Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, const DecodeLimits& limits, bool levels) {
+// Header and table of sections. With `levels` of a file that must have levels of detail, and may be its beginning. The file has
+// `size` bytes, of which `bytes` may be the first.
+Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, std::uint64_t size, const DecodeLimits& limits,
+                                      bool levels) {
   const auto header = detail::parse_header(bytes);
   if (!header) return tl::unexpected(header.error());
   if (header->file_bytes > limits.max_file_bytes) {
@@ -285,13 +290,15 @@ Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, const De
   }
   const std::uint64_t table_end = detail::section_entry_offset(header->n_sections);
   const std::uint64_t head_bytes = table_end + kHeadChecksumBytes;
-  if (bytes.size() < (levels ? head_bytes : header->file_bytes)) {
-    return make_error(Errc::truncated, bytes.size(), "the file is shorter than its header says", header->file_bytes,
-                      bytes.size());
+  if (size < (levels ? head_bytes : header->file_bytes)) {
+    return make_error(Errc::truncated, size, "the file is shorter than its header says", header->file_bytes, size);
   }
-  if (bytes.size() > header->file_bytes) {
+  if (size > header->file_bytes) {
     return make_error(Errc::trailing_bytes, header->file_bytes, "the file is longer than its header says",
-                      header->file_bytes, bytes.size());
+                      header->file_bytes, size);
+  }
+  if (bytes.size() < head_bytes) {
+    return make_error(Errc::truncated, bytes.size(), "the head is not there as a whole", head_bytes, bytes.size());
   }
   const std::uint64_t stored_hash = detail::ByteReader(bytes.subspan(table_end)).u64();
   const std::uint64_t hash = xxh3(bytes.first(table_end));
@@ -328,9 +335,11 @@ Result<FileView> FileView::parse_head(std::span<const std::byte> bytes, const De
   return view;
 }
 
-// Of a file without levels all of it is the only part; with `levels` the first is its beginning.
-Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels) {
-  auto parsed = parse_head(parts.front().bytes, limits, levels);
+// What all files have in front of their Gaussians: head, declarations, provenance where that is there. The first part is the
+// file's beginning.
+Result<FileView> FileView::parse_front(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits,
+                                       bool levels) {
+  auto parsed = parse_head(parts.front().bytes, size, limits, levels);
   if (!parsed) return parsed;
   FileView view = *std::move(parsed);
   if (const Status s = view.parse_declarations(parts); !s) return tl::unexpected(s.error());
@@ -348,6 +357,14 @@ Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLi
       view.provenance_ = std::move(*provenance);
     }
   }
+  return view;
+}
+
+// Of a file without levels all of it is the only part; with `levels` the first is its beginning.
+Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLimits& limits, bool levels) {
+  auto parsed = parse_front(parts, parts.front().bytes.size(), limits, levels);
+  if (!parsed) return parsed;
+  FileView view = *std::move(parsed);
   if (levels) {
     const SectionEntry* tables = view.find(SectionType::archive);
     if (tables == nullptr) return view;
@@ -358,6 +375,61 @@ Result<FileView> FileView::parse(std::span<const FilePart> parts, const DecodeLi
   }
   if (const Status s = view.open_coded(limits); !s) return tl::unexpected(s.error());
   return view;
+}
+
+// The most of the file's beginning that is one part.
+std::span<const std::byte> detail::beginning_of(std::span<const FilePart> parts) {
+  std::span<const std::byte> most;
+  for (const FilePart& part : parts) {
+    if (part.offset == 0 && part.bytes.size() > most.size()) most = part.bytes;
+  }
+  return most;
+}
+
+Result<std::optional<FileRange>> detail::missing_head(std::span<const std::byte> beginning) {
+  const auto header = parse_header(beginning);
+  if (beginning.size() < kHeaderBytes) {
+    // What is no .rgs file says so as early as it can.
+    if (!header && header.error().code != Errc::truncated) return tl::unexpected(header.error());
+    return FileRange{0, kHeaderBytes};
+  }
+  if (!header) return tl::unexpected(header.error());
+  const std::uint64_t head_bytes = section_entry_offset(header->n_sections) + kHeadChecksumBytes;
+  if (beginning.size() < head_bytes) return FileRange{0, head_bytes};
+  return std::nullopt;
+}
+
+Result<std::vector<FileRange>> FileView::head_needs(std::span<const FilePart> parts, std::uint64_t size,
+                                                    const DecodeLimits& limits) {
+  return detail::guard_memory([&]() -> Result<std::vector<FileRange>> {
+    const auto beginning = detail::beginning_of(parts);
+    const auto head = detail::missing_head(beginning);
+    if (!head) return tl::unexpected(head.error());
+    if (*head) {
+      const FileRange range{0, std::min((**head).bytes, size)};
+      if (beginning.size() < range.bytes) return std::vector{range};
+    }
+    const auto view = parse_head(beginning, size, limits, false);
+    if (!view) return tl::unexpected(view.error());
+    std::vector<FileRange> missing;
+    for (const SectionEntry& entry : view->sections()) {
+      const auto type = static_cast<SectionType>(entry.type);
+      const bool wanted = type == SectionType::declarations ||
+                          (type == SectionType::provenance && entry.stored_bytes <= kMostProvenanceBytes);
+      if (wanted && !bytes_of(entry, parts)) missing.push_back({entry.offset, entry.stored_bytes});
+    }
+    return missing;
+  });
+}
+
+Result<FileView> FileView::open_head(std::span<const FilePart> parts, std::uint64_t size, const DecodeLimits& limits) {
+  return detail::guard_memory([&]() -> Result<FileView> {
+    std::vector<FilePart> from_front{{0, detail::beginning_of(parts)}};
+    from_front.insert(from_front.end(), parts.begin(), parts.end());
+    auto view = parse_front(from_front, size, limits, false);
+    if (view) view->bytes_ = {};
+    return view;
+  });
 }
 
 }  // namespace rgs

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "archive/archive_tables.hpp"
+#include "file/file_parts.hpp"
 #include "file/layout_io.hpp"
 #include "file/value_checks.hpp"
 #include "file/workers.hpp"
@@ -71,15 +72,6 @@ Status check_hash(const SectionEntry& entry, std::uint64_t hash) {
 Status too_short(std::span<const std::byte> bytes, const Header& header) {
   return make_error(Errc::truncated, bytes.size(), "the file ends before its first page", header.file_bytes,
                     bytes.size());
-}
-
-// The most of the file's beginning that is one part.
-std::span<const std::byte> beginning_of(std::span<const FilePart> parts) {
-  std::span<const std::byte> most;
-  for (const FilePart& part : parts) {
-    if (part.offset == 0 && part.bytes.size() > most.size()) most = part.bytes;
-  }
-  return most;
 }
 
 // Tables have at most 73 KB before they are compressed: what says more would make a reader fetch what it cannot use.
@@ -148,17 +140,10 @@ Result<PagedFile> PagedFile::parse(std::span<const std::byte> bytes, const Decod
 Result<std::vector<FileRange>> PagedFile::needs(std::span<const FilePart> parts, const DecodeLimits& limits) {
   return guard_memory([&]() -> Result<std::vector<FileRange>> {
     const auto beginning = beginning_of(parts);
-    if (beginning.size() < kHeaderBytes) {
-      // What is no .rgs file says so as early as it can.
-      const auto header = parse_header(beginning);
-      if (!header && header.error().code != Errc::truncated) return tl::unexpected(header.error());
-      return std::vector<FileRange>{{0, kHeaderBytes}};
-    }
-    const auto header = parse_header(beginning);
-    if (!header) return tl::unexpected(header.error());
-    const std::uint64_t head_bytes = section_entry_offset(header->n_sections) + kHeadChecksumBytes;
-    if (beginning.size() < head_bytes) return std::vector<FileRange>{{0, head_bytes}};
-    const auto head = FileView::parse_head(beginning, limits, true);
+    const auto missing_head = detail::missing_head(beginning);
+    if (!missing_head) return tl::unexpected(missing_head.error());
+    if (*missing_head) return std::vector{**missing_head};
+    const auto head = FileView::parse_head(beginning, beginning.size(), limits, true);
     if (!head) return tl::unexpected(head.error());
     std::vector<FileRange> missing;
     for (SectionEntry entry : head->sections()) {

@@ -1,0 +1,43 @@
+#!/bin/sh
+# test_web.sh - installs, builds and tests what is in web/: sh scripts/test_web.sh [NODE-TEST-ARGUMENTS...], for instance
+# `sh scripts/test_web.sh --test-name-pattern=golden`.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+cd "$(dirname "$0")/.."
+preset=web
+. scripts/quiet.sh
+
+quiet packages sh scripts/install-deps.sh web
+quiet configure cmake --preset release
+quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs-convert rgs-make-scene
+# Files that take several requests and many frames.
+scene() {
+  mkdir -p build/web/scenes && cd build/web/scenes || return
+  ../../release/bin/rgs-make-scene --overwrite --seed 1 --gaussians 60k --degree 3 scene.ply &&
+    ../../release/bin/rgs-convert --overwrite scene.ply packed.rgs &&
+    ../../release/bin/rgs-convert --overwrite --profile direct scene.ply direct.rgs &&
+    ../../release/bin/rgs-convert --overwrite --lod scene.ply levels.rgs
+}
+[ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ] || (quiet scenes scene)
+quiet modules sh -c 'cd web && { [ node_modules/.package-lock.json -nt package-lock.json ] || npm ci --no-progress; }'
+quiet build sh -c 'cd web && npm run --silent build'
+
+export RGS_DUMP_FILE="$PWD/build/release/bin/rgs_dump_file" RGS_WEB_SCENES="$PWD/build/web/scenes"
+report=build/web/test.tap
+status=0
+(cd web/reader && exec node --test --test-reporter=tap "$@" test/) >"$report" 2>&1 </dev/null || status=$?
+# In the words of ctest, which .ci/run counts.
+awk '
+  /^ *# Subtest: /  { next }
+  /^ok [0-9]+ .*# SKIP/ { match($0, /# SKIP.*/); why = substr($0, RSTART + 7); sub(/ *# SKIP.*/, ""); sub(/^ok [0-9]+ - /, "");
+                          printf "  %d - web: %s (Skipped)\nskipped: %s\n", ++n, $0, why }
+  /^# pass [0-9]+/    { passed = $3 }
+  /^# fail [0-9]+/    { failed = $3 }
+  /^# cancelled [0-9]+/ { failed += $3 }
+  /^# skipped [0-9]+/ { skipped = $3 }
+  END { total = passed + failed + skipped
+        printf "%d%% tests passed, %d tests failed out of %d\n", total ? 100 * (total - failed) / total : 0, failed, total }
+' "$report" >build/web/summary.txt
+[ "$status" = 0 ] || grep -vE '^ *(duration_ms|type|\.\.\.|---)' "$report" | tail -n "${RGS_TAIL:-120}"
+cat build/web/summary.txt
+exit "$status"

@@ -1,0 +1,68 @@
+#!/bin/sh
+# build-wasm.sh - the format library for WebAssembly: sh build-wasm.sh [OUT], by default dist/rgs.wasm beside this file.
+# Debian's clang-19 compiles RGS_FORMAT_PORTABLE of format/CMakeLists.txt, wasm/reader.cpp and the decoder of Zstandard, whose
+# sources Debian's packages do not have: they come with the npm package zstd-napi, pinned by the lock file.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+here=$(cd "$(dirname "$0")" && pwd)
+root=$(cd "$here/../.." && pwd)
+out=${1:-$here/dist/rgs.wasm}
+build=$root/build/web
+zstd=$root/web/node_modules/zstd-napi/deps/zstd/lib
+llvm=/usr/lib/llvm-19
+mkdir -p "$build/include" "$(dirname "$out")"
+
+for needed in clang-19 clang++-19 wasm-ld-19 ninja; do
+  command -v $needed >/dev/null || { echo "build-wasm.sh: no $needed: sh scripts/install-deps.sh web" >&2; exit 1; }
+done
+[ -d "$zstd" ] || { echo "build-wasm.sh: no $zstd: npm ci in web/" >&2; exit 1; }
+
+# Headers alone, and not those of the host's C library that lie beside them.
+for header in hwy tl xxhash.h; do
+  ln -sfn "/usr/include/$header" "$build/include/$header"
+done
+
+# Sources by the names that CMake has for them.
+portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
+stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CMakeLists.txt")
+decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common
+  decompress/huf_decompress decompress/zstd_ddict decompress/zstd_decompress_block decompress/zstd_decompress"
+
+# Without errno a square root is one instruction. Debian's headers of libc++ and of the C library are for wasm32-wasi.
+{
+  echo "launcher = $(command -v ccache || :)"
+  echo "flags = --target=wasm32-wasi -O3 -msimd128 -mbulk-memory -mnontrapping-fptoint -msign-ext -fno-math-errno $
+    -ffp-contract=off -fno-exceptions -ffunction-sections -fdata-sections -DNDEBUG -Wall -Wextra -Werror"
+  echo "cxx_flags = -std=c++20 -fno-rtti -fno-threadsafe-statics -nostdinc++ -isystem $llvm/include/wasm32-wasi/c++/v1 $
+    -isystem /usr/include/wasm32-wasi -isystem $build/include -DXXH_INLINE_ALL -I$root/format/include -I$root/format/src $
+    -isystem $zstd"
+  echo "c_flags = -std=c11 -isystem /usr/include/wasm32-wasi -I$zstd -DZSTD_DISABLE_ASM -DZSTD_LEGACY_SUPPORT=0 $
+    -DZSTD_STRIP_ERROR_STRINGS -DXXH_NAMESPACE=ZSTD_ -DDEBUGLEVEL=0 -Wno-unused-parameter -Wno-unused-function"
+  echo "rule cxx
+  command = \$launcher clang++-19 \$flags \$cxx_flags -MMD -MF \$out.d -c \$in -o \$out
+  depfile = \$out.d
+  deps = gcc
+rule c
+  command = \$launcher clang-19 \$flags \$c_flags -MMD -MF \$out.d -c \$in -o \$out
+  depfile = \$out.d
+  deps = gcc
+rule link
+  command = wasm-ld-19 --no-entry --gc-sections --strip-all -O2 --export=_initialize -z stack-size=262144 $
+    --max-memory=4294967296 -L/usr/lib/wasm32-wasi -L$llvm/lib/wasm32-wasi /usr/lib/wasm32-wasi/crt1-reactor.o \$in $
+    -lc++ -lc++abi -lc $llvm/lib/clang/19/lib/wasi/libclang_rt.builtins-wasm32.a -o \$out"
+  objects=
+  for source in $portable $stand_ins; do
+    echo "build $build/$source.o: cxx $root/format/$source"
+    objects="$objects $build/$source.o"
+  done
+  for source in reader no_console; do
+    echo "build $build/$source.o: cxx $here/wasm/$source.cpp"
+    objects="$objects $build/$source.o"
+  done
+  for source in $decoder; do
+    echo "build $build/zstd/$source.o: c $zstd/$source.c"
+    objects="$objects $build/zstd/$source.o"
+  done
+  echo "build $out: link$objects"
+} >"$build/build.ninja"
+ninja -C "$build" --quiet "$out"

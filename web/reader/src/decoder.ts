@@ -1,0 +1,408 @@
+// decoder.ts - one .rgs file in one instance of rgs.wasm. Everything here is synchronous and runs in a worker.
+// SPDX-License-Identifier: Apache-2.0
+import { RgsError, type RgsErrorCode } from "./errors.js";
+
+/** Gaussians as a renderer wants them, structure of arrays. */
+export interface Gaussians {
+  readonly n: number;
+  /** 0 to 3. */
+  readonly shDegree: number;
+  /** [n, 3] centres relative to Declarations.origin, world units. */
+  readonly means: Float32Array;
+  /** [n, 4] unit quaternions w, x, y, z. */
+  readonly rotations: Float32Array;
+  /** [n, 3] standard deviations along the local axes, world units. */
+  readonly scales: Float32Array;
+  /** [n] 0 to 1. */
+  readonly opacities: Float32Array;
+  /** [n, 3] SH of degree 0, by channel. */
+  readonly sh0: Float32Array;
+  /** [n, (shDegree + 1)^2 - 1, 3] the other SH, by coefficient, then channel. */
+  readonly shN: Float32Array;
+}
+
+/** Gaussians as a GPU reads them: docs/FORMAT.md, "Attributes". */
+export interface StoredGaussians {
+  readonly n: number;
+  readonly shDegree: number;
+  /** Stored scale = scale * 2^scaleExponent. */
+  readonly scaleExponent: number;
+  /** [n, 3] FP32. */
+  readonly means: Float32Array;
+  /** [n, 8] FP16 w, x, y, z, scales x, y, z, opacity. */
+  readonly geometry: Uint16Array;
+  /** [n, shBytes] codes; value = step * code. shBytes: 4, 12, 28, 48 by degree. */
+  readonly sh: Int8Array;
+  readonly chunkSize: number;
+  /** [nChunks, 8] means' box and what else is known of a chunk: min x, y, z, radius, max x, y, z, largest opacity. */
+  readonly chunkBounds: Float32Array;
+  /** [nChunks] which of `steps` a chunk's codes have. */
+  readonly chunkSteps: Uint32Array;
+  /** [nStepSets, 4, 3] by degree and channel. */
+  readonly steps: Float32Array;
+}
+
+/** Bounds that a caller puts on files he does not trust; more is limit_exceeded. */
+export interface Limits {
+  maxFileBytes?: number;
+  maxGaussians?: number;
+  /** Most that coded sections may decode to. */
+  maxDecodedBytes?: number;
+}
+
+export interface Range {
+  offset: number;
+  bytes: number;
+}
+
+interface Exports {
+  memory: WebAssembly.Memory;
+  _initialize(): void;
+  rgs_start(): void;
+  rgs_allocate(bytes: number): number;
+  rgs_free(address: number): void;
+  rgs_error(): void;
+  rgs_numbers(): number;
+  rgs_n_numbers(): number;
+  rgs_text(): number;
+  rgs_n_text(): number;
+  rgs_rows(): number;
+  rgs_file_new(maxFileBytes: number, maxGaussians: number, maxDecodedBytes: number): number;
+  rgs_add_part(file: number, offset: number, address: number, bytes: number): void;
+  rgs_needs(file: number, fileBytes: number): number;
+  rgs_open_parts(file: number, fileBytes: number): number;
+  rgs_unread_table(file: number): void;
+  rgs_extend(file: number, offset: number, address: number, bytes: number): number;
+  rgs_head(file: number): void;
+  rgs_levels(file: number): void;
+  rgs_read_page(file: number, page: number, address: number, bytes: number, asStored: number): number;
+  rgs_open_whole(file: number, address: number, bytes: number): number;
+  rgs_next(file: number, asStored: number): number;
+  rgs_tables(file: number): void;
+  rgs_source_index(file: number): number;
+}
+
+// Fields of Rows in wasm/reader.cpp.
+const enum Row {
+  n,
+  means,
+  rotations,
+  scales,
+  opacities,
+  sh0,
+  shRest,
+  storedMeans,
+  storedGeometry,
+  storedSh,
+  chunks,
+  steps,
+  nChunks,
+  nStepSets,
+}
+
+const kNone = 0xffffffffffffffffn;
+const kMostMemory = 2 ** 32 - 2 ** 20;
+
+function outOfMemory(): RgsError {
+  return new RgsError({
+    code: "host_out_of_memory",
+    text: "there is not enough memory for this file here; one with levels of detail can be read page by page",
+  });
+}
+
+const shBytes = (degree: number): number => [4, 12, 28, 48][degree] as number;
+const shFloats = (degree: number): number => 3 * (degree + 1) ** 2;
+
+/** JavaScript's typed arrays, or host_out_of_memory. */
+function allocate<T>(make: () => T): T {
+  try {
+    return make();
+  } catch (error) {
+    if (error instanceof RangeError) throw outOfMemory();
+    throw error;
+  }
+}
+
+function emptyGaussians(n: number, shDegree: number): Gaussians {
+  return allocate(() => ({
+    n,
+    shDegree,
+    means: new Float32Array(3 * n),
+    rotations: new Float32Array(4 * n),
+    scales: new Float32Array(3 * n),
+    opacities: new Float32Array(n),
+    sh0: new Float32Array(3 * n),
+    shN: new Float32Array((shFloats(shDegree) - 3) * n),
+  }));
+}
+
+export function buffersOf(values: object): ArrayBuffer[] {
+  return Object.values(values).flatMap((value) => (ArrayBuffer.isView(value) ? [value.buffer as ArrayBuffer] : []));
+}
+
+export class Decoder {
+  private readonly wasm: Exports;
+  private readonly file: number;
+  private broken: unknown;
+
+  constructor(module: WebAssembly.Module, limits: Limits) {
+    const unwind = (): never => {
+      throw outOfMemory();
+    };
+    const instance = new WebAssembly.Instance(module, { rgs: { out_of_memory: unwind } });
+    this.wasm = instance.exports as unknown as Exports;
+    this.file = this.run(() => {
+      this.wasm._initialize();
+      this.wasm.rgs_start();
+      return this.wasm.rgs_file_new(
+        limits.maxFileBytes ?? 2 ** 40,
+        limits.maxGaussians ?? 2 ** 33,
+        limits.maxDecodedBytes ?? 2 ** 40,
+      );
+    });
+  }
+
+  addPart(offset: number, bytes: Uint8Array): void {
+    this.run(() => this.wasm.rgs_add_part(this.file, offset, this.put(bytes), bytes.length));
+  }
+
+  /** Ranges that are missing before openParts(). */
+  needs(fileBytes: number): Range[] {
+    const n = this.check(() => this.wasm.rgs_needs(this.file, fileBytes));
+    const values = this.numbers();
+    return Array.from({ length: n }, (_, i) => ({ offset: values[2 * i] as number, bytes: values[2 * i + 1] as number }));
+  }
+
+  /** Whether the file has levels of detail. */
+  openParts(fileBytes: number): boolean {
+    return this.check(() => this.wasm.rgs_open_parts(this.file, fileBytes)) === 1;
+  }
+
+  unreadTable(): Range {
+    this.run(() => this.wasm.rgs_unread_table(this.file));
+    const values = this.numbers();
+    return { offset: values[0] as number, bytes: values[1] as number };
+  }
+
+  extend(offset: number, bytes: Uint8Array): void {
+    this.check(() => {
+      const address = this.put(bytes);
+      const status = this.wasm.rgs_extend(this.file, offset, address, bytes.length);
+      this.wasm.rgs_free(address);
+      return status;
+    });
+  }
+
+  /** For parseHead(). */
+  head(): { values: Float64Array; text: Uint8Array } {
+    this.run(() => this.wasm.rgs_head(this.file));
+    return { values: this.numbers(), text: this.text() };
+  }
+
+  /** For Levels. */
+  levels(): Float64Array {
+    this.run(() => this.wasm.rgs_levels(this.file));
+    return this.numbers();
+  }
+
+  readPage(page: number, stored: Uint8Array, shDegree: number): Gaussians {
+    this.decodePage(page, stored, false);
+    const row = this.rows();
+    const out = emptyGaussians(row(Row.n), shDegree);
+    this.copyGaussians(out, 0);
+    return out;
+  }
+
+  readPageStored(
+    page: number,
+    stored: Uint8Array,
+    shape: { shDegree: number; chunkSize: number; scaleExponent: number },
+  ): StoredGaussians {
+    this.decodePage(page, stored, true);
+    const n = this.rows()(Row.n);
+    const out = {
+      n,
+      ...shape,
+      means: new Float32Array(3 * n),
+      geometry: new Uint16Array(8 * n),
+      sh: new Int8Array(shBytes(shape.shDegree) * n),
+    };
+    this.copyStored(out, 0);
+    return { ...out, ...this.tables() };
+  }
+
+  /** Memory for a whole file, to be filled with putWhole() before openWhole(). */
+  allocateWhole(bytes: number): number {
+    if (bytes > kMostMemory) throw outOfMemory();
+    return this.run(() => this.allocate(bytes));
+  }
+
+  putWhole(address: number, offset: number, bytes: Uint8Array): void {
+    new Uint8Array(this.wasm.memory.buffer, address + offset, bytes.length).set(bytes);
+  }
+
+  openWhole(address: number, bytes: number): void {
+    this.check(() => this.wasm.rgs_open_whole(this.file, address, bytes));
+  }
+
+  /**
+   * All Gaussians of the opened whole file, those of the finest level if it has levels. Gives the share that is done now and
+   * then, and is not finished before its iterator is: checks of the file as a whole come last.
+   */
+  *gaussians(n: number, shDegree: number): Generator<number, Gaussians> {
+    const out = emptyGaussians(n, shDegree);
+    let done = 0;
+    for (;;) {
+      this.check(() => this.wasm.rgs_next(this.file, 0));
+      const count = this.rows()(Row.n);
+      if (count === 0) return out;
+      this.copyGaussians(out, done);
+      done += count;
+      yield done / n;
+    }
+  }
+
+  /** The same as stored, of a file without levels. */
+  *storedGaussians(
+    n: number,
+    shape: { shDegree: number; chunkSize: number; scaleExponent: number },
+  ): Generator<number, StoredGaussians> {
+    const out = allocate(() => ({
+      n,
+      ...shape,
+      means: new Float32Array(3 * n),
+      geometry: new Uint16Array(8 * n),
+      sh: new Int8Array(shBytes(shape.shDegree) * n),
+    }));
+    let done = 0;
+    for (;;) {
+      this.check(() => this.wasm.rgs_next(this.file, 1));
+      const count = this.rows()(Row.n);
+      if (count === 0) break;
+      this.copyStored(out, done);
+      done += count;
+      yield done / n;
+    }
+    this.run(() => this.wasm.rgs_tables(this.file));
+    return { ...out, ...this.tables() };
+  }
+
+  /** Positions in the source, of a whole file that keeps them. */
+  sourceIndex(): Float64Array | null {
+    return this.run(() => this.wasm.rgs_source_index(this.file)) === 1 ? this.numbers() : null;
+  }
+
+  private decodePage(page: number, stored: Uint8Array, asStored: boolean): void {
+    this.check(() => {
+      const address = this.put(stored);
+      const status = this.wasm.rgs_read_page(this.file, page, address, stored.length, asStored ? 1 : 0);
+      this.wasm.rgs_free(address);
+      return status;
+    });
+  }
+
+  /** The rows that were decoded last, behind the first `at` of `out`. */
+  private copyGaussians(out: Gaussians, at: number): void {
+    const row = this.rows();
+    const n = row(Row.n);
+    const copy = (field: Row, to: Float32Array, columns: number): void => {
+      if (columns > 0) to.set(new Float32Array(this.wasm.memory.buffer, row(field), n * columns), at * columns);
+    };
+    copy(Row.means, out.means, 3);
+    copy(Row.rotations, out.rotations, 4);
+    copy(Row.scales, out.scales, 3);
+    copy(Row.opacities, out.opacities, 1);
+    copy(Row.sh0, out.sh0, 3);
+    copy(Row.shRest, out.shN, shFloats(out.shDegree) - 3);
+  }
+
+  private copyStored(out: Pick<StoredGaussians, "means" | "geometry" | "sh" | "shDegree">, at: number): void {
+    const row = this.rows();
+    const n = row(Row.n);
+    const buffer = this.wasm.memory.buffer;
+    // As bytes: arrays of a file that is stored as it is begin at multiples of 4 alone.
+    const copy = (field: Row, to: Float32Array | Uint16Array | Int8Array, rowBytes: number): void => {
+      new Uint8Array(to.buffer).set(new Uint8Array(buffer, row(field), n * rowBytes), at * rowBytes);
+    };
+    copy(Row.storedMeans, out.means, 12);
+    copy(Row.storedGeometry, out.geometry, 16);
+    copy(Row.storedSh, out.sh, shBytes(out.shDegree));
+  }
+
+  private tables(): Pick<StoredGaussians, "chunkBounds" | "chunkSteps" | "steps"> {
+    const row = this.rows();
+    const nChunks = row(Row.nChunks);
+    const nStepSets = row(Row.nStepSets);
+    const buffer = this.wasm.memory.buffer;
+    const entries = new DataView(buffer, row(Row.chunks), 48 * nChunks);
+    const chunkBounds = new Float32Array(8 * nChunks);
+    const chunkSteps = new Uint32Array(nChunks);
+    for (let i = 0; i < nChunks; ++i) {
+      for (let k = 0; k < 8; ++k) chunkBounds[8 * i + k] = entries.getFloat32(48 * i + 4 * k, true);
+      chunkSteps[i] = entries.getUint32(48 * i + 32, true);
+    }
+    const steps = new Float32Array(12 * nStepSets);
+    new Uint8Array(steps.buffer).set(new Uint8Array(buffer, row(Row.steps), 48 * nStepSets));
+    return { chunkBounds, chunkSteps, steps };
+  }
+
+  private allocate(bytes: number): number {
+    const address = this.wasm.rgs_allocate(bytes) >>> 0;
+    if (address === 0) throw outOfMemory();
+    return address;
+  }
+
+  private put(bytes: Uint8Array): number {
+    const address = this.allocate(bytes.length);
+    new Uint8Array(this.wasm.memory.buffer, address, bytes.length).set(bytes);
+    return address;
+  }
+
+  private numbers(): Float64Array {
+    return new Float64Array(this.wasm.memory.buffer, this.wasm.rgs_numbers() >>> 0, this.wasm.rgs_n_numbers()).slice();
+  }
+
+  private text(): Uint8Array {
+    return new Uint8Array(this.wasm.memory.buffer, this.wasm.rgs_text() >>> 0, this.wasm.rgs_n_text()).slice();
+  }
+
+  private rows(): (field: Row) => number {
+    const fields = new Uint32Array(this.wasm.memory.buffer, this.wasm.rgs_rows() >>> 0, Row.nStepSets + 1);
+    return (field) => fields[field] as number;
+  }
+
+  /** `f`, whose negative result is the library's error. */
+  private check(f: () => number): number {
+    const result = this.run(f);
+    if (result >= 0) return result;
+    this.wasm.rgs_error();
+    const [code, text] = new TextDecoder().decode(this.text()).split("\n") as [RgsErrorCode, string];
+    const values = this.numbers();
+    const number = (i: number): bigint | undefined => {
+      const value = (BigInt(values[2 * i] as number) << 32n) | BigInt(values[2 * i + 1] as number);
+      return value === kNone ? undefined : value;
+    };
+    const offset = number(0);
+    throw new RgsError({
+      code,
+      text,
+      offset: offset === undefined ? undefined : Number(offset),
+      expected: number(1),
+      found: number(2),
+    });
+  }
+
+  /** After a trap, or memory that ran out halfway, nothing in the instance holds any more. */
+  private run<T>(f: () => T): T {
+    if (this.broken !== undefined) throw this.broken;
+    try {
+      return f();
+    } catch (error) {
+      this.broken =
+        error instanceof RgsError
+          ? error
+          : new RgsError({ code: "internal", text: `the decoder failed: ${String(error)}` }, { cause: error });
+      throw this.broken;
+    }
+  }
+}

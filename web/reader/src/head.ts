@@ -1,0 +1,294 @@
+// head.ts - what a file says of itself, from the numbers that rgs_head() and rgs_levels() of wasm/reader.cpp put side by side.
+// SPDX-License-Identifier: Apache-2.0
+
+const kAxes = ["undeclared", "right", "left", "up", "down", "forward", "backward"] as const;
+const kColourSpaces = ["undeclared", "srgb_display", "linear_display"] as const;
+const kShBases = ["undeclared", "real_3dgs"] as const;
+const kKernels = ["undeclared", "gaussian_ewa"] as const;
+const kAaModes = ["undeclared", "classic", "mip_splatting"] as const;
+const kSortMetrics = ["undeclared", "z_depth"] as const;
+const kDepthMappings = ["undeclared", "linear", "logarithmic"] as const;
+const kDepthSources = ["undeclared", "cameras", "scene_extent", "by_hand"] as const;
+const kOrders = ["undeclared", "input", "morton"] as const;
+const kCodecs = ["none", "planes", "archive"] as const;
+
+export type Vector3 = readonly [number, number, number];
+
+/** World units, relative to the origin. */
+export interface Box {
+  readonly min: Vector3;
+  readonly max: Vector3;
+}
+
+export interface Header {
+  readonly versionMajor: number;
+  readonly versionMinor: number;
+  readonly fileBytes: number;
+  /** Of a file with levels of detail: of the finest. So are chunks and step sets. */
+  readonly nGaussians: number;
+  readonly nChunks: number;
+  readonly nStepSets: number;
+  readonly chunkSize: number;
+  /** 0 to 3. */
+  readonly shDegree: number;
+  /** Stored scale = scale * 2^scaleExponent. */
+  readonly scaleExponent: number;
+}
+
+/** What a viewer must not have to guess: docs/FORMAT.md, "Declarations". */
+export interface Declarations {
+  /** Where +x, +y and +z point. */
+  readonly axes: readonly [Axis, Axis, Axis];
+  readonly colourSpace: (typeof kColourSpaces)[number];
+  readonly shBasis: (typeof kShBases)[number];
+  readonly kernel: (typeof kKernels)[number];
+  readonly aaMode: (typeof kAaModes)[number];
+  readonly sortMetric: (typeof kSortMetrics)[number];
+  readonly depthMapping: (typeof kDepthMappings)[number];
+  readonly depthSource: (typeof kDepthSources)[number];
+  readonly order: (typeof kOrders)[number];
+  /** Depth range of a quantised sort key, world units. */
+  readonly zNear: number;
+  readonly zFar: number;
+  /** 0: unknown. */
+  readonly metresPerUnit: number;
+  /** Extent of the kernel in standard deviations. */
+  readonly cutoffSigma: number;
+  readonly alphaThreshold: number;
+  readonly alphaMax: number;
+  /** Added to the diagonal of the screen-space covariance, square pixels. */
+  readonly lowPassPx2: number;
+  readonly transmittanceMin: number;
+  readonly robustFraction: number;
+  /** Of all means. */
+  readonly full: Box;
+  /** Of the means without the outermost on each axis. */
+  readonly robust: Box;
+  readonly nSource: number;
+  readonly nDropped: number;
+  readonly nRepaired: number;
+  readonly nScaleSubnormal: number;
+  readonly nScaleZero: number;
+  readonly nOpacityZero: number;
+  readonly nOpacityOne: number;
+  /** World position = origin + mean. */
+  readonly origin: Vector3;
+}
+export type Axis = (typeof kAxes)[number];
+
+/** Where a file comes from. The texts are the writer's: show them as text. */
+export interface Provenance {
+  readonly sourceBytes: number;
+  readonly sourceXxh3: bigint;
+  readonly sourceName: string;
+  readonly tool: string;
+}
+
+export interface Section {
+  /** Four characters, such as `MEAN`. */
+  readonly type: string;
+  readonly flags: number;
+  /** A number where the type is not known to this reader. */
+  readonly codec: Codec | number;
+  readonly offset: number;
+  readonly storedBytes: number;
+  readonly decodedBytes: number;
+  readonly xxh3: bigint;
+}
+export type Codec = (typeof kCodecs)[number];
+
+export interface Head {
+  readonly header: Header;
+  readonly declarations: Declarations;
+  readonly provenance: Provenance | null;
+  readonly sections: readonly Section[];
+}
+
+/** A page of a file with levels of detail: Gaussians of one level that stand for those of the pages below it. */
+export interface Page {
+  readonly index: number;
+  /** 0: the scene itself. */
+  readonly level: number;
+  /** Index of the page above it, -1 of the root. */
+  readonly parent: number;
+  /** Its children are the pages firstChild .. firstChild + nChildren - 1. */
+  readonly firstChild: number;
+  readonly nChildren: number;
+  /** First Gaussian, counted over all pages in their order. */
+  readonly first: number;
+  /** Gaussians of the page itself. */
+  readonly count: number;
+  /** Footprint of a pixel, world units, from which on the page may stand for what is below it; 0 of level 0. */
+  readonly error: number;
+  /** Holds all of the page and of what is below it, out to 3 standard deviations. */
+  readonly bounds: Box;
+  /** Holds most of what shows: a footprint is measured to where it is nearest. */
+  readonly core: Box;
+  /** Where it is in the file. */
+  readonly offset: number;
+  readonly storedBytes: number;
+  readonly nStepSets: number;
+  readonly scaleExponent: number;
+}
+
+/** Reads numbers one after the other. */
+class Numbers {
+  private at = 0;
+  constructor(private readonly values: Float64Array) {}
+  next(): number {
+    const value = this.values[this.at++];
+    if (value === undefined) throw new Error("rgs.wasm and its reader are not of one version");
+    return value;
+  }
+  hash(): bigint {
+    const high = BigInt(this.next());
+    return (high << 32n) | BigInt(this.next());
+  }
+  vector(): Vector3 {
+    return [this.next(), this.next(), this.next()];
+  }
+  box(): Box {
+    return { min: this.vector(), max: this.vector() };
+  }
+  /** A code of a closed list, which the library has checked. */
+  of<T extends string>(names: readonly T[]): T {
+    const name = names[this.next()];
+    if (name === undefined) throw new Error("rgs.wasm and its reader are not of one version");
+    return name;
+  }
+}
+
+function fourCharacters(code: number): string {
+  return String.fromCharCode(code & 0xff, (code >>> 8) & 0xff, (code >>> 16) & 0xff, code >>> 24);
+}
+
+/** `text`: source name and tool, UTF-8, as rgs_head() leaves them. */
+export function parseHead(values: Float64Array, text: Uint8Array): Head {
+  const in_ = new Numbers(values);
+  const header: Header = {
+    versionMajor: in_.next(),
+    versionMinor: in_.next(),
+    fileBytes: in_.next(),
+    nGaussians: in_.next(),
+    nChunks: in_.next(),
+    nStepSets: in_.next(),
+    chunkSize: in_.next(),
+    shDegree: in_.next(),
+    scaleExponent: in_.next(),
+  };
+  const declarations: Declarations = {
+    axes: [in_.of(kAxes), in_.of(kAxes), in_.of(kAxes)],
+    colourSpace: in_.of(kColourSpaces),
+    shBasis: in_.of(kShBases),
+    kernel: in_.of(kKernels),
+    aaMode: in_.of(kAaModes),
+    sortMetric: in_.of(kSortMetrics),
+    depthMapping: in_.of(kDepthMappings),
+    depthSource: in_.of(kDepthSources),
+    order: in_.of(kOrders),
+    zNear: in_.next(),
+    zFar: in_.next(),
+    metresPerUnit: in_.next(),
+    cutoffSigma: in_.next(),
+    alphaThreshold: in_.next(),
+    alphaMax: in_.next(),
+    lowPassPx2: in_.next(),
+    transmittanceMin: in_.next(),
+    robustFraction: in_.next(),
+    full: in_.box(),
+    robust: in_.box(),
+    nSource: in_.next(),
+    nDropped: in_.next(),
+    nRepaired: in_.next(),
+    nScaleSubnormal: in_.next(),
+    nScaleZero: in_.next(),
+    nOpacityZero: in_.next(),
+    nOpacityOne: in_.next(),
+    origin: in_.vector(),
+  };
+  let provenance: Provenance | null = null;
+  if (in_.next() !== 0) {
+    const sourceBytes = in_.next();
+    const nameBytes = in_.next();
+    const utf8 = new TextDecoder();
+    provenance = {
+      sourceBytes,
+      sourceXxh3: in_.hash(),
+      sourceName: utf8.decode(text.subarray(0, nameBytes)),
+      tool: utf8.decode(text.subarray(nameBytes)),
+    };
+  }
+  const sections: Section[] = [];
+  for (let n = in_.next(); n > 0; --n) {
+    const [type, flags, codec] = in_.vector();
+    sections.push({
+      type: fourCharacters(type),
+      flags,
+      codec: kCodecs[codec] ?? codec,
+      offset: in_.next(),
+      storedBytes: in_.next(),
+      decodedBytes: in_.next(),
+      xxh3: in_.hash(),
+    });
+  }
+  return { header, declarations, provenance, sections };
+}
+
+const kLevelsNumbers = 6;
+const kPageNumbers = 23;
+
+/** The tree of pages of a file with levels of detail, coarse to fine: page 0 is the root. */
+export class Levels {
+  readonly nPages: number;
+  readonly nLevels: number;
+  /** Gaussians of all pages. */
+  readonly nStored: number;
+  /** No page has more chunks. */
+  readonly pageChunks: number;
+  /** What Page.error promises: PSNR of a page's picture against what is below it, dB; 0: not stated. */
+  readonly qualityDb: number;
+  readonly codec: Codec;
+
+  constructor(private readonly values: Float64Array) {
+    const in_ = new Numbers(values);
+    this.nPages = in_.next();
+    this.nLevels = in_.next();
+    this.nStored = in_.next();
+    this.pageChunks = in_.next();
+    this.qualityDb = in_.next();
+    this.codec = in_.of(kCodecs);
+  }
+
+  /** `index` below nPages. */
+  page(index: number): Page {
+    if (!Number.isInteger(index) || index < 0 || index >= this.nPages) throw new RangeError(`no page ${index}`);
+    const begin = kLevelsNumbers + kPageNumbers * index;
+    const in_ = new Numbers(this.values.subarray(begin, begin + kPageNumbers));
+    return {
+      index,
+      level: in_.next(),
+      parent: in_.next(),
+      firstChild: in_.next(),
+      nChildren: in_.next(),
+      first: in_.next(),
+      count: in_.next(),
+      error: in_.next(),
+      bounds: in_.box(),
+      core: in_.box(),
+      offset: in_.next(),
+      storedBytes: in_.next(),
+      nStepSets: in_.next(),
+      scaleExponent: in_.next(),
+    };
+  }
+
+  /** Pages of one level, which are all that is drawn where that level is. */
+  ofLevel(level: number): Page[] {
+    const pages: Page[] = [];
+    for (let i = 0; i < this.nPages; ++i) {
+      // The level is a page's first number.
+      if (this.values[kLevelsNumbers + kPageNumbers * i] === level) pages.push(this.page(i));
+    }
+    return pages;
+  }
+}

@@ -1,0 +1,18 @@
+// index.ts - what both entries, of browsers and of Node, have in common.
+// SPDX-License-Identifier: Apache-2.0
+export type { Gaussians, Limits, StoredGaussians } from "./decoder.js";
+export { RgsError, type RgsErrorCode } from "./errors.js";
+export type {
+  Axis,
+  Box,
+  Codec,
+  Declarations,
+  Header,
+  Levels,
+  Page,
+  Provenance,
+  Section,
+  Vector3,
+} from "./head.js";
+export type { OpenOptions, Progress, ReadOptions, RgsFile, Source } from "./reader.js";
+export type { RangeSource, UrlOptions } from "./source.js";

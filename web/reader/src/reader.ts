@@ -1,0 +1,299 @@
+// reader.ts - an opened file, and how one is opened.
+// SPDX-License-Identifier: Apache-2.0
+import { Client, type Port } from "./client.js";
+import type { Gaussians, Limits, Range, StoredGaussians } from "./decoder.js";
+import { RgsError } from "./errors.js";
+import { type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
+import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
+
+export type Source = ArrayBuffer | ArrayBufferView | Blob | URL | string | RangeSource;
+
+/** What has come so far. `total` is undefined while nobody knows. */
+export interface Progress {
+  phase: "read" | "decode";
+  /** Bytes while reading, Gaussians while decoding. */
+  done: number;
+  total: number | undefined;
+}
+
+export interface ReadOptions {
+  /** Stops the work; promises reject with its reason. */
+  signal?: AbortSignal | undefined;
+  onProgress?: ((progress: Progress) => void) | undefined;
+}
+
+export interface OpenOptions extends ReadOptions {
+  limits?: Limits;
+  /** Of a URL. */
+  url?: UrlOptions;
+  /** rgs.wasm, compiled, for who wants to load it himself; otherwise the worker fetches it from beside its script. */
+  wasm?: WebAssembly.Module;
+}
+
+const kFirstBytes = 1 << 16;
+const kPieceBytes = 1 << 22;
+/** Requests at a time. */
+const kPieces = 3;
+
+/** An opened file. A worker of its own decodes it until close(). */
+export class RgsFile {
+  /** What the file says of itself. */
+  readonly header: Header;
+  readonly declarations: Declarations;
+  /** Null where the file states none, or where it lies behind pages and has not been read. */
+  readonly provenance: Provenance | null;
+  readonly sections: readonly Section[];
+  /** Null of a file without levels of detail. */
+  readonly levels: Levels | null;
+  /** Bytes of the file as it is, which may be fewer than its header says. */
+  readonly fileBytes: number;
+  private last: Promise<unknown> = Promise.resolve();
+
+  /** @internal */
+  constructor(
+    private readonly client: Client,
+    private readonly source: RangeSource,
+    head: Head,
+    levels: Levels | null,
+    fileBytes: number,
+  ) {
+    this.fileBytes = fileBytes < 0 ? head.header.fileBytes : fileBytes;
+    this.header = head.header;
+    this.declarations = head.declarations;
+    this.provenance = head.provenance;
+    this.sections = head.sections;
+    this.levels = levels;
+  }
+
+
+  /**
+   * All Gaussians, of a file with levels those of the finest. Reads the whole file and checks all of it first and last: every
+   * checksum, every value. Peak memory is the file and the result.
+   */
+  async read(options: ReadOptions = {}): Promise<Gaussians> {
+    return (await this.readAll(options)).gaussians;
+  }
+
+  /** The same with their positions in the source, FP64 [n], null where the file keeps none. */
+  readAll(options: ReadOptions = {}): Promise<{ gaussians: Gaussians; sourceIndex: Float64Array | null }> {
+    const { nGaussians: n, shDegree } = this.header;
+    return this.whole(options, (call) => this.client.call("wholeGaussians", { n, shDegree }, call));
+  }
+
+  /** All Gaussians as a GPU reads them. Files with levels have them by page alone: bad_argument. */
+  async readStored(options: ReadOptions = {}): Promise<StoredGaussians> {
+    if (this.levels) {
+      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read as stored page by page" });
+    }
+    const { nGaussians: n, ...shape } = this.shape;
+    return (await this.whole(options, (call) => this.client.call("wholeStored", { n, shape }, call))).gaussians;
+  }
+
+  /** Pages 0 .. nPresent - 1 lie within the file as it is. */
+  get nPresent(): number {
+    const { levels } = this;
+    if (!levels) return 0;
+    let low = 0;
+    let high = levels.nPages;
+    while (low < high) {
+      const middle = (low + high) >>> 1;
+      const page = levels.page(middle);
+      if (page.offset + page.storedBytes <= this.fileBytes) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  /** Gaussians of a page, checksum and every value checked. */
+  async readPage(page: number, options: ReadOptions = {}): Promise<Gaussians> {
+    const bytes = await this.storedPage(page, options);
+    const { shDegree } = this.header;
+    return this.client.call("page", { page, bytes, shDegree }, { ...options, onProgress: undefined, transfer: [own(bytes)] });
+  }
+
+  async readPageStored(page: number, options: ReadOptions = {}): Promise<StoredGaussians> {
+    const bytes = await this.storedPage(page, options);
+    const { nGaussians: _, ...shape } = this.shape;
+    shape.scaleExponent = (this.levels as Levels).page(page).scaleExponent;
+    const call = { ...options, onProgress: undefined, transfer: [own(bytes)] };
+    return this.client.call("pageStored", { page, bytes, shape }, call);
+  }
+
+  /** Ends the worker; what is at work rejects. */
+  close(): void {
+    this.client.end();
+  }
+
+  private get shape(): { nGaussians: number; shDegree: number; chunkSize: number; scaleExponent: number } {
+    const { nGaussians, shDegree, chunkSize, scaleExponent } = this.header;
+    return { nGaussians, shDegree, chunkSize, scaleExponent };
+  }
+
+  private async storedPage(page: number, options: ReadOptions): Promise<Uint8Array> {
+    if (!this.levels) throw new RgsError({ code: "bad_argument", text: "the file has no levels of detail, and so no pages" });
+    const { offset, storedBytes } = this.levels.page(page);
+    if (offset + storedBytes > this.fileBytes) {
+      throw new RgsError({
+        code: "pages_missing",
+        text: "the end of the file is missing, and with it this page",
+        offset: this.fileBytes,
+      });
+    }
+    return readExactly(this.source, { offset, bytes: storedBytes }, options.signal);
+  }
+
+  /** One at a time: each takes memory for the whole file. */
+  private whole<T>(...args: Parameters<typeof this.wholeNow<T>>): Promise<T> {
+    const result = this.last.then(() => this.wholeNow(...args));
+    this.last = result.catch(() => undefined);
+    return result;
+  }
+
+  private async wholeNow<T>(
+    { signal, onProgress }: ReadOptions,
+    decode: (call: { signal: AbortSignal | undefined; onProgress: (share: number) => void }) => Promise<T>,
+  ): Promise<T> {
+    const total = this.fileBytes;
+    await this.client.call("whole", { bytes: total }, { signal });
+    try {
+      let read = 0;
+      await inPieces(total, signal, async (range, stop) => {
+        const bytes = await readExactly(this.source, range, stop);
+        await this.client.call("wholePart", { offset: range.offset, bytes }, { signal: stop, transfer: [own(bytes)] });
+        read += range.bytes;
+        onProgress?.({ phase: "read", done: read, total });
+      });
+      const n = this.header.nGaussians;
+      const result = await decode({
+        signal,
+        onProgress: (share) => onProgress?.({ phase: "decode", done: Math.round(share * n), total: n }),
+      });
+      onProgress?.({ phase: "decode", done: n, total: n });
+      return result;
+    } finally {
+      await this.client.call("endWhole", {}).catch(() => undefined);
+    }
+  }
+}
+
+/** The buffer of bytes that are ours alone, to be handed over. */
+function own(bytes: Uint8Array): ArrayBuffer {
+  return bytes.buffer as ArrayBuffer;
+}
+
+/** What a source gives is checked: sources may be the caller's. The bytes are ours, to be handed over. */
+async function readExactly(source: RangeSource, range: Range, signal: AbortSignal | undefined): Promise<Uint8Array> {
+  signal?.throwIfAborted();
+  const bytes = range.bytes === 0 ? new Uint8Array(0) : await source.read(range.offset, range.bytes, signal);
+  signal?.throwIfAborted();
+  if (bytes.length !== range.bytes) {
+    throw new RgsError({
+      code: "read_failed",
+      text: "the source gives another number of bytes than was asked for",
+      offset: range.offset,
+      expected: BigInt(range.bytes),
+      found: BigInt(bytes.length),
+    });
+  }
+  return bytes;
+}
+
+/** All of a file, some pieces at a time; the first failure stops the others. */
+async function inPieces(
+  total: number,
+  signal: AbortSignal | undefined,
+  piece: (range: Range, stop: AbortSignal) => Promise<void>,
+): Promise<void> {
+  const stop = new AbortController();
+  const abort = (): void => stop.abort(signal?.reason);
+  signal?.addEventListener("abort", abort, { once: true });
+  let next = 0;
+  const lane = async (): Promise<void> => {
+    while (next < total) {
+      const offset = next;
+      const bytes = Math.min(kPieceBytes, total - offset);
+      next += bytes;
+      await piece({ offset, bytes }, stop.signal);
+    }
+  };
+  try {
+    await Promise.all(Array.from({ length: kPieces }, lane));
+  } catch (error) {
+    stop.abort(error);
+    throw error;
+  } finally {
+    signal?.removeEventListener("abort", abort);
+  }
+}
+
+async function sourceOf(source: Source, options: OpenOptions): Promise<RangeSource> {
+  if (source instanceof ArrayBuffer) return new MemorySource(new Uint8Array(source));
+  if (ArrayBuffer.isView(source)) {
+    return new MemorySource(new Uint8Array(source.buffer as ArrayBuffer, source.byteOffset, source.byteLength));
+  }
+  if (typeof Blob !== "undefined" && source instanceof Blob) return new BlobSource(source);
+  if (typeof source === "string" || source instanceof URL) {
+    const onProgress = (done: number, total: number | undefined): void =>
+      options.onProgress?.({ phase: "read", done, total });
+    return UrlSource.open(String(source), options.url ?? {}, options.signal, onProgress);
+  }
+  // What it gives may be part of something that it keeps, and buffers are handed over whole.
+  const own = source as RangeSource;
+  return {
+    size: own.size,
+    read: async (offset, bytes, signal) => new Uint8Array(await own.read(offset, bytes, signal)),
+  };
+}
+
+/** Opens a file with a worker that `start` makes: see web.ts and node.ts. */
+export async function openWith(start: () => Port, source: Source, options: OpenOptions): Promise<RgsFile> {
+  const { signal } = options;
+  signal?.throwIfAborted();
+  const from = await sourceOf(source, options);
+  const client = new Client(start());
+  try {
+    const limits = options.limits ?? {};
+    await client.call("start", { limits, wasm: options.wasm }, { signal });
+    const send = (offset: number, bytes: Uint8Array): Promise<void> =>
+      client.call("part", { offset, bytes }, { signal, transfer: [own(bytes)] });
+    const part = async (range: Range): Promise<void> => send(range.offset, await readExactly(from, range, signal));
+    // A file of unknown size is taken to be as long as its header says, unless it ends before that can be seen.
+    let size = from.size ?? Number.MAX_SAFE_INTEGER;
+    const first = { offset: 0, bytes: Math.min(kFirstBytes, size) };
+    if (from.size === undefined) {
+      const beginning = await from.read(first.offset, first.bytes, signal);
+      if (beginning.length < first.bytes) size = beginning.length;
+      await send(0, beginning);
+    } else {
+      await part(first);
+    }
+    const fileBytes = size === Number.MAX_SAFE_INTEGER ? -1 : size;
+    for (;;) {
+      const missing = (await client.call("needs", { fileBytes }, { signal })).filter(
+        ({ offset, bytes }) => offset + bytes <= size,
+      );
+      if (missing.length === 0) break;
+      await Promise.all(missing.map(part));
+    }
+    const { head, unread: table } = await client.call("openParts", { fileBytes }, { signal });
+    let unread = table;
+    while (unread && unread.bytes > 0) {
+      const bytes = Math.min(kPieceBytes, unread.bytes, Math.max(0, size - unread.offset));
+      if (bytes === 0) {
+        throw new RgsError({ code: "truncated", text: "the file ends before its first page", offset: size });
+      }
+      const range = { offset: unread.offset, bytes };
+      const records = await readExactly(from, range, signal);
+      const before: number = unread.bytes;
+      unread = await client.call("extend", { offset: range.offset, bytes: records }, { signal, transfer: [own(records)] });
+      if (unread.bytes === before) {
+        throw new RgsError({ code: "truncated", text: "the file ends inside its table of pages", offset: size });
+      }
+    }
+    const levels = unread ? new Levels(await client.call("levels", {}, { signal })) : null;
+    return new RgsFile(client, from, parseHead(head.values, head.text), levels, fileBytes);
+  } catch (error) {
+    client.end();
+    throw error;
+  }
+}

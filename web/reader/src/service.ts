@@ -1,0 +1,170 @@
+// service.ts - what the worker does: requests of one RgsFile, one after the other, each with one answer.
+// SPDX-License-Identifier: Apache-2.0
+import { buffersOf, Decoder, type Gaussians, type Limits, type Range, type StoredGaussians } from "./decoder.js";
+import { RgsError, type RgsErrorFields } from "./errors.js";
+
+interface Shape {
+  shDegree: number;
+  chunkSize: number;
+  scaleExponent: number;
+}
+
+/** What can be asked for, with arguments and result. */
+export interface Requests {
+  start: [{ limits: Limits; wasm?: WebAssembly.Module | undefined }, void];
+  part: [{ offset: number; bytes: Uint8Array }, void];
+  needs: [{ fileBytes: number }, Range[]];
+  /** `unread`: of the table of pages; null without levels. */
+  openParts: [{ fileBytes: number }, { head: { values: Float64Array; text: Uint8Array }; unread: Range | null }];
+  extend: [{ offset: number; bytes: Uint8Array }, Range];
+  levels: [Record<string, never>, Float64Array];
+  page: [{ page: number; bytes: Uint8Array; shDegree: number }, Gaussians];
+  pageStored: [{ page: number; bytes: Uint8Array; shape: Shape }, StoredGaussians];
+  /** Memory for all of the file. */
+  whole: [{ bytes: number }, void];
+  wholePart: [{ offset: number; bytes: Uint8Array }, void];
+  wholeGaussians: [{ n: number; shDegree: number }, { gaussians: Gaussians; sourceIndex: Float64Array | null }];
+  wholeStored: [{ n: number; shape: Shape }, { gaussians: StoredGaussians; sourceIndex: Float64Array | null }];
+  /** The memory of a whole file goes. */
+  endWhole: [Record<string, never>, void];
+  /** The request of that number ends with `cancelled` if it is at work. */
+  cancel: [{ id: number }, void];
+}
+export type Request = { [K in keyof Requests]: { id: number; name: K; args: Requests[K][0] } }[keyof Requests];
+export type Answer =
+  | { id: number; progress: number }
+  | { id: number; result: unknown }
+  | { id: number; error: RgsErrorFields };
+
+export type Send = (answer: Answer, transfer: ArrayBuffer[]) => void;
+
+const kTurnMs = 30;
+
+/** Lets messages in, `cancel` among them. Timers of browsers would wait 4 ms. */
+function turn(): Promise<void> {
+  return new Promise((resolve) => {
+    const { port1, port2 } = new MessageChannel();
+    port2.onmessage = () => {
+      port1.close();
+      resolve();
+    };
+    port1.postMessage(0);
+  });
+}
+
+export class Service {
+  private module: WebAssembly.Module | undefined;
+  private limits: Limits = {};
+  private decoder: Decoder | undefined;
+  private whole: { decoder: Decoder; address: number; bytes: number } | undefined;
+  private readonly cancelled = new Set<number>();
+  private last: Promise<void> = Promise.resolve();
+
+  /** `load` gives the module that a request did not bring. */
+  constructor(
+    private readonly load: () => Promise<WebAssembly.Module>,
+    private readonly send: Send,
+  ) {}
+
+  receive(request: Request): void {
+    if (request.name === "cancel") {
+      this.cancelled.add(request.args.id);
+      return;
+    }
+    this.last = this.last.then(() => this.answer(request));
+  }
+
+  private async answer(request: Request): Promise<void> {
+    try {
+      if (this.cancelled.has(request.id)) throw new RgsError({ code: "cancelled", text: "stopped by the caller" });
+      const result = await this.perform(request);
+      const buffers = result !== null && typeof result === "object" ? buffersOf(result) : [];
+      const nested = result as { gaussians?: object };
+      if (nested?.gaussians) buffers.push(...buffersOf(nested.gaussians));
+      this.send({ id: request.id, result }, buffers);
+    } catch (error) {
+      const fields =
+        error instanceof RgsError ? error.fields : { code: "internal" as const, text: `the worker failed: ${String(error)}` };
+      this.send({ id: request.id, error: fields }, []);
+    } finally {
+      this.cancelled.delete(request.id);
+    }
+  }
+
+  private async perform(request: Request): Promise<unknown> {
+    switch (request.name) {
+      case "start":
+        this.module = request.args.wasm ?? (await this.load());
+        this.limits = request.args.limits;
+        this.decoder = new Decoder(this.module, this.limits);
+        return undefined;
+      case "part":
+        return this.opened.addPart(request.args.offset, request.args.bytes);
+      case "needs":
+        return this.opened.needs(request.args.fileBytes);
+      case "openParts": {
+        const hasLevels = this.opened.openParts(request.args.fileBytes);
+        return { head: this.opened.head(), unread: hasLevels ? this.opened.unreadTable() : null };
+      }
+      case "extend":
+        this.opened.extend(request.args.offset, request.args.bytes);
+        return this.opened.unreadTable();
+      case "levels":
+        return this.opened.levels();
+      case "page":
+        return this.opened.readPage(request.args.page, request.args.bytes, request.args.shDegree);
+      case "pageStored":
+        return this.opened.readPageStored(request.args.page, request.args.bytes, request.args.shape);
+      case "whole": {
+        // An instance of its own, because memory that has grown does not shrink again.
+        const decoder = new Decoder(this.module as WebAssembly.Module, this.limits);
+        const { bytes } = request.args;
+        this.whole = { decoder, address: decoder.allocateWhole(bytes), bytes };
+        return undefined;
+      }
+      case "wholePart": {
+        const { decoder, address } = this.wholeFile;
+        return decoder.putWhole(address, request.args.offset, request.args.bytes);
+      }
+      case "wholeGaussians": {
+        const { decoder, address, bytes } = this.wholeFile;
+        decoder.openWhole(address, bytes);
+        const gaussians = await this.finish(request.id, decoder.gaussians(request.args.n, request.args.shDegree));
+        return { gaussians, sourceIndex: decoder.sourceIndex() };
+      }
+      case "wholeStored": {
+        const { decoder, address, bytes } = this.wholeFile;
+        decoder.openWhole(address, bytes);
+        const gaussians = await this.finish(request.id, decoder.storedGaussians(request.args.n, request.args.shape));
+        return { gaussians, sourceIndex: decoder.sourceIndex() };
+      }
+      case "endWhole":
+        this.whole = undefined;
+        return undefined;
+      case "cancel":
+        return undefined;
+    }
+  }
+
+  /** Runs work to its end, with a turn for messages now and then. */
+  private async finish<T>(id: number, work: Generator<number, T>): Promise<T> {
+    for (let began = performance.now(); ; ) {
+      const step = work.next();
+      if (step.done === true) return step.value;
+      if (performance.now() - began < kTurnMs) continue;
+      this.send({ id, progress: step.value }, []);
+      await turn();
+      if (this.cancelled.has(id)) throw new RgsError({ code: "cancelled", text: "stopped by the caller" });
+      began = performance.now();
+    }
+  }
+
+  private get opened(): Decoder {
+    if (!this.decoder) throw new Error("no start");
+    return this.decoder;
+  }
+  private get wholeFile(): { decoder: Decoder; address: number; bytes: number } {
+    if (!this.whole) throw new Error("no whole file");
+    return this.whole;
+  }
+}

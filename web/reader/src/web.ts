@@ -1,0 +1,26 @@
+// web.ts - the entry of browsers.
+// SPDX-License-Identifier: Apache-2.0
+import type { Port } from "./client.js";
+import { type OpenOptions, openWith, type RgsFile, type Source } from "./reader.js";
+import type { Answer } from "./service.js";
+export * from "./index.js";
+
+function startWorker(): Port {
+  // In this form bundlers see it.
+  const worker = new Worker(new URL("./worker-web.js", import.meta.url), { type: "module" });
+  return {
+    send: (request, transfer) => worker.postMessage(request, transfer),
+    listen: (on) => {
+      worker.onmessage = (event: MessageEvent<Answer>) => on.answer(event.data);
+      worker.onerror = (event) => on.fail(event);
+      worker.onmessageerror = (event) => on.fail(event);
+    },
+    hold: () => undefined,
+    end: () => worker.terminate(),
+  };
+}
+
+/** Opens an .rgs file. Rejects with an RgsError, or with the reason of `options.signal`. */
+export function open(source: Source, options: OpenOptions = {}): Promise<RgsFile> {
+  return openWith(startWorker, source, options);
+}

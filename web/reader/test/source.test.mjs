@@ -1,0 +1,314 @@
+// source.test.mjs - files from memory, Blobs, callers' own sources, a web server, and one that lies.
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { copyFileSync, readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+import test from "node:test";
+import { open, RgsError } from "@roofgs/reader";
+import { golden, scenes } from "./dump.mjs";
+import { hasNginx, skip, startHostileServer, startNginx } from "./servers.mjs";
+
+// Not Buffers, of which slice() is no copy.
+const bytesOf = (name) => new Uint8Array(readFileSync(join(golden, `${name}.rgs`)));
+const packed = bytesOf("packed_degree3");
+const levels = bytesOf("levels_packed");
+
+async function meansOf(source, options) {
+  const file = await open(source, options);
+  try {
+    return (await file.read(options)).means;
+  } finally {
+    file.close();
+  }
+}
+
+/** What a promise rejects with. */
+async function failure(promise) {
+  let value;
+  try {
+    value = await promise;
+  } catch (error) {
+    return error;
+  }
+  assert.fail(`no error, but ${value}`);
+}
+
+const expected = await meansOf(packed);
+
+/** Larger than what is read at a time, so that later requests matter: Gaussians of `packed` behind 9 MB of nothing. */
+function longFile() {
+  const bytes = new Uint8Array(9_000_000);
+  bytes.set(packed);
+  return bytes;
+}
+
+test("sources of every kind give the same", async () => {
+  const copy = packed.buffer.slice(packed.byteOffset, packed.byteOffset + packed.length);
+  for (const source of [copy, packed, Buffer.from(packed), new DataView(copy), new Blob([packed])]) {
+    assert.deepEqual(await meansOf(source), expected, source.constructor.name);
+  }
+  assert.equal(copy.byteLength, packed.length, "the caller's memory stays his");
+  let asked = 0;
+  const own = {
+    size: packed.length,
+    async read(offset, bytes) {
+      asked += 1;
+      return packed.subarray(offset, offset + bytes); // and keeps it
+    },
+  };
+  assert.deepEqual(await meansOf(own), expected);
+  assert.ok(asked >= 2);
+  assert.deepEqual(await meansOf({ ...own, size: undefined }), expected, "a source that does not know its size");
+});
+
+test("a source that gives other than was asked for is refused", async () => {
+  for (const change of [-1, 1, 1000]) {
+    const source = {
+      size: packed.length,
+      read: async (offset, bytes) => new Uint8Array(Math.max(0, bytes + change)),
+    };
+    const error = await failure(open(source));
+    assert.equal(error.code, "read_failed");
+  }
+  const thrown = new Error("mine");
+  assert.equal(await failure(open({ size: 100, read: () => Promise.reject(thrown) })), thrown);
+});
+
+test("a page is read by its own range alone", async () => {
+  const ranges = [];
+  const source = {
+    size: levels.length,
+    async read(offset, bytes) {
+      ranges.push([offset, bytes]);
+      return levels.slice(offset, offset + bytes);
+    },
+  };
+  const file = await open(source);
+  const before = ranges.length;
+  const page = file.levels.page(3);
+  assert.equal((await file.readPage(3)).n, page.count);
+  assert.deepEqual(ranges.slice(before), [[page.offset, page.storedBytes]]);
+  file.close();
+});
+
+test("the beginning of a file with levels gives its pages, and says that others are missing", async () => {
+  const whole = await open(levels);
+  const { offset } = whole.levels.page(5);
+  const file = await open(levels.subarray(0, offset + 1));
+  assert.equal(file.nPresent, 5);
+  assert.deepEqual(await file.readPage(4), await whole.readPage(4));
+  const page = await failure(file.readPage(5));
+  assert.deepEqual([page.code, page.offset], ["pages_missing", offset + 1]);
+  const all = await failure(file.read());
+  assert.deepEqual([all.code, all.offset], ["pages_missing", offset + 1]);
+  assert.throws(() => whole.levels.page(whole.levels.nPages), RangeError);
+  whole.close();
+  file.close();
+});
+
+test("a damaged page is refused alone", async () => {
+  const whole = await open(levels);
+  const { offset } = whole.levels.page(5);
+  whole.close();
+  const bytes = new Uint8Array(levels);
+  bytes[offset + 9] ^= 1;
+  const file = await open(bytes);
+  const error = await failure(file.readPage(5));
+  assert.deepEqual([error.code, error.offset], ["checksum_mismatch", offset]);
+  assert.equal(typeof error.expected, "bigint");
+  assert.notEqual(error.expected, error.found);
+  assert.ok((await file.readPage(4)).n > 0, "others can still be read");
+  file.close();
+});
+
+test("limits are kept", async () => {
+  for (const limits of [{ maxGaussians: 10 }, { maxFileBytes: 1000 }]) {
+    assert.equal((await failure(open(packed, { limits }))).code, "limit_exceeded");
+  }
+  const file = await open(packed, { limits: { maxDecodedBytes: 1000 } });
+  assert.equal((await failure(file.read())).code, "limit_exceeded");
+  file.close();
+});
+
+test("progress comes to its end", async () => {
+  const seen = [];
+  const file = await open(packed);
+  await file.read({ onProgress: (progress) => seen.push(progress) });
+  file.close();
+  assert.deepEqual(seen.at(0), { phase: "read", done: packed.length, total: packed.length });
+  assert.deepEqual(seen.at(-1), { phase: "decode", done: 300, total: 300 });
+});
+
+test("a signal stops what is at work, with its reason", async () => {
+  const reason = new Error("enough");
+  assert.equal(await failure(open(packed, { signal: AbortSignal.abort(reason) })), reason);
+
+  const whileReading = new AbortController();
+  let opened = false;
+  const file = await open({
+    size: packed.length,
+    async read(offset, bytes) {
+      if (opened) whileReading.abort(reason);
+      return packed.slice(offset, offset + bytes);
+    },
+  });
+  opened = true;
+  assert.equal(await failure(file.read({ signal: whileReading.signal })), reason);
+  assert.deepEqual((await file.read()).means, expected, "the file is as good as before");
+
+  const whileDecoding = new AbortController();
+  const onProgress = ({ phase }) => phase === "read" && whileDecoding.abort(reason);
+  assert.equal(await failure(file.read({ signal: whileDecoding.signal, onProgress })), reason);
+  assert.deepEqual((await file.read()).means, expected);
+  file.close();
+  assert.equal((await failure(file.read())).code, "bad_argument");
+});
+
+test("several things may be asked for at a time", async () => {
+  const file = await open(levels);
+  const one = await file.read();
+  const [a, b, page] = await Promise.all([file.read(), file.read(), file.readPage(0)]);
+  assert.deepEqual(a, one);
+  assert.deepEqual(b, one);
+  assert.equal(page.n, file.levels.page(0).count);
+  file.close();
+});
+
+test("a file on nginx is read by ranges", async (t) => {
+  if (!hasNginx) return skip(t, "nginx is not installed");
+  const server = await startNginx();
+  try {
+    copyFileSync(join(golden, "packed_degree3.rgs"), join(server.files, "a file.rgs"));
+    assert.deepEqual(await meansOf(new URL(`${server.url}/a file.rgs`)), expected);
+    writeFileSync(join(server.files, "empty.rgs"), "");
+    assert.equal((await failure(open(`${server.url}/empty.rgs`))).code, "truncated");
+    const missing = await failure(open(`${server.url}/missing.rgs`));
+    assert.equal(missing.code, "open_failed");
+    assert.match(missing.message, /404/);
+
+    // Larger than what is read at first: every request is answered with a range.
+    for (const name of ["packed.rgs", "direct.rgs", "levels.rgs"]) {
+      copyFileSync(join(scenes(), name), join(server.files, name));
+      const file = await open(`${server.url}/${name}`);
+      const near = await open(readFileSync(join(scenes(), name)));
+      assert.deepEqual(file.header, near.header);
+      assert.deepEqual(file.provenance, near.provenance, name);
+      const last = (near.levels?.nPages ?? 0) - 1;
+      if (last >= 0) assert.deepEqual(await file.readPage(last), await near.readPage(last));
+      // Compared as bytes: deepEqual takes seconds for arrays as large.
+      const [found, wanted] = [await file.read(), await near.read()];
+      for (const key of Object.keys(wanted)) {
+        const same = ArrayBuffer.isView(wanted[key])
+          ? Buffer.from(found[key].buffer).equals(Buffer.from(wanted[key].buffer))
+          : found[key] === wanted[key];
+        assert.ok(same, `${name}: ${key}`);
+      }
+      file.close();
+      near.close();
+      assert.doesNotMatch(server.log(), new RegExp(`"GET /${name} HTTP/1.1" 200 `));
+    }
+
+    writeFileSync(join(server.files, "long.rgs"), longFile());
+    const long = await failure(open(`${server.url}/long.rgs`));
+    assert.equal(long.code, "trailing_bytes");
+    assert.match(server.log(), /"GET \/a%20file.rgs HTTP\/1.1" 206 /);
+    assert.match(server.log(), /"GET \/long.rgs HTTP\/1.1" 206 65536 /);
+  } finally {
+    await server.end();
+  }
+});
+
+// The hostile server serves a file that is larger than the first request: a golden file would be read at once. Its header says
+// how long it is, so its size is put into it; then it is refused as such, unless the server has been noticed before.
+const kHostile = [
+  // Path, code or means; requests of the path at most.
+  ["/plain?", "means"],
+  ["/plain?etag=\"a\"&modified=Mon,+01+Jan+2024+00:00:00+GMT", "means"],
+  ["/old?", "means"],
+  ["/early_hints?", "means"],
+  ["/no_ranges?", "means"],
+  ["/no_ranges_chunked?", "means"],
+  ["/no_ranges_unknown_length?", "means"],
+  ["/status?code=403", "open_failed"],
+  ["/status?code=503", "read_failed"],
+  ["/status?code=503&times=1", "means"],
+  ["/status?code=500&times=2", "means"],
+  ["/truncated?", "read_failed"],
+  ["/truncated?times=1", "means"],
+  ["/truncated_chunked?", "read_failed"],
+  ["/truncated_chunked?times=1", "means"],
+  ["/short_length?", "read_failed"],
+  ["/head_alone?", "read_failed"],
+  ["/other_range?", "read_failed"],
+  ["/other_range?from=2", "means"],
+  ["/lying_range?range=bytes+0-9/17", "read_failed"],
+  ["/lying_range?range=bytes+nonsense", "read_failed"],
+  ["/longer?", "read_failed"],
+  ["/longer_length?", "read_failed"],
+  ["/endless?", "read_failed"],
+  ["/reset?", "read_failed"],
+  ["/reset?times=1", "means"],
+  ["/reset_at_once?", "read_failed"],
+  ["/hang_up?", "read_failed"],
+  ["/redirect_nowhere?", "open_failed"],
+  ["/redirect?to=/plain?file=FILE", "means"],
+  ["/chain?n=40", "read_failed"],
+  ["/loop?", "read_failed"],
+  ["/gzip?", "read_failed"],
+  ["/multipart?", "read_failed"],
+  ["/two_ranges?", "read_failed"],
+  ["/long_line?", "read_failed"],
+  ["/many_lines?", "read_failed"],
+  ["/garbage?", "read_failed"],
+  ["/no_header_colon?", "read_failed"],
+  ["/stall?after=1000", "read_failed"],
+  ["/silent?", "read_failed"],
+];
+
+test("a server that lies is found out, and one that stumbles is asked again", async (t) => {
+  const server = await startHostileServer();
+  t.after(() => server.end());
+  const file = join(golden, "packed_degree3.rgs");
+  for (const [path, outcome] of kHostile) {
+    const address = path.includes("FILE") ? path.replace("FILE", file) : `${path}&file=${file}`;
+    const options = { url: { silenceMs: 1000 } };
+    if (outcome === "means") {
+      assert.deepEqual(await meansOf(server.url(address), options), expected, path);
+    } else {
+      const error = await failure(meansOf(server.url(address), options));
+      assert.ok(error instanceof RgsError, `${path}: ${error}`);
+      assert.equal(error.code, outcome, `${path}: ${error}`);
+    }
+    assert.ok(server.requests(`GET ${address} `) <= (path === "/loop?" ? 63 : 3), path); // 20 redirects are followed
+  }
+});
+
+test("a file that changes on the server while it is read is noticed", async (t) => {
+  const server = await startHostileServer();
+  t.after(() => server.end());
+  // A source of 300,000 made bytes: what is read of them is compared through the library's own first request.
+  const { UrlSource } = await import("../dist/source.js");
+  for (const later of ["etag=\"a\"&etag2=\"b\"", "modified=x&modified2=y", "size2=299999"]) {
+    const source = await UrlSource.open(server.url(`/plain?from=2&${later}`), {});
+    assert.equal(source.size, 300000);
+    const error = await failure(source.read(100000, 5000));
+    assert.equal(error.code, "read_failed", later);
+    assert.match(error.message, /has changed/, later);
+  }
+  const whole = await UrlSource.open(server.url("/no_ranges?from=2"), {});
+  assert.match((await failure(whole.read(100000, 5000))).message, /no longer answers with ranges/);
+  const other = await UrlSource.open(server.url("/other_range?from=2"), {});
+  assert.match((await failure(other.read(100000, 5000))).message, /another range/);
+  const longer = await UrlSource.open(server.url("/longer?from=2"), {});
+  assert.match((await failure(longer.read(100000, 5000))).message, /more than was asked for/);
+  const stumbling = await UrlSource.open(server.url("/truncated?from=2&times=1"), {});
+  const bytes = await stumbling.read(100000, 5000);
+  assert.deepEqual([...bytes.subarray(0, 3)], [0, 1, 2].map((i) => made(100000 + i)));
+  const slow = await UrlSource.open(server.url("/slow?rate=40000"), { silenceMs: 2000 });
+  assert.equal((await slow.read(100000, 20000)).length, 20000, "slow is not silent");
+});
+
+/** As tests/support/made_bytes.hpp has them. */
+function made(offset) {
+  return Number(((BigInt(offset) * 2654435761n) >> 13n) & 0xffn);
+}

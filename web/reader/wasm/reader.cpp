@@ -1,0 +1,419 @@
+// reader.cpp - the format library for JavaScript: what src/decoder.ts calls. One file at a time or several, one thread.
+// SPDX-License-Identifier: Apache-2.0
+//
+// Functions that can fail return a negative number or null; rgs_error() then says why. Numbers that do not fit into a return
+// value are in rgs_numbers(), as FP64 (every count and place of a file is below 2^53), texts in rgs_text(). Addresses are of this
+// module's memory. The file's bytes come from JavaScript: parts of its beginning, stored bytes of a page, or all of it.
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <cstdlib>
+#include <cstring>
+#include <memory>
+#include <new>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "rgs/decode.hpp"
+#include "rgs/paged_file.hpp"
+
+#define RGS_EXPORT(name) extern "C" [[clang::export_name(#name)]]
+
+extern "C" [[noreturn, clang::import_module("rgs"), clang::import_name("out_of_memory")]] void rgs_out_of_memory();
+
+namespace {
+
+using namespace rgs;
+
+struct Free {
+  void operator()(std::byte* memory) const { std::free(memory); }
+};
+using Memory = std::unique_ptr<std::byte[], Free>;
+
+/// Gaussians of a range of chunks or of a page, in the layout that is asked for: pointers to arrays of `n` rows.
+struct Rows {
+  std::uint32_t n = 0;
+  const float *means = nullptr, *rotations = nullptr, *scales = nullptr,
+              *opacities = nullptr;                // [n, 3], [n, 4], [n, 3], [n]
+  const float *sh0 = nullptr, *sh_rest = nullptr;  // [n, 3], [n, sh_coefficients - 1, 3]
+  // As a GPU reads them, and what is needed to make sense of them; of a page alone the last four.
+  const std::byte *stored_means = nullptr, *stored_geometry = nullptr, *stored_sh = nullptr;
+  const std::byte *chunks = nullptr, *steps = nullptr;
+  std::uint32_t n_chunks = 0, n_step_sets = 0;
+};
+static_assert(sizeof(void*) == 4 && sizeof(Rows) == 14 * 4);
+
+struct File {
+  DecodeLimits limits;
+  std::vector<Memory> memory;  // of the parts
+  std::vector<FilePart> parts;
+  Memory image;  // the whole file
+  std::optional<FileView> view;
+  std::optional<PagedFile> paged;
+  std::unique_ptr<PageDecoder> decoder;
+  // A whole file that is being read.
+  std::optional<Validation> validation;
+  std::uint64_t next = 0;  // chunk, or page
+  // Memory of what was decoded last.
+  std::optional<DirectData> data;
+  std::vector<std::byte> page;
+  std::vector<float> floats;
+
+  const FileView& head() const { return paged ? paged->head() : *view; }
+};
+
+Error last_error;
+std::vector<double> numbers;
+std::string text;
+Rows rows;
+
+int fail(const Error& error) {
+  last_error = error;
+  return -1;
+}
+
+template <class... T>
+void put(T... values) {
+  (numbers.push_back(static_cast<double>(values)), ...);
+}
+void put_hash(std::uint64_t hash) {  // which FP64 does not hold
+  put(hash >> 32, hash & 0xFFFFFFFFu);
+}
+void put_box(const Box& box) {
+  for (const float x : box.min) put(x);
+  for (const float x : box.max) put(x);
+}
+
+std::span<const std::byte> beginning_of(const File& file) {
+  std::span<const std::byte> most;
+  for (const FilePart& part : file.parts) {
+    if (part.offset == 0 && part.bytes.size() > most.size()) most = part.bytes;
+  }
+  return most;
+}
+
+// Bytes of the whole file. Where nobody knows (-1), as of servers that do not say, what the header has for it: docs/FORMAT.md,
+// "Header".
+std::uint64_t whole_bytes(const File& file, double file_bytes) {
+  if (file_bytes >= 0) return static_cast<std::uint64_t>(file_bytes);
+  const auto beginning = beginning_of(file);
+  std::uint64_t stated = 0;
+  if (beginning.size() >= kHeaderBytes) std::memcpy(&stated, beginning.data() + 16, sizeof stated);
+  return stated;
+}
+
+/// Makes room for n Gaussians as floats, in `rows`; null where a coefficient of that degree does not exist.
+struct FloatRows {
+  float *means, *rotations, *scales, *opacities, *sh0, *sh_rest;
+};
+FloatRows make_float_rows(File& file, std::uint32_t n) {
+  const std::size_t rest = static_cast<std::size_t>(3 * sh_coefficients(file.head().header().sh_degree) - 3);
+  file.floats.resize(n * (14 + rest));
+  float* next = file.floats.data();
+  const auto take = [&](std::size_t columns) { return std::exchange(next, next + n * columns); };
+  const FloatRows f{take(3), take(4), take(3), take(1), take(3), take(rest)};
+  rows = {.n = n,
+          .means = f.means,
+          .rotations = f.rotations,
+          .scales = f.scales,
+          .opacities = f.opacities,
+          .sh0 = f.sh0,
+          .sh_rest = f.sh_rest};
+  return f;
+}
+
+/// `read(first, out)` gives Gaussians `first` .. of the n.
+template <class Read>
+Status read_floats(File& file, std::uint32_t n, const Read& read) {
+  const FloatRows f = make_float_rows(file, n);
+  const std::size_t rest = static_cast<std::size_t>(3 * sh_coefficients(file.head().header().sh_degree) - 3);
+  static std::array<ActivatedSplat, 64> buffer;
+  for (std::uint32_t first = 0; first < n; first += buffer.size()) {
+    const auto part = std::span(buffer).first(std::min<std::size_t>(buffer.size(), n - first));
+    if (const Status s = read(first, part); !s) return s;
+    for (std::size_t i = 0; i < part.size(); ++i) {
+      const ActivatedSplat& g = part[i];
+      const std::size_t at = first + i;
+      std::copy_n(g.mean, 3, f.means + 3 * at);
+      std::copy_n(g.rotation, 4, f.rotations + 4 * at);
+      std::copy_n(g.scale, 3, f.scales + 3 * at);
+      f.opacities[at] = g.opacity;
+      std::copy_n(g.sh, 3, f.sh0 + 3 * at);
+      std::copy_n(g.sh + 3, rest, f.sh_rest + rest * at);
+    }
+  }
+  return {};
+}
+
+Status give_page(File& file, std::uint32_t page, const PageRows& decoded, bool as_stored) {
+  if (!as_stored) {
+    return read_floats(file, decoded.n, [&](std::uint32_t first, std::span<ActivatedSplat> out) {
+      return read_page(*file.paged, page, decoded, first, out);
+    });
+  }
+  rows = {.n = decoded.n,
+          .stored_means = decoded.means.data(),
+          .stored_geometry = decoded.geometry.data(),
+          .stored_sh = decoded.sh.data(),
+          .chunks = decoded.chunks.data(),
+          .steps = decoded.steps.data(),
+          .n_chunks = static_cast<std::uint32_t>(decoded.chunks.size() / kChunkEntryBytes),
+          .n_step_sets = static_cast<std::uint32_t>(decoded.steps.size() / kStepSetBytes)};
+  return {};
+}
+
+Result<PageRows> decode_page(File& file, std::uint32_t page, std::span<const std::byte> stored) {
+  if (!file.decoder) file.decoder = std::make_unique<PageDecoder>(*file.paged);
+  file.page.resize(file.paged->decoded_bytes(page));
+  return file.decoder->decode(page, stored, file.page);
+}
+
+// Some chunks of the file that is there as a whole; 0 rows at its end.
+Status next_chunks(File& file, bool as_stored) {
+  const Header& h = file.view->header();
+  const FileView& view = *file.view;
+  if (file.next == h.n_chunks) {
+    rows = {};
+    return file.validation->finish();
+  }
+  // What our writers make one coded frame of, so that none is decoded twice.
+  const std::uint64_t n =
+      std::min<std::uint64_t>(std::max<std::uint64_t>(1, 16384 / h.chunk_size), h.n_chunks - file.next);
+  auto data = read_chunks(view, file.next, n, {.validate = false, .threads = 1});
+  if (!data) return tl::unexpected(data.error());
+  if (const Status s = file.validation->check(*data); !s) return s;
+  file.next += n;
+  const auto size = static_cast<std::uint32_t>(data->size());
+  file.data = std::move(*data);
+  if (as_stored) {
+    rows = {.n = size,
+            .stored_means = file.data->means().data(),
+            .stored_geometry = file.data->geometry().data(),
+            .stored_sh = file.data->sh().data()};
+    return {};
+  }
+  return read_floats(file, size, [&](std::uint32_t first, std::span<ActivatedSplat> out) {
+    return file.data->read(file.data->first() + first, out);
+  });
+}
+
+Status next_leaf(File& file) {
+  if (file.next == file.paged->n_pages()) {
+    rows = {};
+    return {};
+  }
+  const auto page = static_cast<std::uint32_t>(file.next++);
+  const auto decoded = decode_page(file, page, file.paged->bytes(page));
+  if (!decoded) return tl::unexpected(decoded.error());
+  return give_page(file, page, *decoded, false);
+}
+
+}  // namespace
+
+RGS_EXPORT(rgs_start) void rgs_start() {
+  std::set_new_handler([] { rgs_out_of_memory(); });
+}
+
+/// Null if there is no more memory.
+RGS_EXPORT(rgs_allocate) void* rgs_allocate(std::uint32_t bytes) {
+  return std::malloc(std::max<std::uint32_t>(bytes, 1));
+}
+RGS_EXPORT(rgs_free) void rgs_free(void* memory) {
+  std::free(memory);
+}
+
+/// Code and text in rgs_text(), a line each; offset, expected and found in rgs_numbers(), as two halves.
+RGS_EXPORT(rgs_error) void rgs_error() {
+  text = std::string(errc_name(last_error.code)) + "\n" + last_error.what;
+  numbers.clear();
+  for (const std::uint64_t value : {last_error.offset, last_error.expected, last_error.found}) put_hash(value);
+}
+RGS_EXPORT(rgs_numbers) const double* rgs_numbers() {
+  return numbers.data();
+}
+RGS_EXPORT(rgs_n_numbers) std::uint32_t rgs_n_numbers() {
+  return numbers.size();
+}
+RGS_EXPORT(rgs_text) const char* rgs_text() {
+  return text.data();
+}
+RGS_EXPORT(rgs_n_text) std::uint32_t rgs_n_text() {
+  return text.size();
+}
+RGS_EXPORT(rgs_rows) const Rows* rgs_rows() {
+  return &rows;
+}
+
+RGS_EXPORT(rgs_file_new)
+File* rgs_file_new(double max_file_bytes, double max_gaussians, double max_decoded_bytes) {
+  auto* file = new File;
+  file->limits.max_file_bytes = static_cast<std::uint64_t>(max_file_bytes);
+  file->limits.max_gaussians = static_cast<std::uint64_t>(max_gaussians);
+  file->limits.max_decoded_bytes = static_cast<std::uint64_t>(max_decoded_bytes);
+  return file;
+}
+RGS_EXPORT(rgs_file_free) void rgs_file_free(File* file) {
+  delete file;
+}
+
+/// Takes `bytes` of rgs_allocate(): what the file has at `offset`.
+RGS_EXPORT(rgs_add_part) void rgs_add_part(File* file, double offset, std::byte* bytes, std::uint32_t size) {
+  file->memory.emplace_back(bytes);
+  file->parts.push_back({static_cast<std::uint64_t>(offset), {bytes, size}});
+}
+
+/// How many ranges of the file (offset, bytes), of `file_bytes` bytes or -1, rgs_open_parts() needs beyond the parts, at least one of which begins at 0.
+RGS_EXPORT(rgs_needs) int rgs_needs(File* file, double file_bytes) {
+  const bool levels = has_levels(beginning_of(*file));
+  const auto ranges = levels ? PagedFile::needs(file->parts, file->limits)
+                             : FileView::head_needs(file->parts, whole_bytes(*file, file_bytes), file->limits);
+  if (!ranges) return fail(ranges.error());
+  numbers.clear();
+  for (const FileRange& range : *ranges) put(range.offset, range.bytes);
+  return static_cast<int>(ranges->size());
+}
+
+/// 1: a file with levels of detail, 0: one without. The parts are not needed any more.
+RGS_EXPORT(rgs_open_parts) int rgs_open_parts(File* file, double file_bytes) {
+  const bool levels = has_levels(beginning_of(*file));
+  if (levels) {
+    auto paged = PagedFile::open_beginning(file->parts, file->limits);
+    if (!paged) return fail(paged.error());
+    file->paged = *std::move(paged);
+  } else {
+    auto view = FileView::open_head(file->parts, whole_bytes(*file, file_bytes), file->limits);
+    if (!view) return fail(view.error());
+    file->view = *std::move(view);
+  }
+  file->parts.clear();
+  file->memory.clear();
+  return levels ? 1 : 0;
+}
+
+/// The range of the table of pages that is not known yet, in rgs_numbers().
+RGS_EXPORT(rgs_unread_table) void rgs_unread_table(File* file) {
+  const FileRange range = file->paged->unread_table();
+  numbers.clear();
+  put(range.offset, range.bytes);
+}
+RGS_EXPORT(rgs_extend) int rgs_extend(File* file, double offset, const std::byte* bytes, std::uint32_t size) {
+  const Status s = file->paged->extend({static_cast<std::uint64_t>(offset), {bytes, size}});
+  return s ? 0 : fail(s.error());
+}
+
+/// Header, declarations, provenance, sections, in the order in which src/head.ts reads them.
+RGS_EXPORT(rgs_head) void rgs_head(File* file) {
+  const FileView& view = file->head();
+  const Header& h = view.header();
+  const Declarations& d = view.declarations();
+  numbers.clear();
+  text.clear();
+  put(h.version_major, h.version_minor, h.file_bytes, h.n_gaussians, h.n_chunks, h.n_step_sets, h.chunk_size,
+      h.sh_degree, h.scale_exponent);
+  for (const Axis axis : d.axes) put(static_cast<int>(axis));
+  put(static_cast<int>(d.colour_space), static_cast<int>(d.sh_basis), static_cast<int>(d.kernel),
+      static_cast<int>(d.aa_mode), static_cast<int>(d.sort_metric), static_cast<int>(d.depth_mapping),
+      static_cast<int>(d.depth_source), static_cast<int>(d.order));
+  put(d.z_near, d.z_far, d.metres_per_unit, d.cutoff_sigma, d.alpha_threshold, d.alpha_max, d.low_pass_px2,
+      d.transmittance_min, d.robust_fraction);
+  put_box(d.full);
+  put_box(d.robust);
+  put(d.n_source, d.n_dropped, d.n_repaired, d.n_scale_subnormal, d.n_scale_zero, d.n_opacity_zero, d.n_opacity_one);
+  for (const double x : d.origin) put(x);
+  const auto& p = view.provenance();
+  put(p.has_value());
+  if (p) {
+    put(p->source_bytes, p->source_name.size());
+    put_hash(p->source_xxh3);
+    text = p->source_name + p->tool;
+  }
+  put(view.sections().size());
+  for (const SectionEntry& s : view.sections()) {
+    put(s.type, s.flags, s.codec, s.offset, s.stored_bytes, s.decoded_bytes);
+    put_hash(s.xxh3);
+  }
+}
+
+/// The tree of pages, as far as it is known: a line about all of them, then one a page.
+RGS_EXPORT(rgs_levels) void rgs_levels(File* file) {
+  const PagedFile& paged = *file->paged;
+  numbers.clear();
+  numbers.reserve(6 + std::size_t{24} * paged.n_pages());
+  put(paged.n_pages(), paged.n_levels(), paged.n_stored(), paged.page_chunks(), paged.quality_db(),
+      static_cast<int>(paged.codec()));
+  for (std::uint32_t i = 0; i < paged.n_pages(); ++i) {
+    const lod::Page& page = paged.pages()[i];
+    const StoredPage& stored = paged.stored(i);
+    put(page.level, page.parent == lod::kNoPage ? -1. : static_cast<double>(page.parent), page.first_child,
+        page.n_children, page.first, page.count, page.error);
+    put_box(page.bounds);
+    put_box(page.core);
+    put(stored.offset, stored.stored_bytes, stored.n_step_sets, stored.scale_exponent);
+  }
+}
+
+/// Page `page` of its stored bytes, every value checked, to rgs_rows().
+RGS_EXPORT(rgs_read_page)
+int rgs_read_page(File* file, std::uint32_t page, const std::byte* stored, std::uint32_t size, int as_stored) {
+  const auto decoded = decode_page(*file, page, {stored, size});
+  if (!decoded) return fail(decoded.error());
+  if (const Status s = check_page_values(*file->paged, page, *decoded); !s) return fail(s.error());
+  const Status s = give_page(*file, page, *decoded, as_stored != 0);
+  return s ? 0 : fail(s.error());
+}
+
+/// A file that is there as a whole in memory of rgs_allocate(), which it takes. All that is checked of a file before its
+/// Gaussians are.
+RGS_EXPORT(rgs_open_whole) int rgs_open_whole(File* file, std::byte* bytes, std::uint32_t size) {
+  file->image.reset(bytes);
+  const std::span<const std::byte> whole(bytes, size);
+  if (has_levels(whole)) {
+    auto paged = PagedFile::open(whole, file->limits);
+    if (!paged) return fail(paged.error());
+    if (const Status s = validate(*paged); !s) return fail(s.error());
+    if (!paged->complete()) {
+      return fail({Errc::pages_missing, size,
+                   "the end of the file is missing, and with it some of the scene's own Gaussians: pages can be read"});
+    }
+    file->paged = *std::move(paged);
+    file->next = lod::pages_of_level(file->paged->pages(), 0).front();
+    return 1;
+  }
+  auto view = FileView::open(whole, file->limits);
+  if (!view) return fail(view.error());
+  file->view = *std::move(view);
+  auto validation = Validation::begin(*file->view);
+  if (!validation) return fail(validation.error());
+  file->validation = *std::move(validation);
+  return 0;
+}
+
+/// The next Gaussians of such a file to rgs_rows(), those of the finest level if it has levels; no rows: that was all, and
+/// nothing is wrong with the file. `as_stored`: only without levels.
+RGS_EXPORT(rgs_next) int rgs_next(File* file, int as_stored) {
+  const Status s = file->paged ? next_leaf(*file) : next_chunks(*file, as_stored != 0);
+  return s ? 0 : fail(s.error());
+}
+
+/// Chunk table and SH steps of a file without levels of which all has been read: chunks [n_chunks, 48] and steps
+/// [n_step_sets, 48] bytes in rgs_rows().
+RGS_EXPORT(rgs_tables) void rgs_tables(File* file) {
+  const FileView& view = *file->view;
+  rows = {.chunks = view.chunk_table().data(),
+          .steps = view.step_table().data(),
+          .n_chunks = static_cast<std::uint32_t>(view.header().n_chunks),
+          .n_step_sets = static_cast<std::uint32_t>(view.header().n_step_sets)};
+}
+
+/// Positions in the source of the Gaussians of such a file, FP64 [n] at rgs_numbers(): 0 if it keeps none.
+RGS_EXPORT(rgs_source_index) int rgs_source_index(File* file) {
+  const FileView& view = file->head();
+  numbers.clear();
+  if (view.find(SectionType::permutation) == nullptr) return 0;
+  for (std::uint64_t i = 0; i < view.header().n_gaussians; ++i) put(view.source_index(i));
+  return 1;
+}
