@@ -22,6 +22,7 @@ ROOMS = {
     "converter/prune": "prune",
     "converter/lod": "lod",
     "converter/tool": "tool",
+    "python": "python",
 }
 # Whom a room builds on. What those build on may be included too.
 BUILDS_ON = {
@@ -38,6 +39,7 @@ BUILDS_ON = {
     "prune": ["convert", "runtime"],
     "lod": ["math"],
     "tool": ["formats", "runtime"],
+    "python": ["convert", "inspect", "tool"],
 }
 # Rooms with programs; they may use what programs share, but not what that builds on.
 TOOL_USERS = ["convert", "inspect", "audit", "prune"]

@@ -2,6 +2,7 @@
 # install-deps.sh - installs the Debian 12 packages that RoofGS is built with; silent when all are there.
 # `install-deps.sh test` adds those that only tests need (pkgconf, nginx, openssl, and a browser: 80 MB, about 20 s).
 # `install-deps.sh packaging` adds those that packages are made and tested with.
+# `install-deps.sh python` adds those that the Python module and its tests need.
 # Set RGS_SKIP_INSTALL=1 where the dependencies come from elsewhere.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
@@ -13,7 +14,10 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
 [ "${1:-}" != test ] || packages="$packages chromium pkgconf nginx-light openssl"
-[ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf"
+[ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
+  python3-dev pybind11-dev"
+[ "${1:-}" != python ] || packages="$packages python3-dev pybind11-dev python3-pytest mypy
+  python3-nbformat python3-nbclient python3-ipykernel"
 
 [ "${RGS_SKIP_INSTALL:-0}" = 1 ] && exit 0
 

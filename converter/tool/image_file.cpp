@@ -169,11 +169,6 @@ Result<ImageFormat> image_format(const std::string& path) {
   return make_error(Errc::bad_argument, Error::kNone, "a picture's name must end in .png, .jpg, .tif or .exr");
 }
 
-std::uint8_t to_8bit(float value) {
-  if (!(value > 0)) return 0;
-  return static_cast<std::uint8_t>(value >= 1 ? 255.0F : value * 255.0F + 0.5F);
-}
-
 Status write_image(const std::string& path, const Image& image, const ImageFileOptions& options) {
   const auto format = image_format(path);
   if (!format) return tl::unexpected(format.error());

@@ -21,9 +21,6 @@ enum class ImageFormat { png, jpeg, tiff, exr };
 /// By the name's extension, any case: png, jpg, jpeg, tif, tiff, exr. bad_argument for others.
 Result<ImageFormat> image_format(const std::string& path);
 
-/// 8-bit code of a colour value: round(255 * clamp(v, 0, 1)), halves up; NaN gives 0.
-std::uint8_t to_8bit(float value);
-
 struct ImageFileOptions {
   AtomicFile::Options file{.overwrite = false, .sync = false};
   bool depth = false;      ///< the image [height, width, 1] is camera-space depth in world units, not colour

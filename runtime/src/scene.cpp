@@ -39,7 +39,17 @@ bool drawable(const SplatView& s, std::uint64_t i, std::uint64_t floats) {
          all_finite(&s.rotation[4 * i], 4) && !std::isnan(s.opacity_logit[i]) && all_finite(&s.sh[floats * i], floats);
 }
 
-Status check(const SplatView& s) {
+// The same of activated attributes, whose scales are below log_scale and opacities below opacity_logit.
+bool activated_drawable(const SplatView& s, std::uint64_t i, std::uint64_t floats) {
+  const auto legal = [](float scale) { return scale >= 0 && std::isfinite(scale); };
+  return all_finite(&s.mean[3 * i], 3) && std::all_of(&s.log_scale[3 * i], &s.log_scale[3 * i] + 3, legal) &&
+         all_finite(&s.rotation[4 * i], 4) && s.opacity_logit[i] >= 0 && s.opacity_logit[i] <= 1 &&
+         all_finite(&s.sh[floats * i], floats);
+}
+
+using Drawable = bool(const SplatView& s, std::uint64_t i, std::uint64_t floats);
+
+Status check(const SplatView& s, Drawable& is_drawable, const char* damage) {
   if (!s.consistent())
     return make_error(Errc::bad_argument, Error::kNone, "the sizes of the attributes contradict each other");
   if (s.n >= kMaxGaussians) {
@@ -50,19 +60,20 @@ Status check(const SplatView& s) {
   std::atomic<std::uint64_t> first_bad{s.n};
   detail::parallel_ranges(s.n, kGrain, [&](std::uint64_t begin, std::uint64_t end) {
     for (std::uint64_t i = begin; i < end; ++i) {
-      if (drawable(s, i, floats)) continue;
+      if (is_drawable(s, i, floats)) continue;
       std::uint64_t seen = first_bad.load();
       while (i < seen && !first_bad.compare_exchange_weak(seen, i)) {
       }
       return;
     }
   });
-  if (first_bad < s.n) {
-    return make_error(
-        Errc::bad_value, first_bad,
-        "a Gaussian is damaged: NaN, or an infinity that is no opacity; convert with a repair policy first");
-  }
+  if (first_bad < s.n) return make_error(Errc::bad_value, first_bad, damage);
   return {};
+}
+
+Status check(const SplatView& s) {
+  return check(s, drawable,
+               "a Gaussian is damaged: NaN, or an infinity that is no opacity; convert with a repair policy first");
 }
 
 // What a picture takes from them; a file's have been checked by its reader.
@@ -85,6 +96,13 @@ void normalize(float* q) {
   } else {
     q[0] = 1, q[1] = q[2] = q[3] = 0;
   }
+}
+
+// As a file may store it: FP16 moves the norm that far.
+bool is_unit(const float* q) {
+  double squared = 0;
+  for (int k = 0; k < 4; ++k) squared += static_cast<double>(q[k]) * static_cast<double>(q[k]);
+  return std::fabs(squared - 1) <= kUnitNormTolerance;
 }
 
 std::uint64_t next_identity() {
@@ -295,9 +313,10 @@ Result<Scene> Scene::load(const SplatView& splats, const std::optional<Declarati
     if (ok) ok = check(declared);
     if (!ok) return tl::unexpected(ok.error());
     const auto copy = [](std::span<const float> s) { return std::vector<float>(s.begin(), s.end()); };
-    return adopt({splats.sh_degree, copy(splats.mean), copy(splats.log_scale), copy(splats.rotation),
-                  copy(splats.opacity_logit), copy(splats.sh)},
-                 declared);
+    SplatCloud cloud{splats.sh_degree,      copy(splats.mean),          copy(splats.log_scale),
+                     copy(splats.rotation), copy(splats.opacity_logit), copy(splats.sh)};
+    activate(cloud);
+    return adopt(std::move(cloud), declared);
   });
 }
 
@@ -306,17 +325,36 @@ Result<Scene> Scene::load(SplatCloud&& splats, const std::optional<Declarations>
     Status ok = check(splats.view());
     if (ok) ok = check(declared);
     if (!ok) return tl::unexpected(ok.error());
+    activate(splats);
     return adopt(std::move(splats), declared);
   });
 }
 
-Scene Scene::adopt(SplatCloud splats, const std::optional<Declarations>& declared) {
-  activate(splats);
+Result<Scene> Scene::load(const SceneView& activated, const std::optional<Declarations>& declared) {
+  return detail::guard_memory([&]() -> Result<Scene> {
+    const SplatView splats{activated.n,        activated.sh_degree, activated.mean, activated.scale,
+                           activated.rotation, activated.opacity,   activated.sh};
+    Status ok =
+        check(splats, activated_drawable,
+              "a Gaussian is damaged: a number that is not finite, a scale below 0 or an opacity outside 0 to 1");
+    if (ok) ok = check(declared);
+    if (!ok) return tl::unexpected(ok.error());
+    const auto copy = [](std::span<const float> s) { return std::vector<float>(s.begin(), s.end()); };
+    SplatCloud cloud{splats.sh_degree,      copy(splats.mean),          copy(splats.log_scale),
+                     copy(splats.rotation), copy(splats.opacity_logit), copy(splats.sh)};
+    for (std::size_t i = 0; i < cloud.rotation.size(); i += 4) {
+      if (!is_unit(&cloud.rotation[i])) normalize(&cloud.rotation[i]);
+    }
+    return adopt(std::move(cloud), declared);
+  });
+}
+
+Scene Scene::adopt(SplatCloud activated, const std::optional<Declarations>& declared) {
   auto storage = std::make_shared<Storage>();
-  storage->n = splats.size();
-  storage->sh_degree = splats.sh_degree;
+  storage->n = activated.size();
+  storage->sh_degree = activated.sh_degree;
   storage->declarations = declared;
-  storage->activated = std::move(splats);
+  storage->activated = std::move(activated);
   const SplatCloud& s = storage->activated;
   storage->arrays =
       SceneView{s.size(), s.sh_degree, s.mean, s.rotation, s.log_scale, s.opacity_logit, s.sh, storage->origin()};

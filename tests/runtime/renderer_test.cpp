@@ -624,6 +624,49 @@ TEST_CASE("a packed file loads as the scene of the direct one") {
   CHECK(Scene::load(damaged).error().code == Errc::checksum_mismatch);
 }
 
+TEST_CASE("a scene of activated attributes is the one that gave them, and damage is refused with its index") {
+  SplitMix random(3);
+  const Scene scene = scene_of(random_cloud(50, 2, random));
+  const SceneView view = scene.view().value();
+  const auto again = Scene::load(view);
+  REQUIRE(again);
+  CHECK(same_arrays(again->view().value(), view));
+  CHECK(again->view()->mean.data() != view.mean.data());
+  Declarations declared;
+  declared.origin = {1e7, 2, 3};
+  CHECK(Scene::load(view, declared)->view()->origin == declared.origin);
+
+  std::vector<float> rotation(view.rotation.begin(), view.rotation.end());
+  for (float& q : rotation) q *= 3;
+  std::fill_n(&rotation[4], 4, 0.F);
+  SceneView turned = view;
+  turned.rotation = rotation;
+  const auto normalised = Scene::load(turned);
+  REQUIRE(normalised);
+  CHECK(normalised->view()->rotation[0] == doctest::Approx(view.rotation[0]));
+  CHECK(normalised->view()->rotation[4] == 1);
+
+  const auto refused = [&](auto SceneView::*attribute, std::size_t i, float value) {
+    const std::span<const float> given = view.*attribute;
+    std::vector<float> values(given.begin(), given.end());
+    values[i] = value;
+    SceneView damaged = view;
+    damaged.*attribute = values;
+    const auto result = Scene::load(damaged);
+    return result ? Error() : result.error();
+  };
+  CHECK(refused(&SceneView::mean, 3 * 7 + 1, NAN).offset == 7);
+  CHECK(refused(&SceneView::scale, 3 * 8, -1e-9F).offset == 8);
+  CHECK(refused(&SceneView::scale, 3 * 8, INFINITY).offset == 8);
+  CHECK(refused(&SceneView::opacity, 9, 1.001F).offset == 9);
+  CHECK(refused(&SceneView::opacity, 9, NAN).code == Errc::bad_value);
+  CHECK(refused(&SceneView::rotation, 40, INFINITY).offset == 10);
+  CHECK(refused(&SceneView::sh, 0, NAN).offset == 0);
+  SceneView short_view = view;
+  short_view.opacity = view.opacity.first(49);
+  CHECK(Scene::load(short_view).error().code == Errc::bad_argument);
+}
+
 TEST_CASE("refusals: cameras, options, targets, scenes, backends") {
   const Scene scene = scene_of(cloud_of(std::vector{splat_at(0, 0, 4, 1, 0.5)}));
   auto renderer = Renderer::create();

@@ -34,6 +34,12 @@ struct Image {
   }
 };
 
+/// 8-bit code of a colour value: round(255 * clamp(v, 0, 1)), halves up; NaN gives 0.
+inline std::uint8_t to_8bit(float value) {
+  if (!(value > 0)) return 0;
+  return static_cast<std::uint8_t>(value >= 1 ? 255.0F : value * 255.0F + 0.5F);
+}
+
 /// What one Gaussian gave to pixels: alpha T, the weight with which its colour was blended into each of them.
 struct Contribution {
   /// Value of 1 in `sum`: a weight that counts is never below 1e-4 / 255, a hundred of them.

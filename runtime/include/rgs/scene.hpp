@@ -48,6 +48,10 @@ class Scene {
   }
   /// The same in place, without a copy of the attributes.
   static Result<Scene> load(SplatCloud&& splats, const std::optional<Declarations>& declared = std::nullopt);
+  /// A copy of attributes that are activated already. Rotations whose squared norm is farther from 1 than a file's may be
+  /// (kUnitNormTolerance) are normalised. The origin is that of `declared`, not the view's. Errors: those above; bad_value also for a
+  /// scale below 0 and an opacity outside 0..1.
+  static Result<Scene> load(const SceneView& activated, const std::optional<Declarations>& declared = std::nullopt);
   /// An .rgs file: opened, validated (see validate()) and decoded on all threads. Errors: those of FileView::open(),
   /// validate() and MappedFile::open(), limit_exceeded. These make the FP32 arrays, for the caller's bytes may go.
   static Result<Scene> load(const FileView& file);
@@ -100,7 +104,7 @@ class Scene {
  private:
   struct Storage;
   static Result<Scene> open_levels(MappedFile&& file, const DecodeLimits& limits);
-  static Scene adopt(SplatCloud splats, const std::optional<Declarations>& declared);
+  static Scene adopt(SplatCloud activated, const std::optional<Declarations>& declared);
 
   std::shared_ptr<const Storage> storage_;
 };

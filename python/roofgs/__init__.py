@@ -1,0 +1,26 @@
+"""RoofGS: compact files for 3D Gaussian splats, and a renderer of them.
+
+>>> import roofgs
+>>> scene = roofgs.load(examples / "scene.rgs")
+>>> camera = roofgs.cameras.default_view(scene, width=64, height=48)
+>>> roofgs.Renderer(device="cpu").render(scene, camera).shape
+(48, 64, 3)
+
+docs/PYTHON.md is the way in; the docstrings are the manual.
+"""
+# SPDX-License-Identifier: Apache-2.0
+from . import cameras
+from ._errors import (ArgumentError, DeviceError, Error, FormatError, IncompleteError, InputOutputError, InternalError,
+                      MissingFileError, OutOfMemoryError, OutputExistsError, QualityError, UnavailableError)
+from ._rasterization import rasterization
+from ._render import Frame, Renderer
+from ._roofgs import Camera
+from ._roofgs import version as __version__
+from ._scene import Scene, StreamedScene, info, load
+
+__all__ = [
+    "ArgumentError", "Camera", "DeviceError", "Error", "FormatError", "Frame", "IncompleteError",
+    "InputOutputError", "InternalError", "MissingFileError", "OutOfMemoryError", "OutputExistsError", "QualityError",
+    "Renderer", "Scene", "StreamedScene", "UnavailableError", "cameras", "info", "load", "rasterization",
+    "__version__",
+]

@@ -1,0 +1,70 @@
+"""Arrays of others as NumPy's: of anything with DLPack, __array__ or a buffer, torch tensors on a GPU too."""
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from typing import Any, Optional, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ._errors import argument_error
+
+FloatArray = NDArray[np.float32]
+_DLPACK_CPU, _DLPACK_CUDA_HOST = 1, 3
+
+
+def is_tensor(value: Any) -> bool:
+    """Whether `value` is a torch.Tensor; torch is never imported for that."""
+    return type(value).__module__.partition(".")[0] == "torch" and hasattr(value, "detach")
+
+
+def refuse_gradients(**values: Any) -> None:
+    """An error for tensors that want gradients: nothing here gives any."""
+    for name, value in values.items():
+        if is_tensor(value) and value.requires_grad:
+            raise NotImplementedError(
+                f"{name} requires a gradient, but RoofGS renders forward only: pass {name}.detach(), or train with gsplat")
+
+
+def host_array(value: Any, name: str) -> "NDArray[Any]":
+    """`value` as an array in the host's memory, without a copy where it lies there already."""
+    if isinstance(value, np.ndarray):
+        return value
+    if is_tensor(value):
+        if value.requires_grad:
+            refuse_gradients(**{name: value})
+        array: NDArray[Any] = value.detach().cpu().numpy()
+        return array
+    if hasattr(value, "__dlpack_device__"):
+        kind = int(value.__dlpack_device__()[0])
+        if kind in (_DLPACK_CPU, _DLPACK_CUDA_HOST):
+            return np.from_dlpack(value)
+        if not hasattr(value, "get"):  # CuPy's way to the host
+            raise argument_error(f"{name} is on a device from which it cannot be copied here: pass it in the host's memory")
+        return np.asarray(value.get())
+    return np.asarray(value)
+
+
+def float_array(value: Any, name: str, shape: Sequence[Optional[int]]) -> FloatArray:
+    """`value` as C-contiguous float32 in this machine's byte order, of this shape; None stands for any length."""
+    array = host_array(value, name)
+    if array.dtype.kind not in "fiu":
+        raise argument_error(f"{name} holds {array.dtype}, not numbers")
+    if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
+        wanted = ", ".join("n" if length is None else str(length) for length in shape)
+        raise argument_error(f"{name} has the shape {list(array.shape)}, not [{wanted}]")
+    with np.errstate(over="ignore"):  # what is beyond float32 becomes infinite, and is refused as such
+        return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def output_array(value: Any, name: str) -> "NDArray[Any]":
+    """The memory of an output: an array, or a torch tensor on the CPU."""
+    if isinstance(value, np.ndarray):
+        return value
+    if is_tensor(value):
+        refuse_gradients(**{name: value})
+        if value.device.type != "cpu":
+            raise argument_error(f"{name} is a tensor on {value.device}; pictures come to the host's memory")
+        array: NDArray[Any] = value.numpy()
+        return array
+    raise argument_error(f"{name} is neither a NumPy array nor a torch tensor")

@@ -1,0 +1,173 @@
+"""What goes wrong, as exceptions."""
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import re
+from typing import Any, Optional, Type
+
+
+class Error(Exception):
+    """Whatever RoofGS refuses or cannot do. Each kind is also the usual exception of its sort, as the classes below say.
+
+    Attributes
+    ----------
+    code : str
+        Stable name of the failure: ``"checksum_mismatch"``, ``"bad_camera"``, ... (``Errc`` in ``rgs/result.hpp``).
+    file : str or None
+        The file or address that it is about.
+    offset : int or None
+        Byte in that file where it was noticed.
+    expected, found : int or None
+        What should have been there, and what was: a count, a size, a hash.
+    errno : int or None
+        Of the system call that failed.
+    hint : str
+        What can be done about it; may be empty.
+
+    >>> import roofgs
+    >>> try:
+    ...     roofgs.load("no-such-file.rgs")
+    ... except roofgs.Error as error:
+    ...     print(error.code, error.file, isinstance(error, FileNotFoundError))
+    open_failed no-such-file.rgs True
+    """
+
+    code: str
+    file: Optional[str]
+    offset: Optional[int]
+    expected: Optional[int]
+    found: Optional[int]
+    errno: Any  # int or None, which OSError does not know
+    hint: str
+
+    def __init__(self, message: str = "", *, code: str = "internal", file: Optional[str] = None,
+                 offset: Optional[int] = None, expected: Optional[int] = None, found: Optional[int] = None,
+                 errno: Optional[int] = None, hint: str = "") -> None:
+        Exception.__init__(self, message)
+        self.message = message
+        self.code = code
+        self.file = file
+        self.offset = offset
+        self.expected = expected
+        self.found = found
+        self.errno = errno
+        self.hint = hint
+
+    def __str__(self) -> str:
+        text = f"{self.file}: {self.message}" if self.file else self.message
+        text += f" [{self.code}]"
+        return f"{text}\n  hint: {self.hint}" if self.hint else text
+
+    # Of OSError this would be (errno, text), and nothing else would reach another process.
+    def __reduce__(self) -> "tuple[Any, ...]":
+        return _again, (type(self), self.message, self.code, self.file, self.offset, self.expected, self.found,
+                        self.errno, self.hint)
+
+
+def _again(kind: Type[Error], message: str, code: str, file: Optional[str], offset: Optional[int],
+           expected: Optional[int], found: Optional[int], errno: Optional[int], hint: str) -> Error:
+    return kind(message, code=code, file=file, offset=offset, expected=expected, found=found, errno=errno, hint=hint)
+
+
+class InternalError(Error, RuntimeError):
+    """A bug in RoofGS."""
+
+
+class ArgumentError(Error, ValueError):
+    """An argument is out of its documented range, or a camera is none."""
+
+
+class UnavailableError(Error, RuntimeError):
+    """The device is not there, or this build cannot use it."""
+
+
+# An OSError is made in __new__, from arguments that it counts.
+class _SystemError(Error, OSError):
+    def __new__(cls, *args: Any, **keywords: Any) -> "_SystemError":
+        return OSError.__new__(cls)
+
+
+class InputOutputError(_SystemError):
+    """Reading or writing failed."""
+
+
+class MissingFileError(InputOutputError, FileNotFoundError):
+    """There is no such file."""
+
+
+class OutputExistsError(InputOutputError, FileExistsError):
+    """The output is there already, and ``overwrite=True`` was not given."""
+
+
+class DeviceError(Error, RuntimeError):
+    """A call of the GPU's driver failed."""
+
+
+class OutOfMemoryError(Error, MemoryError):
+    """The host or the device has no more memory."""
+
+
+class FormatError(Error, ValueError):
+    """A file is damaged, or of a kind that is not read."""
+
+
+class QualityError(Error):
+    """A condition of ``audit(fail_below=...)`` does not hold. ``report`` is the audit."""
+
+    report: Any = None
+
+    def __reduce__(self) -> "tuple[Any, ...]":
+        return (*super().__reduce__(), {"report": self.report})
+
+
+class IncompleteError(Error, ValueError):
+    """The end of a file with levels of detail is missing, and with it what was asked for."""
+
+
+_KINDS = {
+    "internal": InternalError,
+    "cancelled": InternalError,
+    "bad_argument": ArgumentError,
+    "bad_camera": ArgumentError,
+    "unavailable": UnavailableError,
+    "output_exists": OutputExistsError,
+    "device_failed": DeviceError,
+    "device_out_of_memory": OutOfMemoryError,
+    "host_out_of_memory": OutOfMemoryError,
+    "gate_failed": QualityError,
+    "pages_missing": IncompleteError,
+    "open_failed": InputOutputError,
+    "read_failed": InputOutputError,
+    "write_failed": InputOutputError,
+    "output_unusable": InputOutputError,
+}
+_ENOENT = 2
+_FLAGS = {"overwrite", "strict", "merge", "lod", "keep_permutation", "keep_order"}
+
+
+def _as_python(text: str) -> str:
+    """Options of the programs as arguments of the functions: --overwrite as overwrite=True."""
+
+    def argument(match: "re.Match[str]") -> str:
+        name = match[1].replace("-", "_")
+        if name in _FLAGS:
+            return f"{name}=True"
+        return f"{name}={match[2]!r}" if match[2] else f"{name}="
+
+    values = r"(?:[ =](?=[a-z]*\b)(drop|repair|refuse|packed|direct|archive))?"
+    text = re.sub(r"--([a-z][a-z-]*[a-z])" + values, argument, text)
+    return text.replace("DecodeLimits::", "").replace("Backend::cpu", "device='cpu'")
+
+
+def make(code: str, message: str, hint: str = "", file: Optional[str] = None, offset: Optional[int] = None,
+         expected: Optional[int] = None, found: Optional[int] = None, errno: Optional[int] = 0) -> Error:
+    """The exception for a failure of the library."""
+    kind: Type[Error] = _KINDS.get(code, FormatError)
+    if kind is InputOutputError and errno == _ENOENT:
+        kind = MissingFileError
+    return kind(_as_python(message), code=code, file=file, offset=offset, expected=expected, found=found,
+                errno=errno or None, hint=_as_python(hint))
+
+
+def argument_error(message: str) -> Error:
+    return make("bad_argument", message)

@@ -1,0 +1,212 @@
+"""gsplat's rasterization(), forward only."""
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import sys
+import threading
+from typing import Any, Dict, List, Optional, Tuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import cameras
+from ._arrays import float_array, host_array, is_tensor, refuse_gradients
+from ._errors import argument_error
+from ._render import Renderer
+from ._roofgs import Camera
+from ._scene import Scene
+
+_SH0 = 0.28209479177387814  # Y of degree 0
+_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
+_local = threading.local()
+
+Floats = NDArray[np.float32]
+
+
+class Meta(Dict[str, Any]):
+    """The sizes of a call. What gsplat puts here besides is of its own stages: KeyError says so."""
+
+    def __missing__(self, key: str) -> Any:
+        raise KeyError(f"{key!r}: RoofGS does not have gsplat's stages, so that meta holds {', '.join(self)} alone")
+
+
+def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: Any, viewmats: Any, Ks: Any, width: int,
+                  height: int, near_plane: float = 0.01, far_plane: float = 1e10, radius_clip: float = 0.0,
+                  eps2d: float = 0.3, sh_degree: Optional[int] = None, packed: bool = True, tile_size: int = 16,
+                  backgrounds: Any = None, render_mode: str = "RGB", sparse_grad: bool = False, absgrad: bool = False,
+                  rasterize_mode: str = "classic", channel_chunk: int = 32, distributed: bool = False,
+                  camera_model: str = "pinhole", segmented: bool = False, covars: Any = None,
+                  **others: Any) -> Tuple[Any, Any, Meta]:
+    """Pictures of Gaussians, with the arguments, shapes and conventions of ``gsplat.rasterization``.
+
+    A script for inference runs with ``from roofgs import rasterization``. There are no gradients: an input that requires one
+    is refused. Torch tensors give torch tensors on their device, all else NumPy arrays.
+
+    Parameters
+    ----------
+    means : [..., N, 3]
+    quats : [..., N, 4]
+        w, x, y, z; need not be normalised.
+    scales : [..., N, 3]
+        Standard deviations, not their logarithms.
+    opacities : [..., N]
+        0 to 1, not logits.
+    colors : [..., (C,) N, D], or with `sh_degree` [..., (C,) N, K, 3]
+        Colours of 0 and above, of any number of channels; or coefficients of spherical harmonics.
+    viewmats : [..., C, 4, 4]
+        World to camera, OpenCV axes.
+    Ks : [..., C, 3, 3]
+    eps2d : float
+        px^2 added to projected covariances.
+    sh_degree : int, optional
+        Degree that is used, 0 to 3; K is at least (sh_degree + 1)^2.
+    backgrounds : [..., C, D], optional
+    render_mode : "RGB", "D", "ED", "RGB+D" or "RGB+ED"
+        D is the accumulated depth, the sum of weight times z; ED is that over alpha.
+    rasterize_mode : "classic" or "antialiased"
+    packed, tile_size, channel_chunk, segmented
+        Without effect: how gsplat computes.
+    radius_clip, sparse_grad, absgrad, distributed, camera_model, covars, and what gsplat has besides
+        Only their defaults.
+
+    Returns
+    -------
+    colors : [..., C, height, width, X]
+        X is D, 1 or D + 1 channels, depth last. No background is put behind depth.
+    alphas : [..., C, height, width, 1]
+    meta : dict
+        "width", "height", "n_cameras", "n_batches".
+
+    A Gaussian ends where its alpha is below 1/255, alpha is at most 0.99, and a pixel stops at a transmittance of 1e-4: pictures
+    differ from gsplat's where a version of it has other thresholds.
+
+    >>> colors, alphas, meta = rasterization(
+    ...     means=np.array([[0.0, 0.0, 2.0]]), quats=np.array([[1.0, 0, 0, 0]]), scales=np.full((1, 3), 0.1),
+    ...     opacities=np.array([0.5]), colors=np.array([[1.0, 0.0, 0.0]]), viewmats=np.eye(4)[None],
+    ...     Ks=np.array([[[30.0, 0, 8], [0, 30, 6], [0, 0, 1]]]), width=16, height=12, render_mode="RGB+ED")
+    >>> colors.shape, alphas.shape, meta["n_cameras"]
+    ((1, 12, 16, 4), (1, 12, 16, 1), 1)
+    """
+    refuse_gradients(means=means, quats=quats, scales=scales, opacities=opacities, colors=colors, viewmats=viewmats,
+                     Ks=Ks, backgrounds=backgrounds)
+    _refuse_absent(dict(radius_clip=(radius_clip, 0.0), sparse_grad=(sparse_grad, False), absgrad=(absgrad, False),
+                        distributed=(distributed, False), camera_model=(camera_model, "pinhole"), covars=(covars, None),
+                        **{name: (value, None) for name, value in others.items()
+                           if value is not False and getattr(value, "name", "") != "GLOBAL"}))
+    if render_mode not in _MODES:
+        raise argument_error(f"render_mode is one of {', '.join(_MODES)}, not {render_mode!r}")
+    if rasterize_mode not in ("classic", "antialiased"):
+        raise argument_error(f"rasterize_mode is 'classic' or 'antialiased', not {rasterize_mode!r}")
+    if sh_degree is not None and not 0 <= sh_degree <= 3:
+        raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
+    tensor = means if is_tensor(means) else None
+
+    batch, (n, _) = _split(means, "means", 2)
+    views = cameras.from_matrices(viewmats, Ks, width, height)
+    view_shape = tuple(host_array(viewmats, "viewmats").shape[:-2])
+    if view_shape[:-1] != batch or not view_shape:
+        raise argument_error(f"viewmats is [..., C, 4, 4] with the leading axes of means, {list(batch)}")
+    n_cameras, n_batches = view_shape[-1], int(np.prod(batch, dtype=int))
+    centres = _flat(means, "means", batch, (n, 3))
+    rotations = _flat(quats, "quats", batch, (n, 4))
+    deviations = _flat(scales, "scales", batch, (n, 3))
+    weights = _flat(opacities, "opacities", batch, (n,))
+    harmonics, per_camera, n_channels = _harmonics(colors, batch, n_cameras, n, sh_degree)
+    behind = np.zeros((n_batches, n_cameras, n_channels), np.float32)
+    if backgrounds is not None:
+        behind = _flat(backgrounds, "backgrounds", batch, (n_cameras, n_channels))
+
+    with_colour, depth_mode = "RGB" in render_mode, render_mode.rpartition("+")[2]
+    n_out = (n_channels if with_colour else 0) + (depth_mode in ("D", "ED"))
+    out = np.empty((n_batches, n_cameras, height, width, n_out), np.float32)
+    alphas = np.empty((n_batches, n_cameras, height, width, 1), np.float32)
+    for b in range(n_batches):
+        for c in range(n_cameras):
+            if c == 0 or per_camera:
+                sets = [Scene(centres[b], rotations[b], deviations[b], weights[b], sh[:, :1], sh[:, 1:],
+                              anti_aliasing="mip" if rasterize_mode == "antialiased" else "classic", low_pass=eps2d)
+                        for sh in harmonics[b][c if per_camera else 0]]
+            _render_one(sets if with_colour else sets[:1], views[b * n_cameras + c], behind[b, c], with_colour, depth_mode,
+                        near_plane, far_plane, out[b, c], alphas[b, c])
+    shape = (*batch, n_cameras, height, width)
+    return (_like(tensor, out.reshape(*shape, n_out)), _like(tensor, alphas.reshape(*shape, 1)),
+            Meta(width=width, height=height, n_cameras=n_cameras, n_batches=n_batches))
+
+
+def _render_one(sets: List[Scene], view: Camera, behind: Floats, with_colour: bool, depth_mode: str, near_plane: float,
+                far_plane: float, out: Floats, alpha: Floats) -> None:
+    """One camera: three channels at a time, then depth."""
+    renderer = _renderer()
+    wants_depth = depth_mode in ("D", "ED")
+    for i, scene in enumerate(sets):
+        under = behind[3 * i:3 * i + 3] if with_colour else behind[:0]
+        background = tuple(float(value) for value in np.pad(under, (0, 3 - len(under))))
+        frame = renderer.render(scene, view, alpha=True, depth=wants_depth and i == 0,
+                                background=(background[0], background[1], background[2]), near_plane=near_plane,
+                                far_plane=far_plane)
+        if with_colour:
+            channels = slice(3 * i, min(3 * i + 3, len(behind)))
+            out[..., channels] = frame.image[..., :channels.stop - channels.start]
+        if i == 0:
+            assert frame.alpha is not None
+            alpha[..., 0] = frame.alpha
+            if frame.depth is not None:
+                out[..., -1] = frame.depth if depth_mode == "ED" else frame.depth * frame.alpha
+
+
+def _renderer() -> Renderer:
+    """One for each thread: its memory is used again by the next call."""
+    if not hasattr(_local, "renderer"):
+        _local.renderer = Renderer()
+    renderer: Renderer = _local.renderer
+    return renderer
+
+
+def _refuse_absent(arguments: Dict[str, Tuple[Any, Any]]) -> None:
+    for name, (value, usual) in arguments.items():
+        if value is usual or (usual is not None and value == usual):
+            continue
+        why = "there are no gradients" if name in ("sparse_grad", "absgrad") else "RoofGS does not have it"
+        raise NotImplementedError(f"{name}={value!r}: {why}; leave it at {usual!r}, or call gsplat")
+
+
+def _split(value: Any, name: str, n_own: int) -> Tuple[Tuple[int, ...], Tuple[int, ...]]:
+    shape = tuple(int(length) for length in host_array(value, name).shape)
+    if len(shape) < n_own:
+        raise argument_error(f"{name} has the shape {list(shape)}, too few axes")
+    return shape[:-n_own], shape[-n_own:]
+
+
+def _flat(value: Any, name: str, batch: Tuple[int, ...], own: Tuple[int, ...]) -> Floats:
+    """[..., own] as [n_batches, own]."""
+    return float_array(value, name, (*batch, *own)).reshape(-1, *own)
+
+
+def _harmonics(colors: Any, batch: Tuple[int, ...], n_cameras: int, n: int,
+               sh_degree: Optional[int]) -> Tuple[List[List[List[Floats]]], bool, int]:
+    """Coefficients [N, K, 3] by batch, camera (one for all, unless they differ) and three channels; and channels in all."""
+    shape = tuple(host_array(colors, "colors").shape)
+    own = 2 if sh_degree is None else 3
+    per_camera = len(shape) == len(batch) + own + 1
+    wanted: Tuple[Optional[int], ...] = (*batch, *((n_cameras,) if per_camera else ()), n)
+    values = float_array(colors, "colors", (*wanted, None) if sh_degree is None else (*wanted, None, 3))
+    values = values.reshape(-1, n_cameras if per_camera else 1, *shape[len(shape) - own:])
+    if sh_degree is not None:
+        n_used = (sh_degree + 1) ** 2
+        if values.shape[-2] < n_used:
+            raise argument_error(f"colors has {values.shape[-2]} coefficients; sh_degree={sh_degree} takes {n_used}")
+        return [[[each[:, :n_used]] for each in of_batch] for of_batch in values], per_camera, 3
+    if values.size and not values.min() >= 0:
+        raise argument_error("colors below 0, or NaN, are not rendered: shift them, and the picture back by alpha times as much")
+    n_channels = values.shape[-1]
+    padding = [(0, 0)] * (values.ndim - 1) + [(0, -n_channels % 3 if n_channels else 3)]
+    sh = (np.pad(values, padding) - np.float32(0.5)) / np.float32(_SH0)
+    return ([[[each[:, None, first:first + 3] for first in range(0, each.shape[-1], 3)] for each in of_batch]
+             for of_batch in sh], per_camera, n_channels)
+
+
+def _like(tensor: Any, array: Floats) -> Any:
+    if tensor is None:
+        return array
+    torch: Any = sys.modules["torch"]  # a tensor is there
+    return torch.from_numpy(array).to(tensor.device)

@@ -1,0 +1,201 @@
+"""Pictures of scenes."""
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Tuple, Union, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _roofgs
+from ._arrays import FloatArray, output_array
+from ._errors import argument_error
+from ._roofgs import Camera
+from ._scene import Scene, StreamedScene
+
+Cameras = Union[Camera, Iterable[Camera]]
+AnyScene = Union[Scene, StreamedScene]
+_DEVICES = ("auto", "cpu", "cuda")
+_PIPELINES = ("automatic", "baseline", "paper", "turbo")
+
+
+class Frame(NamedTuple):
+    """What :meth:`Renderer.render` gives where alpha or depth is asked for."""
+
+    image: "NDArray[Any]"  #: [height, width, 3] colour over the background, float32 or uint8
+    alpha: Optional[FloatArray]  #: [height, width] 1 - transmittance
+    depth: Optional[FloatArray]  #: [height, width] expected z in the camera's axes, world units; 0 where nothing is
+
+
+class Renderer:
+    """Renders pictures on the CPU or on an NVIDIA GPU. It holds memory that it uses again; threads that share one take turns.
+
+    Parameters
+    ----------
+    device : "auto", "cpu" or "cuda"
+        "auto" is a GPU where there is one.
+    pipeline : "automatic", "baseline", "paper" or "turbo"
+        By which method; docs/RENDERING.md. "automatic" is the image's definition on the CPU, and turbo on a GPU.
+    threads : int
+        Of the CPU; 0 are all. Pictures do not depend on it.
+
+    >>> import roofgs
+    >>> scene = roofgs.load(examples / "scene.rgs")
+    >>> renderer = Renderer(device="cpu")
+    >>> camera = roofgs.cameras.default_view(scene, width=64, height=48)
+    >>> image = renderer.render(scene, camera)
+    >>> image.shape, image.dtype
+    ((48, 64, 3), dtype('float32'))
+    >>> frame = renderer.render(scene, camera, dtype="uint8", depth=True)
+    >>> frame.image.dtype, frame.depth.shape, frame.alpha is None
+    (dtype('uint8'), (48, 64), True)
+    """
+
+    def __init__(self, device: str = "auto", pipeline: str = "automatic", *, threads: int = 0) -> None:
+        if device not in _DEVICES:
+            raise argument_error(f"device is one of {', '.join(_DEVICES)}, not {device!r}")
+        if pipeline not in _PIPELINES:
+            raise argument_error(f"pipeline is one of {', '.join(_PIPELINES)}, not {pipeline!r}")
+        if not 0 <= threads <= 1024:
+            raise argument_error(f"threads is 0 to 1024, not {threads}")
+        self._native = _roofgs.Renderer(device, threads)
+        self._pipeline = pipeline
+        self._options: Dict[Tuple[Any, ...], _roofgs.RenderOptions] = {}
+
+    @property
+    def device(self) -> str:
+        """"cpu" or "cuda"."""
+        return self._native.device
+
+    @property
+    def name(self) -> str:
+        """Of the device: "cpu AVX2", "cuda NVIDIA H100 80GB HBM3"."""
+        return self._native.name
+
+    @property
+    def pipeline(self) -> str:
+        """As it was made with."""
+        return self._pipeline
+
+    @property
+    def stats(self) -> List[Dict[str, float]]:
+        """What each picture of the last call cost: ``total_ms``, ``visible``, ``instances``, ..."""
+        return self._native.stats()
+
+    def __repr__(self) -> str:
+        return f"<roofgs.Renderer {self.name}, pipeline {self._pipeline}>"
+
+    @overload
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
+               alpha: Literal[False] = ..., depth: Literal[False] = ...,
+               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> "NDArray[Any]": ...
+
+    @overload
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
+               alpha: Literal[True], depth: bool = ...,
+               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
+
+    @overload
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
+               alpha: bool = ..., depth: Literal[True],
+               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
+
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: Any = None, alpha: bool = False,
+               depth: bool = False, background: Tuple[float, float, float] = (0.0, 0.0, 0.0),
+               near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
+               low_pass: Optional[float] = None, anti_aliasing: Optional[str] = None,
+               detail: Optional[float] = None) -> "Union[NDArray[Any], Frame]":
+        """A picture, or one for each of several cameras, whose pictures must have one size.
+
+        Parameters
+        ----------
+        camera : Camera or several
+            With several, a leading axis of all results counts them.
+        out : array, or Frame or tuple of arrays
+            Filled instead of new arrays: C-contiguous, float32 or, of the image, uint8; with `alpha` or `depth` a tuple
+            (image, alpha, depth). NumPy arrays, or torch tensors on the CPU.
+        dtype : "float32" or "uint8"
+            Of the image; that of `out`, else float32. 8-bit codes are round(255 clamp(v, 0, 1)).
+        alpha, depth : bool
+            Give these, too, in a :class:`Frame`.
+        background : three numbers
+            The colour behind everything.
+        near_plane, far_plane : float, optional
+            Gaussians whose centre is nearer than this (0.2), or farther (no limit), are not drawn. World units.
+        sh_degree : int
+            Higher degrees are ignored.
+        low_pass, anti_aliasing : optional
+            As the scene declares; px^2, "classic" or "mip".
+        detail : float, optional
+            Of scenes with levels of detail: pages are drawn whose error is at most so many pixels. 1 unless it is given; 0
+            draws all Gaussians.
+
+        Python's lock is not held. Ctrl-C is seen between two pictures of a call.
+        """
+        single = isinstance(camera, Camera)
+        cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
+        image_out, alpha_out, depth_out = _outputs(out, alpha or depth)
+        eight_bit = _is_eight_bit(dtype, image_out)
+        options = self._options_of(background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        image, alphas, depths = self._native.render(
+            scene._native, cameras, not single, image_out, alpha_out, depth_out, eight_bit, alpha, depth, options)
+        return Frame(image, alphas, depths) if alpha or depth else image
+
+    def refine(self, scene: StreamedScene, camera: Camera, seconds: float = 60.0, *,
+               detail: Optional[float] = None) -> bool:
+        """Waits until all is there that this view of a streamed scene wants. :meth:`render` then gives the picture of the whole
+        file. False: the time is over, or the scene's budget has no room for the rest. Ctrl-C ends it."""
+        options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail)
+        return self._native.refine(scene._native, camera, float(seconds), options)
+
+    def prepare(self, scene: Scene) -> None:
+        """Brings a scene to where it is drawn, which the first picture does otherwise."""
+        self._native.prepare(scene._native)
+
+    def _options_of(self, background: Tuple[float, float, float], near_plane: Optional[float],
+                    far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
+                    anti_aliasing: Optional[str], detail: Optional[float]) -> _roofgs.RenderOptions:
+        key = (*background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        known = self._options.get(key)
+        if known is not None:
+            return known
+        if anti_aliasing not in (None, "classic", "mip"):
+            raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
+        if not 0 <= sh_degree <= 3:
+            raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
+        red, green, blue = (float(value) for value in background)
+        options = _roofgs.RenderOptions((red, green, blue), near_plane,
+                                        0.0 if far_plane is None else float(far_plane), sh_degree, low_pass,
+                                        anti_aliasing, detail, self._pipeline)
+        if len(self._options) > 64:  # of callers with another background each time
+            self._options.clear()
+        self._options[key] = options
+        return options
+
+
+def _outputs(out: Any, several: bool) -> Tuple[Any, Any, Any]:
+    if out is None:
+        return None, None, None
+    if not several:
+        if isinstance(out, Frame):
+            out = out.image
+        return output_array(out, "out"), None, None
+    if not isinstance(out, tuple) or len(out) != 3:
+        raise argument_error("with alpha or depth, out is a tuple (image, alpha, depth)")
+    return tuple(None if each is None else output_array(each, name)  # type: ignore[return-value]
+                 for each, name in zip(out, ("out[0]", "out[1]", "out[2]")))
+
+
+def _is_eight_bit(dtype: Any, image: Any) -> bool:
+    if dtype is None:
+        return image is not None and image.dtype == np.uint8
+    kind = np.dtype(dtype)
+    if kind not in (np.dtype(np.float32), np.dtype(np.uint8)):
+        raise argument_error(f"pictures are float32 or uint8, not {kind}")
+    return kind == np.dtype(np.uint8)

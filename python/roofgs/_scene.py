@@ -1,0 +1,400 @@
+"""Scenes in memory, and scenes that are drawn while they are read."""
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import base64
+import html
+import json
+import struct
+import zlib
+from typing import Any, Dict, Optional, Tuple, Union
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _roofgs
+from ._arrays import FloatArray, float_array, host_array, refuse_gradients
+from ._errors import argument_error
+from ._paths import Path, encoded, shown
+from ._progress import Progress, Reporting
+
+Vector3 = Tuple[float, float, float]
+_DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
+_PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small")
+
+
+def _shown_name(name: bytes) -> str:
+    """A path, or an address without user, password and query."""
+    text = shown(name)
+    if not text.lower().startswith(("http://", "https://")):
+        return text
+    scheme, _, rest = text.partition("://")
+    rest = rest.partition("?")[0].partition("#")[0]
+    host, slash, path = rest.partition("/")
+    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
+
+
+class Scene:
+    """Gaussians to be drawn, which never change.
+
+    Made by :func:`load`, or of arrays, which are copied: NumPy's, torch tensors, or anything else with DLPack, in the host's
+    memory or on a GPU. Values are activated, as gsplat's ``rasterization()`` takes them.
+
+    Parameters
+    ----------
+    means : array [n, 3]
+        Centres relative to `origin`, world units.
+    quats : array [n, 4]
+        Rotations w, x, y, z. Normalised if they are not; 0 is no rotation.
+    scales : array [n, 3]
+        Standard deviations along the local axes, world units, 0 and above.
+    opacities : array [n]
+        0 to 1.
+    sh0 : array [n, 1, 3] or [n, 3]
+        Coefficients of spherical harmonics of degree 0, in the basis of 3DGS: colour = 0.5 + 0.2820948 sh0.
+    shN : array [n, 3 or 8 or 15, 3], optional
+        Those of degrees 1 to 1, 2 or 3.
+    origin : three numbers
+        What means are measured from, in the world: for scenes so far away that float32 would round them.
+    anti_aliasing : "classic" or "mip"
+        That the scene was trained with.
+    low_pass : float, optional
+        px^2 added to projected covariances in training; 0.3, or 0.1 with "mip".
+
+    >>> scene = Scene(means=np.zeros((1, 3)), quats=[[1, 0, 0, 0]], scales=np.full((1, 3), 0.1), opacities=[0.5],
+    ...               sh0=np.ones((1, 3)))
+    >>> scene
+    <roofgs.Scene 1 Gaussian, SH degree 0>
+    >>> scene.scales
+    array([[0.1, 0.1, 0.1]], dtype=float32)
+    """
+
+    _native: _roofgs.Scene
+
+    def __init__(self, means: Any, quats: Any, scales: Any, opacities: Any, sh0: Any, shN: Any = None, *,
+                 origin: Any = (0.0, 0.0, 0.0), anti_aliasing: str = "classic",
+                 low_pass: Optional[float] = None) -> None:
+        refuse_gradients(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh0, shN=shN)
+        if anti_aliasing not in ("classic", "mip"):
+            raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
+        centres = float_array(means, "means", (None, 3))
+        n = centres.shape[0]
+        first = host_array(sh0, "sh0")
+        first = float_array(first.reshape(n, 1, 3) if first.shape == (n, 3) else first, "sh0", (n, 1, 3))
+        coefficients, degree = first, 0
+        if shN is not None:
+            others = float_array(shN, "shN", (n, None, 3))
+            if others.shape[1] not in _DEGREES:
+                raise argument_error(f"shN has {others.shape[1]} coefficients; 0, 3, 8 or 15 make a degree")
+            degree = _DEGREES[others.shape[1]]
+            coefficients = np.concatenate([first, others], axis=1)
+        x, y, z = (float(value) for value in origin)
+        self._native = _roofgs.Scene.from_arrays(
+            centres, float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3)),
+            float_array(opacities, "opacities", (n,)), coefficients, degree, (x, y, z), anti_aliasing, low_pass)
+
+    @classmethod
+    def _of(cls, native: _roofgs.Scene) -> "Scene":
+        scene = cls.__new__(cls)
+        scene._native = native
+        return scene
+
+    # ---- attributes
+
+    def __len__(self) -> int:
+        return self._native.n
+
+    @property
+    def means(self) -> FloatArray:
+        """[n, 3] centres relative to :attr:`origin`, world units.
+
+        This and the other arrays are read-only views of the scene's memory, which lives as long as they do. The first that is
+        asked for makes all of them: 236 bytes a Gaussian at SH degree 3.
+        """
+        return self._native.means
+
+    @property
+    def quats(self) -> FloatArray:
+        """[n, 4] unit quaternions w, x, y, z; of a file as it stores them, in FP16."""
+        return self._native.quats
+
+    @property
+    def scales(self) -> FloatArray:
+        """[n, 3] standard deviations along the local axes, world units."""
+        return self._native.scales
+
+    @property
+    def opacities(self) -> FloatArray:
+        """[n] 0 to 1."""
+        return self._native.opacities
+
+    @property
+    def sh(self) -> FloatArray:
+        """[n, (degree + 1)^2, 3] coefficients of spherical harmonics, red, green, blue."""
+        return self._native.sh
+
+    @property
+    def sh0(self) -> FloatArray:
+        """[n, 1, 3] those of degree 0."""
+        return self._native.sh0
+
+    @property
+    def shN(self) -> FloatArray:
+        """[n, (degree + 1)^2 - 1, 3] those of the other degrees."""
+        return self._native.shN
+
+    @property
+    def sh_degree(self) -> int:
+        """0 to 3."""
+        return self._native.sh_degree
+
+    @property
+    def origin(self) -> "NDArray[np.float64]":
+        """[3] what means are measured from, in the world."""
+        return np.array(self._native.origin, dtype=np.float64)
+
+    @property
+    def anti_aliasing(self) -> str:
+        """"classic" or "mip": what the scene declares."""
+        return self._native.anti_aliasing
+
+    @property
+    def bounds(self) -> Tuple[Vector3, Vector3]:
+        """Two corners of a box in the world that holds most of the means: floaters far away do not count."""
+        return self._native.bounds
+
+    @property
+    def up(self) -> Vector3:
+        """Up in the world: what the file states, else -y."""
+        return self._native.up
+
+    @property
+    def levels(self) -> int:
+        """Levels of detail that the file has; 0 without."""
+        return self._native.n_levels
+
+    @property
+    def format(self) -> Optional[str]:
+        """Of the file it came from: "rgs", "ply", "spz", ...; None for one that was made of arrays."""
+        return self._native.format
+
+    @property
+    def path(self) -> Optional[str]:
+        """Where it came from: a path, or an address without user, password and query."""
+        return _shown_name(self._native.path) or None
+
+    # ---- saving
+
+    def save(self, path: Path, *, profile: str = "packed", lod: Union[bool, str] = False, overwrite: bool = False,
+             sync: bool = True, strict: bool = False, progress: Progress = None) -> int:
+        """Writes a file, whole or not at all, and returns its bytes. The ending names the format: .rgs, .ply, .compressed.ply,
+        .spz, .splat or .glb.
+
+        Parameters
+        ----------
+        profile : "packed", "direct", "archive:high" or "archive:small"
+            Of an .rgs: the smaller form, the form that a GPU reads as it lies on disk, or lossy within stated bounds.
+        lod : bool, "fast" or "best"
+            Of an .rgs: with levels of detail.
+        strict : bool
+            Refuse values that the format cannot hold, instead of clamping them.
+        progress : True or a function
+            A bar, or ``function(stage, done, total, unit)``.
+
+        >>> scene = load(examples / "scene.rgs")
+        >>> scene.save(folder / "scene.spz") < scene.save(folder / "scene.ply")
+        True
+        """
+        if profile not in _PROFILES:
+            raise argument_error(f"profile is one of {', '.join(_PROFILES)}, not {profile!r}")
+        if lod not in (False, True, "fast", "best"):
+            raise argument_error(f"lod is True, False, 'fast' or 'best', not {lod!r}")
+        quality = lod if isinstance(lod, str) else "fast" if lod else ""
+        with Reporting(progress) as callback:
+            return self._native.save(encoded(path), profile, quality, overwrite, sync, strict, callback)
+
+    # ---- shown
+
+    def _facts(self) -> str:
+        facts = f"{len(self):,} Gaussian{'' if len(self) == 1 else 's'}, SH degree {self.sh_degree}"
+        if self.levels:
+            facts += f", {self.levels} levels of detail"
+        return f"{facts}, from {self.path!r}" if self.path else facts
+
+    def __repr__(self) -> str:
+        return f"<roofgs.Scene {self._facts()}>"
+
+    def _repr_html_(self) -> str:
+        return _html(self, self._facts())
+
+
+class StreamedScene:
+    """A file with levels of detail that is drawn while it is read: the coarsest part is in memory always, the rest as cameras
+    need it, within a budget.
+
+    Parameters
+    ----------
+    path : path or address
+        An .rgs that was written with levels (``lod=True``).
+    host_memory : int
+        Bytes that all of it may take in the host's memory.
+    prefetch : bool
+        Read also what a moving camera is about to see.
+
+    Use it in a ``with`` statement, or call :meth:`close`: it has threads. Frames show what is there and wait for nothing;
+    :meth:`Renderer.refine` waits.
+
+    >>> with StreamedScene(examples / "levels.rgs") as scene:
+    ...     camera = roofgs.cameras.default_view(scene, width=64, height=48)
+    ...     renderer = roofgs.Renderer(device="cpu")
+    ...     whole = renderer.refine(scene, camera, seconds=60)
+    ...     image = renderer.render(scene, camera)
+    >>> whole, image.shape
+    (True, (48, 64, 3))
+    """
+
+    def __init__(self, path: Path, *, host_memory: int = 2 << 30, prefetch: bool = True,
+                 max_expansion: Optional[int] = None) -> None:
+        self._native = _roofgs.open_stream(encoded(path), _count(host_memory, "host_memory"), prefetch,
+                                           _count_or_none(max_expansion, "max_expansion"))
+
+    def __len__(self) -> int:
+        return self._native.n
+
+    @property
+    def sh_degree(self) -> int:
+        """0 to 3."""
+        return self._native.sh_degree
+
+    @property
+    def origin(self) -> "NDArray[np.float64]":
+        """[3] what means are measured from, in the world."""
+        return np.array(self._native.origin, dtype=np.float64)
+
+    @property
+    def bounds(self) -> Tuple[Vector3, Vector3]:
+        """Two corners of a box in the world that holds most of the means."""
+        return self._native.bounds
+
+    @property
+    def up(self) -> Vector3:
+        """Up in the world."""
+        return self._native.up
+
+    @property
+    def path(self) -> str:
+        """Its path, or its address without user, password and query."""
+        return _shown_name(self._native.name)
+
+    @property
+    def stats(self) -> Dict[str, float]:
+        """What has been done since it was opened, and what is there: ``pages_resident``, ``pages_missing`` (that the last view
+        wants), ``bytes_read``, ``bytes_decoded``, ``bytes_uploaded``, ``bytes_evicted``, ``detail_reached_px``."""
+        return self._native.stats()
+
+    def check(self) -> None:
+        """Raises what has gone wrong with the file, if anything has: what is there is drawn all the same."""
+        self._native.check()
+
+    def close(self) -> None:
+        """Ends its threads. Whatever uses the scene afterwards is an error."""
+        self._native.close()
+
+    @property
+    def closed(self) -> bool:
+        """Whether :meth:`close` has been called."""
+        return self._native.closed
+
+    def __enter__(self) -> "StreamedScene":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __repr__(self) -> str:
+        if self.closed:
+            return f"<roofgs.StreamedScene of {self.path!r}, closed>"
+        return f"<roofgs.StreamedScene {len(self):,} Gaussians, SH degree {self.sh_degree}, from {self.path!r}>"
+
+    def _repr_html_(self) -> str:
+        return html.escape(repr(self)) if self.closed else _html(self, repr(self)[1:-1])
+
+
+def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Optional[int] = None,
+         max_expansion: Optional[int] = None, progress: Progress = None) -> Scene:
+    """Reads a scene of any format: .rgs, PLY, compressed PLY, SPZ, .splat, .ksplat, SOG or glTF. The content decides.
+
+    Parameters
+    ----------
+    path : path or address
+        An address (http, https) is read as a whole; :class:`StreamedScene` reads what is seen.
+    level_of_detail : int, optional
+        Of a file with levels: only this one, 0 being the finest.
+    max_count : int, optional
+        Of a file with levels: the finest cut through them that has no more Gaussians.
+    max_expansion : int, optional
+        What is compressed in a file may decode to so many times the file's size [1032].
+    progress : True or a function
+        A bar, or ``function(stage, done, total, unit)``; of addresses alone.
+
+    >>> scene = load(examples / "scene.rgs")
+    >>> scene.means.shape, scene.shN.shape, scene.means.flags.writeable
+    ((2000, 3), (2000, 15, 3), False)
+    """
+    with Reporting(progress) as callback:
+        return Scene._of(_roofgs.load(
+            encoded(path), _count_or_none(level_of_detail, "level_of_detail"), _count_or_none(max_count, "max_count"),
+            _count_or_none(max_expansion, "max_expansion"), callback))
+
+
+def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
+         max_expansion: Optional[int] = None) -> Dict[str, Any]:
+    """What an .rgs file holds and declares: the object of ``rgs-info --json`` (docs/INFO_JSON.md). With `verify` every checksum
+    and value is checked; what is wrong is raised.
+
+    statistics : bool, optional
+        Read all values for ranges and histograms; by default of files up to 1 GB.
+
+    >>> info(examples / "scene.rgs")["header"]["n_gaussians"]
+    2000
+    """
+    values: Dict[str, Any] = json.loads(_roofgs.info(encoded(path), verify, statistics,
+                                                     _count_or_none(max_expansion, "max_expansion")))
+    return values
+
+
+def _count(value: int, name: str) -> int:
+    number = value.__index__()
+    if not 0 <= number < 1 << 32 if name == "level_of_detail" else not 0 <= number < 1 << 64:
+        raise argument_error(f"{name} is {number}, which is no count")
+    return number
+
+
+def _count_or_none(value: Optional[int], name: str) -> Optional[int]:
+    return None if value is None else _count(value, name)
+
+
+def png(image: "NDArray[np.uint8]") -> bytes:
+    """A picture [height, width, 3] as a PNG file."""
+    height, width, _ = image.shape
+    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # before each row its filter: none
+    rows[:, 1:] = image.reshape(height, 3 * width)
+
+    def part(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return (b"\x89PNG\r\n\x1a\n" + part(b"IHDR", header) + part(b"IDAT", zlib.compress(rows.tobytes()))
+            + part(b"IEND", b""))
+
+
+def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:
+    from . import cameras
+    from ._render import Renderer
+
+    picture = ""
+    if len(scene):
+        camera = cameras.default_view(scene, width=480, height=270)
+        data = png(Renderer(device="cpu").render(scene, camera, dtype="uint8"))
+        picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
+    return f"<figure>{picture}<figcaption>{html.escape(facts)}</figcaption></figure>"

@@ -1,0 +1,126 @@
+"""Cameras: read from files, placed by hand, around a scene or along a path.
+
+A camera's axes are OpenCV's and COLMAP's: x right, y down, z forward. ``world_to_camera`` takes a point of the world to
+them; it is what gsplat calls a view matrix. Pixel (i, j) covers [i, i + 1) x [j, j + 1), so that
+``cx = width / 2`` is the middle of the picture. docs/CAMERAS.md has the files.
+"""
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Iterable, List, Sequence, Tuple, Union
+
+import numpy as np
+
+from . import _roofgs
+from ._arrays import host_array
+from ._errors import argument_error
+from ._paths import Path, encoded
+from ._roofgs import Camera
+
+if TYPE_CHECKING:
+    from ._scene import Scene, StreamedScene
+
+__all__ = ["Camera", "CameraList", "default_view", "from_matrices", "load", "look_at", "orbit", "path"]
+
+Vector = Sequence[float]
+WORLD_UP = (0.0, -1.0, 0.0)
+
+
+class CameraList(List[Camera]):
+    """The cameras of a file, in its order.
+
+    Attributes
+    ----------
+    source : str
+        ``"list"``, ``"training"`` (cameras.json of 3DGS), ``"transforms"`` (NeRF) or ``"colmap"``.
+    split_declared : bool
+        Whether the file says which cameras are for tests. If not, every eighth in the order of names is.
+    train, test : list of Camera
+        The two parts.
+    """
+
+    def __init__(self, cameras: Iterable[Camera], is_test: Sequence[bool], source: str, split_declared: bool) -> None:
+        super().__init__(cameras)
+        self.source = source
+        self.split_declared = split_declared
+        self.train = [camera for camera, test in zip(self, is_test) if not test]
+        self.test = [camera for camera, test in zip(self, is_test) if test]
+
+    def named(self, name: str) -> Camera:
+        """The camera of this name; KeyError if there is none."""
+        for camera in self:
+            if camera.name == name:
+                return camera
+        raise KeyError(name)
+
+    def __reduce__(self) -> "tuple[Any, ...]":
+        test = [camera in self.test for camera in self]
+        return CameraList, (list(self), test, self.source, self.split_declared)
+
+
+def load(path: Path) -> CameraList:
+    """Reads a JSON file of cameras or a folder with a COLMAP model.
+
+    >>> views = load(examples / "cameras.json")
+    >>> len(views), views[0].width, views[0].height
+    (8, 320, 240)
+    """
+    source, cameras, is_test, declared = _roofgs.read_cameras(encoded(path))
+    return CameraList(cameras, is_test, source, declared)
+
+
+def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 1280, height: int = 720,
+            horizontal_fov: float = 60.0) -> Camera:
+    """A camera at `eye` that has `target` in the middle of its picture. Field of view in degrees.
+
+    >>> camera = look_at((0, 0, -2), (0, 0, 0), width=64, height=48)
+    >>> (camera.world_to_camera @ [0, 0, 0, 1])[:3]
+    array([0., 0., 2.])
+    """
+    return _roofgs.look_at(_vector(eye), _vector(target), _vector(up), width, height, float(horizontal_fov))
+
+
+def orbit(scene: "Union[Scene, StreamedScene]", n: int, *, width: int = 1280, height: int = 720,
+          horizontal_fov: float = 60.0) -> List[Camera]:
+    """`n` cameras on a circle around the scene, which see all of it."""
+    low, high = scene.bounds
+    return _roofgs.orbit(low, high, int(n), scene.up, width, height, float(horizontal_fov))
+
+
+def default_view(scene: "Union[Scene, StreamedScene]", *, width: int = 1280, height: int = 720,
+                 horizontal_fov: float = 60.0) -> Camera:
+    """The view of a scene without cameras: from the front and a little above."""
+    return orbit(scene, 1, width=width, height=height, horizontal_fov=horizontal_fov)[0]
+
+
+def path(keys: Iterable[Camera], n: int) -> List[Camera]:
+    """`n` cameras along a smooth path through `keys`, first and last included."""
+    return _roofgs.interpolated_path(list(keys), int(n))
+
+
+def from_matrices(viewmats: Any, Ks: Any, width: int, height: int) -> List[Camera]:
+    """Cameras of matrices in gsplat's conventions.
+
+    Parameters
+    ----------
+    viewmats : array [..., 4, 4]
+        World to camera, OpenCV axes.
+    Ks : array [..., 3, 3]
+        Intrinsics in pixels: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]].
+    """
+    views = np.asarray(host_array(viewmats, "viewmats"), dtype=np.float64)
+    intrinsics = np.asarray(host_array(Ks, "Ks"), dtype=np.float64)
+    if views.shape[-2:] != (4, 4) or intrinsics.shape != views.shape[:-2] + (3, 3):
+        raise argument_error(f"viewmats and Ks are [..., 4, 4] and [..., 3, 3], not {list(views.shape)} and "
+                             f"{list(intrinsics.shape)}")
+    cameras = []
+    for view, k in zip(views.reshape(-1, 4, 4), intrinsics.reshape(-1, 3, 3)):
+        if k[0, 1] != 0 or k[1, 0] != 0 or not np.array_equal(k[2], (0.0, 0.0, 1.0)):
+            raise argument_error("Ks with skew, or whose last row is not 0 0 1, are not rendered")
+        cameras.append(Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), view))
+    return cameras
+
+
+def _vector(values: Vector) -> Tuple[float, float, float]:
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,366 @@
+// scene_binding.cpp - scenes: read from files and addresses, made of arrays, saved; what rgs-info says of a file.
+// SPDX-License-Identifier: Apache-2.0
+#include "scene_binding.hpp"
+
+#include <pybind11/numpy.h>
+#include <pybind11/stl.h>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <memory>
+#include <optional>
+#include <span>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "bindings.hpp"
+#include "convert.hpp"
+#include "info_json.hpp"
+#include "info_report.hpp"
+#include "rgs/byte_source.hpp"
+#include "rgs/file.hpp"
+#include "rgs/guard_memory.hpp"
+#include "rgs/interchange.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/quantize.hpp"
+#include "rgs/splat_edit.hpp"
+#include "work.hpp"
+
+namespace py = pybind11;
+using namespace py::literals;
+
+namespace rgs::python {
+namespace {
+
+using Floats = py::array_t<float, py::array::c_style>;
+
+struct LoadOptions {
+  ReadOptions read;
+  bool has_choice() const { return read.level_of_detail || read.max_count; }
+};
+
+// What is not an .rgs as it lies on the disk: Gaussians that were read, in the frame in which scenes are drawn.
+Result<SceneFile> scene_of(Result<SplatFile> file) {
+  if (!file) return tl::unexpected(file.error());
+  SceneFile out;
+  out.format = file->format;
+  out.file_bytes = file->bytes;
+  out.bounds = robust_bounds(file->cloud.mean, file->origin);
+  if (file->declarations) out.up = declared_up(*file->declarations);
+  auto scene = Scene::load(std::move(file->cloud), declarations_of(*file));
+  if (!scene) {
+    Error error = scene.error();
+    if (error.code == Errc::bad_value) std::swap(error.found, error.offset);  // an index, not a byte of the file
+    return tl::unexpected(error);
+  }
+  out.scene = *std::move(scene);
+  return out;
+}
+
+Result<SceneFile> load_path(const std::string& path, const LoadOptions& options) {
+  if (!options.has_choice()) return load_scene_file(path, options.read.limits);
+  return scene_of(read_splats(path, options.read));
+}
+
+Result<SceneFile> load_url(ByteSource& source, const LoadOptions& options, Progress& progress) {
+  constexpr std::uint64_t kPart = std::uint64_t{1} << 20;
+  if (source.size() > options.read.limits.max_file_bytes)
+    return make_error(Errc::limit_exceeded, Error::kNone, "the file is larger than is allowed",
+                      options.read.limits.max_file_bytes, source.size());
+  std::vector<std::byte> bytes(source.size());
+  progress.begin("read", bytes.size(), "B");
+  for (std::uint64_t first = 0; first < bytes.size(); first += kPart) {
+    const auto part = std::span(bytes).subspan(first, std::min<std::uint64_t>(kPart, bytes.size() - first));
+    if (const Status s = source.read(first, part); !s) return tl::unexpected(s.error());
+    progress.advance(part.size());
+    if (progress.cancelled()) return make_error(Errc::cancelled, Error::kNone, "given up");
+  }
+  if (detect_format(bytes) != SplatFormat::rgs || options.has_choice())
+    return scene_of(read_splats(bytes, options.read));
+  auto scene = Scene::load(bytes, options.read.limits);
+  if (!scene) return tl::unexpected(scene.error());
+  SceneFile out;
+  out.format = SplatFormat::rgs;
+  out.file_bytes = bytes.size();
+  out.bounds = declared_bounds(*scene->declarations());
+  out.up = declared_up(*scene->declarations());
+  out.scene = *std::move(scene);
+  return out;
+}
+
+PyScene load(const std::string& name, std::optional<std::uint32_t> level_of_detail,
+             std::optional<std::uint64_t> max_count, std::optional<std::uint64_t> max_expansion, py::object callback) {
+  LoadOptions options;
+  options.read.level_of_detail = level_of_detail;
+  options.read.max_count = max_count;
+  if (max_expansion) options.read.limits.max_expansion = *max_expansion;
+  const auto progress = std::make_shared<Progress>(std::move(callback));
+  if (!is_url(name)) return {take(run([=] { return load_path(name, options); }, progress, {}), name), name};
+  // A source that is given up reads no further; nothing ends the wait for a connection, so the work is left behind.
+  const auto work = [=]() -> Result<SceneFile> {
+    return detail::guard_memory([&]() -> Result<SceneFile> {
+      const auto source = open_url_source(name);
+      if (!source) return tl::unexpected(source.error());
+      return load_url(**source, options, *progress);
+    });
+  };
+  try {
+    return {take(run(work, progress, {}), name), name};
+  } catch (py::error_already_set&) {
+    progress->cancel();
+    throw;
+  }
+}
+
+// ---- arrays
+
+std::span<const float> floats_of(const Floats& array) {
+  return {array.data(), static_cast<std::size_t>(array.size())};
+}
+
+// Shapes have been checked: means [n, 3], quats [n, 4], scales [n, 3], opacities [n], sh [n, k, 3].
+PyScene from_arrays(const Floats& means, const Floats& quats, const Floats& scales, const Floats& opacities,
+                    const Floats& sh, int sh_degree, const Origin& origin, const std::string& anti_aliasing,
+                    std::optional<float> low_pass) {
+  begin_work();
+  SceneView view;
+  view.n = static_cast<std::uint64_t>(opacities.size());
+  view.sh_degree = sh_degree;
+  view.mean = floats_of(means);
+  view.rotation = floats_of(quats);
+  view.scale = floats_of(scales);
+  view.opacity = floats_of(opacities);
+  view.sh = floats_of(sh);
+  Declarations declared;
+  declared.origin = origin;
+  declared.aa_mode = anti_aliasing == "mip" ? AaMode::mip_splatting : AaMode::classic;
+  declared.low_pass_px2 = low_pass.value_or(default_low_pass_px2(declared.aa_mode));
+  PyScene out;
+  const py::gil_scoped_release unlocked;
+  out.file.scene = take(Scene::load(view, declared));
+  out.file.bounds = robust_bounds(view.mean, origin);
+  return out;
+}
+
+SceneView view_of(const PyScene& scene) {
+  begin_work();
+  const py::gil_scoped_release unlocked;
+  return take(scene.file.scene.view(), scene.path);
+}
+
+// A read-only array of the scene's memory, which lives as long as the array. Strides in floats; absent: as the shape has it.
+py::array array_of(const PyScene& scene, const float* data, const std::vector<py::ssize_t>& shape,
+                   std::vector<py::ssize_t> strides = {}) {
+  const py::capsule owner(new Scene(scene.file.scene), [](void* p) { delete static_cast<Scene*>(p); });
+  for (py::ssize_t& stride : strides) stride *= static_cast<py::ssize_t>(sizeof(float));
+  static const float nothing = 0;
+  py::array array = strides.empty()
+                        ? py::array(py::dtype::of<float>(), shape, data == nullptr ? &nothing : data, owner)
+                        : py::array(py::dtype::of<float>(), shape, strides, data == nullptr ? &nothing : data, owner);
+  py::detail::array_proxy(array.ptr())->flags &= ~py::detail::npy_api::NPY_ARRAY_WRITEABLE_;
+  return array;
+}
+
+py::array sh_of(const PyScene& scene, int first, int end) {
+  const SceneView view = view_of(scene);
+  const auto n = static_cast<py::ssize_t>(view.n);
+  const py::ssize_t all = sh_coefficients(view.sh_degree);
+  return array_of(scene, view.sh.data() + (view.n == 0 ? 0 : 3 * first),
+                  {n, std::min<py::ssize_t>(end, all) - first, 3}, {3 * all, 3, 1});
+}
+
+// ---- saving
+
+// The scene in the parameters of training. What a file holds is given back such that it encodes to the same codes again.
+Result<SplatCloud> cloud_of(const Scene& scene) {
+  SplatCloud cloud;
+  cloud.resize(scene.size(), scene.sh_degree());
+  if (scene.has_file()) {
+    FileView file = *scene.file();
+    if (const Status s = file.preload(); !s) return tl::unexpected(s.error());
+    std::array<Splat, 256> rows;
+    for (std::uint64_t first = 0; first < scene.size(); first += rows.size()) {
+      const auto part = std::span(rows).first(std::min<std::uint64_t>(rows.size(), scene.size() - first));
+      if (const Status s = file.read(first, part); !s) return tl::unexpected(s.error());
+      for (std::size_t i = 0; i < part.size(); ++i) cloud.set(first + i, part[i]);
+    }
+    return cloud;
+  }
+  const auto view = scene.view();
+  if (!view) return tl::unexpected(view.error());
+  float largest = 0;
+  for (const float scale : view->scale) largest = std::max(largest, scale);
+  int exponent = 0;  // of the largest scale, so that a scale of 0 is far below all that are stored
+  (void)std::frexp(largest, &exponent);
+  cloud.mean.assign(view->mean.begin(), view->mean.end());
+  cloud.rotation.assign(view->rotation.begin(), view->rotation.end());
+  cloud.sh.assign(view->sh.begin(), view->sh.end());
+  std::ranges::transform(view->scale, cloud.log_scale.begin(),
+                         [&](float scale) { return log_from_scale(scale, std::clamp(14 - exponent, -110, 110)); });
+  std::ranges::transform(view->opacity, cloud.opacity_logit.begin(), logit_from_opacity);
+  return cloud;
+}
+
+struct SaveOptions {
+  SplatFormat format = SplatFormat::rgs;
+  ConvertOptions convert;
+};
+
+Result<ConvertSummary> save_scene(const Scene& scene, const std::string& path, SaveOptions options,
+                                  const StageObserver& observer) {
+  return detail::guard_memory([&]() -> Result<ConvertSummary> {
+    auto cloud = cloud_of(scene);
+    if (!cloud) return tl::unexpected(cloud.error());
+    EncodeOptions& encode = options.convert.encode;
+    if (scene.declarations()) encode = keep_declarations(std::move(encode), *scene.declarations());
+    // A scene that was made of arrays has no depth range of its own.
+    if (scene.file() == nullptr && scene.levels() == nullptr) encode.depth.reset();
+    // Chunks as the file has them have the same steps, and so the same SH codes.
+    if (scene.has_file()) {
+      encode.chunk_size = scene.file()->header().chunk_size;
+      encode.chunk_step_sets = scene.file()->header().n_step_sets == scene.file()->header().n_chunks;
+    }
+    encode.n_source = 0;
+    encode.n_repaired = 0;
+    Origin origin = scene.origin();
+    const bool prescribed = options.format == SplatFormat::spz || options.format == SplatFormat::glb;
+    if (options.format != SplatFormat::rgs && encode.axes[0] != Axis::undeclared) {
+      const Axes axes = prescribed ? format_axes(options.format) : kAxes3dgs;
+      convert_axes(*cloud, encode.axes, axes);
+      convert_axes(origin, encode.axes, axes);
+      encode.axes = axes;
+    }
+    LoadedScene loaded;
+    loaded.n_source = cloud->size();
+    loaded.source_sh_degree = cloud->sh_degree;
+    loaded.cloud = *std::move(cloud);
+    loaded.origin = origin;
+    return convert_scene(std::move(loaded), options.format, path, options.convert, observer);
+  });
+}
+
+// Bytes that were written.
+std::uint64_t save(const PyScene& scene, const std::string& path, const std::string& profile, const std::string& lod,
+                   bool overwrite, bool sync, bool strict, py::object callback) {
+  SaveOptions options;
+  options.format = format_of_name(path);
+  if (options.format == SplatFormat::unknown)
+    refuse(Errc::bad_argument,
+           "the format is told by the name: it ends in .rgs, .ply, .compressed.ply, .spz, .splat or .glb", path);
+  if (options.format != SplatFormat::rgs && !is_writable(options.format))
+    refuse(Errc::bad_argument, "files of this format are only read", path);
+  EncodeOptions& encode = options.convert.encode;
+  encode.profile = profile == "direct" ? Profile::direct : profile == "packed" ? Profile::packed : Profile::archive;
+  encode.archive = profile == "archive:small" ? archive_small() : archive_high();
+  if (!lod.empty()) options.convert.levels = lod == "best" ? lod::Quality::best : lod::Quality::fast;
+  options.convert.strict = strict;
+  options.convert.output = {.overwrite = overwrite, .sync = sync};
+  const std::string folder = path.substr(0, path.find_last_of('/') + 1);
+  options.convert.scratch = folder.empty() ? "." : folder;
+  const auto progress = std::make_shared<Progress>(std::move(callback));
+  const Scene held = scene.file.scene;
+  const auto work = [held, path, options, progress]() -> Result<ConvertSummary> {
+    try {
+      return save_scene(held, path, options, progress->observer());
+    } catch (const GivenUp&) {
+      return make_error(Errc::cancelled, Error::kNone, "given up");
+    }
+  };
+  return take(run(work, progress, [progress] { progress->cancel(); }), path).output_bytes;
+}
+
+// ---- what a file holds
+
+std::string info(const std::string& path, bool verify, std::optional<bool> statistics,
+                 std::optional<std::uint64_t> max_expansion) {
+  tool::InfoOptions options;
+  options.verify = verify;
+  options.statistics = statistics;
+  if (max_expansion) options.limits.max_expansion = *max_expansion;
+  struct Outcome {
+    std::string json;
+    std::optional<Error> error;
+  };
+  const auto work = [=]() -> Result<Outcome> {
+    const auto file = MappedFile::open(path);
+    if (!file) return tl::unexpected(file.error());
+    const tool::InfoReport report = tool::inspect(path, file->bytes(), options);
+    if (const Status s = file->check_unchanged(); !s) return tl::unexpected(s.error());
+    return Outcome{tool::info_json(report), report.error};
+  };
+  Outcome outcome = take(run(work, nullptr, {}), path);
+  // What is missing at the end of a file with levels of detail is in the report.
+  if (outcome.error && outcome.error->code != Errc::pages_missing) throw Failure{*outcome.error, path};
+  return outcome.json;
+}
+
+py::object format_of(const PyScene& scene) {
+  if (scene.file.format == SplatFormat::unknown) return py::none();
+  return py::str(format_name(scene.file.format));
+}
+
+}  // namespace
+
+void bind_scene(py::module_& module) {
+  py::class_<PyScene>(module, "Scene")
+      .def_static("from_arrays", &from_arrays, "means"_a, "quats"_a, "scales"_a, "opacities"_a, "sh"_a, "sh_degree"_a,
+                  "origin"_a, "anti_aliasing"_a, "low_pass"_a)
+      .def_property_readonly("path", [](const PyScene& s) { return py::bytes(s.path); })
+      .def_property_readonly("format", &format_of)
+      .def_property_readonly("file_bytes", [](const PyScene& s) { return s.file.file_bytes; })
+      .def_property_readonly("n", [](const PyScene& s) { return s.file.scene.size(); })
+      .def_property_readonly("sh_degree", [](const PyScene& s) { return s.file.scene.sh_degree(); })
+      .def_property_readonly("origin", [](const PyScene& s) { return s.file.scene.origin(); })
+      .def_property_readonly("memory_bytes", [](const PyScene& s) { return s.file.scene.bytes(); })
+      .def_property_readonly("n_levels",
+                             [](const PyScene& s) -> std::uint32_t {
+                               const PagedFile* levels = s.file.scene.levels();
+                               if (levels == nullptr) return 0;
+                               std::uint32_t n = 0;
+                               for (const lod::Page& page : levels->pages()) n = std::max(n, page.level + 1U);
+                               return n;
+                             })
+      .def_property_readonly("anti_aliasing",
+                             [](const PyScene& s) {
+                               const auto& declared = s.file.scene.declarations();
+                               return declared && declared->aa_mode == AaMode::mip_splatting ? "mip" : "classic";
+                             })
+      .def_property_readonly("bounds",
+                             [](const PyScene& s) {
+                               const auto& [low, high] = s.file.bounds;
+                               return py::make_tuple(py::make_tuple(low.x, low.y, low.z),
+                                                     py::make_tuple(high.x, high.y, high.z));
+                             })
+      .def_property_readonly("up",
+                             [](const PyScene& s) { return py::make_tuple(s.file.up.x, s.file.up.y, s.file.up.z); })
+      .def_property_readonly("means",
+                             [](const PyScene& s) {
+                               const SceneView v = view_of(s);
+                               return array_of(s, v.mean.data(), {static_cast<py::ssize_t>(v.n), 3});
+                             })
+      .def_property_readonly("quats",
+                             [](const PyScene& s) {
+                               const SceneView v = view_of(s);
+                               return array_of(s, v.rotation.data(), {static_cast<py::ssize_t>(v.n), 4});
+                             })
+      .def_property_readonly("scales",
+                             [](const PyScene& s) {
+                               const SceneView v = view_of(s);
+                               return array_of(s, v.scale.data(), {static_cast<py::ssize_t>(v.n), 3});
+                             })
+      .def_property_readonly("opacities",
+                             [](const PyScene& s) {
+                               const SceneView v = view_of(s);
+                               return array_of(s, v.opacity.data(), {static_cast<py::ssize_t>(v.n)});
+                             })
+      .def_property_readonly("sh", [](const PyScene& s) { return sh_of(s, 0, 16); })
+      .def_property_readonly("sh0", [](const PyScene& s) { return sh_of(s, 0, 1); })
+      .def_property_readonly("shN", [](const PyScene& s) { return sh_of(s, 1, 16); })
+      .def("save", &save, "path"_a, "profile"_a, "lod"_a, "overwrite"_a, "sync"_a, "strict"_a, "progress"_a);
+  module.def("load", &load, "name"_a, "level_of_detail"_a, "max_count"_a, "max_expansion"_a, "progress"_a);
+  module.def("info", &info, "path"_a, "verify"_a, "statistics"_a, "max_expansion"_a);
+}
+
+}  // namespace rgs::python

@@ -1,0 +1,16 @@
+// scene_binding.hpp - a scene as the module holds it.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <string>
+
+#include "scene_file.hpp"
+
+namespace rgs::python {
+
+struct PyScene {
+  SceneFile file;
+  std::string path;  ///< or address; empty for one that was made of arrays
+};
+
+}  // namespace rgs::python

@@ -1,0 +1,68 @@
+// stream_binding.cpp - scenes that are drawn while they are read.
+// SPDX-License-Identifier: Apache-2.0
+#include "stream_binding.hpp"
+
+#include <pybind11/stl.h>
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "bindings.hpp"
+#include "rgs/camera.hpp"
+
+namespace py = pybind11;
+using namespace py::literals;
+
+namespace rgs::python {
+namespace {
+
+PyStream open(const std::string& name, std::uint64_t host_memory, bool prefetch,
+              std::optional<std::uint64_t> max_expansion) {
+  const auto work = [=]() -> Result<StreamedScene> {
+    const auto pool = StreamPool::create({.host_memory = host_memory});
+    if (!pool) return tl::unexpected(pool.error());
+    StreamOptions options;
+    options.pool = *pool;
+    options.prefetch = prefetch;
+    if (max_expansion) options.limits.max_expansion = *max_expansion;
+    return StreamedScene::open(name, options);
+  };
+  return {take(run(work, nullptr, {}), name), name};
+}
+
+py::dict stats(const PyStream& stream) {
+  const StreamStats s = stream.scene().stats();
+  return py::dict("pages_resident"_a = s.pages_resident, "pages_missing"_a = s.pages_missing,
+                  "bytes_read"_a = s.bytes_read, "bytes_decoded"_a = s.bytes_decoded,
+                  "bytes_uploaded"_a = s.bytes_uploaded, "bytes_evicted"_a = s.bytes_evicted,
+                  "detail_reached_px"_a = s.detail_reached_px);
+}
+
+}  // namespace
+
+void bind_stream(py::module_& module) {
+  py::class_<PyStream>(module, "StreamedScene")
+      .def_property_readonly("name", [](const PyStream& s) { return py::bytes(s.name()); })
+      .def_property_readonly("n", [](const PyStream& s) { return s.scene().size(); })
+      .def_property_readonly("sh_degree", [](const PyStream& s) { return s.scene().sh_degree(); })
+      .def_property_readonly("origin", [](const PyStream& s) { return s.scene().origin(); })
+      .def_property_readonly("bounds",
+                             [](const PyStream& s) {
+                               const auto [low, high] = declared_bounds(*s.scene().declarations());
+                               return py::make_tuple(py::make_tuple(low.x, low.y, low.z),
+                                                     py::make_tuple(high.x, high.y, high.z));
+                             })
+      .def_property_readonly("up",
+                             [](const PyStream& s) {
+                               const glm::dvec3 up = declared_up(*s.scene().declarations());
+                               return py::make_tuple(up.x, up.y, up.z);
+                             })
+      .def_property_readonly("closed", &PyStream::closed)
+      .def("stats", &stats)
+      .def("check", [](const PyStream& s) { take(s.scene().status(), s.name()); })
+      .def("close", &PyStream::close);
+  module.def("open_stream", &open, "name"_a, "host_memory"_a, "prefetch"_a, "max_expansion"_a);
+}
+
+}  // namespace rgs::python

@@ -1,0 +1,132 @@
+// work.cpp - how calls from Python run.
+// SPDX-License-Identifier: Apache-2.0
+#include "work.hpp"
+
+#include <pthread.h>
+
+#include <vector>
+
+#include "bindings.hpp"
+#include "console.hpp"
+
+namespace py = pybind11;
+
+namespace rgs::python {
+namespace {
+
+std::atomic<bool> g_has_threads{false}, g_lost_threads{false};
+
+std::mutex g_left_mutex;
+std::vector<std::thread> g_left;
+
+void set_python_error(const Failure& failure) {
+  const Error& e = failure.error;
+  const auto number = [](std::uint64_t value) -> py::object {
+    return value == Error::kNone ? py::object(py::none()) : py::object(py::int_(value));
+  };
+  py::object file = py::none();
+  if (!failure.file.empty()) {
+    file = py::reinterpret_steal<py::object>(
+        PyUnicode_DecodeFSDefaultAndSize(failure.file.data(), static_cast<Py_ssize_t>(failure.file.size())));
+  }
+  const py::object error = py::module_::import("roofgs._errors")
+                               .attr("make")(errc_name(e.code), tool::describe(e), tool::hint(e), file,
+                                             number(e.offset), number(e.expected), number(e.found), e.system);
+  PyErr_SetObject(py::type::handle_of(error).ptr(), error.ptr());
+}
+
+}  // namespace
+
+void begin_work() {
+  if (g_lost_threads) {
+    refuse(
+        Errc::unavailable,
+        "this process was forked after roofgs had started threads, which it does not have: start workers by 'spawn' or "
+        "'forkserver', or load scenes in the workers alone");
+  }
+  g_has_threads = true;
+}
+
+bool lost_threads() {
+  return g_lost_threads;
+}
+
+// Work that was left behind may be the last to hold it, on a thread without Python's lock.
+Progress::~Progress() {
+  const py::gil_scoped_acquire locked;
+  callback_ = py::object();
+}
+
+void Progress::begin(const char* stage, std::uint64_t total, const char* unit) {
+  if (cancelled_) throw GivenUp();
+  const std::scoped_lock lock(mutex_);
+  stage_ = {stage, total, unit, 0};
+  done_ = 0;
+  open_ = true;
+}
+
+void Progress::finish() {
+  const std::scoped_lock lock(mutex_);
+  stage_.done = done_;
+  if (open_) finished_.push_back(stage_);
+  open_ = false;
+}
+
+StageObserver Progress::observer() {
+  StageObserver observer;
+  observer.begin = [this](const char* stage, std::uint64_t total, const char* unit) { begin(stage, total, unit); };
+  observer.advance = [this](std::uint64_t units) {
+    if (cancelled_) throw GivenUp();
+    advance(units);
+  };
+  observer.finish = [this] { finish(); };
+  return observer;
+}
+
+void Progress::report() {
+  if (callback_.is_none()) return;
+  std::deque<Stage> stages;
+  {
+    const std::scoped_lock lock(mutex_);
+    stages.swap(finished_);
+    if (open_) {
+      stage_.done = done_;
+      stages.push_back(stage_);
+    }
+  }
+  for (const Stage& s : stages) callback_(s.name, s.done, s.total, s.unit);
+}
+
+void leave_behind(std::thread thread) {
+  const std::scoped_lock lock(g_left_mutex);
+  g_left.push_back(std::move(thread));
+}
+
+void bind_work(py::module_& module) {
+  py::register_exception_translator([](std::exception_ptr pointer) {
+    try {
+      if (pointer) std::rethrow_exception(pointer);
+    } catch (const Failure& failure) {
+      try {
+        set_python_error(failure);
+      } catch (py::error_already_set& e) {
+        e.restore();
+      }
+    }
+  });
+  ::pthread_atfork(nullptr, nullptr, [] { g_lost_threads = g_lost_threads || g_has_threads; });
+  module.def("_wait_for_threads", [] {
+    if (g_lost_threads) return;
+    const py::gil_scoped_release unlocked;
+    std::vector<std::thread> left;
+    {
+      const std::scoped_lock lock(g_left_mutex);
+      left.swap(g_left);
+    }
+    for (std::thread& thread : left) thread.join();
+  });
+  module.def("_begin_work", &begin_work);
+  py::module_::import("atexit").attr("register")(module.attr("_wait_for_threads"));
+}
+
+}  // namespace rgs::python

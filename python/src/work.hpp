@@ -1,0 +1,122 @@
+// work.hpp - how calls from Python run: errors as exceptions, no lock held, interrupts, progress, forked processes.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <pybind11/pybind11.h>
+
+#include <atomic>
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <functional>
+#include <future>
+#include <memory>
+#include <mutex>
+#include <string>
+#include <thread>
+#include <type_traits>
+#include <utility>
+
+#include "convert.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::python {
+
+/// An error on its way to Python, where it becomes a roofgs.Error.
+struct Failure {
+  Error error;
+  std::string file;  ///< as the file system spells it; may be empty
+};
+
+template <class T>
+T take(Result<T>&& result, const std::string& file = {}) {
+  if (!result) throw Failure{result.error(), file};
+  if constexpr (!std::is_void_v<T>) return *std::move(result);
+}
+[[noreturn]] inline void refuse(Errc code, const char* what, const std::string& file = {}) {
+  throw Failure{{.code = code, .what = what}, file};
+}
+
+/// Before whatever may start threads, or wait for some. A process that was forked from one that had threads of the library has
+/// none of them: Failure (unavailable).
+void begin_work();
+/// Whether this process is such a one. What would wait for threads there is left alone.
+bool lost_threads();
+
+/// Thrown by an observer of Progress in the midst of work that was given up; caught by run().
+struct GivenUp {};
+
+/// Stages of some work, told to a Python function by the thread that waits for the work.
+class Progress {
+ public:
+  /// `callback` may be None.
+  explicit Progress(pybind11::object callback) : callback_(std::move(callback)) {}
+  ~Progress();
+  Progress(const Progress&) = delete;
+  Progress& operator=(const Progress&) = delete;
+
+  /// For the work's threads; throws GivenUp after cancel().
+  StageObserver observer();
+  void begin(const char* stage, std::uint64_t total, const char* unit);
+  void advance(std::uint64_t units) { done_.fetch_add(units, std::memory_order_relaxed); }
+  void cancel() { cancelled_ = true; }
+  bool cancelled() const { return cancelled_; }
+  /// Calls the callback, with the lock of Python held: (stage, done, total, unit). total is 0 where nobody knows it.
+  void report();
+
+ private:
+  struct Stage {
+    const char* name;
+    std::uint64_t total;
+    const char* unit;
+    std::uint64_t done;
+  };
+  void finish();
+
+  pybind11::object callback_;
+  std::atomic<bool> cancelled_{false};
+  std::atomic<std::uint64_t> done_{0};
+  std::mutex mutex_;  // of the following
+  Stage stage_{"", 0, "", 0};
+  bool open_ = false;
+  std::deque<Stage> finished_;
+};
+
+/// Keeps a thread that nobody waits for until the interpreter ends.
+void leave_behind(std::thread thread);
+
+/// work(), which touches no Python object, on a thread of its own, while this one reports progress and looks for
+/// signals (KeyboardInterrupt). One is raised once `cancel` is called and the work has ended; without `cancel` at
+/// once, and the work, which must hold all that it uses, ends unheard.
+template <class Work>
+auto run(Work work, const std::shared_ptr<Progress>& progress, const std::function<void()>& cancel) {
+  begin_work();
+  using Value = decltype(work());
+  std::packaged_task<Value()> task(std::move(work));
+  std::future<Value> future = task.get_future();
+  std::thread thread(std::move(task));
+  const auto wait = [&](std::chrono::milliseconds time) {
+    const pybind11::gil_scoped_release unlocked;
+    return future.wait_for(time) == std::future_status::ready;
+  };
+  try {
+    while (!wait(std::chrono::milliseconds(50))) {
+      if (progress) progress->report();
+      if (PyErr_CheckSignals() != 0) throw pybind11::error_already_set();
+    }
+  } catch (...) {
+    if (cancel) {
+      cancel();
+      const pybind11::gil_scoped_release unlocked;
+      thread.join();
+    } else {
+      leave_behind(std::move(thread));
+    }
+    throw;
+  }
+  thread.join();
+  if (progress) progress->report();
+  return future.get();
+}
+
+}  // namespace rgs::python

@@ -1,0 +1,114 @@
+"""Cameras. SPDX-License-Identifier: Apache-2.0"""
+import pickle
+
+import numpy as np
+import pytest
+
+import roofgs
+from roofgs import cameras
+
+
+def turned():
+    """A camera without any symmetry: turned about all axes, off the middle, with unequal focal lengths."""
+    a, b, c = 0.3, -0.7, 1.1
+    x = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+    y = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+    z = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
+    view = np.eye(4)
+    view[:3, :3] = z @ y @ x
+    view[:3, 3] = (0.4, -0.2, 3.0)
+    return view
+
+
+def test_camera_keeps_what_it_is_given():
+    camera = roofgs.Camera(70, 50, 60.5, 80.25, 30.0, 20.0, turned(), name="left")
+    assert (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, camera.name) == \
+        (70, 50, 60.5, 80.25, 30.0, 20.0, "left")
+    assert np.array_equal(camera.world_to_camera, turned())
+    np.testing.assert_allclose(turned() @ [*camera.centre, 1], [0, 0, 0, 1], atol=1e-12)
+    np.testing.assert_allclose(camera.axis(2), turned()[2, :3])
+
+
+def test_defaults():
+    camera = roofgs.Camera(70, 50, 60)
+    assert (camera.fy, camera.cx, camera.cy) == (60, 35, 25) and np.array_equal(camera.world_to_camera, np.eye(4))
+
+
+@pytest.mark.parametrize("width", [0, -1, 65537, 2**31, 2**32 + 64, 2**64 + 64, 10**30])
+def test_sides_that_no_picture_has(width):
+    for sides in ((width, 50), (50, width)):
+        with pytest.raises(roofgs.ArgumentError) as caught:
+            roofgs.Camera(*sides, 60)
+        assert caught.value.code == "bad_camera"
+        with pytest.raises(roofgs.ArgumentError):
+            roofgs.Camera(8, 8, 60).resized(*sides)
+        with pytest.raises(roofgs.ArgumentError):
+            cameras.look_at((0, 0, 0), (0, 0, 1), width=sides[0], height=sides[1])
+
+
+def test_sides_are_integers():
+    assert roofgs.Camera(np.int64(70), np.uint8(50), 60).width == 70
+    with pytest.raises(TypeError):
+        roofgs.Camera(70.5, 50, 60)
+
+
+@pytest.mark.parametrize("change", [dict(fx=np.nan), dict(fx=-1.0), dict(fy=np.inf), dict(cx=np.nan),
+                                    dict(world_to_camera=np.full((4, 4), np.nan)), dict(world_to_camera=2 * np.eye(4)),
+                                    dict(world_to_camera=np.diag([1, 1, -1, 1])), dict(world_to_camera=np.eye(3))])
+def test_bad_cameras_are_refused(change):
+    with pytest.raises(roofgs.ArgumentError) as caught:
+        roofgs.Camera(**{**dict(width=8, height=8, fx=10.0), **change})
+    assert caught.value.code == "bad_camera"
+
+
+def test_matrices_in_any_layout():
+    view = turned()
+    for other in (np.asfortranarray(view), view.astype(">f8"), np.repeat(view, 2, axis=1)[:, ::2]):
+        assert np.array_equal(roofgs.Camera(8, 8, 10, world_to_camera=other).world_to_camera, view)
+
+
+def test_equality_hash_and_pickle():
+    a = roofgs.Camera(70, 50, 60.5, 80.25, 30.0, 20.0, turned(), name="left")
+    b = roofgs.Camera(70, 50, 60.5, 80.25, 30.0, 20.0, turned(), name="left")
+    again = pickle.loads(pickle.dumps(a))
+    assert a == b == again and hash(a) == hash(again) and a != roofgs.Camera(70, 50, 60.5) and a != 3
+    assert "left" in repr(a) and "70x50" in repr(a)
+
+
+def test_files(examples):
+    loaded = cameras.load(examples / "cameras.json")
+    assert loaded.source == "list" and not loaded.split_declared and len(loaded) == 8
+    assert [camera.name for camera in loaded.test] == [sorted(camera.name for camera in loaded)[0]]
+    assert len(loaded.train) == 7 and loaded.named(loaded[3].name) == loaded[3]
+    assert pickle.loads(pickle.dumps(loaded)) == loaded and pickle.loads(pickle.dumps(loaded)).test == loaded.test
+    with pytest.raises(KeyError):
+        loaded.named("nobody")
+    with pytest.raises(FileNotFoundError):
+        cameras.load(examples / "none.json")
+
+
+def test_views_and_paths(scene):
+    views = cameras.orbit(scene, 5, width=64, height=48)
+    assert len(views) == 5 and views[0] == cameras.default_view(scene, width=64, height=48)
+    assert len(cameras.path(views, 9)) == 9
+    low, high = scene.bounds
+    middle = (np.array(low) + high) / 2
+    for view in views:  # the middle of the scene is seen in the middle of the picture
+        seen = view.world_to_camera @ [*middle, 1]
+        np.testing.assert_allclose(seen[:2], 0, atol=1e-6)
+        assert seen[2] > 0
+    for wrong in (lambda: cameras.orbit(scene, 0), lambda: cameras.path([], 3), lambda: cameras.path(views, 0)):
+        with pytest.raises(roofgs.ArgumentError):
+            wrong()
+
+
+def test_matrices_of_gsplat():
+    k = np.array([[60.5, 0, 30], [0, 80.25, 20], [0, 0, 1]])
+    [camera] = cameras.from_matrices(turned()[None], k[None], 70, 50)
+    assert camera == roofgs.Camera(70, 50, 60.5, 80.25, 30, 20, turned())
+    skewed = k.copy()
+    skewed[0, 1] = 0.1
+    with pytest.raises(roofgs.ArgumentError, match="skew"):
+        cameras.from_matrices(turned()[None], skewed[None], 70, 50)
+    with pytest.raises(roofgs.ArgumentError):
+        cameras.from_matrices(turned(), k[None], 70, 50)

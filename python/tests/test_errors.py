@@ -1,0 +1,96 @@
+"""Exceptions. SPDX-License-Identifier: Apache-2.0"""
+import copy
+import multiprocessing
+import os
+import pickle
+import subprocess
+import sys
+
+import pytest
+from conftest import GOLDEN
+
+import roofgs
+from roofgs._errors import _KINDS, make
+
+
+def load_missing(path):
+    return roofgs.load(path)
+
+
+def test_a_missing_file_is_one(tmp_path):
+    with pytest.raises(FileNotFoundError) as caught:
+        roofgs.load(tmp_path / "none.rgs")
+    error = caught.value
+    assert isinstance(error, (roofgs.Error, OSError)) and error.code == "open_failed" and error.errno == 2
+    assert error.file == str(tmp_path / "none.rgs") and str(error).startswith(error.file + ": ")
+
+
+def test_numbers_of_damaged_files(tmp_path):
+    whole = (GOLDEN / "degree3.rgs").read_bytes()
+    (tmp_path / "short.rgs").write_bytes(whole[:-100])
+    with pytest.raises(roofgs.FormatError) as caught:
+        roofgs.load(tmp_path / "short.rgs")
+    error = caught.value
+    assert error.code == "truncated" and error.expected == len(whole) and error.found == len(whole) - 100
+    assert isinstance(error, ValueError) and error.hint
+
+
+@pytest.mark.parametrize("entry", sorted((GOLDEN / "reject").glob("*.rgs"))[::9], ids=lambda path: path.stem)
+def test_rejected_files(entry):
+    with pytest.raises(roofgs.Error) as caught:
+        roofgs.info(entry, verify=True)
+    assert caught.value.code in str(caught.value) and caught.value.file == str(entry)
+
+
+@pytest.mark.parametrize("code", [*_KINDS, "checksum_mismatch"])
+def test_exceptions_survive_pickling_and_copies(code):
+    error = make(code, "what", "why", "a.rgs", 12, 34, 56, 2)
+    for again in (pickle.loads(pickle.dumps(error)), copy.copy(error), copy.deepcopy(error)):
+        assert type(again) is type(error) and str(again) == str(error)
+        assert (again.code, again.file, again.offset, again.expected, again.found, again.errno, again.hint) == \
+            (code, "a.rgs", 12, 34, 56, 2, "why")
+
+
+def test_exceptions_reach_other_processes(tmp_path):
+    with multiprocessing.get_context("spawn").Pool(1) as pool:
+        with pytest.raises(roofgs.MissingFileError) as caught:
+            pool.apply(load_missing, (str(tmp_path / "none.rgs"),))
+    assert caught.value.code == "open_failed" and caught.value.file == str(tmp_path / "none.rgs")
+
+
+def test_options_of_programs_become_arguments():
+    assert str(make("output_exists", "pass --overwrite to replace it")) == \
+        "pass overwrite=True to replace it [output_exists]"
+    text = str(make("bad_value", "--on-bad drop leaves such out, without --strict; give --memory, or --profile packed"))
+    assert text == ("on_bad='drop' leaves such out, without strict=True; give memory=, or profile='packed' [bad_value]")
+
+
+FORKED = """
+import multiprocessing, sys
+import roofgs
+
+def child(path, queue):
+    try:
+        queue.put(len(roofgs.load(path)))
+    except roofgs.Error as error:
+        queue.put((error.code, "spawn" in str(error)))
+
+if sys.argv[2] == "used":
+    scene = roofgs.load(sys.argv[1])
+    stream = roofgs.StreamedScene(sys.argv[3])
+    roofgs.Renderer(device="cpu").render(scene, roofgs.cameras.default_view(scene, width=64, height=64))
+context = multiprocessing.get_context("fork")
+queue = context.Queue()
+process = context.Process(target=child, args=(sys.argv[1], queue))
+process.start()
+print(queue.get(timeout=60))
+process.join(60)
+print(process.exitcode)
+"""
+
+
+@pytest.mark.parametrize("use, said", [("used", "('unavailable', True)"), ("unused", "40")])
+def test_forks(use, said, examples):
+    out = subprocess.run([sys.executable, "-c", FORKED, GOLDEN / "degree3.rgs", use, examples / "levels.rgs"],
+                         capture_output=True, text=True, timeout=200, check=True, env=os.environ)
+    assert out.stdout.splitlines() == [said, "0"]

@@ -1,0 +1,254 @@
+"""rasterization(), against the formulas that gsplat documents. SPDX-License-Identifier: Apache-2.0"""
+import numpy as np
+import pytest
+from test_cameras import turned
+
+import roofgs
+
+W, H = 48, 36
+K = np.array([[40.0, 0, 21.0], [0, 52.0, 19.0], [0, 0, 1]])
+
+
+def second_view():
+    view = turned().copy()
+    view[:3, 3] += (0.3, 0.2, 0.5)
+    return view
+
+
+def splats(n=12, seed=5):
+    r = np.random.default_rng(seed)
+    return dict(means=r.normal(scale=0.6, size=(n, 3)), quats=r.normal(size=(n, 4)), scales=r.uniform(0.03, 0.35, (n, 3)),
+                opacities=r.uniform(0.2, 0.95, n), colors=r.uniform(0.0, 1.2, (n, 3)))
+
+
+CAMERAS = dict(viewmats=np.stack([turned(), second_view()]), Ks=np.stack([K, K]), width=W, height=H)
+
+
+def expected(means, quats, scales, opacities, colors, view, k, eps2d=0.3, antialiased=False, near=0.01):
+    """Colours, alpha and accumulated depth in FP64, pixel by pixel: Zwicker's EWA splatting as 3DGS and gsplat define it."""
+    q = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    w, x, y, z = q.T
+    rotation = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+                         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+                         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1).reshape(-1, 3, 3)
+    axes = rotation * scales[:, None, :]
+    covariance = axes @ axes.transpose(0, 2, 1)
+    at = means @ view[:3, :3].T + view[:3, 3]
+    v, u = np.mgrid[0:H, 0:W] + 0.5
+    colour, depth, left = np.zeros((H, W, colors.shape[-1])), np.zeros((H, W)), np.ones((H, W))
+    for i in np.argsort(at[:, 2], kind="stable"):
+        px, py, pz = at[i]
+        if pz < near:
+            continue
+        jacobian = np.array([[k[0, 0] / pz, 0, -k[0, 0] * px / pz**2], [0, k[1, 1] / pz, -k[1, 1] * py / pz**2]])
+        m = jacobian @ view[:3, :3]
+        before = m @ covariance[i] @ m.T
+        projected = before + eps2d * np.eye(2)
+        weight = opacities[i]
+        if antialiased:
+            weight = weight * np.sqrt(max(np.linalg.det(before) / np.linalg.det(projected), 0))
+        d = np.stack([u - (k[0, 0] * px / pz + k[0, 2]), v - (k[1, 1] * py / pz + k[1, 2])], axis=-1)
+        distance = np.einsum("hwi,ij,hwj->hw", d, np.linalg.inv(projected), d)
+        alpha = np.minimum(weight * np.exp(-distance / 2), 0.99)
+        alpha = np.where((alpha >= 1 / 255) & (left > 1e-4), alpha, 0)
+        colour += (alpha * left)[..., None] * colors[i]
+        depth += alpha * left * pz
+        left *= 1 - alpha
+    return colour, 1 - left, depth
+
+
+def close(a, b):
+    """All but the pixels at a Gaussian's edge: where it ends, one step of 1/255 and what is behind it are decided."""
+    difference = np.abs(np.asarray(a, dtype=np.float64) - b)
+    assert np.quantile(difference, 0.98) < 2e-5, np.quantile(difference, [0.5, 0.9, 0.98, 1])
+    assert difference.max() < 0.03 * max(1, np.abs(b).max())
+
+
+@pytest.mark.parametrize("antialiased", [False, True])
+@pytest.mark.parametrize("eps2d", [0.3, 0.8])
+def test_pictures_alpha_and_depth(antialiased, eps2d):
+    given = splats()
+    colors, alphas, meta = roofgs.rasterization(**given, **CAMERAS, render_mode="RGB+D", eps2d=eps2d,
+                                                rasterize_mode="antialiased" if antialiased else "classic")
+    assert colors.shape == (2, H, W, 4) and alphas.shape == (2, H, W, 1) and colors.dtype == np.float32
+    assert dict(meta) == dict(width=W, height=H, n_cameras=2, n_batches=1)
+    for c in range(2):
+        colour, alpha, depth = expected(**given, view=CAMERAS["viewmats"][c], k=K, eps2d=eps2d, antialiased=antialiased)
+        assert alpha.max() > 0.8
+        close(colors[c, ..., :3], colour)
+        close(alphas[c, ..., 0], alpha)
+        close(colors[c, ..., 3], depth)
+
+
+def test_render_modes():
+    given = {**splats(), **CAMERAS}
+    rgb, alphas, _ = roofgs.rasterization(**given)
+    both, _, _ = roofgs.rasterization(**given, render_mode="RGB+D")
+    both_expected, _, _ = roofgs.rasterization(**given, render_mode="RGB+ED")
+    depth, depth_alphas, _ = roofgs.rasterization(**given, render_mode="D")
+    expected_depth, _, _ = roofgs.rasterization(**given, render_mode="ED")
+    assert rgb.shape[-1] == 3 and both.shape[-1] == both_expected.shape[-1] == 4 and depth.shape[-1] == 1
+    assert np.array_equal(both[..., :3], rgb) and np.array_equal(both_expected[..., :3], rgb)
+    assert np.array_equal(both[..., 3:], depth) and np.array_equal(both_expected[..., 3:], expected_depth)
+    assert np.array_equal(alphas, depth_alphas)
+    np.testing.assert_allclose(depth, expected_depth * alphas, rtol=1e-6)
+    assert expected_depth[alphas > 0.5].min() > 1
+
+
+def test_backgrounds_are_behind_colours_alone():
+    given = {**splats(), **CAMERAS}
+    backgrounds = np.array([[0.5, 1.0, 0.0], [0.25, 0.0, 2.0]])
+    plain, alphas, _ = roofgs.rasterization(**given, render_mode="RGB+D")
+    over, _, _ = roofgs.rasterization(**given, render_mode="RGB+D", backgrounds=backgrounds)
+    np.testing.assert_allclose(over[..., :3], plain[..., :3] + (1 - alphas) * backgrounds[:, None, None], atol=1e-6)
+    assert np.array_equal(over[..., 3], plain[..., 3])
+    with pytest.raises(roofgs.ArgumentError, match="backgrounds"):
+        roofgs.rasterization(**given, backgrounds=backgrounds[0])
+
+
+@pytest.mark.parametrize("n_channels", [1, 2, 3, 4, 7])
+def test_any_number_of_channels(n_channels):
+    given = {**splats(), **CAMERAS}
+    r = np.random.default_rng(2)
+    given["colors"] = r.uniform(0, 3, (12, n_channels))
+    backgrounds = r.uniform(0, 1, (2, n_channels))
+    colors, _, _ = roofgs.rasterization(**given, backgrounds=backgrounds, render_mode="RGB+D")
+    assert colors.shape == (2, H, W, n_channels + 1)
+    del given["viewmats"], given["Ks"], given["width"], given["height"]
+    colour, alpha, depth = expected(**given, view=turned(), k=K)
+    close(colors[0, ..., :n_channels], colour + (1 - alpha)[..., None] * backgrounds[0])
+    close(colors[0, ..., n_channels], depth)
+
+
+def test_harmonics_are_those_of_3dgs_and_degrees_above_are_ignored():
+    given = {**splats(), **CAMERAS}
+    sh = np.random.default_rng(3).normal(scale=0.4, size=(12, 16, 3))
+    given["colors"] = sh
+    one, _, _ = roofgs.rasterization(**given, sh_degree=1)
+    cut, _, _ = roofgs.rasterization(**{**given, "colors": sh[:, :4]}, sh_degree=1)
+    assert np.array_equal(one, cut)
+    # Degree 1 by hand: 0.5 + c0 sh0 - c1 y sh1 + c1 z sh2 - c1 x sh3, direction from the camera, clamped at 0.
+    centre = -turned()[:3, :3].T @ turned()[:3, 3]
+    d = given["means"] - centre
+    x, y, z = (d / np.linalg.norm(d, axis=1, keepdims=True)).T
+    c0, c1 = 0.28209479177387814, 0.4886025119029199
+    colour = 0.5 + c0 * sh[:, 0] + c1 * (-y[:, None] * sh[:, 1] + z[:, None] * sh[:, 2] - x[:, None] * sh[:, 3])
+    plain, _, _ = roofgs.rasterization(**{**given, "colors": np.maximum(colour, 0), "viewmats": turned()[None], "Ks": K[None]})
+    np.testing.assert_allclose(one[0], plain[0], atol=2e-6)
+    three, _, _ = roofgs.rasterization(**given, sh_degree=3)
+    assert np.abs(three - one).max() > 0.01
+    with pytest.raises(roofgs.ArgumentError, match="coefficients"):
+        roofgs.rasterization(**{**given, "colors": sh[:, :8]}, sh_degree=2)
+
+
+def test_colours_of_each_camera():
+    given = {**splats(), **CAMERAS}
+    others = np.stack([given["colors"], 1.2 - given["colors"]])
+    both, _, _ = roofgs.rasterization(**{**given, "colors": others})
+    for c in range(2):
+        single, _, _ = roofgs.rasterization(**{**given, "colors": others[c], "viewmats": CAMERAS["viewmats"][c:c + 1],
+                                               "Ks": K[None]})
+        assert np.array_equal(both[c], single[0])
+
+
+def test_batches_of_scenes():
+    scenes = [splats(seed=seed) for seed in (1, 2, 3, 4, 5, 6)]
+    given = {name: np.stack([scene[name] for scene in scenes]).reshape(2, 3, *scenes[0][name].shape) for name in scenes[0]}
+    viewmats = np.broadcast_to(CAMERAS["viewmats"], (2, 3, 2, 4, 4))
+    ks = np.broadcast_to(CAMERAS["Ks"], (2, 3, 2, 3, 3))
+    colors, alphas, meta = roofgs.rasterization(**given, viewmats=viewmats, Ks=ks, width=W, height=H)
+    assert colors.shape == (2, 3, 2, H, W, 3) and alphas.shape == (2, 3, 2, H, W, 1) and meta["n_batches"] == 6
+    for i, scene in enumerate(scenes):
+        single, _, _ = roofgs.rasterization(**scene, **CAMERAS)
+        assert np.array_equal(colors[i // 3, i % 3], single)
+
+
+def test_near_and_far_planes():
+    given = splats(n=2)
+    given["means"] = np.array([[0, 0, 0.1], [1.5, 0, 5.0]])
+    given["scales"][:] = [[0.002], [0.01]]
+    one = dict(viewmats=np.eye(4)[None], Ks=K[None], width=W, height=H)
+    depth = lambda **options: roofgs.rasterization(**given, **one, render_mode="ED", **options)[0].max()  # noqa: E731
+    assert depth() == pytest.approx(5.0, rel=1e-5)
+    assert depth(far_plane=1.0) == pytest.approx(0.1, rel=1e-5)
+    _, near_alpha, _ = roofgs.rasterization(**given, **one, near_plane=0.2)
+    _, all_alpha, _ = roofgs.rasterization(**given, **one)
+    assert all_alpha.sum() > near_alpha.sum() > 0
+
+
+def test_quaternions_need_no_norm():
+    given = splats()
+    longer = {**given, "quats": given["quats"] * 3}
+    np.testing.assert_allclose(roofgs.rasterization(**longer, **CAMERAS)[0], roofgs.rasterization(**given, **CAMERAS)[0],
+                               atol=1e-4)
+
+
+@pytest.mark.parametrize("absent", [dict(absgrad=True), dict(sparse_grad=True), dict(radius_clip=3.0),
+                                    dict(distributed=True), dict(camera_model="fisheye"), dict(covars=np.zeros((12, 3, 3))),
+                                    dict(with_ut=True), dict(radial_coeffs=np.zeros(4)), dict(viewmats_rs=np.eye(4))])
+def test_what_is_not_there_is_said(absent):
+    with pytest.raises(NotImplementedError, match=next(iter(absent))):
+        roofgs.rasterization(**splats(), **CAMERAS, **absent)
+
+
+def test_what_has_no_effect_is_taken():
+    given = {**splats(), **CAMERAS}
+    first = roofgs.rasterization(**given)[0]
+    other = roofgs.rasterization(**given, packed=False, tile_size=8, channel_chunk=3, segmented=True, with_ut=False)[0]
+    assert np.array_equal(first, other)
+
+
+@pytest.mark.parametrize("wrong", [dict(render_mode="N"), dict(rasterize_mode="fast"), dict(sh_degree=4), dict(width=0),
+                                   dict(width=2**32 + 48), dict(colors=-np.ones((12, 3))), dict(colors=np.ones((11, 3))),
+                                   dict(means=np.full((12, 3), np.nan)), dict(opacities=np.full(12, 2.0)),
+                                   dict(viewmats=np.eye(4)), dict(Ks=np.eye(3)), dict(eps2d=-1.0), dict(near_plane=np.nan)])
+def test_wrong_arguments(wrong):
+    with pytest.raises(roofgs.Error):
+        roofgs.rasterization(**{**splats(), **CAMERAS, **wrong})
+
+
+def test_meta_says_what_it_lacks():
+    _, _, meta = roofgs.rasterization(**splats(), **CAMERAS)
+    with pytest.raises(KeyError, match="means2d.*stages"):
+        meta["means2d"]
+    assert meta.get("radii") is None and "radii" not in meta
+
+
+class Tensor:
+    """What of a torch.Tensor counts here, where torch is not installed."""
+
+    __module__ = "torch"
+
+    def __init__(self, array, requires_grad):
+        self.array, self.requires_grad = array, requires_grad
+
+    def detach(self):
+        return Tensor(self.array, False)
+
+    def cpu(self):
+        return self
+
+    def numpy(self):
+        assert not self.requires_grad
+        return self.array
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "colors", "viewmats"])
+def test_gradients_are_refused_at_once(name):
+    given = {**splats(), **CAMERAS}
+    given[name] = Tensor(given[name], requires_grad=True)
+    with pytest.raises(NotImplementedError, match=f"{name} requires a gradient.*detach"):
+        roofgs.rasterization(**given)
+
+
+def test_torch_tensors():
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    given = {name: torch.from_numpy(value).float() for name, value in splats().items()}
+    colors, alphas, _ = roofgs.rasterization(**given, viewmats=torch.from_numpy(CAMERAS["viewmats"]),
+                                             Ks=torch.from_numpy(CAMERAS["Ks"]), width=W, height=H)
+    assert isinstance(colors, torch.Tensor) and colors.shape == (2, H, W, 3) and alphas.device.type == "cpu"
+    expected_colors, _, _ = roofgs.rasterization(**splats(), **CAMERAS)
+    np.testing.assert_allclose(colors.numpy(), expected_colors, atol=1e-4)
+    given["means"].requires_grad_()
+    with pytest.raises(NotImplementedError, match="gradient"):
+        roofgs.rasterization(**given, **CAMERAS)

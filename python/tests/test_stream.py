@@ -1,0 +1,138 @@
+"""Streamed scenes, from disks and web servers. SPDX-License-Identifier: Apache-2.0"""
+import functools
+import gc
+import http.server
+import threading
+
+import numpy as np
+import pytest
+from conftest import GOLDEN
+
+import roofgs
+from roofgs import cameras
+
+
+class Ranges(http.server.SimpleHTTPRequestHandler):
+    """A web server with ranges, as streams need them."""
+
+    protocol_version = "HTTP/1.1"
+
+    def do_GET(self):
+        path = self.translate_path(self.path)
+        try:
+            with open(path, "rb") as file:
+                data = file.read()
+        except OSError:
+            return self.send_error(404)
+        first, end = 0, len(data)
+        asked = self.headers.get("Range")
+        if asked:
+            low, _, high = asked.removeprefix("bytes=").partition("-")
+            first, end = int(low), min(int(high) + 1 if high else end, end)
+        self.send_response(206 if asked else 200)
+        self.send_header("Content-Length", str(end - first))
+        self.send_header("ETag", '"1"')
+        if asked:
+            self.send_header("Content-Range", f"bytes {first}-{end - 1}/{len(data)}")
+        self.end_headers()
+        self.wfile.write(data[first:end])
+
+    def log_message(self, *_):
+        pass
+
+
+@pytest.fixture(scope="module")
+def server(examples):
+    handler = functools.partial(Ranges, directory=str(examples))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as running:
+        thread = threading.Thread(target=running.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{running.server_port}"
+        running.shutdown()
+        thread.join()
+
+
+@pytest.mark.parametrize("where", ["disk", "web"])
+def test_a_refined_view_is_the_whole_file(where, examples, server, renderer):
+    whole = roofgs.load(examples / "levels.rgs")
+    view = cameras.default_view(whole, width=96, height=72)
+    name = examples / "levels.rgs" if where == "disk" else f"{server}/levels.rgs"
+    with roofgs.StreamedScene(name) as scene:
+        assert len(scene) == 2000 and scene.sh_degree == 3
+        early = renderer.render(scene, view)  # whatever is there
+        assert early.shape == (72, 96, 3)
+        assert renderer.refine(scene, view, 60)
+        for dtype in ("float32", "uint8"):
+            assert np.array_equal(renderer.render(scene, view, dtype=dtype), renderer.render(whole, view, dtype=dtype))
+        stats = scene.stats
+        assert stats["pages_missing"] == 0 < stats["pages_resident"] and stats["bytes_read"] > 0
+        scene.check()
+        assert scene.bounds == whole.bounds and scene.up == whole.up
+    assert scene.closed
+
+
+def test_a_budget_that_holds_nothing(examples):
+    with pytest.raises(roofgs.Error) as caught:
+        roofgs.StreamedScene(examples / "levels.rgs", host_memory=1000)
+    assert caught.value.code in ("host_out_of_memory", "limit_exceeded") and caught.value.expected > 1000
+    for wrong in (0, -1, 1 << 64):
+        with pytest.raises(roofgs.ArgumentError):
+            roofgs.StreamedScene(examples / "levels.rgs", host_memory=wrong)
+
+
+def test_a_file_without_levels_is_no_stream(examples):
+    with pytest.raises(roofgs.FormatError) as caught:
+        roofgs.StreamedScene(examples / "scene.rgs")
+    assert caught.value.code == "missing_section"
+
+
+def test_closed_scenes(examples, renderer):
+    scene = roofgs.StreamedScene(examples / "levels.rgs")
+    view = cameras.default_view(scene, width=8, height=8)
+    scene.close()
+    scene.close()
+    for use in (lambda: renderer.render(scene, view), lambda: renderer.refine(scene, view), lambda: scene.stats,
+                lambda: len(scene)):
+        with pytest.raises(roofgs.ArgumentError, match="closed"):
+            use()
+    assert "closed" in repr(scene) and "closed" in scene._repr_html_()
+    for _ in range(3):  # one that nobody closes ends with its last reference
+        roofgs.StreamedScene(examples / "levels.rgs")
+        gc.collect()
+
+
+def test_frames_with_alpha_and_depth(examples, renderer):
+    whole = roofgs.load(examples / "levels.rgs")
+    views = cameras.orbit(whole, 3, width=32, height=24)
+    with roofgs.StreamedScene(examples / "levels.rgs") as scene:
+        for view in views:
+            assert renderer.refine(scene, view, 60)
+        for have, want in zip(renderer.render(scene, views, alpha=True, depth=True),
+                              renderer.render(whole, views, alpha=True, depth=True)):
+            assert np.array_equal(have, want)
+
+
+def test_seconds_are_numbers(examples, renderer):
+    with roofgs.StreamedScene(examples / "levels.rgs") as scene:
+        view = cameras.default_view(scene, width=8, height=8)
+        for wrong in (-1, float("nan")):
+            with pytest.raises(roofgs.ArgumentError):
+                renderer.refine(scene, view, wrong)
+
+
+def test_addresses_are_loaded_as_a_whole(examples, server):
+    for name in ("scene.rgs", "scene.ply", "levels.rgs"):
+        calls = []
+        scene = roofgs.load(f"{server}/{name}", progress=lambda *facts: calls.append(facts))
+        other = roofgs.load(examples / name)
+        assert np.array_equal(scene.means, other.means) and scene.format == other.format
+        size = (examples / name).stat().st_size
+        assert calls[-1] == ("read", size, size, "B")
+    with pytest.raises(roofgs.InputOutputError) as caught:
+        roofgs.load(f"{server}/none.rgs")
+    assert caught.value.found == 404 and caught.value.file.endswith("/none.rgs")
+
+
+def test_html(examples):
+    with roofgs.StreamedScene(GOLDEN / "levels_packed.rgs") as scene:
+        assert "<img" in scene._repr_html_()
