@@ -1,0 +1,106 @@
+#!/usr/bin/python3
+# make_wheel.py - a wheel of the package as it was built: python3 packaging/make_wheel.py BUILD OUT [--name NAME] [--version VERSION]
+# BUILD/python/package/roofgs is the package. Libraries that not every Linux has go with it, under names that hold their hash,
+# and are found by $ORIGIN. The same inputs give the same bytes. SPDX-License-Identifier: Apache-2.0
+import argparse
+import csv
+import hashlib
+import io
+import re
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from base64 import urlsafe_b64encode
+from pathlib import Path
+
+from check_wheel import SYSTEM
+
+PLATFORM = "manylinux_2_36_x86_64"  # Debian 12's glibc; check_wheel.py holds the wheel to it
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def run(*command):
+    return subprocess.run([str(word) for word in command], check=True, capture_output=True, text=True).stdout
+
+
+def needed(path):
+    return re.findall(r"\(NEEDED\).*\[(.*)\]", run("readelf", "--wide", "--dynamic", path))
+
+
+def bundle(extension, folder):
+    """Copies what `extension` needs, directly or not, into `folder`, and makes all of it be found there."""
+    paths = dict(re.findall(r"^\s*(\S+) => (/\S+)", run("ldd", extension), re.MULTILINE))
+    renamed = {}
+    for name, path in sorted(paths.items()):
+        if name not in SYSTEM:
+            digest = hashlib.sha256(Path(path).read_bytes()).hexdigest()[:8]
+            renamed[name] = re.sub(r"\.so", f"-{digest}.so", name, count=1)
+    folder.mkdir()
+    for name, new in renamed.items():
+        shutil.copyfile(paths[name], folder / new)
+        (folder / new).chmod(0o755)
+    for path in [extension, *folder.iterdir()]:
+        inside = path.parent == folder
+        changes = [word for name in needed(path) if name in renamed for word in ("--replace-needed", name, renamed[name])]
+        if inside:
+            changes += ["--set-soname", path.name]
+        run("patchelf", *changes, "--force-rpath", "--set-rpath", "$ORIGIN" if inside else f"$ORIGIN/../{folder.name}", path)
+    return sorted(paths[name] for name in renamed)
+
+
+def licences(libraries, folder):
+    """The copyright files of the Debian packages that the libraries are from."""
+    folder.mkdir(parents=True)
+    shutil.copyfile(ROOT / "LICENSE", folder / "roofgs")
+    patterns = [f"*/{Path(library).name}" for library in libraries]
+    for package in sorted(set(re.findall(r"^([^:]+)(?::\w+)?: ", run("dpkg", "-S", *patterns), re.MULTILINE)) if patterns else []):
+        shutil.copyfile(f"/usr/share/doc/{package}/copyright", folder / package)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("build", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--name", default="roofgs")
+    parser.add_argument("--version", required=True)
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        tree = Path(temporary)
+        shutil.copytree(arguments.build / "python/package/roofgs", tree / "roofgs", ignore=shutil.ignore_patterns("__pycache__"))
+        (extension,) = (tree / "roofgs").glob("_roofgs.cpython-*.so")
+        python = "cp" + re.search(r"cpython-(\d+)-", extension.name)[1]
+        run("strip", "--strip-unneeded", extension)
+        libraries = bundle(extension, tree / "roofgs.libs")
+        tag = f"{python}-{python}-{PLATFORM}"
+        info = tree / f"{arguments.name.replace('-', '_')}-{arguments.version}.dist-info"
+        licences(libraries, info / "licenses")
+        (info / "WHEEL").write_text(f"Wheel-Version: 1.0\nGenerator: make_wheel.py\nRoot-Is-Purelib: false\nTag: {tag}\n")
+        (info / "METADATA").write_text(
+            f"Metadata-Version: 2.1\nName: {arguments.name}\nVersion: {arguments.version}\n"
+            "Summary: Compact files for 3D Gaussian splats, and a renderer of them\nLicense: Apache-2.0\n"
+            f"Requires-Python: =={python[2]}.{python[3:]}.*\nRequires-Dist: numpy\nDescription-Content-Type: text/markdown\n\n"
+            + (ROOT / "docs/PYTHON.md").read_text())
+        (info / "top_level.txt").write_text("roofgs\n")
+        files = sorted(path for path in tree.rglob("*") if path.is_file())
+        rows = io.StringIO()
+        writer = csv.writer(rows, lineterminator="\n")
+        for path in files:
+            data = path.read_bytes()
+            writer.writerow([path.relative_to(tree), "sha256=" + urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b"=").decode(),
+                             len(data)])
+        writer.writerow([(info / "RECORD").relative_to(tree), "", ""])
+        (info / "RECORD").write_text(rows.getvalue())
+        arguments.out.mkdir(parents=True, exist_ok=True)
+        wheel = arguments.out / f"{info.name.removesuffix('.dist-info')}-{tag}.whl"
+        with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
+            for path in [*files, info / "RECORD"]:
+                entry = zipfile.ZipInfo(str(path.relative_to(tree)))
+                entry.external_attr = (0o755 if ".so" in path.name else 0o644) << 16
+                entry.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(entry, path.read_bytes())
+        print(wheel)
+
+
+if __name__ == "__main__":
+    main()
