@@ -42,10 +42,13 @@ def bundle(extension, folder):
         (folder / new).chmod(0o755)
     for path in [extension, *folder.iterdir()]:
         inside = path.parent == folder
-        changes = [word for name in needed(path) if name in renamed for word in ("--replace-needed", name, renamed[name])]
+        # One change a call: patchelf 0.14 mixes up the strings of several.
+        run("patchelf", "--force-rpath", "--set-rpath", "$ORIGIN" if inside else f"$ORIGIN/../{folder.name}", path)
+        for name in needed(path):
+            if name in renamed:
+                run("patchelf", "--replace-needed", name, renamed[name], path)
         if inside:
-            changes += ["--set-soname", path.name]
-        run("patchelf", *changes, "--force-rpath", "--set-rpath", "$ORIGIN" if inside else f"$ORIGIN/../{folder.name}", path)
+            run("patchelf", "--set-soname", path.name, path)
     return sorted(paths[name] for name in renamed)
 
 
