@@ -9,7 +9,7 @@ if(NOT CMAKE_INSTALL_PREFIX STREQUAL "/usr" OR NOT RGS_BUILD_PYTHON AND NOT (BUI
   message(FATAL_ERROR "RGS_DEBIAN needs CMAKE_INSTALL_PREFIX=/usr and BUILD_SHARED_LIBS and RGS_MANUAL, or RGS_BUILD_PYTHON: "
     "run packaging/deb.sh.")
 endif()
-set(RGS_MAINTAINER "RoofGS maintainers <maintainers@roofgs.org>" CACHE STRING "Maintainer that Debian packages name")
+set(RGS_MAINTAINER "RoofGS maintainers <maintainers@roofgs.invalid>" CACHE STRING "Maintainer that Debian packages name")
 
 # The packages' version is that of debian/changelog, which must be a revision of the project's.
 set(rgs_debian_folder ${PROJECT_SOURCE_DIR}/packaging/debian)
