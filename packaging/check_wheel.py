@@ -72,7 +72,7 @@ def problems(wheel):
                 yield f"RECORD has another hash of {name}, or none"
         if set(recorded) != set(archive.namelist()):
             yield "RECORD names other files than are there"
-        libraries = [path for path in root.rglob("*") if re.search(r"\.so(\.|$)", path.name)]
+        libraries = [path for path in root.rglob("*") if path.is_file() and path.read_bytes()[:4] == b"\x7fELF"]
         if not any(path.name.startswith("_roofgs") for path in libraries):
             yield "there is no extension _roofgs"
         for path in sorted(libraries):

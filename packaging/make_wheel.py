@@ -1,11 +1,12 @@
 #!/usr/bin/python3
 # make_wheel.py - a wheel of the package as it was built: python3 packaging/make_wheel.py BUILD OUT [--name NAME] [--version VERSION]
-# BUILD/python/package/roofgs is the package. Libraries that not every Linux has go with it, under names that hold their hash,
+# BUILD/python/package/roofgs is the package; programs of BUILD/bin that it calls go with it. Libraries that not every Linux has go with it, under names that hold their hash,
 # and are found by $ORIGIN. The same inputs give the same bytes. SPDX-License-Identifier: Apache-2.0
 import argparse
 import csv
 import hashlib
 import io
+import os
 import re
 import shutil
 import subprocess
@@ -16,6 +17,8 @@ from pathlib import Path
 
 from check_wheel import SYSTEM
 
+# Without rgs-audit, whose pictures bring OpenImageIO and its 260 libraries: 360 MB.
+PROGRAMS = ["rgs-convert", "rgs-prune"]
 PLATFORM = "manylinux_2_36_x86_64"  # Debian 12's glibc; check_wheel.py holds the wheel to it
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -28,9 +31,11 @@ def needed(path):
     return re.findall(r"\(NEEDED\).*\[(.*)\]", run("readelf", "--wide", "--dynamic", path))
 
 
-def bundle(extension, folder):
-    """Copies what `extension` needs, directly or not, into `folder`, and makes all of it be found there."""
-    paths = dict(re.findall(r"^\s*(\S+) => (/\S+)", run("ldd", extension), re.MULTILINE))
+def bundle(files, folder):
+    """Copies what `files` need, directly or not, into `folder`, and makes all of it be found there."""
+    paths = {}
+    for file in files:
+        paths.update(re.findall(r"^\s*(\S+) => (/\S+)", run("ldd", file), re.MULTILINE))
     renamed = {}
     for name, path in sorted(paths.items()):
         if name not in SYSTEM:
@@ -40,10 +45,10 @@ def bundle(extension, folder):
     for name, new in renamed.items():
         shutil.copyfile(paths[name], folder / new)
         (folder / new).chmod(0o755)
-    for path in [extension, *folder.iterdir()]:
+    for path in [*files, *folder.iterdir()]:
         inside = path.parent == folder
         # One change a call: patchelf 0.14 mixes up the strings of several.
-        run("patchelf", "--force-rpath", "--set-rpath", "$ORIGIN" if inside else f"$ORIGIN/../{folder.name}", path)
+        run("patchelf", "--force-rpath", "--set-rpath", "$ORIGIN" if inside else f"$ORIGIN/{os.path.relpath(folder, path.parent)}", path)
         for name in needed(path):
             if name in renamed:
                 run("patchelf", "--replace-needed", name, renamed[name], path)
@@ -73,8 +78,12 @@ def main():
         shutil.copytree(arguments.build / "python/package/roofgs", tree / "roofgs", ignore=shutil.ignore_patterns("__pycache__"))
         (extension,) = (tree / "roofgs").glob("_roofgs.cpython-*.so")
         python = "cp" + re.search(r"cpython-(\d+)-", extension.name)[1]
-        run("strip", "--strip-unneeded", extension)
-        libraries = bundle(extension, tree / "roofgs.libs")
+        (tree / "roofgs/bin").mkdir()
+        for program in PROGRAMS:
+            shutil.copy(arguments.build / "bin" / program, tree / "roofgs/bin")
+        files = [extension, *sorted((tree / "roofgs/bin").iterdir())]
+        run("strip", "--strip-unneeded", *files)
+        libraries = bundle(files, tree / "roofgs.libs")
         tag = f"{python}-{python}-{PLATFORM}"
         info = tree / f"{arguments.name.replace('-', '_')}-{arguments.version}.dist-info"
         licences(libraries, info / "licenses")
@@ -99,7 +108,7 @@ def main():
         with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in [*files, info / "RECORD"]:
                 entry = zipfile.ZipInfo(str(path.relative_to(tree)))
-                entry.external_attr = (0o755 if ".so" in path.name else 0o644) << 16
+                entry.external_attr = (0o755 if ".so" in path.name or path.parent.name == "bin" else 0o644) << 16
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(entry, path.read_bytes())
         print(wheel)

@@ -13,9 +13,11 @@
 #include <charconv>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 #include <limits>
 #include <new>
+#include <nlohmann/json.hpp>
 #include <stdexcept>
 #include <system_error>
 
@@ -49,6 +51,35 @@ void write(std::FILE* stream, std::string_view text, std::atomic<int>& failed) {
   failed.compare_exchange_strong(none, errno != 0 ? errno : EIO);
 }
 
+bool json_messages() {
+  static const bool wanted = [] {
+    const char* value = std::getenv("RGS_MESSAGES");
+    return value != nullptr && std::string_view(value) == "json";
+  }();
+  return wanted;
+}
+
+// A line for a program that listens: names as they are, but for what is not UTF-8.
+void print_json(const char* kind, const nlohmann::ordered_json& value) {
+  const nlohmann::ordered_json message{{kind, value}};
+  print_error(message.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace) + "\n");
+}
+
+nlohmann::ordered_json known(std::uint64_t value) {
+  return value == Error::kNone ? nlohmann::ordered_json(nullptr) : nlohmann::ordered_json(value);
+}
+
+void print_json_error(std::string_view file, const Error& error, std::string_view message) {
+  print_json("error", {{"code", errc_name(error.code)},
+                       {"file", file.empty() ? nlohmann::ordered_json(nullptr) : nlohmann::ordered_json(file)},
+                       {"offset", known(error.offset)},
+                       {"expected", known(error.expected)},
+                       {"found", known(error.found)},
+                       {"system", error.system},
+                       {"message", message},
+                       {"hint", hint(error)}});
+}
+
 // Whatever is opened gets the lowest free number. If that is 2, messages go into the file, so no number of a standard
 // stream stays free. What stands there can neither be read nor written: both fail with EBADF, as on a closed stream.
 void occupy_standard_streams() {
@@ -58,6 +89,7 @@ void occupy_standard_streams() {
 }
 
 int report_out_of_memory() {
+  if (json_messages()) return report({}, {.code = Errc::host_out_of_memory, .what = "out of memory"});
   print_error(fmt::format("{}: out of memory [{}]\n  hint: {}\n", program(), errc_name(Errc::host_out_of_memory),
                           hint({Errc::host_out_of_memory})));
   return exit_code(Errc::host_out_of_memory);
@@ -75,7 +107,11 @@ int guarded(const std::function<int()>& body) {
     const std::string_view what = e.what();
     for (const int error : {EAGAIN, ENOMEM})
       if (what.find(std::generic_category().message(error)) != what.npos) return report_out_of_memory();
-    print_error(fmt::format("{}: internal error: {}\n", program(), printable(e.what())));
+    if (json_messages()) {
+      print_json_error({}, {.code = Errc::internal}, e.what());
+    } else {
+      print_error(fmt::format("{}: internal error: {}\n", program(), printable(e.what())));
+    }
   }
   return kInternal;
 }
@@ -147,6 +183,10 @@ const char* hint(const Error& error) {
 }
 
 int report(const std::string& file, const Error& error) {
+  if (json_messages()) {
+    print_json_error(file, error, describe(error));
+    return exit_code(error.code);
+  }
   const char* advice = hint(error);
   std::string text = fmt::format("{}: {}{}{} [{}]\n", program(), printable(file), file.empty() ? "" : ": ",
                                  describe(error), errc_name(error.code));
@@ -156,6 +196,10 @@ int report(const std::string& file, const Error& error) {
 }
 
 int report_usage(std::string_view message) {
+  if (json_messages()) {
+    print_json_error({}, {.code = Errc::bad_argument}, message);
+    return kUsage;
+  }
   print_error(fmt::format("{0}: {1}\nRun {0} --help for usage.\n", program(), printable(message)));
   return kUsage;
 }
@@ -269,7 +313,8 @@ Result<ImageSize> parse_size(std::string_view text) {
   return make_error(Errc::bad_argument, Error::kNone, "not an image size such as 1920x1080 (sides 1 to 65536)");
 }
 
-Progress::Progress(Mode mode) : quiet_(mode == Mode::quiet), terminal_(::isatty(STDERR_FILENO) == 1) {}
+Progress::Progress(Mode mode)
+    : quiet_(mode == Mode::quiet), json_(json_messages()), terminal_(!json_ && ::isatty(STDERR_FILENO) == 1) {}
 
 Progress::~Progress() {
   if (open_ && terminal_ && !quiet_) print_error("\r\x1b[K");
@@ -290,7 +335,12 @@ void Progress::begin(const char* stage, std::uint64_t total, const char* unit) {
   done_ = 0;
   open_ = true;
   start_ = Clock::now();
-  next_draw_ = (start_ + (terminal_ ? Clock::duration(kRedraw) : Clock::duration(kLogLine))).time_since_epoch().count();
+  next_draw_ = (start_ + between_draws()).time_since_epoch().count();
+  if (json_ && !quiet_) draw(start_);
+}
+
+Progress::Clock::duration Progress::between_draws() const {
+  return terminal_ || json_ ? Clock::duration(kRedraw) : Clock::duration(kLogLine);
 }
 
 void Progress::advance(std::uint64_t units) {
@@ -299,13 +349,17 @@ void Progress::advance(std::uint64_t units) {
   const auto now = Clock::now();
   auto due = next_draw_.load(std::memory_order_relaxed);
   if (now.time_since_epoch().count() < due) return;
-  const auto next = (now + (terminal_ ? Clock::duration(kRedraw) : Clock::duration(kLogLine))).time_since_epoch();
+  const auto next = (now + between_draws()).time_since_epoch();
   if (!next_draw_.compare_exchange_strong(due, next.count(), std::memory_order_relaxed)) return;
   const std::lock_guard lock(drawing_);
   draw(now);
 }
 
 void Progress::draw(Clock::time_point now) {
+  if (json_) {
+    print_json("progress", {{"stage", stage_}, {"done", done_.load()}, {"total", total_}, {"unit", unit_}});
+    return;
+  }
   const double seconds = std::chrono::duration<double>(now - start_).count();
   const double done = static_cast<double>(done_.load(std::memory_order_relaxed));
   const double rate = seconds > 0 ? done / seconds : 0;
@@ -327,6 +381,7 @@ void Progress::finish() {
   if (!open_) return;
   open_ = false;
   if (quiet_) return;
+  if (json_) return draw(Clock::now());
   const double seconds = std::chrono::duration<double>(Clock::now() - start_).count();
   const double done = static_cast<double>(done_.load());
   const std::string units = *unit_ == '\0' ? "" : amount(done) + " in ";  // a stage without units only takes time

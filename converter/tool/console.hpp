@@ -3,6 +3,10 @@
 //
 // Standard output belongs to results (and stays parseable with --json); reports and progress go to standard error. What
 // came from a command line or a file is escaped (info_escape.hpp) before it is printed on either.
+//
+// With RGS_MESSAGES=json in the environment, errors and progress are lines of JSON on standard error, for programs that
+// call these: {"error": {code, file, offset, expected, found, system, message, hint}}, numbers null where there is none, and
+// {"progress": {stage, done, total, unit}}. Other lines may stand between them.
 #pragma once
 
 #include <atomic>
@@ -95,9 +99,10 @@ class Progress {
  private:
   using Clock = std::chrono::steady_clock;
   void draw(Clock::time_point now);
+  Clock::duration between_draws() const;
   std::string amount(double units) const;
 
-  bool quiet_ = false, terminal_ = false, open_ = false;
+  bool quiet_ = false, json_ = false, terminal_ = false, open_ = false;
   const char* stage_ = "";
   const char* unit_ = "";
   std::uint64_t total_ = 0;

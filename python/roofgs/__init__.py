@@ -12,6 +12,8 @@ docs/PYTHON.md is the way in; the docstrings are the manual.
 from . import cameras
 from ._errors import (ArgumentError, DeviceError, Error, FormatError, IncompleteError, InputOutputError, InternalError,
                       MissingFileError, OutOfMemoryError, OutputExistsError, QualityError, UnavailableError)
+from ._pictures import png
+from ._programs import Audit, audit, convert, prune
 from ._rasterization import rasterization
 from ._render import Frame, Renderer
 from ._roofgs import Camera
@@ -19,8 +21,8 @@ from ._roofgs import version as __version__
 from ._scene import Scene, StreamedScene, info, load
 
 __all__ = [
-    "ArgumentError", "Camera", "DeviceError", "Error", "FormatError", "Frame", "IncompleteError",
+    "ArgumentError", "Audit", "Camera", "DeviceError", "Error", "FormatError", "Frame", "IncompleteError",
     "InputOutputError", "InternalError", "MissingFileError", "OutOfMemoryError", "OutputExistsError", "QualityError",
-    "Renderer", "Scene", "StreamedScene", "UnavailableError", "cameras", "info", "load", "rasterization",
-    "__version__",
+    "Renderer", "Scene", "StreamedScene", "UnavailableError", "audit", "cameras", "convert", "info", "load", "png",
+    "prune", "rasterization", "__version__",
 ]

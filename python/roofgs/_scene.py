@@ -5,8 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import json
-import struct
-import zlib
 from typing import Any, Dict, Optional, Tuple, Union
 
 import numpy as np
@@ -16,6 +14,7 @@ from . import _roofgs
 from ._arrays import FloatArray, float_array, host_array, refuse_gradients
 from ._errors import argument_error
 from ._paths import Path, encoded, shown
+from ._pictures import png
 from ._progress import Progress, Reporting
 
 Vector3 = Tuple[float, float, float]
@@ -372,20 +371,6 @@ def _count(value: int, name: str) -> int:
 
 def _count_or_none(value: Optional[int], name: str) -> Optional[int]:
     return None if value is None else _count(value, name)
-
-
-def png(image: "NDArray[np.uint8]") -> bytes:
-    """A picture [height, width, 3] as a PNG file."""
-    height, width, _ = image.shape
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)  # before each row its filter: none
-    rows[:, 1:] = image.reshape(height, 3 * width)
-
-    def part(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
-    return (b"\x89PNG\r\n\x1a\n" + part(b"IHDR", header) + part(b"IDAT", zlib.compress(rows.tobytes()))
-            + part(b"IEND", b""))
 
 
 def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:

@@ -7,6 +7,7 @@ them; it is what gsplat calls a view matrix. Pixel (i, j) covers [i, i + 1) x [j
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Any, Iterable, List, Sequence, Tuple, Union
 
 import numpy as np
@@ -20,7 +21,7 @@ from ._roofgs import Camera
 if TYPE_CHECKING:
     from ._scene import Scene, StreamedScene
 
-__all__ = ["Camera", "CameraList", "default_view", "from_matrices", "load", "look_at", "orbit", "path"]
+__all__ = ["Camera", "CameraList", "default_view", "from_matrices", "load", "look_at", "orbit", "path", "save"]
 
 Vector = Sequence[float]
 WORLD_UP = (0.0, -1.0, 0.0)
@@ -67,6 +68,19 @@ def load(path: Path) -> CameraList:
     """
     source, cameras, is_test, declared = _roofgs.read_cameras(encoded(path))
     return CameraList(cameras, is_test, source, declared)
+
+
+def save(path: Path, cameras: Iterable[Camera]) -> None:
+    """Writes cameras as the JSON list of docs/CAMERAS.md.
+
+    >>> save(folder / "two.json", orbit(roofgs.load(examples / "scene.rgs"), 2))
+    >>> len(load(folder / "two.json"))
+    2
+    """
+    rows = [{"name": camera.name, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
+             "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist()} for camera in cameras]
+    with open(encoded(path), "w", encoding="utf-8") as file:
+        json.dump(rows, file, indent=1)
 
 
 def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 1280, height: int = 720,

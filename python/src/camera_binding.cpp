@@ -141,7 +141,10 @@ name : str
       "read_cameras",
       [](const std::string& path) {
         static constexpr const char* kSources[] = {"list", "training", "transforms", "colmap"};
-        const auto set = take(run([path] { return read_camera_set(path); }, nullptr, {}), path);
+        const auto set = [&] {  // without threads: a process may fork after it
+          const py::gil_scoped_release unlocked;
+          return take(read_camera_set(path), path);
+        }();
         std::vector<bool> test;
         for (const Split split : set.split) test.push_back(split == Split::test);
         return py::make_tuple(kSources[static_cast<int>(set.source)], py::cast(set.cameras), test, set.split_declared);

@@ -9,6 +9,7 @@
 #include <array>
 #include <cmath>
 #include <memory>
+#include <mutex>
 #include <optional>
 #include <span>
 #include <string>
@@ -75,7 +76,6 @@ Result<SceneFile> load_url(ByteSource& source, const LoadOptions& options, Progr
     const auto part = std::span(bytes).subspan(first, std::min<std::uint64_t>(kPart, bytes.size() - first));
     if (const Status s = source.read(first, part); !s) return tl::unexpected(s.error());
     progress.advance(part.size());
-    if (progress.cancelled()) return make_error(Errc::cancelled, Error::kNone, "given up");
   }
   if (detect_format(bytes) != SplatFormat::rgs || options.has_choice())
     return scene_of(read_splats(bytes, options.read));
@@ -98,18 +98,30 @@ PyScene load(const std::string& name, std::optional<std::uint32_t> level_of_deta
   if (max_expansion) options.read.limits.max_expansion = *max_expansion;
   const auto progress = std::make_shared<Progress>(std::move(callback));
   if (!is_url(name)) return {take(run([=] { return load_path(name, options); }, progress, {}), name), name};
-  // A source that is given up reads no further; nothing ends the wait for a connection, so the work is left behind.
+  // A source that is given up reads no further. Nothing ends the wait for a connection, so the work is left behind.
+  struct Shared {
+    std::mutex mutex;
+    std::unique_ptr<ByteSource> source;
+  };
+  const auto shared = std::make_shared<Shared>();
   const auto work = [=]() -> Result<SceneFile> {
     return detail::guard_memory([&]() -> Result<SceneFile> {
-      const auto source = open_url_source(name);
+      auto source = open_url_source(name);
       if (!source) return tl::unexpected(source.error());
-      return load_url(**source, options, *progress);
+      {
+        const std::scoped_lock lock(shared->mutex);
+        shared->source = *std::move(source);
+        if (progress->cancelled()) shared->source->cancel();
+      }
+      return load_url(*shared->source, options, *progress);
     });
   };
   try {
     return {take(run(work, progress, {}), name), name};
   } catch (py::error_already_set&) {
     progress->cancel();
+    const std::scoped_lock lock(shared->mutex);
+    if (shared->source) shared->source->cancel();
     throw;
   }
 }

@@ -29,18 +29,10 @@ def examples(tmp_path_factory):
     program("rgs-make-scene", "--seed", 7, "--gaussians", 2000, "--degree", 3, "--cameras", folder / "all.json",
             folder / "scene.ply", "--quiet")
     cameras = roofgs.cameras.load(folder / "all.json")[:8]
-    write_cameras(folder / "cameras.json", [camera.resized(320, 240) for camera in cameras])
+    roofgs.cameras.save(folder / "cameras.json", [camera.resized(320, 240) for camera in cameras])
     program("rgs-convert", folder / "scene.ply", folder / "scene.rgs", "--quiet")
     program("rgs-convert", "--lod", folder / "scene.ply", folder / "levels.rgs", "--quiet")
     return folder
-
-
-def write_cameras(path, cameras):
-    import json
-
-    path.write_text(json.dumps([{"name": camera.name, "width": camera.width, "height": camera.height, "fx": camera.fx,
-                                 "fy": camera.fy, "cx": camera.cx, "cy": camera.cy,
-                                 "world_to_camera": camera.world_to_camera.tolist()} for camera in cameras]))
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 import gc
 import os
 import pickle
+import signal
 import threading
 from pathlib import Path
 
@@ -259,6 +260,39 @@ def test_an_error_in_the_callback_gives_up(tmp_path, examples):
     with pytest.raises(RuntimeError, match="enough"):
         scene.save(tmp_path / "a.rgs", lod="best", progress=fail)
     assert not any(entry.name.startswith("a.rgs.tmp") for entry in tmp_path.iterdir())
+
+
+def test_ctrl_c_leaves_a_whole_file_or_none(tmp_path, examples):
+    scene = roofgs.load(examples / "scene.ply")
+    ended = []
+    for stage_of_signal in ("scan", "encode", "commit", "fit"):
+        def interrupt(stage, *_, wanted=stage_of_signal):
+            if stage == wanted:
+                os.kill(os.getpid(), signal.SIGINT)
+
+        path = tmp_path / f"{stage_of_signal}.rgs"
+        try:
+            scene.save(path, progress=interrupt)
+            ended.append("saved")
+        except KeyboardInterrupt:
+            ended.append("interrupted")
+        if path.exists():
+            assert len(roofgs.load(path)) == len(scene)
+    assert "interrupted" in ended and ended[-1] == "saved"
+    assert all(entry.suffix == ".rgs" for entry in tmp_path.iterdir())
+
+
+def test_ctrl_c_ends_the_fitting_of_levels(tmp_path):
+    scene = roofgs.Scene(**attributes(n=60_000))
+
+    def interrupt(stage, done, total, unit):
+        if not any(tmp_path.iterdir()):
+            return
+        os.kill(os.getpid(), signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        scene.save(tmp_path / "a.rgs", lod="best", progress=interrupt)
+    assert not list(tmp_path.iterdir())
 
 
 def test_threads_load_at_once():

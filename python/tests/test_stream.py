@@ -2,6 +2,10 @@
 import functools
 import gc
 import http.server
+import os
+import signal
+import subprocess
+import sys
 import threading
 
 import numpy as np
@@ -136,3 +140,48 @@ def test_addresses_are_loaded_as_a_whole(examples, server):
 def test_html(examples):
     with roofgs.StreamedScene(GOLDEN / "levels_packed.rgs") as scene:
         assert "<img" in scene._repr_html_()
+
+
+class Slow(Ranges):
+    """The same, but that it gives the first bytes alone until it is told to go on."""
+
+    go_on = threading.Event()
+
+    def do_GET(self):
+        asked = self.headers.get("Range", "bytes=0-")
+        if int(asked.removeprefix("bytes=").partition("-")[0]) > 0:
+            self.go_on.wait(60)
+        super().do_GET()
+
+
+def test_ctrl_c_ends_a_wait(examples, renderer, tmp_path):
+    # More than the 64 KiB that a source keeps of its first answer.
+    big = tmp_path / "big"
+    big.mkdir()
+    subprocess.run([os.environ["ROOFGS_PROGRAMS"] + "/rgs-make-scene", "--gaussians", "20k", big / "scene.ply", "-q"], check=True)
+    roofgs.load(big / "scene.ply").save(big / "levels.rgs", lod=True)
+    handler = functools.partial(Slow, directory=str(big))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        serving = threading.Thread(target=server.serve_forever)
+        serving.start()
+        code = ("import roofgs, signal, sys, os\n"
+                "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+                "scene = roofgs.StreamedScene(sys.argv[1]) if sys.argv[2] == 'stream' else None\n"
+                "view = scene and roofgs.cameras.default_view(scene, width=640, height=480)\n"
+                "renderer = roofgs.Renderer(device='cpu')\n"
+                "try:\n"
+                "    print('begun', flush=True)\n"
+                "    renderer.refine(scene, view, 300, detail=0) if scene else roofgs.load(sys.argv[1])\n"
+                "except KeyboardInterrupt:\n"
+                "    print('interrupted', flush=True)\n")
+        for how in ("stream", "load"):
+            process = subprocess.Popen([sys.executable, "-c", code, f"http://127.0.0.1:{server.server_port}/levels.rgs", how],
+                                       stdout=subprocess.PIPE, text=True)
+            assert process.stdout.readline() == "begun\n"
+            process.send_signal(signal.SIGINT)
+            process.wait(60)  # far less than the wait, and with nothing that ends it
+            assert process.stdout.read() == "interrupted\n" and process.returncode == 0
+            process.stdout.close()
+        Slow.go_on.set()
+        server.shutdown()
+        serving.join()

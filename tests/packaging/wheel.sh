@@ -15,6 +15,8 @@ image = roofgs.Renderer().render(scene, camera)
 assert image.shape == (120, 160, 3) and image.max() > 0.05, image.max()
 scene.save("copy.rgs")
 assert len(roofgs.load("copy.rgs")) == len(scene)
+roofgs.convert("/project/tests/golden/packed_degree3.rgs", "copy.ply")  # by the program in the wheel
+assert len(roofgs.load("copy.ply")) == len(scene)
 try:
     roofgs.Renderer(device="cuda")
 except roofgs.UnavailableError as error:
