@@ -23,7 +23,7 @@ make() {
 hardened=-Wl,-z,relro,-z,now
 make "$build" all -DBUILD_SHARED_LIBS=ON -DRGS_MANUAL=ON "$@"
 # The module holds the libraries that it is made of.
-make "$build/python" rgs_python_package -DRGS_BUILD_PYTHON=ON -DRGS_BUILD_SAMPLES=OFF "$@"
-mv "$build"/python/packages/*.deb "$build/packages/"
+make "$build-python" rgs_python_package -DRGS_BUILD_PYTHON=ON -DRGS_BUILD_SAMPLES=OFF "$@"
+mv "$build-python"/packages/*.deb "$build/packages/"
 lintian --fail-on error --tag-display-limit 0 "$build"/packages/*.deb
 ls "$build"/packages/*.deb

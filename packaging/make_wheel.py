@@ -1,7 +1,7 @@
 #!/usr/bin/python3
-# make_wheel.py - a wheel of the package as it was built: python3 packaging/make_wheel.py BUILD OUT [--name NAME] [--version VERSION]
-# BUILD/python/package/roofgs is the package; programs of BUILD/bin that it calls go with it. Libraries that not every Linux has go with it, under names that hold their hash,
-# and are found by $ORIGIN. The same inputs give the same bytes. SPDX-License-Identifier: Apache-2.0
+# make_wheel.py - a wheel of the package as it was built: python3 packaging/make_wheel.py BUILD OUT VERSION
+# BUILD/python/package/roofgs is the package; programs of BUILD/bin that it calls go with it, and libraries that not every Linux has,
+# under names that hold their hash, found by $ORIGIN. The same inputs give the same bytes. SPDX-License-Identifier: Apache-2.0
 import argparse
 import csv
 import hashlib
@@ -70,8 +70,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("build", type=Path)
     parser.add_argument("out", type=Path)
-    parser.add_argument("--name", default="roofgs")
-    parser.add_argument("--version", required=True)
+    parser.add_argument("version")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as temporary:
         tree = Path(temporary)
@@ -85,11 +84,11 @@ def main():
         run("strip", "--strip-unneeded", *files)
         libraries = bundle(files, tree / "roofgs.libs")
         tag = f"{python}-{python}-{PLATFORM}"
-        info = tree / f"{arguments.name.replace('-', '_')}-{arguments.version}.dist-info"
+        info = tree / f"roofgs-{arguments.version}.dist-info"
         licences(libraries, info / "licenses")
         (info / "WHEEL").write_text(f"Wheel-Version: 1.0\nGenerator: make_wheel.py\nRoot-Is-Purelib: false\nTag: {tag}\n")
         (info / "METADATA").write_text(
-            f"Metadata-Version: 2.1\nName: {arguments.name}\nVersion: {arguments.version}\n"
+            f"Metadata-Version: 2.1\nName: roofgs\nVersion: {arguments.version}\n"
             "Summary: Compact files for 3D Gaussian splats, and a renderer of them\nLicense: Apache-2.0\n"
             f"Requires-Python: =={python[2]}.{python[3:]}.*\nRequires-Dist: numpy\nDescription-Content-Type: text/markdown\n\n"
             + (ROOT / "docs/PYTHON.md").read_text())

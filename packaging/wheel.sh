@@ -22,6 +22,6 @@ quietly cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_
 quietly cmake --build "$build" --parallel "${RGS_JOBS:-$(nproc)}" \
   --target rgs_python_package rgs-convert rgs-prune
 version=$(sed -n 's/^CMAKE_PROJECT_VERSION:STATIC=//p' "$build/CMakeCache.txt")
-wheel=$(/usr/bin/python3 packaging/make_wheel.py "$build" build/wheels --version "$version$local")
+wheel=$(/usr/bin/python3 packaging/make_wheel.py "$build" build/wheels "$version$local")
 /usr/bin/python3 packaging/check_wheel.py "$wheel"
 ls -l "$wheel" | awk '{ print $NF ": " $5 " bytes" }'
