@@ -9,6 +9,7 @@ import io
 import os
 import re
 import shutil
+import stat
 import subprocess
 import tempfile
 import zipfile
@@ -107,7 +108,8 @@ def main():
         with zipfile.ZipFile(wheel, "w", zipfile.ZIP_DEFLATED) as archive:
             for path in [*files, info / "RECORD"]:
                 entry = zipfile.ZipInfo(str(path.relative_to(tree)))
-                entry.external_attr = (0o755 if ".so" in path.name or path.parent.name == "bin" else 0o644) << 16
+                # Of regular files alone pip keeps the bits of programs.
+                entry.external_attr = (stat.S_IFREG | (0o755 if ".so" in path.name or path.parent.name == "bin" else 0o644)) << 16
                 entry.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(entry, path.read_bytes())
         print(wheel)
