@@ -70,6 +70,7 @@ if(RGS_BUILD_PYTHON)
   rgs_debian_package(python python3-roofgs python "3D Gaussian splat scenes: Python module"
     "${rgs_about}\n.\nThis package has the module roofgs for Python 3, which needs NumPy and no GPU."
     "python3 (>= ${Python_VERSION_MAJOR}.${Python_VERSION_MINOR})" "python3 (<< ${Python_VERSION_MAJOR}.${next_minor})" "python3-numpy")
+  set(CPACK_DEBIAN_PYTHON_PACKAGE_CONTROL_EXTRA ${rgs_debian_folder}/python/postinst ${rgs_debian_folder}/python/prerm)
   include(CPack)
   return()
 endif()
