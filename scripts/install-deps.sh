@@ -15,7 +15,7 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
 
 [ "${1:-}" != test ] || packages="$packages chromium pkgconf nginx-light openssl"
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
-  python3-dev pybind11-dev"
+  patchelf python3-dev pybind11-dev"
 [ "${1:-}" != python ] || packages="$packages python3-dev pybind11-dev python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
 
