@@ -1,14 +1,15 @@
-# RGS_DEBIAN: `cpack -G DEB` makes the Debian packages roofgs, libroofgs, libroofgs-dev and, where the module is built,
-# python3-roofgs. packaging/deb.sh configures all that belongs to it.
+# RGS_DEBIAN: `cpack -G DEB` makes the Debian packages roofgs, libroofgs and libroofgs-dev, or, where the Python module is built, which
+# holds its libraries, python3-roofgs. packaging/deb.sh configures all that belongs to it.
 # SPDX-License-Identifier: Apache-2.0
 option(RGS_DEBIAN "Prepare Debian packages; see packaging/deb.sh" OFF)
 if(NOT RGS_DEBIAN)
   return()
 endif()
-if(NOT BUILD_SHARED_LIBS OR NOT RGS_MANUAL OR NOT CMAKE_INSTALL_PREFIX STREQUAL "/usr")
-  message(FATAL_ERROR "RGS_DEBIAN needs BUILD_SHARED_LIBS, RGS_MANUAL and CMAKE_INSTALL_PREFIX=/usr: run packaging/deb.sh.")
+if(NOT CMAKE_INSTALL_PREFIX STREQUAL "/usr" OR NOT RGS_BUILD_PYTHON AND NOT (BUILD_SHARED_LIBS AND RGS_MANUAL))
+  message(FATAL_ERROR "RGS_DEBIAN needs CMAKE_INSTALL_PREFIX=/usr and BUILD_SHARED_LIBS and RGS_MANUAL, or RGS_BUILD_PYTHON: "
+    "run packaging/deb.sh.")
 endif()
-set(RGS_MAINTAINER "RoofGS maintainers <maintainers@roofgs.org>" CACHE STRING "Maintainer that Debian packages name")
+set(RGS_MAINTAINER "RoofGS maintainers <maintainers@roofgs.invalid>" CACHE STRING "Maintainer that Debian packages name")
 
 # The packages' version is that of debian/changelog, which must be a revision of the project's.
 set(rgs_debian_folder ${PROJECT_SOURCE_DIR}/packaging/debian)
@@ -64,6 +65,15 @@ endfunction()
 set(rgs_about "RoofGS turns a trained 3D Gaussian splatting scene into a compact file that a
 GPU reads as it lies on disk, and renders it with the image that the original
 3DGS code defines.")
+if(RGS_BUILD_PYTHON)
+  math(EXPR next_minor "${Python_VERSION_MINOR} + 1")
+  rgs_debian_package(python python3-roofgs python "3D Gaussian splat scenes: Python module"
+    "${rgs_about}\n.\nThis package has the module roofgs for Python 3, which needs NumPy and no GPU."
+    "python3 (>= ${Python_VERSION_MAJOR}.${Python_VERSION_MINOR})" "python3 (<< ${Python_VERSION_MAJOR}.${next_minor})" "python3-numpy")
+  set(CPACK_DEBIAN_PYTHON_PACKAGE_CONTROL_EXTRA ${rgs_debian_folder}/python/postinst ${rgs_debian_folder}/python/prerm)
+  include(CPack)
+  return()
+endif()
 rgs_debian_package(libraries libroofgs libs "3D Gaussian splat scenes: shared libraries"
   "${rgs_about}\n.\nThis package has the libraries that programs need to run: the file format, the\nformats of others, cameras and renderers.")
 rgs_debian_package(development libroofgs-dev libdevel "3D Gaussian splat scenes: headers"

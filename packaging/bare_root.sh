@@ -8,12 +8,12 @@
 set -eu
 cd "$(dirname "$0")/.."
 project=$PWD
-release=bookworm packages= network=
+release=bookworm packages= offline= network=
 while :; do
   case ${1:-} in
     --release) release=$2; shift 2 ;;
     --packages) packages=$2; shift 2 ;;
-    --offline) network=--net; shift ;;
+    --offline) offline=--net; shift ;;
     "" | --*) sed -n '2,6s/^# //p' "$0" >&2; exit 2 ;;
     *) break ;;
   esac
@@ -80,4 +80,5 @@ if [ -n "$packages" ]; then
   fi
   base=$layer:$base
 fi
+network=$offline
 within "$base" "$work/upper" "$@"

@@ -1,5 +1,5 @@
 #!/bin/sh
-# deb.sh - makes the Debian packages roofgs, libroofgs and libroofgs-dev: sh packaging/deb.sh [OPTION...]
+# deb.sh - makes the Debian packages roofgs, libroofgs, libroofgs-dev and python3-roofgs: sh packaging/deb.sh [OPTION...]
 # They lie in build/deb/packages. OPTIONs go to CMake, as -DRGS_ENABLE_CUDA=ON for packages that also render on NVIDIA GPUs.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
@@ -10,12 +10,20 @@ mkdir -p "$build"
 exec 3>&1
 quietly() { "$@" >"$build/log" 2>&1 || { tail -n 50 "$build/log" >&3; echo "deb.sh: failed: $*" >&3; exit 1; }; }
 
-# Libraries are where Debian has them, so nothing needs a path to them.
-quietly cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DCMAKE_INSTALL_PREFIX=/usr -DCMAKE_SKIP_INSTALL_RPATH=ON \
-  -DBUILD_SHARED_LIBS=ON -DRGS_ENABLE_CUDA=OFF -DRGS_DEBIAN=ON -DRGS_MANUAL=ON \
-  -DCMAKE_SHARED_LINKER_FLAGS=-Wl,-z,relro,-z,now -DCMAKE_EXE_LINKER_FLAGS=-Wl,-z,relro,-z,now "$@"
-quietly cmake --build "$build" --parallel "${RGS_JOBS:-$(nproc)}"
-rm -rf "$build/packages"
-(cd "$build" && quietly cpack -G DEB)
+# make FOLDER TARGET OPTION...: configures, builds and packs. Libraries are where Debian has them, so nothing needs a path to them.
+make() {
+  folder=$1 target=$2
+  shift 2
+  quietly cmake -S . -B "$folder" -G Ninja -DCMAKE_BUILD_TYPE=Release -DCMAKE_INSTALL_PREFIX=/usr -DCMAKE_SKIP_INSTALL_RPATH=ON \
+    -DRGS_ENABLE_CUDA=OFF -DRGS_DEBIAN=ON -DRGS_BUILD_TESTS=OFF \
+    "-DCMAKE_SHARED_LINKER_FLAGS=$hardened" "-DCMAKE_MODULE_LINKER_FLAGS=$hardened" "-DCMAKE_EXE_LINKER_FLAGS=$hardened" "$@"
+  quietly cmake --build "$folder" --parallel "${RGS_JOBS:-$(nproc)}" --target "$target"
+  (cd "$folder" && rm -rf packages && quietly cpack -G DEB)
+}
+hardened=-Wl,-z,relro,-z,now
+make "$build" all -DBUILD_SHARED_LIBS=ON -DRGS_MANUAL=ON "$@"
+# The module holds the libraries that it is made of.
+make "$build-python" rgs_python_package -DRGS_BUILD_PYTHON=ON -DRGS_BUILD_SAMPLES=OFF "$@"
+mv "$build-python"/packages/*.deb "$build/packages/"
 lintian --fail-on error --tag-display-limit 0 "$build"/packages/*.deb
 ls "$build"/packages/*.deb

@@ -1,12 +1,12 @@
 #!/bin/sh
 # test.sh - makes each package and uses it in a bare root: sh packaging/test.sh [STEP...]
-# Steps: deb libraries bundle. Needs root for the bare roots; some minutes and a gigabyte in build/roots the first time.
+# Steps: deb libraries bundle wheel. Needs root for the bare roots; some minutes and a gigabyte in build/roots the first time.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
 sh scripts/install-deps.sh packaging
 mkdir -p build/packaging
-steps=${*:-deb libraries bundle}
+steps=${*:-deb libraries bundle wheel}
 failed=
 
 # step NAME COMMAND...: its log is build/packaging/NAME.log.
@@ -56,6 +56,16 @@ bundle() {
   # The distribution of the build, and a later one with other libraries.
   for release in bookworm trixie; do
     step bundle-$release sh packaging/bare_root.sh --release $release --offline sh /project/tests/packaging/bundle.sh
+  done
+}
+
+# With the kernels, where there is a toolkit and time: RGS_WHEEL=--cuda.
+wheel() {
+  rm -rf build/wheels
+  step wheel-build sh packaging/wheel.sh ${RGS_WHEEL:-}
+  for wheel in build/wheels/*.whl; do
+    step wheel-bare sh packaging/bare_root.sh --packages "python3 python3-pip python3-numpy" --offline \
+      sh /project/tests/packaging/wheel.sh "/project/$wheel"
   done
 }
 

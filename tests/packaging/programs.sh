@@ -1,5 +1,5 @@
 #!/bin/sh
-# programs.sh - in a bare root: the package roofgs installs what it needs, and its programs work. SPDX-License-Identifier: Apache-2.0
+# programs.sh - in a bare root: roofgs and python3-roofgs install what they need, and work. SPDX-License-Identifier: Apache-2.0
 set -eux
 cd /tmp
 if command -v c++; then exit 1; fi
@@ -19,5 +19,7 @@ for program in /usr/bin/rgs-*; do
     dpkg -S "/usr/$page"
   done
 done
-apt-get -q -y purge roofgs libroofgs
+apt-get -q -y install --no-install-recommends /project/build/deb/packages/python3-roofgs_*.deb
+python3 -c 'import roofgs; assert len(roofgs.load("scene.rgs")) == 2000'
+apt-get -q -y purge roofgs libroofgs python3-roofgs
 if find /usr /etc -name 'rgs*' -o -name '_rgs*' -o -name 'librgs*' -o -name '*roofgs*' | grep .; then exit 1; fi

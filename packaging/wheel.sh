@@ -1,0 +1,27 @@
+#!/bin/sh
+# wheel.sh - makes a wheel of the Python module: sh packaging/wheel.sh [--cuda] [--python PYTHON]
+# It lies in build/wheels. --cuda: with the kernels; CUDA's runtime is in it, the driver is looked for when it renders, and where
+# there is none the CPU renders. PYTHON is Debian's by default; any other whose headers are there will do.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+cd "$(dirname "$0")/.."
+cuda=OFF python=/usr/bin/python3 local=
+while [ $# -gt 0 ]; do
+  case $1 in
+    --cuda) cuda=ON local=+cuda; shift ;;
+    --python) python=$2; shift 2 ;;
+    *) sed -n '2,4s/^# //p' "$0" >&2; exit 2 ;;
+  esac
+done
+sh scripts/install-deps.sh packaging
+build=$PWD/build/wheel$local-$("$python" -c 'import sys; print("cp%d%d" % sys.version_info[:2])')
+mkdir -p "$build"
+quietly() { "$@" >"$build/log" 2>&1 </dev/null || { tail -n 50 "$build/log" >&2; echo "wheel.sh: failed: $*" >&2; exit 1; }; }
+quietly cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=$cuda -DRGS_BUILD_PYTHON=ON \
+  -DRGS_PYTHON="$python" -DRGS_BUILD_TESTS=OFF -DRGS_BUILD_SAMPLES=OFF
+quietly cmake --build "$build" --parallel "${RGS_JOBS:-$(nproc)}" \
+  --target rgs_python_package rgs-convert rgs-prune
+version=$(sed -n 's/^CMAKE_PROJECT_VERSION:STATIC=//p' "$build/CMakeCache.txt")
+wheel=$(/usr/bin/python3 packaging/make_wheel.py "$build" build/wheels "$version$local")
+/usr/bin/python3 packaging/check_wheel.py "$wheel"
+ls -l "$wheel" | awk '{ print $NF ": " $5 " bytes" }'

@@ -1,0 +1,79 @@
+# check_wheel_test.py - packaging/check_wheel.py finds what is wrong with a wheel, one thing at a time: check_wheel_test.py C_COMPILER
+# SPDX-License-Identifier: Apache-2.0
+import hashlib
+import subprocess
+import sys
+import tempfile
+import unittest
+import zipfile
+from base64 import urlsafe_b64encode
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "packaging"))
+import check_wheel  # noqa: E402
+
+COMPILER = ["cc"]
+
+
+class CheckWheel(unittest.TestCase):
+    def setUp(self):
+        self.folder = tempfile.TemporaryDirectory()
+        self.root = Path(self.folder.name)
+        self.addCleanup(self.folder.cleanup)
+
+    def library(self, name, code="int f(void) { return 1; }", *options):
+        path = self.root / name
+        (self.root / "code.c").write_text(code)
+        subprocess.run([*COMPILER, "-shared", "-fPIC", self.root / "code.c", "-o", path, f"-Wl,-soname,{name}", *options], check=True)
+        return path
+
+    def problems(self, *bundled, options=(), tag="manylinux_2_36_x86_64", spoil=lambda files: None, stated=None):
+        """What is said of a wheel of an extension that is linked with `options`, and bundled libraries."""
+        extension = self.library("_roofgs.cpython-311-x86_64-linux-gnu.so", "int f(void); int g(void) { return f(); }",
+                                 "-Wl,--disable-new-dtags", *options)
+        info = "roofgs-1.0.dist-info"
+        files = {f"roofgs/{extension.name}": extension.read_bytes(), f"{info}/WHEEL": f"\nTag: cp311-cp311-{stated or tag}\n".encode(),
+                 **{f"roofgs.libs/{path.name}": path.read_bytes() for path in bundled}}
+        record = "".join(f"{name},sha256={urlsafe_b64encode(hashlib.sha256(data).digest()).rstrip(b'=').decode()},\n"
+                         for name, data in files.items())
+        files[f"{info}/RECORD"] = (record + f"{info}/RECORD,,\n").encode()
+        spoil(files)
+        wheel = self.root / f"roofgs-1.0-cp311-cp311-{tag}.whl"
+        with zipfile.ZipFile(wheel, "w") as archive:
+            for name, data in files.items():
+                archive.writestr(name, data)
+        return "\n".join(check_wheel.problems(wheel))
+
+    def test_sound(self):
+        own = self.library("libown-0123abcd.so.1")
+        self.assertEqual(self.problems(own, options=(own, "-Wl,-rpath,$ORIGIN/../roofgs.libs")), "")
+        self.assertEqual(self.problems(), "")
+
+    def test_libraries(self):
+        own = self.library("libown-0123abcd.so.1")
+        there = "-Wl,-rpath,$ORIGIN/../roofgs.libs"
+        self.assertIn("needs libown-0123abcd.so.1, which is neither", self.problems(options=(own, there)))
+        self.assertIn("needs libown-0123abcd.so.1, which is neither", self.problems(own, options=(own,)))
+        for outside in ("/usr/lib", "$ORIGIN/../../.."):
+            self.assertIn(f"looks for libraries in {outside}", self.problems(options=(f"-Wl,-rpath,{outside}",)))
+        plain = self.library("libown.so.1")
+        self.assertIn("libown.so.1 has no hash in its name", self.problems(plain, options=(plain, there)))
+
+    def test_symbols(self):
+        new = "#include <stdlib.h>\n#include <pthread.h>\nint f(void) { return pthread_create(0, 0, 0, 0); }"
+        own = self.library("libown-0123abcd.so.1", new)
+        self.assertIn("needs GLIBC_2.34; the tag allows 2.17",
+                      self.problems(own, options=(own, "-Wl,-rpath,$ORIGIN/../roofgs.libs"), tag="manylinux_2_17_x86_64"))
+        self.assertIn("newer than 2.36", self.problems(tag="manylinux_2_40_x86_64"))
+
+    def test_records(self):
+        self.assertIn("has no tag", self.problems(tag="linux_x86_64"))
+        self.assertIn("WHEEL does not say", self.problems(stated="linux_x86_64"))
+        self.assertIn("another hash of roofgs/_roofgs", self.problems(spoil=lambda files: files.update(
+            {name: data + b"x" for name, data in files.items() if name.endswith(".so")})))
+        self.assertIn("other files than are there", self.problems(spoil=lambda files: files.update({"roofgs/more.py": b""})))
+
+
+if __name__ == "__main__":
+    COMPILER = sys.argv[1:]
+    unittest.main(argv=sys.argv[:1])

@@ -1,0 +1,30 @@
+#!/bin/sh
+# wheel.sh - in a bare root with Python, pip and NumPy, without a network: a wheel installs, and renders a file: wheel.sh WHEEL
+# SPDX-License-Identifier: Apache-2.0
+set -eux
+cd /tmp
+if command -v c++; then exit 1; fi
+began=$(date +%s)
+python3 -m pip install --no-index --break-system-packages "$1"
+python3 - <<'END'
+import roofgs
+
+scene = roofgs.load("/project/tests/golden/packed_degree3.rgs")
+camera = roofgs.cameras.default_view(scene, width=160, height=120)
+image = roofgs.Renderer().render(scene, camera)
+assert image.shape == (120, 160, 3) and image.max() > 0.05, image.max()
+scene.save("copy.rgs")
+assert len(roofgs.load("copy.rgs")) == len(scene)
+roofgs.convert("/project/tests/golden/packed_degree3.rgs", "copy.ply")  # by the program in the wheel
+assert len(roofgs.load("copy.ply")) == len(scene)
+try:
+    roofgs.Renderer(device="cuda")
+except roofgs.UnavailableError as error:
+    print(error)
+else:
+    raise AssertionError("there is a GPU in a bare root")
+END
+# As the last line says: under a minute from nothing to the first picture.
+test $(($(date +%s) - began)) -lt 60
+python3 -m pip uninstall -y --break-system-packages roofgs
+if python3 -c 'import roofgs'; then exit 1; fi
