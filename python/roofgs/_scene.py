@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import operator
 from typing import Any, Dict, Optional, Tuple, Union
 
 import numpy as np
@@ -362,8 +363,8 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
 
 
 def _count(value: int, name: str) -> int:
-    number = value.__index__()
-    if not 0 <= number < 1 << 32 if name == "level_of_detail" else not 0 <= number < 1 << 64:
+    number = operator.index(value)
+    if not 0 <= number < 1 << (32 if name == "level_of_detail" else 64):
         raise argument_error(f"{name} is {number}, which is no count")
     return number
 
