@@ -18,12 +18,10 @@ def is_tensor(value: Any) -> bool:
     return type(value).__module__.partition(".")[0] == "torch" and hasattr(value, "detach")
 
 
-def refuse_gradients(**values: Any) -> None:
-    """An error for tensors that want gradients: nothing here gives any."""
-    for name, value in values.items():
-        if is_tensor(value) and value.requires_grad:
-            raise NotImplementedError(
-                f"{name} requires a gradient, but RoofGS renders forward only: pass {name}.detach(), or train with gsplat")
+def _refuse_gradient(tensor: Any, name: str) -> None:
+    if tensor.requires_grad:
+        raise NotImplementedError(
+            f"{name} requires a gradient, but RoofGS renders forward only: pass {name}.detach(), or train with gsplat")
 
 
 def host_array(value: Any, name: str) -> "NDArray[Any]":
@@ -31,8 +29,7 @@ def host_array(value: Any, name: str) -> "NDArray[Any]":
     if isinstance(value, np.ndarray):
         return value
     if is_tensor(value):
-        if value.requires_grad:
-            refuse_gradients(**{name: value})
+        _refuse_gradient(value, name)
         array: NDArray[Any] = value.detach().cpu().numpy()
         return array
     if hasattr(value, "__dlpack_device__"):
@@ -62,7 +59,7 @@ def output_array(value: Any, name: str) -> "NDArray[Any]":
     if isinstance(value, np.ndarray):
         return value
     if is_tensor(value):
-        refuse_gradients(**{name: value})
+        _refuse_gradient(value, name)
         if value.device.type != "cpu":
             raise argument_error(f"{name} is a tensor on {value.device}; pictures come to the host's memory")
         array: NDArray[Any] = value.numpy()

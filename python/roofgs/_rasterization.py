@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import cameras
-from ._arrays import float_array, host_array, is_tensor, refuse_gradients
+from ._arrays import float_array, host_array, is_tensor
 from ._errors import argument_error
 from ._render import Renderer
 from ._roofgs import Camera
@@ -87,8 +87,6 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     >>> colors.shape, alphas.shape, meta["n_cameras"]
     ((1, 12, 16, 4), (1, 12, 16, 1), 1)
     """
-    refuse_gradients(means=means, quats=quats, scales=scales, opacities=opacities, colors=colors, viewmats=viewmats,
-                     Ks=Ks, backgrounds=backgrounds)
     _refuse_absent(dict(radius_clip=(radius_clip, 0.0), sparse_grad=(sparse_grad, False), absgrad=(absgrad, False),
                         distributed=(distributed, False), camera_model=(camera_model, "pinhole"), covars=(covars, None),
                         **{name: (value, None) for name, value in others.items()

@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import html
 import json
+import operator
 from typing import Any, Dict, Optional, Tuple, Union
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _roofgs
-from ._arrays import FloatArray, float_array, host_array, refuse_gradients
+from ._arrays import FloatArray, float_array, host_array
 from ._errors import argument_error
 from ._paths import Path, encoded, shown
 from ._pictures import png
@@ -73,7 +74,6 @@ class Scene:
     def __init__(self, means: Any, quats: Any, scales: Any, opacities: Any, sh0: Any, shN: Any = None, *,
                  origin: Any = (0.0, 0.0, 0.0), anti_aliasing: str = "classic",
                  low_pass: Optional[float] = None) -> None:
-        refuse_gradients(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh0, shN=shN)
         if anti_aliasing not in ("classic", "mip"):
             raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
         centres = float_array(means, "means", (None, 3))
@@ -363,8 +363,8 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
 
 
 def _count(value: int, name: str) -> int:
-    number = value.__index__()
-    if not 0 <= number < 1 << 32 if name == "level_of_detail" else not 0 <= number < 1 << 64:
+    number = operator.index(value)
+    if not 0 <= number < 1 << (32 if name == "level_of_detail" else 64):
         raise argument_error(f"{name} is {number}, which is no count")
     return number
 

@@ -43,7 +43,7 @@ void begin_work();
 /// Whether this process is such a one. What would wait for threads there is left alone.
 bool lost_threads();
 
-/// Thrown by an observer of Progress in the midst of work that was given up; caught by run().
+/// Thrown by an observer of Progress in the midst of work that was given up; the work catches it.
 struct GivenUp {};
 
 /// Stages of some work, told to a Python function by the thread that waits for the work.

@@ -154,12 +154,13 @@ def test_colours_of_each_camera():
 def test_batches_of_scenes():
     scenes = [splats(seed=seed) for seed in (1, 2, 3, 4, 5, 6)]
     given = {name: np.stack([scene[name] for scene in scenes]).reshape(2, 3, *scenes[0][name].shape) for name in scenes[0]}
-    viewmats = np.broadcast_to(CAMERAS["viewmats"], (2, 3, 2, 4, 4))
+    viewmats = np.broadcast_to(CAMERAS["viewmats"], (2, 3, 2, 4, 4)).copy()
+    viewmats[:, :, :, 2, 3] += np.arange(6).reshape(2, 3, 1) / 4
     ks = np.broadcast_to(CAMERAS["Ks"], (2, 3, 2, 3, 3))
     colors, alphas, meta = roofgs.rasterization(**given, viewmats=viewmats, Ks=ks, width=W, height=H)
     assert colors.shape == (2, 3, 2, H, W, 3) and alphas.shape == (2, 3, 2, H, W, 1) and meta["n_batches"] == 6
     for i, scene in enumerate(scenes):
-        single, _, _ = roofgs.rasterization(**scene, **CAMERAS)
+        single, _, _ = roofgs.rasterization(**scene, **{**CAMERAS, "viewmats": viewmats[i // 3, i % 3]})
         assert np.array_equal(colors[i // 3, i % 3], single)
 
 
@@ -233,7 +234,7 @@ class Tensor:
         return self.array
 
 
-@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "colors", "viewmats"])
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "colors", "viewmats", "Ks"])
 def test_gradients_are_refused_at_once(name):
     given = {**splats(), **CAMERAS}
     given[name] = Tensor(given[name], requires_grad=True)

@@ -201,8 +201,11 @@ def test_levels_are_read_alone(examples):
     assert len(coarse) < len(whole) == 2000 and len(few) <= 1000
     with pytest.raises(roofgs.ArgumentError):
         roofgs.load(examples / "levels.rgs", level_of_detail=99)
-    with pytest.raises(roofgs.ArgumentError):
-        roofgs.load(examples / "levels.rgs", level_of_detail=-1)
+    for wrong in (-1, 1 << 32, 1 << 64):
+        with pytest.raises(roofgs.ArgumentError):
+            roofgs.load(examples / "levels.rgs", level_of_detail=wrong)
+    with pytest.raises(TypeError):
+        roofgs.load(examples / "levels.rgs", level_of_detail=0.5)
 
 
 def test_nothing_is_overwritten_unasked(tmp_path, scene):
