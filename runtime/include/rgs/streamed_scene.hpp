@@ -27,7 +27,7 @@ struct StreamPoolOptions {
   /// open_url_source() 64 KiB and as much for each of UrlOptions::reads_at_once, besides connections.
   std::uint64_t host_memory = std::uint64_t{2} << 30;
   /// For drawing on CUDA: memory of the current device that its scenes' pages take, allocated as a whole when the first scene is opened and given
-  /// back with the last; 84 bytes a Gaussian at SH degree 3. The renderers' workspaces come on top. 0: pages are in the host's memory, where the
+  /// back with the last; 77 bytes a Gaussian at SH degree 3, of pages that are full. The renderers' workspaces come on top. 0: pages are in the host's memory, where the
   /// CPU draws them.
   std::uint64_t device_memory = 0;
 };

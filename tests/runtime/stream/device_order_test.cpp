@@ -41,14 +41,14 @@ TEST_CASE("on a device, too, a refined picture is that of the whole file, byte f
         CAPTURE(static_cast<int>(pace));
         CAPTURE(static_cast<int>(profile));
         CAPTURE(sh_degree);
-        const Bytes bytes = town({.profile = profile, .n = 8000, .sh_degree = sh_degree});
+        const Bytes bytes = town({.profile = profile, .n = 5000, .sh_degree = sh_degree});
         const Scene all = whole(bytes);
         FakeCuda cuda(pace);
         {
           const StreamPool pool = device_pool(16 << 20);
           const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
           Renderer renderer = device_renderer(), reference = cpu_renderer(1);
-          for (const Camera& camera : town_cameras(5, 6)) {
+          for (const Camera& camera : town_cameras(5, 4)) {
             for (const float detail : {2.0F, 0.0F}) {
               REQUIRE(renderer.refine(scene, camera, kLong, at_detail(detail)) == true);
               const Frame frame = draw(renderer, scene, camera, at_detail(detail));
