@@ -39,7 +39,11 @@ bool counts_memory() {
   return !kSanitized;
 }
 std::int64_t live_bytes() {
+#ifdef RGS_TEST_ADDRESS_SANITIZED
+  return static_cast<std::int64_t>(__sanitizer_get_current_allocated_bytes());
+#else
   return g_live;
+#endif
 }
 std::int64_t peak_bytes() {
   return g_peak;
