@@ -11,6 +11,10 @@
 
 #include "sanitized.hpp"
 
+#ifdef RGS_TEST_ADDRESS_SANITIZED
+#include <sanitizer/allocator_interface.h>
+#endif
+
 namespace {
 
 std::atomic<std::int64_t> g_live{0}, g_peak{0};
@@ -37,6 +41,13 @@ namespace rgs::test {
 
 bool counts_memory() {
   return !kSanitized;
+}
+bool counts_live_memory() {
+#ifdef RGS_TEST_ADDRESS_SANITIZED
+  return true;
+#else
+  return counts_memory();
+#endif
 }
 std::int64_t live_bytes() {
 #ifdef RGS_TEST_ADDRESS_SANITIZED
