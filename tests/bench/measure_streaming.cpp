@@ -5,11 +5,13 @@
 //
 // Files of the town, one of each profile, stay in FOLDER and are used again. `decode`: only the first rows.
 #include <algorithm>
+#include <array>
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>
 #include <filesystem>
+#include <span>
 #include <string>
 #include <string_view>
 #include <utility>
@@ -24,7 +26,6 @@
 #include "rgs/paged_file.hpp"
 #include "rgs/renderer.hpp"
 #include "rgs/streamed_scene.hpp"
-#include "splat_arrays.hpp"
 #include "town_generator.hpp"
 
 namespace {
@@ -93,17 +94,31 @@ struct Decoded {
 Decoded measure_decoding(const PagedFile& file) {
   Decoded best;
   PageDecoder decoder(file);
-  detail::PageMemory memory(file.most_decoded_bytes());
-  const int sh_degree = file.head().header().sh_degree;
+  std::vector<std::byte> memory(file.largest_decoded_bytes());
+  std::array<ActivatedSplat, 64> buffer;
+  const auto floats = static_cast<std::size_t>(11 + 3 * sh_coefficients(file.head().header().sh_degree));
+  std::vector<float> arrays;
   for (const bool to_arrays : {false, true}) {
     for (int turn = 0; turn < kTurns; ++turn) {
       const std::clock_t began = std::clock();
       for (std::uint32_t page = 0; page < file.n_pages(); ++page) {
-        const auto rows =
-            value_or_stop(decoder.decode(page, file.bytes(page), memory.first(file.decoded_bytes(page))), "decode");
+        const auto rows = value_or_stop(
+            decoder.decode(page, file.bytes(page), std::span(memory).first(file.decoded_bytes(page))), "decode");
         if (!to_arrays) continue;
-        const auto block = detail::SplatArrays::memory(rows.n, sh_degree);
-        if (!detail::SplatArrays(block.get(), rows.n, sh_degree).set_page(file, page, rows, 0)) std::exit(4);
+        if (!check_page_values(file, page, rows)) std::exit(4);
+        arrays.resize(rows.n * floats);
+        float* to = arrays.data();
+        for (std::uint32_t first = 0; first < rows.n; first += buffer.size()) {
+          const auto part = std::span(buffer).first(std::min<std::size_t>(buffer.size(), rows.n - first));
+          if (!read_page(file, page, rows, first, part)) std::exit(4);
+          for (const ActivatedSplat& splat : part) {
+            to = std::copy_n(splat.mean, 3, to);
+            to = std::copy_n(splat.rotation, 4, to);
+            to = std::copy_n(splat.scale, 3, to);
+            *to++ = splat.opacity;
+            to = std::copy_n(splat.sh, floats - 11, to);
+          }
+        }
       }
       double& least = to_arrays ? best.arrays_s : best.rows_s;
       least = std::min(least, static_cast<double>(std::clock() - began) / CLOCKS_PER_SEC);
