@@ -10,6 +10,14 @@
 #endif
 #endif
 
+#if defined(__SANITIZE_ADDRESS__)
+#define RGS_TEST_ADDRESS_SANITIZED 1
+#elif defined(__has_feature)
+#if __has_feature(address_sanitizer)
+#define RGS_TEST_ADDRESS_SANITIZED 1
+#endif
+#endif
+
 namespace rgs::test {
 
 #ifdef RGS_TEST_SANITIZED

@@ -26,7 +26,7 @@ bool has_levels(std::span<const std::byte> bytes);
 /// Whether it names a section of that type. Looks at the head alone as well.
 bool names_section(std::span<const std::byte> bytes, SectionType type);
 /// Most that opening a file makes of its section ARCH, which is in memory_bytes() then.
-inline constexpr std::uint64_t kMostArchiveMemory = 5 << 20;
+inline constexpr std::uint64_t kMostArchiveMemory = 2 << 20;
 
 /// How a page lies in its file.
 struct StoredPage {

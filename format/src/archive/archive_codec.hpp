@@ -9,6 +9,7 @@
 #include <span>
 #include <vector>
 
+#include "archive/archive_kernels.hpp"
 #include "archive/archive_tables.hpp"
 #include "archive/point_codec.hpp"
 #include "packed/codec_kernels.hpp"
@@ -110,6 +111,7 @@ struct alignas(64) ShBlock {
   std::int16_t pairs[(kShMaxCodes / 2) * kShLanes * 2];
   std::int32_t sums[kShMaxCodes][kShLanes];
   float value[kShMaxCodes][kShLanes];
+  float factor[kShLanes];
   ShLanes lanes;
 };
 /// Matrix of t with rows padded to an even number, for sh_block().
@@ -128,7 +130,7 @@ class ArchiveDecoder {
   /// Codes of GEOM; needed by the others.
   Status geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n);
   /// Rows [n, 16] of GEOM.
-  void geometry(int scale_exponent, std::span<std::byte> out) const;
+  void geometry(int scale_exponent, std::span<std::byte> out);
   /// Codes of SHI8.
   Status sh_codes(std::span<const std::byte> stored, std::uint64_t offset);
   /// Rows [n, sh_bytes] of SHI8; steps of each chunk of chunk_rows that the frame touches.
@@ -146,10 +148,12 @@ class ArchiveDecoder {
   FrameCodes codes_;
   CodeSizes sizes_;
   std::vector<GridPoint> points_;
+  std::vector<float> means_;
   std::vector<std::int32_t> dc_;
   void store_block(std::size_t first, std::size_t count, std::size_t stride, std::span<std::byte> out);
   std::vector<float> values_;  // of a chunk's blocks, one after the other
   ShBlock block_{};            // zeros: what a short block leaves there is computed with too
+  GeometryLanes lanes_{};      // the same
 };
 
 }  // namespace rgs::detail

@@ -10,15 +10,17 @@ namespace rgs::detail {
 
 bool RansTables::assign(std::span<const std::uint16_t> frequencies) {
   const std::size_t n = frequencies.size() / kRansTokens;
-  slots_.assign(n * kRansTotal, 0);
+  distributions_.assign(n, {});
   for (std::size_t d = 0; d < n; ++d) {
     const auto row = frequencies.subspan(d * kRansTokens, kRansTokens);
     if (std::accumulate(row.begin(), row.end(), 0u) != kRansTotal) return false;
-    std::uint32_t* slot = &slots_[d * kRansTotal];
+    Distribution& to = distributions_[d];
+    std::uint8_t* slot = to.token.data();
+    std::uint32_t before = 0;
     for (std::uint32_t token = 0; token < kRansTokens; ++token) {
-      for (std::uint32_t bias = 0; bias < row[token]; ++bias) {
-        *slot++ = token | (static_cast<std::uint32_t>(row[token]) - 1) << 8 | bias << 20;
-      }
+      to.frequency[token] = row[token] | before << 16;
+      slot = std::fill_n(slot, row[token], static_cast<std::uint8_t>(token));
+      before += row[token];
     }
   }
   return true;

@@ -40,22 +40,26 @@ constexpr std::int16_t unfold_code(std::uint32_t z) {
   return static_cast<std::int16_t>(static_cast<std::uint16_t>(z >> 1 ^ (0u - (z & 1u))));
 }
 
-/// Distributions ready for decoding. Slot s of distribution d: token, frequency - 1, and s less the frequencies before.
+/// Distributions ready for decoding: 4.3 KiB each, so that those of a plane stay in the nearest cache.
 class RansTables {
  public:
   /// frequencies [n, kRansTokens]; false if a row does not sum to kRansTotal.
   bool assign(std::span<const std::uint16_t> frequencies);
-  std::uint64_t memory_bytes() const { return slots_.capacity() * sizeof(std::uint32_t); }
-  const std::uint32_t* of(std::uint8_t distribution) const { return &slots_[std::size_t{distribution} * kRansTotal]; }
+  std::uint64_t memory_bytes() const { return distributions_.capacity() * sizeof(Distribution); }
+  struct Distribution {
+    std::array<std::uint8_t, kRansTotal> token;          ///< of each slot
+    std::array<std::uint32_t, kRansTokens> frequency{};  ///< of each token, and from bit 16 on those before it
+  };
+  const Distribution& of(std::uint8_t distribution) const { return distributions_[distribution]; }
 
  private:
-  std::vector<std::uint32_t> slots_;  // token | (frequency - 1) << 8 | bias << 20
+  std::vector<Distribution> distributions_;
 };
 
 /// Decodes planes of one stream. Every word is counted: reading past the end gives zeros and ok() false.
 class RansReader {
  public:
-  RansReader(const RansTables& tables, std::span<const std::uint8_t> map) : tables_(tables), map_(map) {}
+  RansReader(const RansTables& tables, std::span<const std::uint8_t> map) : distributions_(&tables.of(0)), map_(map) {}
   /// False if the stream is shorter than its states or has half a word.
   bool begin(std::span<const std::byte> stream);
 
@@ -87,10 +91,10 @@ class RansReader {
  private:
   template <bool kAmple>
   std::uint32_t next(std::uint32_t& x, std::size_t context) {
-    const std::uint32_t entry = tables_.of(map_[context])[x & (kRansTotal - 1)];
-    x = ((entry >> 8 & (kRansTotal - 1)) + 1) * (x >> 12) + (entry >> 20);
+    const RansTables::Distribution& d = distributions_[map_[context]];
+    const std::uint32_t slot = x & (kRansTotal - 1), token = d.token[slot], frequency = d.frequency[token];
+    x = (frequency & 0xFFFF) * (x >> 12) + slot - (frequency >> 16);
     refill<kAmple>(x);
-    const std::uint32_t token = entry & 0xFF;
     if (token < 32) [[likely]]
       return token;
     const std::uint32_t n_bits = (token - 32) / 4 + 3;
@@ -119,7 +123,7 @@ class RansReader {
     }
   }
 
-  const RansTables& tables_;
+  const RansTables::Distribution* distributions_;
   std::span<const std::uint8_t> map_;
   std::array<std::uint32_t, kRansStates> states_{};
   const std::byte *at_ = nullptr, *end_ = nullptr;

@@ -11,6 +11,10 @@
 
 #include "sanitized.hpp"
 
+#ifdef RGS_TEST_ADDRESS_SANITIZED
+#include <sanitizer/allocator_interface.h>
+#endif
+
 namespace {
 
 std::atomic<std::int64_t> g_live{0}, g_peak{0};
@@ -38,8 +42,19 @@ namespace rgs::test {
 bool counts_memory() {
   return !kSanitized;
 }
+bool counts_live_memory() {
+#ifdef RGS_TEST_ADDRESS_SANITIZED
+  return true;
+#else
+  return counts_memory();
+#endif
+}
 std::int64_t live_bytes() {
+#ifdef RGS_TEST_ADDRESS_SANITIZED
+  return static_cast<std::int64_t>(__sanitizer_get_current_allocated_bytes());
+#else
   return g_live;
+#endif
 }
 std::int64_t peak_bytes() {
   return g_peak;

@@ -6,8 +6,10 @@
 
 namespace rgs::test {
 
-/// False where a sanitizer has the allocator: then nothing is counted.
+/// False where a sanitizer has the allocator: then peaks are not counted.
 bool counts_memory();
+/// False under a sanitizer that does not count either.
+bool counts_live_memory();
 std::int64_t live_bytes();
 /// The most since reset_peak_bytes().
 std::int64_t peak_bytes();

@@ -1,0 +1,106 @@
+// archive_formulas.hpp - docs/ARCHIVE.md "From codes to rows", number by number, without branches: loops over them become vectors.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+
+#include "rgs/hd.hpp"
+#include "rgs/quantize.hpp"
+
+namespace rgs::detail {
+
+/// 2^k, -1022 <= k <= 1023.
+inline double power_of_two(std::int32_t k) {
+  return std::bit_cast<double>(static_cast<std::uint64_t>(std::int64_t{1023} + k) << 52);
+}
+
+/// Mean on one axis by its coordinate below 2^mean_bits. mean_bits <= min(mean_cells + 9, 28): no octave is above 2^255.
+inline float grid_mean(std::uint32_t coordinate, std::uint32_t mean_bits, std::uint32_t mean_cells, double centre,
+                       double half_width) {
+  const auto cells = std::int32_t{1} << mean_cells;
+  const auto q = static_cast<std::int32_t>(coordinate) - (std::int32_t{1} << (mean_bits - 1));
+  const std::int32_t n = q >= 0 ? q : -1 - q, octave = n >> mean_cells;
+  const double fraction =
+      (static_cast<double>(n & (cells - 1)) + 0.5) * power_of_two(-static_cast<std::int32_t>(mean_cells));
+  const double t = octave > 0 ? (1 + fraction) * power_of_two(octave - 1) : fraction;
+  const double x = centre + half_width * (q >= 0 ? t : -t);
+  constexpr double kMax = std::numeric_limits<float>::max();
+  const double low = x < -kMax ? -kMax : x;
+  return static_cast<float>(low > kMax ? kMax : low) + 0.f;
+}
+
+/// Unit quaternion w x y z, w not negative, by the three components that are stored; component `largest` is the fourth.
+inline void unit_quaternion(double r0, double r1, double r2, std::int32_t largest, float out[4]) {
+  const double s = (r0 * r0 + r1 * r1) + r2 * r2, rest = s < 1 ? 1 - s : 0;
+  const double w = std::sqrt(rest), length = std::sqrt(s + w * w);
+  const double q0 = (largest == 0 ? w : r0) / length,
+               q1 = (largest == 1  ? w
+                     : largest < 1 ? r0
+                                   : r1) /
+                    length,
+               q2 = (largest == 2  ? w
+                     : largest < 2 ? r1
+                                   : r2) /
+                    length,
+               q3 = (largest == 3 ? w : r2) / length;
+  const double sign = q0 < 0 ? -1 : 1;
+  out[0] = static_cast<float>(sign * q0), out[1] = static_cast<float>(sign * q1);
+  out[2] = static_cast<float>(sign * q2), out[3] = static_cast<float>(sign * q3);
+}
+
+inline constexpr double kMostOctaves = 0x1p23;
+
+/// log2 of a scale in 1/65536, limited. Exact: |code * step| is below 2^38.
+inline std::int32_t scale_octaves(std::int32_t base, std::uint32_t step, std::int16_t code) {
+  const double octaves =
+      static_cast<double>(base) + static_cast<double>(code) * static_cast<double>(static_cast<std::int32_t>(step));
+  const double low = octaves < -kMostOctaves ? -kMostOctaves : octaves;
+  return static_cast<std::int32_t>(low > kMostOctaves ? kMostOctaves : low);
+}
+/// 2^(octaves / 65536) without its exponent, octaves >> 16: about 1 to 2.
+inline float scale_significand(std::int32_t octaves) {
+  const double y = static_cast<double>(octaves & 0xFFFF) * 0x1p-16;
+  return static_cast<float>(
+      ((((0.001893754059 * y + 0.008949590422) * y + 0.05586033708) * y + 0.2401418182) * y + 0.6931544897) * y +
+      0.9999998984);
+}
+/// The scale times 2^scale_exponent; infinite above FP32.
+inline float stored_scale(std::int32_t octaves, std::int32_t scale_exponent) {
+  return static_cast<float>(static_cast<double>(scale_significand(octaves)) *
+                            power_of_two((octaves >> 16) + scale_exponent));
+}
+
+inline float stored_opacity(std::uint16_t code, std::uint32_t levels) {
+  const float level = code == 0 ? 0.25f : static_cast<float>(code);
+  return level / static_cast<float>(static_cast<std::int32_t>(levels));
+}
+
+/// Row of GEOM from its numbers: w x y z, scales, opacity.
+inline std::uint16_t geometry_half(int k, float value) {
+  const std::uint16_t half = half_from_float(value);
+  if (k == 0) return static_cast<std::uint16_t>(half & 0x7FFFu);
+  if (k < 4 || k == 7) return half;
+  return half < 0x7BFF ? half : std::uint16_t{0x7BFF};
+}
+
+/// Size of a row's codes so far: 16 bits each, so that vectors hold many. (13 h + 128 m) div 16 is h - (3 h + 15) div 16 + 8 m,
+/// and h at most 10880.
+inline std::uint16_t next_history(std::uint16_t history, std::int16_t code) {
+  const std::int16_t limited = std::clamp<std::int16_t>(code, -255, 255);
+  const auto magnitude = static_cast<std::uint16_t>(limited < 0 ? -limited : limited);
+  const auto decay = static_cast<std::uint16_t>(static_cast<std::uint16_t>(3 * history + 15) >> 4);
+  return static_cast<std::uint16_t>(history - decay + 8 * magnitude);
+}
+inline std::uint16_t size_of_history(std::uint16_t history) {
+  std::uint16_t size = 0;
+  constexpr std::array<std::uint16_t, 7> kLimits{3, 7, 12, 22, 37, 60, 98};
+  for (const std::uint16_t limit : kLimits) size = static_cast<std::uint16_t>(size + (history >= limit));
+  return size;
+}
+
+}  // namespace rgs::detail
