@@ -247,12 +247,17 @@ Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job,
   if (!file) return failed(output_path, file.error());
   auto ranges = open_ranges(run, job, plan, stretches_of(run, job, plan).size() - 1);
   if (!ranges) return tl::unexpected(ranges.error());
-  Assembler assembler(run, job, plan, *ranges);
+  ConvertSummary summary;
+  StageClock clock(run.observer, summary.seconds);
+  PartsRun timed = run;
+  timed.observer.begin = [&clock](const char* stage, std::uint64_t total, const char* unit) {
+    clock.begin(stage, total, unit);
+  };
+  timed.observer.finish = [&clock] { clock.end(); };
+  Assembler assembler(timed, job, plan, *ranges);
   if (const auto built = assembler.build_tops(); !built) return tl::unexpected(built.error());
   auto written = assembler.write(*file, output_path);
   if (!written) return tl::unexpected(written.error());
-  ConvertSummary summary;
-  StageClock clock(run.observer, summary.seconds);
   ConvertOptions options;
   options.strict = job.strict;
   const auto synced = commit_scene(*file, *written, options, clock);

@@ -430,7 +430,7 @@ TEST_CASE("tables whose hashes fit but which contradict the plan are refused") {
 
   const Bytes range = read_bytes(run.range_path(1));
   const std::vector<std::function<void(std::vector<std::uint32_t>&)>> page_changes{
-      [](auto& w) { w[0] ^= 1; },   [](auto& w) { w[3] = 0; },         [](auto& w) { w[3] += 1; },
+      [](auto& w) { w[0] ^= 1; },  [](auto& w) { w[3] = 0; },         [](auto& w) { w[3] += 1; },
       [](auto& w) { w[17] += 1; }, [](auto& w) { w[17] = ~0U; },      [](auto& w) { w[17] = 0; },
       [](auto& w) { w.clear(); },  [](auto& w) { w.resize(17); },     [](auto& w) { w.resize(18); },
       [](auto& w) { w[16] = 7; },  [](auto& w) { w[4] = 0x7FC00000; }};
