@@ -48,12 +48,7 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
     }
     auto built = range_of(*file);
     if (!built) return failed(path, built.error());
-    if (built->stretches.size() != of.last - of.first) return failed(path, not_as_written());
-    if (!ranges.empty() && built->rows_identity != ranges.front().built.rows_identity) {
-      return failed(path, {Errc::read_failed, Error::kNone,
-                           "made of other rows than the first range; remove it and run --lod-build again for its range",
-                           Error::kNone, Error::kNone, 0});
-    }
+    if (built->size() != of.last - of.first) return failed(path, not_as_written());
     file->forget_about();
     file->rest();
     ranges.push_back({path, std::move(*file), std::move(*built)});
@@ -107,7 +102,7 @@ class Assembler {
     pages_.resize(n_levels);
     std::uint64_t n_tops = 0;
     for (OpenRange& range : ranges_) {
-      for (const BuiltStretch& stretch : range.built.stretches) {
+      for (const BuiltStretch& stretch : range.built) {
         if (stretch.levels.size() != n_levels) return failed(range.path, not_as_written());
         for (const lod::Page& page : stretch.levels.back().pages) n_tops += page.count;
       }
@@ -119,7 +114,7 @@ class Assembler {
     lod::LevelRows rows(std::move(*scratch), plan_.scan.sh_degree(), lod::LevelRows::Kind::upper);
     std::uint64_t n_rows = 0;
     for (OpenRange& range : ranges_) {
-      for (const BuiltStretch& stretch : range.built.stretches) {
+      for (const BuiltStretch& stretch : range.built) {
         if (const auto s = add_stretch(range, stretch, rows, n_rows); !s) return s;
       }
       range.file.rest();
@@ -148,7 +143,7 @@ class Assembler {
     if (const Status s = encode_tops(*writer); !s) return failed(output_path, s.error());
     for (std::size_t level = pages_.size() - n_built_; level-- > 0;) {
       for (OpenRange& range : ranges_) {
-        for (const BuiltStretch& stretch : range.built.stretches) {
+        for (const BuiltStretch& stretch : range.built) {
           const Status copied = copy_records(range.file, stretch.levels[level], *writer, run_.observer);
           if (!copied) {
             const Errc code = copied.error().code;
@@ -177,7 +172,7 @@ class Assembler {
   // Levels of a stretch: of all the same number.
   std::size_t ranges_of_any() const {
     for (const OpenRange& range : ranges_) {
-      if (!range.built.stretches.empty()) return range.built.stretches.front().levels.size();
+      if (!range.built.empty()) return range.built.front().levels.size();
     }
     return 1;
   }

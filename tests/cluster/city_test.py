@@ -170,6 +170,7 @@ def killed(folder):
     print(f"{n_at_work} of 20 runs were killed at work; what killed programs left: {left_over(folder)}")
     same(Run(folder).code, 0)
     check_city(folder, wanted)
+    same(left_over(folder), [])
     same(Run(folder).jobs, [])
 
 

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 # fit_cost_model.py - from measure_city.py's JSON to the cost of each step in Gaussians, and what it says of many nodes.
-# usage: python3 tests/cluster/fit_cost_model.py measured.json [--disk-gb-s 1.0] [--shared-gb-s 10] [--cores 16]
+# usage: python3 tests/cluster/fit_cost_model.py measured.json [--disk-gb-s 1.0] [--shared-gb-s 10] [--cores 16] [--without-moves]
 # CPU of a step is fixed (a job) plus linear (a million Gaussians), by least squares of relative errors. A run takes, one after
 # the other: what one process does (begin, plan, assemble), and what all do side by side (scan, place, build), each the longer
 # of its CPU and of its bytes by the disk. Assumptions are printed with the tables.
@@ -44,6 +44,8 @@ def main():
     parser.add_argument("--shared-gb-s", type=float, default=10.0, help="of all together")
     parser.add_argument("--cores", type=int, default=16, help="of a node")
     parser.add_argument("--tile-millions", type=float, default=10, help="of a tile")
+    parser.add_argument("--without-moves", action="store_true",
+                        help="tiles are where they belong: no --translate, for which begin reads them (measure_city.py gives it)")
     arguments = parser.parse_args()
     with open(arguments.measured, encoding="utf-8") as file:
         measured = json.load(file)
@@ -55,6 +57,8 @@ def main():
     for step in runs[0]["steps"]:
         points = [(run["gaussians"] / 1e6, run["steps"][step]["jobs"], run["steps"][step]["cpu_s"]) for run in runs]
         a, b, error = fit(points)
+        if step == "begin" and arguments.without_moves:
+            b = 0.0
         model[step], written[step] = (a, b), runs[-1]["steps"][step]["bytes"] / runs[-1]["gaussians"]
         jobs = "one" if step in SERIAL else "tiles" if step in ("scan", "place") else "ranges"
         print(f"| {step} | {jobs} | {a:.3f} | {b:.3f} | {written[step]:.1f} | {error:.0%} |")

@@ -50,7 +50,7 @@ class City:
             raise ConfigError("config: out: a file in the folder of tiles would be a tile; pass --config out=ANOTHER")
         self._names = self._folder.names()
         self.tiles = [self._folder.source(name) for name in self._names]
-        self.threads = config["max_threads"]
+        self.threads = config["threads"]
         # Of packed formats a tile is in memory, at 300 bytes a Gaussian.
         packed = [n for n, tile in zip(self._names, self.tiles)
                   if not tile.lower().endswith(".ply") or tile.lower().endswith(".compressed.ply")]
