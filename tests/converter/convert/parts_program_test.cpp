@@ -126,6 +126,10 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
   CHECK(nlohmann::json::parse(json.out)["output"]["format"] == "rgs");
   CHECK(program({"--lod-assemble", work, out}).exit_code == 3);  // is there already
   CHECK(program({"--quiet", "--lod-assemble", work, out, "--overwrite"}).out.empty());
+  const Bytes input = read_bytes(inputs[0]);
+  for (const std::string& taken : {inputs[0], work + "/plan", work + "/job"})
+    CHECK(program({"--lod-assemble", work, taken, "--overwrite"}).exit_code == 2);
+  CHECK(read_bytes(inputs[0]) == input);
   CHECK_FALSE(std::filesystem::exists(folder.file("early.rgs")));
 }
 
