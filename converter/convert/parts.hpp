@@ -45,7 +45,7 @@ struct PartsJob {
   std::uint32_t n_ranges = 1;
   std::uint64_t bin_rows = 0;  ///< Gaussians of a bin, about
   std::string cameras;         ///< path; empty: none
-  std::string options_hash;
+  std::string cameras_hash;    ///< options_hash() of no options and these cameras
   std::optional<float> z_near, z_far;
   bool strict = false;
   int sh_degree = 0;  ///< of the inputs

@@ -48,12 +48,7 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
     }
     auto built = range_of(*file);
     if (!built) return failed(path, built.error());
-    if (built->stretches.size() != of.last - of.first) return failed(path, not_as_written());
-    if (!ranges.empty() && built->rows_identity != ranges.front().built.rows_identity) {
-      return failed(path, {Errc::read_failed, Error::kNone,
-                           "made of other rows than the first range; remove it and run --lod-build again for its range",
-                           Error::kNone, Error::kNone, 0});
-    }
+    if (built->size() != of.last - of.first) return failed(path, not_as_written());
     file->forget_about();
     file->rest();
     ranges.push_back({path, std::move(*file), std::move(*built)});
@@ -107,7 +102,7 @@ class Assembler {
     pages_.resize(n_levels);
     std::uint64_t n_tops = 0;
     for (OpenRange& range : ranges_) {
-      for (const BuiltStretch& stretch : range.built.stretches) {
+      for (const BuiltStretch& stretch : range.built) {
         if (stretch.levels.size() != n_levels) return failed(range.path, not_as_written());
         for (const lod::Page& page : stretch.levels.back().pages) n_tops += page.count;
       }
@@ -119,7 +114,7 @@ class Assembler {
     lod::LevelRows rows(std::move(*scratch), plan_.scan.sh_degree(), lod::LevelRows::Kind::upper);
     std::uint64_t n_rows = 0;
     for (OpenRange& range : ranges_) {
-      for (const BuiltStretch& stretch : range.built.stretches) {
+      for (const BuiltStretch& stretch : range.built) {
         if (const auto s = add_stretch(range, stretch, rows, n_rows); !s) return s;
       }
       range.file.rest();
@@ -148,7 +143,7 @@ class Assembler {
     if (const Status s = encode_tops(*writer); !s) return failed(output_path, s.error());
     for (std::size_t level = pages_.size() - n_built_; level-- > 0;) {
       for (OpenRange& range : ranges_) {
-        for (const BuiltStretch& stretch : range.built.stretches) {
+        for (const BuiltStretch& stretch : range.built) {
           const Status copied = copy_records(range.file, stretch.levels[level], *writer, run_.observer);
           if (!copied) {
             const Errc code = copied.error().code;
@@ -177,7 +172,7 @@ class Assembler {
   // Levels of a stretch: of all the same number.
   std::size_t ranges_of_any() const {
     for (const OpenRange& range : ranges_) {
-      if (!range.built.stretches.empty()) return range.built.stretches.front().levels.size();
+      if (!range.built.empty()) return range.built.front().levels.size();
     }
     return 1;
   }
@@ -247,12 +242,17 @@ Outcome<ConvertSummary> assemble_parts(const PartsRun& run, const PartsJob& job,
   if (!file) return failed(output_path, file.error());
   auto ranges = open_ranges(run, job, plan, stretches_of(run, job, plan).size() - 1);
   if (!ranges) return tl::unexpected(ranges.error());
-  Assembler assembler(run, job, plan, *ranges);
+  ConvertSummary summary;
+  StageClock clock(run.observer, summary.seconds);
+  PartsRun timed = run;
+  timed.observer.begin = [&clock](const char* stage, std::uint64_t total, const char* unit) {
+    clock.begin(stage, total, unit);
+  };
+  timed.observer.finish = [&clock] { clock.end(); };
+  Assembler assembler(timed, job, plan, *ranges);
   if (const auto built = assembler.build_tops(); !built) return tl::unexpected(built.error());
   auto written = assembler.write(*file, output_path);
   if (!written) return tl::unexpected(written.error());
-  ConvertSummary summary;
-  StageClock clock(run.observer, summary.seconds);
   ConvertOptions options;
   options.strict = job.strict;
   const auto synced = commit_scene(*file, *written, options, clock);

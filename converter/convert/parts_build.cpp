@@ -190,7 +190,7 @@ class RangeBuilder {
 
 nlohmann::json about_range(const BuiltRange& range) {
   nlohmann::json stretches = nlohmann::json::array();
-  for (const BuiltStretch& stretch : range.stretches) {
+  for (const BuiltStretch& stretch : range) {
     nlohmann::json levels = nlohmann::json::array();
     for (const StretchLevel& level : stretch.levels) {
       const std::vector<std::uint32_t> words = words_of(level);
@@ -200,15 +200,14 @@ nlohmann::json about_range(const BuiltRange& range) {
                          {"tops", hashed_json(stretch.tops)},
                          {"positions", hashed_json(stretch.positions)}});
   }
-  return {{"rows", range.rows_identity}, {"stretches", std::move(stretches)}};
+  return {{"stretches", std::move(stretches)}};
 }
 
 Result<BuiltRange> range_of(const WorkFile& file) {
   return read_about([&]() -> Result<BuiltRange> {
     BuiltRange range;
-    range.rows_identity = file.about().at("rows");
     for (const nlohmann::json& s : file.about().at("stretches")) {
-      BuiltStretch& stretch = range.stretches.emplace_back();
+      BuiltStretch& stretch = range.emplace_back();
       for (const nlohmann::json& l : s.at("levels")) {
         const auto words = unpack_numbers<std::uint32_t>(l.at("pages"));
         if (!words) return tl::unexpected(words.error());
@@ -239,13 +238,11 @@ Done build_range(const PartsRun& run, const PartsJob& job, const PartsPlan& plan
                      "Gaussians");
   RangeBuilder builder(run, job, plan, *leaves, *writer);
   BuiltRange built;
-  built.rows_identity = leaves->identity();
   std::optional<Failure> failure;
   const Status status = detail::guard_memory([&]() -> Status {
     if (Status s = builder.prepare(); !s) return s;
     for (std::size_t i = of.first; i < of.last; ++i) {
-      if (Status s = builder.add_stretch(begins[i], begins[i + 1], built.stretches.emplace_back(), failure); !s)
-        return s;
+      if (Status s = builder.add_stretch(begins[i], begins[i + 1], built.emplace_back(), failure); !s) return s;
     }
     return writer->finish(about_range(built));
   });

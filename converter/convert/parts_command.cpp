@@ -9,6 +9,7 @@
 
 #include "console.hpp"
 #include "convert_summary.hpp"
+#include "input_files.hpp"
 
 namespace rgs {
 namespace {
@@ -121,6 +122,12 @@ int assemble(const PartsCommand& command, const PartsRun& run, const std::string
   if (!job) return report_failure(job.error());
   const auto plan = need_plan(run, *job);
   if (!plan) return report_failure(plan.error());
+  tool::InputFiles inputs;
+  for (const PartsInput& input : job->inputs) inputs.add_scene(input.path);
+  inputs.add(run.job_path());
+  inputs.add(run.plan_path());
+  for (std::size_t i = 0; i < job->n_ranges; ++i) inputs.add(run.range_path(i));
+  if (const int code = inputs.check_outputs({&output_path, 1}); code != tool::kSuccess) return code;
   const auto summary = assemble_parts(run, *job, *plan, output_path, output);
   if (!summary) return report_failure(summary.error());
   if (command.json) {

@@ -205,7 +205,7 @@ json job_json(const PartsJob& job) {
           {"n_ranges", job.n_ranges},
           {"bin_rows", job.bin_rows},
           {"cameras", text_json(job.cameras)},
-          {"options_hash", job.options_hash},
+          {"cameras_hash", job.cameras_hash},
           {"z_near", optional_json(job.z_near)},
           {"z_far", optional_json(job.z_far)},
           {"strict", job.strict},
@@ -229,7 +229,7 @@ PartsJob job_of(const json& j) {
   job.n_ranges = j.at("n_ranges");
   job.bin_rows = j.at("bin_rows");
   job.cameras = text_of(j.at("cameras"));
-  job.options_hash = j.at("options_hash");
+  job.cameras_hash = j.at("cameras_hash");
   job.z_near = optional_of<float>(j.at("z_near"));
   job.z_far = optional_of<float>(j.at("z_far"));
   job.strict = j.at("strict");

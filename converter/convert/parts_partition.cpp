@@ -8,7 +8,7 @@
 #include <cmath>
 #include <utility>
 
-#include "batch_state.hpp"
+#include "batch_plan.hpp"
 #include "convert_steps.hpp"
 #include "parts.hpp"
 #include "parts_rows.hpp"
@@ -253,6 +253,9 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   depth.z_far = job.z_far;
   std::vector<float> even;
   if (!job.cameras.empty()) {
+    const auto hash = options_hash({}, job.cameras);
+    if (!hash) return failed(job.cameras, hash.error());
+    if (*hash != job.cameras_hash) return failed(job.cameras, kInputChanged);
     auto cameras = read_cameras(job.cameras);
     if (!cameras) return failed(job.cameras, cameras.error());
     depth.cameras = std::move(*cameras);

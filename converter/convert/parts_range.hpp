@@ -33,10 +33,7 @@ struct BuiltStretch {
   HashedBytes positions;             ///< of the leaves in the source, where they are kept
 };
 
-struct BuiltRange {
-  std::uint64_t rows_identity = 0;  ///< LeafReader's
-  std::vector<BuiltStretch> stretches;
-};
+using BuiltRange = std::vector<BuiltStretch>;
 
 nlohmann::json about_range(const BuiltRange& range);
 /// Errors: bad_value (a table is not as it was written).

@@ -12,6 +12,7 @@ namespace rgs {
 namespace {
 
 constexpr std::size_t kOfBlock = 4;  // numbers in the table
+constexpr std::uint64_t kMostBlockBytes = std::uint64_t{1} << 20;
 
 Error not_as_written() {
   return {Errc::bad_value,
@@ -31,12 +32,12 @@ lod::LevelRows leaf_rows(const PartsPlan& plan) {
 }
 
 RowsWriter::RowsWriter(WorkWriter& file, const PartsPlan& plan, std::uint64_t memory_bytes)
-    : file_(file), rows_(leaf_rows(plan)), key_(plan.scan.robust()), bins_(plan.bins), waiting_(plan.bins.size()) {
-  const std::uint64_t row_bytes = rows_.row_bytes();
-  block_bytes_ =
-      std::clamp<std::uint64_t>(memory_bytes / 8 / bins_.size(), 4096, std::uint64_t{1} << 20) / row_bytes * row_bytes +
-      row_bytes;
-}
+    : file_(file),
+      rows_(leaf_rows(plan)),
+      key_(plan.scan.robust()),
+      bins_(plan.bins),
+      most_waiting_(memory_bytes / 8),
+      waiting_(plan.bins.size()) {}
 
 Status RowsWriter::add(std::uint64_t first, std::span<const std::uint32_t> positions, std::span<const Splat> rows) {
   const std::vector<std::uint64_t> keys = lod::keys_of(rows, key_);
@@ -45,8 +46,14 @@ Status RowsWriter::add(std::uint64_t first, std::span<const std::uint32_t> posit
     std::vector<std::byte>& to = waiting_[bin];
     to.resize(to.size() + rows_.row_bytes());
     rows_.pack(rows[i], static_cast<std::uint32_t>(first + positions[i]), &to[to.size() - rows_.row_bytes()]);
-    if (to.size() < block_bytes_) continue;
-    if (Status s = flush(bin); !s) return s;
+    n_waiting_ += rows_.row_bytes();
+    if (to.size() >= kMostBlockBytes) {
+      if (Status s = flush(bin); !s) return s;
+    } else if (n_waiting_ > most_waiting_) {
+      // A tile is in few bins, whose blocks are as long as they can be: all blocks are in a table that every builder reads.
+      const auto longest = std::ranges::max_element(waiting_, {}, [](const auto& of_bin) { return of_bin.size(); });
+      if (Status s = flush(static_cast<std::size_t>(longest - waiting_.begin())); !s) return s;
+    }
   }
   return {};
 }
@@ -55,8 +62,9 @@ Status RowsWriter::flush(std::size_t bin) {
   std::vector<std::byte>& rows = waiting_[bin];
   if (rows.empty()) return {};
   blocks_.insert(blocks_.end(), {bin, file_.end(), rows.size() / rows_.row_bytes(), xxh3(rows)});
+  n_waiting_ -= rows.size();
   const Status written = file_.append(rows);
-  rows.clear();
+  rows = {};
   return written;
 }
 
@@ -77,7 +85,6 @@ LeafReader::LeafReader(const PartsRun& run, const PartsPlan& plan)
 
 Outcome<LeafReader> LeafReader::open(const PartsRun& run, const PartsJob& job, const PartsPlan& plan) {
   LeafReader reader(run, plan);
-  std::vector<std::uint64_t> identities;
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
     const std::string path = run.rows_path(i);
     auto file = WorkFile::open(path, WorkKind::rows);
@@ -106,13 +113,11 @@ Outcome<LeafReader> LeafReader::open(const PartsRun& run, const PartsJob& job, c
       return {};
     });
     if (!read) return failed(path, read.error());
-    identities.push_back(file->identity());
     file->forget_about();
     file->rest();
     reader.files_.push_back(std::move(*file));
     reader.paths_.push_back(path);
   }
-  reader.identity_ = xxh3(std::as_bytes(std::span(identities)));
   reader.first_.push_back(0);
   for (const std::vector<Block>& of_bin : reader.blocks_) {
     std::uint64_t n = 0;

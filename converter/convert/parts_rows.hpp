@@ -31,7 +31,7 @@ class RowsWriter {
   lod::LevelRows rows_;
   MortonKey key_;
   std::span<const std::uint64_t> bins_;
-  std::uint64_t block_bytes_;
+  std::uint64_t most_waiting_, n_waiting_ = 0;   // bytes
   std::vector<std::vector<std::byte>> waiting_;  // by bin
   std::vector<std::uint64_t> blocks_;            // bin, offset, rows, hash of each
 };
@@ -41,8 +41,6 @@ class LeafReader {
  public:
   /// Opens rows.K of all inputs. Errors: open_failed (missing, or of another plan), WorkFile's, bad_value.
   static Outcome<LeafReader> open(const PartsRun& run, const PartsJob& job, const PartsPlan& plan);
-  /// Hash of all rows: another where any of them is another.
-  std::uint64_t identity() const { return identity_; }
   void seek(std::uint64_t leaf);
   /// The next rows, at least one and at most `most`, which are there until the next call. Errors: limit_exceeded (a bin does not
   /// fit into memory), checksum_mismatch, WorkFile's.
@@ -60,7 +58,7 @@ class LeafReader {
   std::vector<std::vector<Block>> blocks_;  // of each bin, in the order of the inputs
   std::vector<std::uint64_t> first_;        // leaf of each bin, and their number
   MortonKey key_;
-  std::uint64_t row_bytes_ = 0, most_rows_ = 0, identity_ = 0;
+  std::uint64_t row_bytes_ = 0, most_rows_ = 0;
   std::size_t bin_ = ~std::size_t{0};  // whose rows are in memory, sorted
   std::vector<std::byte> rows_;
   std::uint64_t leaf_ = 0;  // the next

@@ -18,7 +18,6 @@
 
 #include "batch.hpp"
 #include "batch_plan.hpp"
-#include "batch_state.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
 #include "convert.hpp"
@@ -575,7 +574,7 @@ int convert_main(Arguments& arguments) {
 // ---- one scene of many processes
 
 // The job that inputs and options are; a file is open only while it is looked at.
-Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& options_hash) {
+Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cameras_hash) {
   rgs::PartsJob job;
   rgs::EncodeOptions& encode = arguments.convert.encode;
   std::vector<rgs::InputDeclarations> declared;
@@ -626,7 +625,7 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& opt
   job.bin_rows = rgs::choose_bin_rows(encode, job.output_degree(), arguments.convert.memory_bytes);
   std::error_code ignored;
   if (!arguments.cameras.empty()) job.cameras = fs::absolute(arguments.cameras, ignored).string();
-  job.options_hash = options_hash;
+  job.cameras_hash = cameras_hash;
   job.z_near = arguments.convert.z_near;
   job.z_far = arguments.convert.z_far;
   job.strict = arguments.convert.strict;
@@ -677,16 +676,16 @@ int convert_parts(Arguments& a) {
   if (const auto message = check_parts(a)) return tool::report_usage(*message);
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, n_threads(a));
   std::function<Outcome<rgs::PartsJob>()> describe;
-  std::string options_hash;
+  std::string cameras_hash;
   if (begins) {
     a.lod = a.merge = true;
     if (const auto message = check_arguments(a)) return tool::report_usage(*message);
     settle_options(a);
     if (const int code = check_outputs(a); code != tool::kSuccess) return code;
-    const auto hash = rgs::options_hash(a.given, a.cameras);
+    const auto hash = rgs::options_hash({}, a.cameras);  // all other options are in the job itself
     if (!hash) return tool::report(a.cameras, hash.error());
-    options_hash = *hash;
-    describe = [&] { return describe_job(a, options_hash); };
+    cameras_hash = *hash;
+    describe = [&] { return describe_job(a, cameras_hash); };
   }
   tool::Progress progress(a.quiet ? tool::Progress::Mode::quiet : tool::Progress::Mode::automatic);
   rgs::PartsRun run;

@@ -2,7 +2,7 @@
 # measure_city.py - what the steps of one scene by many processes take: CPU, peak memory and bytes of each, for scenes of several
 # sizes, as JSON for fit_cost_model.py; and what a second worker gains.
 # usage: RGS_BIN=build/release/bin python3 tests/cluster/measure_city.py --gaussians 1M 2M [--degree 0] [--tiles 4] [--ranges 4]
-#        [--memory 2GiB] [--workers 1 2] [--folder DIR] > measured.json
+#        [--memory 2GiB] [--workers 1 2] [--folder DIR] --out measured.json
 # Every process has one thread. On a machine that others use wall times, and with them the gain, mean little; CPU seconds grow
 # by a part as well.
 # SPDX-License-Identifier: Apache-2.0
@@ -73,6 +73,7 @@ def main():
     parser.add_argument("--memory", default="2GiB")
     parser.add_argument("--workers", type=int, nargs="+", default=[1])
     parser.add_argument("--folder")
+    parser.add_argument("--out", required=True, help="written anew after each run")
     arguments = parser.parse_args()
     processor = next((line.split(":")[1].strip() for line in open("/proc/cpuinfo", encoding="utf-8") if "model name" in line),
                      platform.processor())
@@ -94,9 +95,10 @@ def main():
                              "load_before": load, "wall_s": wall, "steps": steps})
                 print(f"{size}, {workers} workers: wall {wall:.1f} s, CPU {sum(s['cpu_s'] for s in steps.values()):.1f} s, peak "
                       f"{max(s['peak_mb'] for s in steps.values()):.0f} MB, load before {load:.1f}", file=sys.stderr, flush=True)
-    json.dump({"processor": processor, "commit": commit.stdout.strip(), "ranges": arguments.ranges, "tiles": arguments.tiles,
-               "memory": arguments.memory, "runs": runs}, sys.stdout, indent=1)
-    print()
+                with open(arguments.out, "w", encoding="utf-8") as file:
+                    json.dump({"processor": processor, "commit": commit.stdout.strip(), "ranges": arguments.ranges,
+                               "tiles": arguments.tiles, "memory": arguments.memory, "runs": runs}, file, indent=1)
+                    file.write("\n")
 
 
 if __name__ == "__main__":

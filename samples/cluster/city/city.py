@@ -50,8 +50,7 @@ class City:
             raise ConfigError("config: out: a file in the folder of tiles would be a tile; pass --config out=ANOTHER")
         self._names = self._folder.names()
         self.tiles = [self._folder.source(name) for name in self._names]
-        self.list_path = f"{self.work}/tiles.txt"
-        self.threads = config["max_threads"]
+        self.threads = config["threads"]
         # Of packed formats a tile is in memory, at 300 bytes a Gaussian.
         packed = [n for n, tile in zip(self._names, self.tiles)
                   if not tile.lower().endswith(".ply") or tile.lower().endswith(".compressed.ply")]
@@ -63,9 +62,8 @@ class City:
         said += [f"{path} {os.path.getsize(path)}" for path in self.tiles]
         self.key = hashlib.sha256("\n".join(map(str, said)).encode()).hexdigest()
 
-    def write_list(self):
-        os.makedirs(self.work, exist_ok=True)
-        with open(self.list_path, "w", encoding="utf-8") as file:
+    def write_list(self, path):
+        with open(path, "w", encoding="utf-8") as file:
             file.writelines(tile + "\n" for tile in self.tiles)
 
     def megabytes(self, wildcards, attempt):

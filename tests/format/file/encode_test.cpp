@@ -561,3 +561,41 @@ TEST_CASE("an origin is declared by version 1.3, and only where there is one") {
     CHECK(refused.error().code == Errc::bad_argument);
   }
 }
+
+TEST_CASE("a scan goes through bytes as it is, and no other bytes become one") {
+  SceneScan scan(2, BadPolicy::repair);
+  for (int i = 0; i < 500; ++i) {
+    Splat s;
+    for (int k = 0; k < 3; ++k) s.mean[k] = static_cast<float>((i * 37 + k * 11) % 101) - 40.F;
+    for (int k = 0; k < 27; ++k) s.sh[k] = 0.01F * static_cast<float>(i % 7 - k);
+    s.log_scale[0] = i == 3 ? -std::numeric_limits<float>::infinity() : -1;
+    if (i % 50 == 0) s.rotation[1] = std::numeric_limits<float>::quiet_NaN();
+    if (i % 99 == 0) s.opacity_logit = std::numeric_limits<float>::quiet_NaN();
+    scan.add(s);
+  }
+  const std::vector<std::byte> bytes = scan.to_bytes();
+  const auto back = SceneScan::from_bytes(bytes);
+  REQUIRE(back);
+  CHECK(back->to_bytes() == bytes);
+  CHECK(back->n_source() == 500);
+  CHECK(back->n_kept() == scan.n_kept());
+  CHECK(back->n_repaired() == scan.n_repaired());
+  CHECK(back->defects(Defect::opacity_nan) == scan.defects(Defect::opacity_nan));
+  CHECK(back->robust().min == scan.robust().min);
+  CHECK(back->full().max == scan.full().max);
+  CHECK(back->min_log_scale() == scan.min_log_scale());
+  // Every prefix, and what lies behind; a count that would send the search for the robust box out of its bins.
+  for (std::size_t n = 0; n < bytes.size(); n += n < 400 ? 1 : 101) {
+    const std::vector<std::byte> prefix(bytes.begin(), bytes.begin() + static_cast<std::ptrdiff_t>(n));
+    REQUIRE_FALSE(SceneScan::from_bytes(prefix));
+  }
+  std::vector<std::byte> changed = bytes;
+  changed.push_back(std::byte{0});
+  CHECK(SceneScan::from_bytes(changed).error().code == Errc::trailing_bytes);
+  changed = bytes;
+  changed[changed.size() - 8] ^= std::byte{1};  // the last bin's count
+  CHECK(SceneScan::from_bytes(changed).error().code == Errc::bad_value);
+  changed = bytes;
+  changed[0] = std::byte{4};
+  CHECK(SceneScan::from_bytes(changed).error().code == Errc::bad_value);
+}
