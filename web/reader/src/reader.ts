@@ -65,7 +65,6 @@ export class RgsFile {
     this.levels = levels;
   }
 
-
   /**
    * All Gaussians, of a file with levels those of the finest. Reads the whole file and checks all of it first and last: every
    * checksum, every value. Peak memory is the file and the result.
@@ -154,8 +153,8 @@ export class RgsFile {
     decode: (call: { signal: AbortSignal | undefined; onProgress: (share: number) => void }) => Promise<T>,
   ): Promise<T> {
     const total = this.fileBytes;
-    await this.client.call("whole", { bytes: total }, { signal });
     try {
+      await this.client.call("whole", { bytes: total }, { signal });
       let read = 0;
       await inPieces(total, signal, async (range, stop) => {
         const bytes = await readExactly(this.source, range, stop);

@@ -38,8 +38,6 @@ export type Answer =
 
 export type Send = (answer: Answer, transfer: ArrayBuffer[]) => void;
 
-const kTurnMs = 30;
-
 /** Lets messages in, `cancel` among them. Timers of browsers would wait 4 ms. */
 function turn(): Promise<void> {
   return new Promise((resolve) => {
@@ -57,20 +55,23 @@ export class Service {
   private limits: Limits = {};
   private decoder: Decoder | undefined;
   private whole: { decoder: Decoder; address: number; bytes: number } | undefined;
-  private readonly cancelled = new Set<number>();
+  private readonly cancelled = new Set<number>();  // of requests that wait or are at work
+  private readonly open = new Set<number>();
   private last: Promise<void> = Promise.resolve();
 
-  /** `load` gives the module that a request did not bring. */
+  /** `load` gives the module that a request did not bring. Messages have their turn after so many ms of work. */
   constructor(
     private readonly load: () => Promise<WebAssembly.Module>,
     private readonly send: Send,
+    private readonly turnMs = 30,
   ) {}
 
   receive(request: Request): void {
     if (request.name === "cancel") {
-      this.cancelled.add(request.args.id);
+      if (this.open.has(request.args.id)) this.cancelled.add(request.args.id);
       return;
     }
+    this.open.add(request.id);
     this.last = this.last.then(() => this.answer(request));
   }
 
@@ -87,6 +88,7 @@ export class Service {
         error instanceof RgsError ? error.fields : { code: "internal" as const, text: `the worker failed: ${String(error)}` };
       this.send({ id: request.id, error: fields }, []);
     } finally {
+      this.open.delete(request.id);
       this.cancelled.delete(request.id);
     }
   }
@@ -151,7 +153,7 @@ export class Service {
     for (let began = performance.now(); ; ) {
       const step = work.next();
       if (step.done === true) return step.value;
-      if (performance.now() - began < kTurnMs) continue;
+      if (performance.now() - began < this.turnMs) continue;
       this.send({ id, progress: step.value }, []);
       await turn();
       if (this.cancelled.has(id)) throw new RgsError({ code: "cancelled", text: "stopped by the caller" });
