@@ -4,9 +4,11 @@
 #include <signal.h>
 #include <unistd.h>
 
+#include <atomic>
 #include <cstdint>
 #include <cstdlib>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <system_error>
 #include <thread>
@@ -16,8 +18,11 @@
 #include "browser.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
+#include "frame_maker.hpp"
+#include "frame_request.hpp"
 #include "http_server.hpp"
 #include "input_files.hpp"
+#include "max_expansion.hpp"
 #include "photo_folder.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/file.hpp"
@@ -37,13 +42,22 @@ struct Options {
   std::string scene, other, cameras, photos;
   int port = 0;
   bool no_browser = false;
+  rgs::Backend backend = rgs::Backend::automatic;  // automatic: no frames
+  std::optional<std::uint64_t> host_memory, device_memory;
+  int threads = 0;
+  rgs::DecodeLimits limits;
 };
+
+bool has_frames(const Options& options) {
+  return options.backend != rgs::Backend::automatic || options.host_memory || options.device_memory;
+}
 
 // What is looked at, by the names that the page has for it.
 struct Shown {
   struct File {
     std::string name, path;
   };
+  std::vector<std::string> scenes;  // paths
   std::vector<File> files;
   view::ViewDocument document;
   std::vector<rgs::Camera> cameras;
@@ -60,6 +74,7 @@ int add_scene(const std::string& path, Shown& shown) {
   for (const std::string& part : files.paths())
     shown.files.push_back({folder + fs::path(part).filename().string(), part});
   const std::string name = fs::path(path).filename().string();
+  shown.scenes.push_back(path);
   shown.document.scenes.push_back({name, folder + view::percent_encoded(name), file->bytes().size()});
   return tool::kSuccess;
 }
@@ -128,7 +143,57 @@ void end_on_signals() {
   }).detach();
 }
 
-int serve(const Options& options, const Shown& shown) {
+view::FrameSettings frame_settings(const Options& options) {
+  view::FrameSettings settings{.backend = options.backend, .threads = options.threads, .limits = options.limits};
+  // Where its pages are a scene is drawn.
+  if (settings.backend == rgs::Backend::automatic)
+    settings.backend = options.device_memory ? rgs::Backend::cuda : rgs::Backend::cpu;
+  if (options.host_memory || options.device_memory) {
+    rgs::StreamPoolOptions budget;
+    if (options.host_memory) budget.host_memory = *options.host_memory;
+    if (options.device_memory) budget.device_memory = *options.device_memory;
+    settings.budget = budget;
+  }
+  return settings;
+}
+
+// A page asks for one frame after the other; what many pages ask for at once would keep all threads of the server waiting.
+constexpr int kMostFramesAtOnce = 4;
+
+view::HttpAnswer answer_frame(view::FrameMaker& frames, std::atomic<int>& n_at_once, const std::string& body) {
+  const auto request = view::parse_frame_request(body, frames.n_scenes());
+  if (!request) {
+    view::HttpAnswer refusal = view::error_answer(request.error());
+    refusal.status = 400;
+    return refusal;
+  }
+  struct Count {
+    std::atomic<int>& n;
+    ~Count() { --n; }
+  };
+  const bool is_busy = ++n_at_once > kMostFramesAtOnce;
+  const Count count{n_at_once};
+  if (is_busy) {
+    return {.status = 503,
+            .fields = {{"Retry-After", "1"}},
+            .type = "application/json",
+            .body = view::error_body("busy", "frames are being drawn for others; ask again")};
+  }
+  auto frame = frames.make(*request);
+  if (!frame) return view::error_answer(frame.error());
+  view::HttpAnswer answer{.type = request->format == rgs::ImageFormat::jpeg ? "image/jpeg" : "image/png",
+                          .body = std::move(frame->file)};
+  answer.fields = {{"X-Render-Ms", fmt::format("{:.3f}", frame->render_ms)},
+                   {"X-Encode-Ms", fmt::format("{:.3f}", frame->encode_ms)}};
+  if (frame->stream) {
+    answer.fields.emplace_back("X-Detail-Px", fmt::format("{:.6g}", frame->stream->detail_reached_px));
+    answer.fields.emplace_back("X-Pages-Missing", std::to_string(frame->stream->pages_missing));
+  }
+  if (frame->stream_error) answer.fields.emplace_back("X-Scene-Error", tool::describe(*frame->stream_error));
+  return answer;
+}
+
+int serve(const Options& options, Shown& shown) {
   end_on_signals();
   const auto folder = page_folder();
   if (!folder) return tool::report("", folder.error());
@@ -137,12 +202,24 @@ int serve(const Options& options, const Shown& shown) {
   auto server = view::HttpServer::listen(options.port);
   if (!server) return tool::report(fmt::format("127.0.0.1:{}", options.port), server.error());
 
+  std::optional<view::FrameMaker> frames;
+  std::atomic<int> n_frames_at_once{0};
+  if (has_frames(options)) {
+    auto made = view::FrameMaker::create(shown.scenes, frame_settings(options));
+    if (!made) return tool::report(made.error().path, made.error().error);
+    frames = *std::move(made);
+    shown.document.backend = frames->backend() == rgs::Backend::cuda ? "cuda" : "cpu";
+  }
+
   view::ViewSite site(*std::move(token), server->port());
   if (const rgs::Status added = site.add_page(*folder); !added) return tool::report(*folder, added.error());
   for (const Shown::File& file : shown.files)
     if (const rgs::Status added = site.add_file(file.name, file.path); !added)
       return tool::report(file.path, added.error());
   if (!shown.cameras.empty()) site.add_json("cameras.json", view::cameras_json(shown.cameras));
+  if (frames) {
+    site.add_action("frame", [&](const std::string& body) { return answer_frame(*frames, n_frames_at_once, body); });
+  }
   site.add_json("view.json", view::view_json(shown.document));
 
   tool::print(site.address() + "\n");
@@ -160,6 +237,26 @@ void add_options(CLI::App& app, Options& o) {
       app.add_option("--cameras,-c", o.cameras, "cameras to jump to: camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--photos", o.photos, "folder of the cameras' photographs, by name; PNG or JPEG")->needs(cameras);
 
+  const std::string frames = "Frames of this machine's renderer (docs/VIEW.md)";
+  app.add_option("--backend", o.backend, "draw true pictures for the page: cpu, cuda [none]")
+      ->transform(tool::one_of<rgs::Backend>({{"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
+      ->group(frames);
+  app.add_option("--host-memory", o.host_memory,
+                 "draw .rgs files with levels of detail from what of them is read into so much memory")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->group(frames);
+  app.add_option("--device-memory", o.device_memory,
+                 "the same on the GPU: pages are in so much of its memory, renderers' workspaces come on top")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->group(frames);
+  app.add_option("--threads", o.threads, "CPU threads of the renderer, 0 for all cores")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str()
+      ->group(frames);
+  tool::add_max_expansion(app, o.limits)->group(frames);
+
   const std::string server = "Server";
   app.add_option("--port", o.port, "port on 127.0.0.1, 0 for a free one")
       ->check(CLI::Range(0, 65535))
@@ -168,6 +265,17 @@ void add_options(CLI::App& app, Options& o) {
   app.add_flag("--no-browser", o.no_browser, "print the address and open no browser")->group(server);
   app.set_version_flag("--version", "rgs-view " RGS_VERSION);
   app.footer("Ctrl-C ends it.\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input.");
+}
+
+// Contradictions that can be told without reading a file; empty if there is none.
+std::string contradiction(const Options& o) {
+  if (o.host_memory == std::uint64_t{0}) return "--host-memory of 0 bytes holds no scene";
+  if (o.device_memory == std::uint64_t{0}) return "--device-memory of 0 bytes holds no scene";
+  if (o.backend == rgs::Backend::cpu && o.device_memory)
+    return "--device-memory is of the GPU: --backend cuda, or --host-memory alone";
+  if (o.backend == rgs::Backend::cuda && o.host_memory && !o.device_memory)
+    return "a scene is streamed to the GPU within --device-memory; without it --backend cpu draws it";
+  return {};
 }
 
 }  // namespace
@@ -179,6 +287,7 @@ int main(int argc, char** argv) {
                  "rgs-view"};
     add_options(app, options);
     if (const auto code = tool::parse(app, argc, argv)) return *code;
+    if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);
     Shown shown;
     if (const int code = look_at(options, shown); code != tool::kSuccess) return code;
     return serve(options, shown);

@@ -78,6 +78,33 @@ def scene(n="2k"):
     run("rgs-convert", "--quiet", folder / "a.ply", folder / "a.rgs")
 
 
+def png_chunks(data, kinds):
+    """The chunks of these kinds, joined: header and pixels are equal where pictures are, encoded alike."""
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    found, at = [], 8
+    while at < len(data):
+        size, kind = int.from_bytes(data[at:at + 4], "big"), data[at + 4:at + 8]
+        if kind in kinds:
+            found.append(data[at + 8:at + 8 + size])
+        at += 12 + size
+    assert found
+    return b"".join(found)
+
+
+def same_picture(a, b):
+    return all(png_chunks(a, [kind]) == png_chunks(b, [kind]) for kind in (b"IHDR", b"IDAT"))
+
+
+def frame(view, **fields):
+    return view.ask("frame", "POST", json.dumps(fields), {"Content-Type": "application/json"})
+
+
+def rendered(path, *arguments):
+    out = folder / "rendered.png"
+    run("rgs-render", "--quiet", "--backend", "cpu", path, "--overwrite", "-o", out, *arguments)
+    return out.read_bytes()
+
+
 def case_files():
     """Ranges of the scene are its bytes; view.json and cameras.json say what there is."""
     data = random.Random(1).randbytes(700_001)
@@ -256,6 +283,109 @@ def case_browser():
         process.stdout.close()
     assert os.read(listening, 100) == b""  # without a screen nobody wrote
     os.close(listening)
+
+
+def case_frames():
+    """Frames in PNG are those of rgs-render, of .rgs and PLY, at any size and with every option."""
+    scene()
+    with View(folder / "a.ply", folder / "a.rgs", "--cameras", folder / "views.json", "--backend", "cpu") as view:
+        said = view.json("view.json")
+        assert said["frames"] == {"url": "frame", "backend": "cpu"}
+        (folder / "cameras.json").write_bytes(view.ask("cameras.json").content)
+        cameras = view.json("cameras.json")
+        assert len(cameras) > 2
+        options = ["--cameras", folder / "cameras.json", "--view", "1", "--size", "160x90"]
+        for number, path in enumerate((folder / "a.ply", folder / "a.rgs")):
+            answer = frame(view, scene=number, camera=cameras[1], width=160, height=90)
+            assert answer.status == 200, answer.content
+            assert answer.headers["Content-Type"] == "image/png"
+            assert float(answer.headers["X-Render-Ms"]) > 0 and float(answer.headers["X-Encode-Ms"]) > 0
+            assert "X-Pages-Missing" not in answer.headers
+            assert same_picture(answer.content, rendered(path, *options))
+        answer = frame(view, scene=1, camera=cameras[1], width=160, height=90, background=[1, 0.5, 0.25], sh_degree=0)
+        changed = ["--background", "1,0.5,0.25", "--sh-degree", "0"]
+        assert same_picture(answer.content, rendered(folder / "a.rgs", *options, *changed))
+        assert not same_picture(answer.content, rendered(folder / "a.rgs", *options))
+        jpeg = frame(view, scene=1, camera=cameras[1], width=161, height=91, format="jpeg", quality=90)
+        assert jpeg.headers["Content-Type"] == "image/jpeg"
+        assert jpeg.content[:3] == b"\xff\xd8\xff" and jpeg.content[-2:] == b"\xff\xd9"
+        start = jpeg.content.index(b"\xff\xc0")
+        assert jpeg.content[start + 5:start + 9] == (91).to_bytes(2, "big") + (161).to_bytes(2, "big")
+        smaller = frame(view, scene=1, camera=cameras[1], width=161, height=91, format="jpeg", quality=20)
+        assert len(smaller.content) < len(jpeg.content)
+        view.end()
+
+
+def case_frame_refusals():
+    """Requests for frames that make no sense are errors as JSON, and the server goes on."""
+    scene()
+    with View(folder / "a.rgs", "--cameras", folder / "views.json", "--backend", "cpu") as view:
+        camera = view.json("cameras.json")[0]
+
+        def refusal(answer):
+            assert answer.headers["Content-Type"] == "application/json"
+            return answer.status, json.loads(answer.content)["error"]["code"]
+
+        assert refusal(frame(view, camera=camera, width=8193, height=10)) == (400, "bad_argument")
+        assert refusal(frame(view, camera=camera, scene=1)) == (400, "bad_argument")
+        assert refusal(frame(view, camera={**camera, "fx": -1})) == (400, "bad_value")
+        assert refusal(frame(view, camera=camera, out="/tmp/x.png")) == (400, "bad_syntax")
+        assert refusal(view.ask("frame", "POST", b"{")) == (400, "bad_syntax")
+        assert refusal(view.ask("frame", "POST", b" " * 65537)) == (413, "too_large")
+        assert refusal(view.ask("frame", "POST", iter([b"{}"]), {"Transfer-Encoding": "chunked"})) == (411, "no_length")
+        assert refusal(view.ask("frame")) == (405, "bad_method")
+        assert refusal(view.ask("frame", "POST", b"{}", {"Origin": "null"})) == (403, "other_origin")
+        assert refusal(view.ask("", "POST", b"{}", path="/frame")) == (403, "wrong_token")
+        assert frame(view, camera=camera, width=16, height=16).status == 200
+        view.end()
+
+
+def case_streamed():
+    """A file with levels of detail is drawn out of core; once nothing is missing, as from the whole file."""
+    scene("20k")
+    run("rgs-convert", "--quiet", "--lod", folder / "a.ply", folder / "levels.rgs")
+    with View(folder / "levels.rgs", folder / "a.ply", "--cameras", folder / "views.json", "--host-memory", "200MB") as view:
+        cameras = view.json("cameras.json")
+        (folder / "cameras.json").write_bytes(view.ask("cameras.json").content)
+        for detail in (1, 0):
+            while True:
+                answer = frame(view, camera=cameras[0], width=200, height=150, detail=detail)
+                assert answer.status == 200, answer.content
+                assert "X-Scene-Error" not in answer.headers
+                if answer.headers["X-Pages-Missing"] == "0":
+                    break
+            assert 0 <= float(answer.headers["X-Detail-Px"]) <= max(detail, 1e-6)
+            options = ["--cameras", folder / "cameras.json", "--view", "0", "--size", "200x150", "--detail", detail]
+            assert same_picture(answer.content, rendered(folder / "levels.rgs", *options))
+        assert "X-Pages-Missing" not in frame(view, scene=1, camera=cameras[0], width=20, height=15).headers
+        view.end()
+    for arguments, code, word in ((["--host-memory", "100MB", folder / "a.rgs"], 2, "--lod"),
+                                  (["--host-memory", "1", folder / "levels.rgs"], 3, "levels.rgs"),
+                                  (["--host-memory", "0", folder / "levels.rgs"], 2, "--host-memory"),
+                                  (["--backend", "cpu", "--device-memory", "1GB", folder / "levels.rgs"], 2, "--device-memory"),
+                                  (["--backend", "cuda", "--host-memory", "1GB", folder / "levels.rgs"], 2, "--device-memory")):
+        got, said = refused(*arguments)
+        assert (got == code or code == 3 and got == 4) and word in said, (arguments, got, said)
+
+
+def case_damaged():
+    """A damaged scene is an error before the server starts, or of the frames that show it."""
+    scene()
+    data = bytearray((folder / "a.rgs").read_bytes())
+    data[len(data) // 2] ^= 0x40
+    (folder / "damaged.rgs").write_bytes(data)
+    got, said = refused(folder / "damaged.rgs", "--backend", "cpu")
+    assert got == 4 and "damaged.rgs" in said, (got, said)
+    with View(folder / "damaged.rgs") as view:  # the page says what is wrong with it
+        assert view.ask("scenes/0/damaged.rgs").content == bytes(data)
+        view.end()
+    with View(folder / "a.rgs", "--cameras", folder / "views.json", "--backend", "cpu") as view:
+        camera = view.json("cameras.json")[0]
+        assert frame(view, camera=camera, width=16, height=16).status == 200
+        os.utime(folder / "a.rgs", (1e9, 1e9))
+        answer = frame(view, camera=camera, width=16, height=16)
+        assert answer.status == 500 and json.loads(answer.content)["error"]["code"] == "read_failed", answer.content
+        view.end()
 
 
 CASES = {name.removeprefix("case_"): value for name, value in list(globals().items()) if name.startswith("case_")}
