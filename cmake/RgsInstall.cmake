@@ -100,6 +100,8 @@ endforeach()
 # The page that rgs-view serves, where npm has built it.
 if(TARGET rgs-view)
   install(DIRECTORY web/viewer/dist/ DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer COMPONENT programs OPTIONAL)
+  install(FILES web/viewer/dist-single/page.html RENAME single.html DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer
+    COMPONENT programs OPTIONAL)
 endif()
 include(RgsManual)
 

@@ -63,6 +63,7 @@ page=$(dirname "$0")/../web/viewer/dist
 if [ -x "$out/bin/rgs-view" ] && [ -f "$page/index.html" ]; then
   mkdir -p "$out/share/roofgs"
   cp -R "$page" "$out/share/roofgs/viewer"
+  [ ! -f "$page-single/page.html" ] || cp "$page-single/page.html" "$out/share/roofgs/viewer/single.html"
 fi
 # Man pages and completions, where they are built.
 if [ -d "$build/manual" ]; then

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <cstdlib>
 #include <filesystem>
+#include <map>
 #include <optional>
 #include <string>
 #include <system_error>
@@ -23,6 +24,7 @@
 #include "http_server.hpp"
 #include "input_files.hpp"
 #include "max_expansion.hpp"
+#include "page_export.hpp"
 #include "photo_folder.hpp"
 #include "rgs/camera_file.hpp"
 #include "rgs/file.hpp"
@@ -46,6 +48,9 @@ struct Options {
   std::optional<std::uint64_t> host_memory, device_memory;
   int threads = 0;
   rgs::DecodeLimits limits;
+  std::string export_to;
+  std::uint64_t export_limit = std::uint64_t{256} << 20;
+  bool overwrite = false;
 };
 
 bool has_frames(const Options& options) {
@@ -230,12 +235,80 @@ int serve(const Options& options, Shown& shown) {
   return tool::report("", {rgs::Errc::internal, rgs::Error::kNone, "the server ended by itself"});
 }
 
+// Everything in one file: the addresses of view.json become those of its elements.
+int export_page(const Options& options, Shown& shown) {
+  const auto folder = page_folder();
+  if (!folder) return tool::report("", folder.error());
+  // Installed beside the page, or where the build tree has it.
+  std::error_code ignored;
+  fs::path single = fs::path(*folder) / "single.html";
+  if (!fs::exists(single, ignored)) {
+    const fs::path built = fs::path(*folder).parent_path() / "dist-single/page.html";
+    if (fs::exists(built, ignored)) single = built;
+  }
+  auto page = view::PageExport::open(single.string());
+  if (!page) return tool::report(single.string(), page.error());
+
+  tool::InputFiles inputs;
+  inputs.add(single.string());
+  std::map<std::string, std::string> address_of;  // by the server's name
+  for (const Shown::File& file : shown.files) {
+    inputs.add(file.path);
+    auto mapped = rgs::MappedFile::open(file.path);
+    if (!mapped) return tool::report(file.path, mapped.error());
+    mapped->advise(rgs::MappedFile::Access::sequential);
+    address_of[file.name] = page->add(*std::move(mapped));
+  }
+  for (std::size_t i = 0; i < shown.document.scenes.size(); ++i) {
+    auto& scene = shown.document.scenes[i];
+    if (scene.name == "meta.json")
+      return tool::report_usage(
+          "a SOG of several files does not fit into one: zip it to a .sog, or convert it to .rgs");
+    scene.url = address_of.at(fmt::format("scenes/{}/{}", i, scene.name));
+  }
+  for (auto& photo : shown.document.photos) photo.url = address_of.at(photo.url);
+  if (!shown.cameras.empty()) shown.document.cameras = page->add(view::cameras_json(shown.cameras));
+  page->set_view(view::view_json(shown.document));
+
+  const std::uint64_t bytes = page->bytes();
+  if (bytes > options.export_limit) {
+    return tool::report_usage(fmt::format(
+        "'{}' would have {}, more than --export-limit allows ({}): rgs-convert --profile archive makes smaller "
+        "scenes",
+        options.export_to, tool::format_bytes(bytes), tool::format_bytes(options.export_limit)));
+  }
+  inputs.add_cameras(options.cameras);
+  const std::vector<std::string> outputs{options.export_to};
+  if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
+  auto out = rgs::AtomicFile::create(options.export_to, {.overwrite = options.overwrite, .inputs = page->inputs()});
+  if (!out) return tool::report(options.export_to, out.error());
+  const std::string stated = fmt::format("{}: {}\n", tool::printable(options.export_to), tool::format_bytes(bytes));
+  options.export_to == "-" ? tool::print_error(stated) : tool::print(stated);
+  tool::flush();
+  rgs::Status written = out->reserve(bytes);
+  if (written) written = page->write(*out);
+  if (written) written = out->commit().map([](double) {});
+  return written ? tool::kSuccess : tool::report(options.export_to, written.error());
+}
+
 void add_options(CLI::App& app, Options& o) {
   app.add_option("scene", o.scene, "scene to look at, " RGS_SCENE_FORMATS)->required();
   app.add_option("other", o.other, "a second one, to compare it with");
   auto* const cameras =
       app.add_option("--cameras,-c", o.cameras, "cameras to jump to: camera file or COLMAP folder (docs/CAMERAS.md)");
   app.add_option("--photos", o.photos, "folder of the cameras' photographs, by name; PNG or JPEG")->needs(cameras);
+
+  const std::string single = "One file instead of a server";
+  auto* const export_to =
+      app.add_option("--export", o.export_to, "write a page that opens from a disk, with all that it shows in it")
+          ->option_text("PAGE.html")
+          ->group(single);
+  app.add_option("--export-limit", o.export_limit, "bytes that it may have [256MiB]")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->needs(export_to)
+      ->group(single);
+  app.add_flag("--overwrite", o.overwrite, "replace an existing page")->needs(export_to)->group(single);
 
   const std::string frames = "Frames of this machine's renderer (docs/VIEW.md)";
   app.add_option("--backend", o.backend, "draw true pictures for the page: cpu, cuda [none]")
@@ -275,6 +348,8 @@ std::string contradiction(const Options& o) {
     return "--device-memory is of the GPU: --backend cuda, or --host-memory alone";
   if (o.backend == rgs::Backend::cuda && o.host_memory && !o.device_memory)
     return "a scene is streamed to the GPU within --device-memory; without it --backend cpu draws it";
+  if (!o.export_to.empty() && has_frames(o))
+    return "a page without a server has no frames of this machine: --export goes without --backend and memory";
   return {};
 }
 
@@ -290,6 +365,6 @@ int main(int argc, char** argv) {
     if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);
     Shown shown;
     if (const int code = look_at(options, shown); code != tool::kSuccess) return code;
-    return serve(options, shown);
+    return options.export_to.empty() ? serve(options, shown) : export_page(options, shown);
   });
 }

@@ -1,4 +1,5 @@
 # view_test.py - the program rgs-view as its users run it: view_test.py CASE PROGRAMS SOURCE. SPDX-License-Identifier: Apache-2.0
+import base64
 import http.client
 import json
 import os
@@ -386,6 +387,54 @@ def case_damaged():
         answer = frame(view, camera=camera, width=16, height=16)
         assert answer.status == 500 and json.loads(answer.content)["error"]["code"] == "read_failed", answer.content
         view.end()
+
+
+def case_export():
+    """--export writes one file with the scenes, cameras and photographs in it, once and within its limit."""
+    single = "<!doctype html><head><!-- rgs-view:insert --></head><body></body>"
+    (folder / "page/single.html").write_text(single)
+    scene()
+    photos = folder / "photos"
+    photos.mkdir()
+    (photos / "view0.png").write_bytes(b"photograph")
+    out = folder / "out.html"
+    variables = {**os.environ, "RGS_VIEWER_DIR": str(folder / "page")}
+    before = sorted(folder.rglob("*"))
+
+    def export(*arguments, to=out):
+        return subprocess.run([programs / "rgs-view", *map(str, arguments), "--export", to], env=variables, capture_output=True, text=True,
+                              timeout=120)
+
+    shown = [folder / "a.rgs", folder / "a.ply", "--cameras", folder / "views.json", "--photos", photos]
+    small = export(*shown, "--export-limit", "100kB")
+    assert small.returncode == 2 and "--export-limit" in small.stderr and sorted(folder.rglob("*")) == before, small
+    done = export(*shown)
+    assert done.returncode == 0, done.stderr
+    text = out.read_text()
+    assert done.stdout == f"{out}: {len(text) / 1e6:.1f} MB\n" or done.stdout == f"{out}: {len(text) / 1e3:.1f} kB\n", done.stdout
+    elements = {m[1]: m[2] for m in re.finditer(r'<script type="[^"]*" id="(rgs-[^"]*)">([^<]*)</script>', text)}
+    said = json.loads(elements["rgs-view"])
+    assert said["frames"] is None
+
+    def content(url):
+        return base64.b64decode(elements[url.removeprefix("#")], validate=True)
+
+    assert [content(s["url"]) for s in said["scenes"]] == [(folder / "a.rgs").read_bytes(), (folder / "a.ply").read_bytes()]
+    assert [s["name"] for s in said["scenes"]] == ["a.rgs", "a.ply"]
+    assert len(json.loads(content(said["cameras"]))) == len(json.loads((folder / "views.json").read_text()))
+    assert [(p["camera"], content(p["url"])) for p in said["photos"]] == [("view0", b"photograph")]
+    again = export(folder / "a.rgs")
+    assert again.returncode == 3 and "--overwrite" in again.stderr and out.read_text() == text
+    assert export(folder / "a.rgs", "--overwrite").returncode == 0 and len(out.read_text()) < len(text)
+    assert export(folder / "a.rgs", "--overwrite", to=folder / "a.rgs").returncode == 2
+    assert export(folder / "a.rgs", "--backend", "cpu", "--overwrite").returncode == 2
+    piped = export(folder / "a.rgs", to="-")
+    assert piped.returncode == 0 and piped.stdout == out.read_text()
+    (folder / "page/single.html").write_text("<html></html>")
+    assert export(folder / "a.rgs", "--overwrite").returncode == 4
+    (folder / "page/single.html").unlink()
+    assert export(folder / "a.rgs", "--overwrite").returncode == 3
+    assert sorted(p for p in folder.rglob("*") if ".tmp" in p.name) == []
 
 
 CASES = {name.removeprefix("case_"): value for name, value in list(globals().items()) if name.startswith("case_")}
