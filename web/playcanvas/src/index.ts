@@ -5,4 +5,4 @@ export { drawAsDefined } from "./as-defined.js";
 export { type Pinhole, resizePinhole, setPinhole } from "./pinhole.js";
 export { RgsParser, type RgsParserOptions } from "./parser.js";
 export { RgsResource, type RgsResourceOptions } from "./resource.js";
-export { readStoredParts } from "./stored.js";
+export { type Colour, readStoredParts } from "./stored.js";

@@ -14,7 +14,7 @@ import {
 } from "playcanvas";
 import { kReadGlsl } from "./shader-glsl.js";
 import { kReadWgsl } from "./shader-wgsl.js";
-import { kRowTexels, kShTextures, kTableColumns, pack, type Packed, shTextureWords } from "./stored.js";
+import { type Colour, kRowTexels, kShTextures, kTableColumns, pack, type Packed, shTextureWords } from "./stored.js";
 
 export interface RgsResourceOptions {
   /** Whether the engine sorts on the CPU, and so needs the means there; true unless told otherwise. */
@@ -88,12 +88,15 @@ export class RgsResource extends GSplatResourceBase {
     this.fill("rgsMean", (out) => this.packed.mean(out as Uint32Array));
     this.fill("rgsGeometry", (out) => this.packed.geometry(out as Uint32Array));
     shNames.forEach((name, i) => this.fill(name, (out) => this.packed.sh(i, out as Uint32Array)));
-    this.shDegree = shDegree;
+    this.setTable(shDegree);
   }
 
-  /** SH above this degree are not drawn; components show it after `workBufferUpdate = WORKBUFFER_UPDATE_ONCE`. */
-  set shDegree(degree: number) {
-    this.fill("rgsTable", (out) => this.packed.table(out as Float32Array, degree));
+  /**
+   * Draws no SH above a degree, and parts in colours of their own. Components show it after
+   * `workBufferUpdate = WORKBUFFER_UPDATE_ONCE`.
+   */
+  setTable(shDegree: number, colours?: readonly Colour[]): void {
+    this.fill("rgsTable", (out) => this.packed.table(out as Float32Array, shDegree, colours));
   }
 
   override configureMaterialDefines(defines: Map<string, string | number | boolean>): void {

@@ -34,8 +34,10 @@ vec3 getScale() {
 
 vec4 getColor() {
   uint word = loadRgsSh0().x;
+  vec3 tint = vec3(rgsTableTexel(1).w, rgsTableTexel(2).w, rgsTableTexel(3).w);
   vec3 dc = vec3(rgsCode(word, 0), rgsCode(word, 1), rgsCode(word, 2)) * rgsTableTexel(0).xyz;
-  return vec4(0.28209479177387814 * dc + 0.5, unpackHalf2x16(rgsGeometryWords.w).y);
+  vec3 rgb = 0.28209479177387814 * dc + 0.5;
+  return vec4(tint.x < 0.0 ? rgb : mix(rgb, tint, 0.6), unpackHalf2x16(rgsGeometryWords.w).y);
 }
 
 #if SH_BANDS > 0

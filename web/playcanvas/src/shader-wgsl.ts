@@ -34,8 +34,10 @@ fn getScale() -> vec3f {
 
 fn getColor() -> vec4f {
   let word: u32 = loadRgsSh0().x;
+  let tint = vec3f(rgsTableTexel(1u).w, rgsTableTexel(2u).w, rgsTableTexel(3u).w);
   let dc = vec3f(rgsCode(word, 0u), rgsCode(word, 1u), rgsCode(word, 2u)) * rgsTableTexel(0u).xyz;
-  return vec4f(0.28209479177387814 * dc + 0.5, unpack2x16float(rgsGeometryWords.w).y);
+  let rgb = 0.28209479177387814 * dc + 0.5;
+  return vec4f(select(mix(rgb, tint, 0.6), rgb, tint.x < 0.0), unpack2x16float(rgsGeometryWords.w).y);
 }
 
 #if SH_BANDS > 0

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { ReadOptions, RgsFile, StoredGaussians } from "@roofgs/reader";
 
-/** Texels of a row of the table: FP32 step of degree 0 to 3 by channel; the first one's w is 2^-scaleExponent. */
+/** Texels of a row of the table: FP32 step of degree 0 to 3 by channel, and in w 2^-scaleExponent and the part's colour. */
 export const kRowTexels = 4;
 /** Rows side by side in the table's texture. */
 export const kTableColumns = 512;
@@ -10,6 +10,9 @@ export const kTableColumns = 512;
 /** 32-bit words of SH codes of a Gaussian, by degree: 4, 12, 28, 48 bytes. */
 const kShWords = [1, 3, 7, 12] as const;
 export const kShTextures = [1, 1, 2, 3] as const;
+
+/** Red, green, blue, 0 to 1. */
+export type Colour = readonly [number, number, number];
 
 /** Gaussians of whole files and pages, their words as textures hold them. */
 export interface Packed {
@@ -22,8 +25,8 @@ export interface Packed {
   /** [n, words] of SH codes 16 `texture` and on; words: see shTextureWords(). */
   sh(texture: number, out: Uint32Array): void;
   readonly nRows: number;
-  /** [nRows, kRowTexels, 4]. `shDegree` above which steps are 0. */
-  table(out: Float32Array, shDegree: number): void;
+  /** [nRows, kRowTexels, 4]. `shDegree` above which steps are 0; colours by part, if any. */
+  table(out: Float32Array, shDegree: number, colours?: readonly Colour[]): void;
 }
 
 /** Words a Gaussian of an SH texture: 1 of degree 0, where there is no other, else 4. */
@@ -80,14 +83,16 @@ export function pack(parts: readonly StoredGaussians[]): Packed {
       }
     },
     nRows: parts.reduce((sum, part) => sum + nSets(part), 0),
-    table(out, shDegreeDrawn) {
+    table(out, shDegreeDrawn, colours) {
       let at = 0;
-      for (const part of parts) {
+      for (const [i, part] of parts.entries()) {
+        const colour = colours?.[i];
         for (let set = 0; set < nSets(part); ++set) {
           for (let degree = 0; degree < 4; ++degree, at += 4) {
             const drawn = degree <= shDegreeDrawn;
             for (let c = 0; c < 3; ++c) out[at + c] = drawn ? (part.steps[12 * set + 3 * degree + c] as number) : 0;
-            out[at + 3] = degree === 0 ? 2 ** -part.scaleExponent : 0;
+            // A colour below 0 is none.
+            out[at + 3] = degree === 0 ? 2 ** -part.scaleExponent : (colour?.[degree - 1] ?? -1);
           }
         }
       }
