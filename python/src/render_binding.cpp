@@ -1,6 +1,5 @@
 // render_binding.cpp - pictures of scenes, into arrays that Python holds.
 // SPDX-License-Identifier: Apache-2.0
-#include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
 #include <algorithm>
@@ -12,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include "arrays.hpp"
 #include "bindings.hpp"
 #include "rgs/image.hpp"
 #include "rgs/renderer.hpp"
@@ -38,65 +38,61 @@ const std::string& name_of(const PyStream& scene) {
   return scene.name();
 }
 
-// Arrays of a call: pictures follow each other.
-struct Outputs {
-  py::object image, alpha, depth;
-  float* rgb = nullptr;  // one of the two
-  std::uint8_t* codes = nullptr;
-  float* alpha_data = nullptr;
-  float* depth_data = nullptr;
+// An array to be filled, and its memory.
+template <class T>
+struct Output {
+  py::object array = py::none();
+  std::optional<Elements> memory = {};
+  T* data = nullptr;
+
+  // `given` is one to fill, or None, for which one is made.
+  void take(py::object given, const Shape& shape) {
+    array = given.is_none() ? new_array<T>(shape) : std::move(given);
+    memory.emplace(array);
+    if (!memory->are<T>())
+      refuse(Errc::bad_argument,
+             "an output has another data type than the picture: float32 or, of images alone, uint8");
+    if (memory->shape() != shape)
+      refuse(
+          Errc::bad_argument,
+          "an output has another shape than the pictures: [height, width, 3] for colour and [height, width] for alpha "
+          "and depth, with the number of cameras before that for a list of cameras");
+    if (!memory->is_contiguous())
+      refuse(Errc::bad_argument, "an output has gaps or another order of axes: it must be C-contiguous");
+    if (memory->is_readonly()) refuse(Errc::bad_argument, "an output is read-only");
+    data = static_cast<T*>(memory->data());
+  }
 };
 
-template <class T>
-T* writable(const py::object& object, const std::vector<py::ssize_t>& shape) {
-  if (!py::isinstance<py::array>(object)) refuse(Errc::bad_argument, "an output is a NumPy array");
-  auto array = py::reinterpret_borrow<py::array>(object);
-  if (!array.dtype().is(py::dtype::of<T>()) && !array.dtype().equal(py::dtype::of<T>()))
-    refuse(Errc::bad_argument, "an output has another data type than the picture: float32 or, of images alone, uint8");
-  if (array.ndim() != static_cast<py::ssize_t>(shape.size()) || !std::equal(shape.begin(), shape.end(), array.shape()))
-    refuse(Errc::bad_argument,
-           "an output has another shape than the pictures: [height, width, 3] for colour and [height, width] for alpha "
-           "and "
-           "depth, with the number of cameras before that for a list of cameras");
-  if ((array.flags() & py::array::c_style) == 0)
-    refuse(Errc::bad_argument, "an output has gaps or another order of axes: it must be C-contiguous");
-  if (!array.writeable()) refuse(Errc::bad_argument, "an output is read-only");
-  return static_cast<T*>(array.mutable_data());
-}
+// Arrays of a call: pictures follow each other.
+struct Outputs {
+  Output<float> rgb;  // one of the two
+  Output<std::uint8_t> codes;
+  Output<float> alpha, depth;
+};
 
-bool overlap(const py::object& a, const py::object& b) {
-  if (a.is_none() || b.is_none()) return false;
-  const auto x = py::reinterpret_borrow<py::array>(a), y = py::reinterpret_borrow<py::array>(b);
-  const auto *first = static_cast<const std::byte*>(x.data()), *other = static_cast<const std::byte*>(y.data());
+bool overlap(const std::optional<Elements>& a, const std::optional<Elements>& b) {
+  if (!a || !b) return false;
+  const auto *first = static_cast<const std::byte*>(a->data()), *other = static_cast<const std::byte*>(b->data());
   const std::less<> before;
-  return before(first, other + y.nbytes()) && before(other, first + x.nbytes());
+  return before(first, other + b->bytes()) && before(other, first + a->bytes());
 }
 
-// `wanted`: whether there is one; an array to fill or None, for which one is made.
-Outputs outputs_of(std::vector<py::ssize_t> shape, py::object image, py::object alpha, py::object depth, bool eight_bit,
+Outputs outputs_of(const Shape& shape, py::object image, py::object alpha, py::object depth, bool eight_bit,
                    bool with_alpha, bool with_depth) {
   Outputs out;
-  std::vector<py::ssize_t> with_channels = shape;
+  Shape with_channels = shape;
   with_channels.push_back(3);
   if (eight_bit) {
-    if (image.is_none()) image = py::array_t<std::uint8_t>(with_channels);
-    out.codes = writable<std::uint8_t>(image, with_channels);
+    out.codes.take(std::move(image), with_channels);
   } else {
-    if (image.is_none()) image = py::array_t<float>(with_channels);
-    out.rgb = writable<float>(image, with_channels);
+    out.rgb.take(std::move(image), with_channels);
   }
-  out.image = std::move(image);
-  if (with_alpha) {
-    if (alpha.is_none()) alpha = py::array_t<float>(shape);
-    out.alpha_data = writable<float>(alpha, shape);
-  }
-  out.alpha = std::move(alpha);
-  if (with_depth) {
-    if (depth.is_none()) depth = py::array_t<float>(shape);
-    out.depth_data = writable<float>(depth, shape);
-  }
-  out.depth = std::move(depth);
-  if (overlap(out.image, out.alpha) || overlap(out.image, out.depth) || overlap(out.alpha, out.depth))
+  if (with_alpha) out.alpha.take(std::move(alpha), shape);
+  if (with_depth) out.depth.take(std::move(depth), shape);
+  const auto& colour = eight_bit ? out.codes.memory : out.rgb.memory;
+  if (overlap(colour, out.alpha.memory) || overlap(colour, out.depth.memory) ||
+      overlap(out.alpha.memory, out.depth.memory))
     refuse(Errc::bad_argument, "two outputs share memory");
   return out;
 }
@@ -132,12 +128,12 @@ class PyRenderer {
         refuse(Errc::bad_argument, "the cameras of one call have pictures of one size: use Camera.resized()",
                camera->name);
     }
-    std::vector<py::ssize_t> shape;
+    Shape shape;
     if (batch) shape.push_back(static_cast<py::ssize_t>(cameras.size()));
     shape.push_back(height);
     shape.push_back(width);
-    const Outputs out = outputs_of(std::move(shape), std::move(image), std::move(alpha), std::move(depth), eight_bit,
-                                   with_alpha, with_depth);
+    const Outputs out =
+        outputs_of(shape, std::move(image), std::move(alpha), std::move(depth), eight_bit, with_alpha, with_depth);
     const std::size_t n_pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
     const auto held = drawn(scene);  // a copy: another thread may close the scene
     {
@@ -146,17 +142,17 @@ class PyRenderer {
       stats_.clear();
       if (eight_bit) scratch_.resize(3 * n_pixels);
       for (std::size_t i = 0; i < cameras.size(); ++i) {
-        float* const rgb = eight_bit ? scratch_.data() : out.rgb + i * 3 * n_pixels;
+        float* const rgb = eight_bit ? scratch_.data() : out.rgb.data + i * 3 * n_pixels;
         RenderTarget target;
         target.rgb = {rgb, 3 * n_pixels};
-        if (out.alpha_data != nullptr) target.alpha = {out.alpha_data + i * n_pixels, n_pixels};
-        if (out.depth_data != nullptr) target.depth = {out.depth_data + i * n_pixels, n_pixels};
+        if (out.alpha.data != nullptr) target.alpha = {out.alpha.data + i * n_pixels, n_pixels};
+        if (out.depth.data != nullptr) target.depth = {out.depth.data + i * n_pixels, n_pixels};
         stats_.push_back(take(renderer_->render(held, *cameras[i], target, options), name_of(scene)));
-        if (eight_bit) std::transform(rgb, rgb + 3 * n_pixels, out.codes + i * 3 * n_pixels, to_8bit);
+        if (eight_bit) std::transform(rgb, rgb + 3 * n_pixels, out.codes.data + i * 3 * n_pixels, to_8bit);
         check_signals(i + 1 == cameras.size());
       }
     }
-    return py::make_tuple(out.image, out.alpha, out.depth);
+    return py::make_tuple(eight_bit ? out.codes.array : out.rgb.array, out.alpha.array, out.depth.array);
   }
 
   // Waits in steps, so that signals are seen. A step that ends early and without success has no room for the view.
