@@ -15,6 +15,7 @@
 #include <cmath>
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <nlohmann/json.hpp>
 #include <optional>
 #include <span>
@@ -92,11 +93,65 @@ double quantile(std::vector<double> values, double share) {
   return values[at];
 }
 
+// A picture whose memory is there before it is drawn, page-locked where a device draws: a copy then takes as long as the bus, and not
+// many frames for the system to find memory.
+class Picture {
+ public:
+  explicit Picture(const rgs::Camera& camera) : image_(rgs::Image::make(camera.width, camera.height, 3)) {
+#ifdef RGS_BENCH_CUDA
+    const std::span<float> all(image_.pixels);
+    if (cudaHostRegister(all.data(), all.size_bytes(), cudaHostRegisterDefault) == cudaSuccess) {
+      locked_.reset(all.data());
+    } else {
+      cudaGetLastError();  // slower, and no less right
+    }
+#endif
+  }
+  rgs::Image& image() {
+    return image_;
+  }
+  const rgs::Image& image() const {
+    return image_;
+  }
+
+ private:
+  rgs::Image image_;
+#ifdef RGS_BENCH_CUDA
+  struct Unlock {
+    void operator()(float* pixels) const { cudaHostUnregister(pixels); }
+  };
+  std::unique_ptr<float, Unlock> locked_;  // goes before the pixels
+#endif
+};
+
+// Pictures are made before they are needed, and used again.
+class Pictures {
+ public:
+  void stock(std::size_t n, const rgs::Camera& camera) {
+    while (free_.size() < n) free_.emplace_back(camera);
+  }
+  bool empty() const { return free_.empty(); }
+  Picture take() {
+    Picture last = std::move(free_.back());
+    free_.pop_back();
+    return last;
+  }
+  void give(Picture picture) { free_.push_back(std::move(picture)); }
+
+ private:
+  std::vector<Picture> free_;
+};
+
+// Of an arrival, at most.
+constexpr std::size_t kKeptPictures = 48;
+
 // What is measured with.
 struct Bench {
   const Options& options;
   rgs::Renderer renderer;
   std::vector<rgs::Camera> cameras;
+  Pictures pictures = {};
+  std::optional<Picture> shown = {};  ///< of frames that nobody compares: they write their pixels as others do
 
   Result<rgs::StreamedScene> open(const rgs::StreamPool& pool) const {
     return rgs::StreamedScene::open(options.scene, {.pool = pool});
@@ -106,26 +161,23 @@ struct Bench {
         {.host_memory = options.host_memory, .device_memory = options.device_memory.value_or(0)});
   }
   rgs::Status forget_file() const { return options.is_cold ? forget(options.scene) : rgs::Status(); }
-  /// A frame of what is there; its pixels only if `image` is given.
-  Result<rgs::FrameStats> draw(const rgs::StreamedScene& scene, const rgs::Camera& camera, rgs::Image* image) {
+  /// A frame of what is there.
+  Result<rgs::FrameStats> draw(const rgs::StreamedScene& scene, const rgs::Camera& camera, Picture* picture) {
     rgs::RenderTarget target;
-    if (image != nullptr) {
-      *image = rgs::Image::make(camera.width, camera.height, 3);
-      target.rgb = image->pixels;
-    }
+    target.rgb = (picture != nullptr ? *picture : *shown).image().pixels;
     return renderer.render(scene, camera, target, options.render);
   }
 };
 
 // The complete picture of a view; absent if it does not become complete in time.
-Result<std::optional<rgs::Image>> complete_picture(Bench& bench, const rgs::StreamedScene& scene,
-                                                   const rgs::Camera& camera) {
+Result<std::optional<Picture>> complete_picture(Bench& bench, const rgs::StreamedScene& scene,
+                                                const rgs::Camera& camera) {
   const auto refined = bench.renderer.refine(scene, camera, bench.options.wait, bench.options.render);
   if (!refined) return tl::unexpected(refined.error());
   if (!*refined) return std::nullopt;
-  rgs::Image image;
-  if (const auto drawn = bench.draw(scene, camera, &image); !drawn) return tl::unexpected(drawn.error());
-  return image;
+  Picture picture(camera);
+  if (const auto drawn = bench.draw(scene, camera, &picture); !drawn) return tl::unexpected(drawn.error());
+  return picture;
 }
 
 // Infinite for equal pictures.
@@ -162,20 +214,20 @@ struct Arrival {
   }
 };
 
-// Draws until nothing is missing, and keeps some of the pictures, ever fewer of them, to compare them with the last one.
+// Draws until nothing is missing, and keeps some of the pictures, ever fewer of them, to compare them with the last one. Bench::pictures
+// has been stocked. `before`: bytes that had been read at `start`.
 Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs::Camera& camera,
-                       Clock::time_point start) {
+                       Clock::time_point start, std::uint64_t before) {
   struct Kept {
     double ms;
-    rgs::Image image;
+    Picture picture;
   };
   std::vector<Kept> kept;
   Arrival arrival;
-  const std::uint64_t before = scene.stats().bytes_read;
   for (double next_ms = 0;;) {
-    const bool is_kept = kept.empty() || ms_since(start) >= next_ms;
-    rgs::Image image;
-    const auto stats = bench.draw(scene, camera, is_kept ? &image : nullptr);
+    std::optional<Picture> picture;
+    if (!bench.pictures.empty() && ms_since(start) >= next_ms) picture = bench.pictures.take();
+    const auto stats = bench.draw(scene, camera, picture ? &*picture : nullptr);
     if (!stats) return tl::unexpected(stats.error());
     const double ms = ms_since(start);
     if (kept.empty()) {
@@ -183,9 +235,9 @@ Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs:
       arrival.first_detail_px = stats->stream.detail_reached_px;
       arrival.first_bytes_read = stats->stream.bytes_read - before;
     }
-    if (is_kept) {
-      kept.push_back({ms, std::move(image)});
-      next_ms = 1.1 * ms;
+    if (picture) {
+      kept.push_back({ms, *std::move(picture)});
+      next_ms = 1.15 * ms;
     }
     if (stats->stream.pages_missing == 0) arrival.complete_ms = ms;
     if (arrival.complete_ms || ms > 1e3 * bench.options.wait) break;
@@ -193,24 +245,33 @@ Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs:
   const auto complete = complete_picture(bench, scene, camera);
   if (!complete) return tl::unexpected(complete.error());
   arrival.bytes_read = scene.stats().bytes_read - before;
-  if (!*complete) return arrival;
-  for (const Kept& each : kept) {
-    const auto db = psnr(each.image, **complete);
+  for (Kept& each : kept) {
+    if (!*complete) break;
+    const auto db = psnr(each.picture.image(), (*complete)->image());
     if (!db) return tl::unexpected(db.error());
     if (&each == &kept.front()) arrival.first_db = *db;
     if (!arrival.good_ms && *db >= kGoodDb) arrival.good_ms = each.ms;
     if (!arrival.very_good_ms && *db >= kVeryGoodDb) arrival.very_good_ms = each.ms;
   }
+  for (Kept& each : kept) bench.pictures.give(std::move(each.picture));
   for (auto* const reached : {&arrival.good_ms, &arrival.very_good_ms}) {
     if (!*reached) *reached = arrival.complete_ms;
   }
   return arrival;
 }
 
-// Views far apart on the way, none twice until all have been.
+// Views far apart on the way, of n one after the other: none twice until all have been.
 std::size_t jump(int k, std::size_t n) {
   constexpr double kGolden = 0.6180339887498949;
-  return static_cast<std::size_t>(std::fmod((k + 1) * kGolden, 1.0) * static_cast<double>(n));
+  std::vector<bool> was(n);
+  std::size_t at = 0;
+  for (int i = 0; i <= k; ++i) {
+    if (i % static_cast<int>(n) == 0) was.assign(n, false);
+    at = static_cast<std::size_t>(std::fmod((i + 1) * kGolden, 1.0) * static_cast<double>(n));
+    while (was[at]) at = (at + 1) % n;
+    was[at] = true;
+  }
+  return at;
 }
 
 struct Frame {
@@ -242,7 +303,11 @@ using Print = void (*)(std::string_view);
 Result<Json> fly(Bench& bench, const rgs::StreamedScene& scene, Print print) {
   const Options& o = bench.options;
   std::vector<Frame> frames;
-  std::vector<std::pair<std::size_t, rgs::Image>> kept;
+  std::vector<std::pair<std::size_t, Picture>> kept;
+  if (o.compare > 0) {
+    const auto each = static_cast<std::size_t>(o.compare);
+    bench.pictures.stock((bench.cameras.size() + each - 1) / each, bench.cameras.front());
+  }
   const rgs::StreamStats before = scene.stats();
   const auto start = Clock::now();
   for (std::size_t i = 0; i < bench.cameras.size(); ++i) {
@@ -251,12 +316,13 @@ Result<Json> fly(Bench& bench, const rgs::StreamedScene& scene, Print print) {
         start + std::chrono::duration_cast<Clock::duration>(std::chrono::duration<double, std::milli>(due_ms)));
     const double begin_ms = ms_since(start);
     const bool is_kept = o.compare > 0 && i % static_cast<std::size_t>(o.compare) == 0;
-    rgs::Image image;
-    const auto stats = bench.draw(scene, bench.cameras[i], is_kept ? &image : nullptr);
+    std::optional<Picture> picture;
+    if (is_kept) picture = bench.pictures.take();
+    const auto stats = bench.draw(scene, bench.cameras[i], picture ? &*picture : nullptr);
     if (!stats) return tl::unexpected(stats.error());
     frames.push_back(
         {stats->total_ms, ms_since(start) - begin_ms, due_ms, begin_ms, *stats, begin_ms > due_ms + 1e3 / o.fps});
-    if (is_kept) kept.emplace_back(i, std::move(image));
+    if (picture) kept.emplace_back(i, *std::move(picture));
   }
   const double seconds = 1e-3 * ms_since(start);
   const rgs::StreamStats after = scene.stats();
@@ -294,11 +360,11 @@ Result<Json> fly(Bench& bench, const rgs::StreamedScene& scene, Print print) {
     double worst = INFINITY, squares = 0;
     std::size_t n_compared = 0;
     Json each = Json::array();
-    for (const auto& [i, image] : kept) {
+    for (auto& [i, picture] : kept) {
       const auto complete = complete_picture(bench, scene, bench.cameras[i]);
       if (!complete) return tl::unexpected(complete.error());
       if (!*complete) continue;
-      const auto db = psnr(image, **complete);
+      const auto db = psnr(picture.image(), (*complete)->image());
       if (!db) return tl::unexpected(db.error());
       ++n_compared;
       worst = std::min(worst, *db);
@@ -350,7 +416,7 @@ Result<Json> teleport(Bench& bench, Print print) {
   for (int k = 0; k < bench.options.teleport; ++k) {
     const std::size_t at = jump(k, bench.cameras.size());
     if (const auto ok = bench.forget_file(); !ok) return tl::unexpected(ok.error());
-    const auto arrival = arrive(bench, *scene, bench.cameras[at], Clock::now());
+    const auto arrival = arrive(bench, *scene, bench.cameras[at], Clock::now(), scene->stats().bytes_read);
     if (!arrival) return tl::unexpected(arrival.error());
     print_arrival(fmt::format("jump {}", k), *arrival, print);
     Json json = arrival->json();
@@ -388,18 +454,21 @@ int bench_flight(const Options& o) {
   const std::string name = shown_name(o.scene);
   const auto report = [&](const rgs::Error& error) { return tool::report(name, error); };
 
+  bench.pictures.stock(kKeptPictures, bench.cameras.front());
+  bench.shown.emplace(bench.cameras.front());
   if (const auto ok = bench.forget_file(); !ok) return report(ok.error());
   const auto start = Clock::now();
   const auto pool = bench.pool();
   if (!pool) return report(pool.error());
-  const auto scene = bench.open(*pool);
+  auto opened = bench.open(*pool);
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
-  if (!scene) return report(scene.error());
+  if (!opened) return report(opened.error());
+  std::optional<rgs::StreamedScene> scene(*std::move(opened));
   const double open_ms = ms_since(start);
   const std::uint64_t open_bytes = scene->stats().bytes_read;
   print(fmt::format("{}: {} Gaussians, {} {}x{}\n", tool::printable(name), tool::format_count(scene->size()),
                     bench.renderer.backend_name(), size->width, size->height));
-  const auto opening = arrive(bench, *scene, bench.cameras.front(), start);
+  const auto opening = arrive(bench, *scene, bench.cameras.front(), start, 0);
   if (!opening) return report(opening.error());
   print_arrival("opening", *opening, print);
   auto flight = fly(bench, *scene, print);
@@ -428,6 +497,7 @@ int bench_flight(const Options& o) {
   print(fmt::format("memory    {} of {}, on the device {} of {}\n", tool::format_bytes(pool->host_bytes()),
                     tool::format_bytes(pool->host_memory()), tool::format_bytes(pool->device_bytes()),
                     tool::format_bytes(pool->device_memory())));
+  scene.reset();  // its memory of the device is the next one's
   if (o.teleport > 0) {
     auto jumps = teleport(bench, print);
     if (!jumps) return report(jumps.error());
@@ -478,6 +548,7 @@ int main(int argc, char** argv) {
     app.add_flag("--overwrite", o.overwrite, "replace an output that exists");
     app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;
+    o.render.measure.stage_timings = false;  // events between the kernels cost time themselves
     return bench_flight(o);
   });
 }

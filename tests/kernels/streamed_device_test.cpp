@@ -63,6 +63,44 @@ std::vector<Camera> cameras(unsigned seed, int n) {
   return all;
 }
 
+Bytes in_pages(std::span<const Splat> splats) {
+  EncodeOptions options;
+  options.chunk_size = 32;
+  const auto plain = encode(cloud_of(splats, 3).view(), options);
+  require_ok(plain);
+  const auto cloud = decode(*plain);
+  require_ok(cloud);
+  options.order = Order::morton;
+  Bytes bytes;
+  require_ok(write_levels(trivial_levels(*cloud, {.chunk_size = 32, .page_chunks = 2}), options, bytes));
+  return bytes;
+}
+
+/// Two at each of n / 2 places before front_camera(), at depths of their own; in the file the one comes first that the tie order has last.
+std::vector<Splat> pairs(unsigned seed, int n) {
+  Random random(seed);
+  std::vector<Splat> splats;
+  for (int i = 0; i < n / 2; ++i) {
+    const double x = random.uniform(-2, 2), y = random.uniform(-2, 2), z = random.uniform(2, 5);
+    for (const bool is_first : {true, false}) {
+      splats.push_back(splat_at(x, y, z, 0.1, is_first ? 0.9 : 0.5));
+      for (int c = 0; c < 3; ++c) splats.back().sh[c] = is_first == (c == 0) ? 1.5F : -1.5F;
+    }
+  }
+  return splats;
+}
+
+/// At one depth, in one tile of the image's middle.
+std::vector<Splat> wall(unsigned seed, int n) {
+  Random random(seed);
+  std::vector<Splat> splats;
+  for (int i = 0; i < n; ++i) {
+    splats.push_back(splat_at(random.uniform(0.01, 0.05), random.uniform(0.01, 0.05), 3, 0.003, 0.3));
+    for (int c = 0; c < 3; ++c) splats.back().sh[c] = static_cast<float>(random.uniform(-1.5, 1.5));
+  }
+  return splats;
+}
+
 std::uint64_t free_memory() {
   std::size_t free = 0, total = 0;
   require_cuda(cudaMemGetInfo(&free, &total));
@@ -103,15 +141,7 @@ TEST_CASE("on the device a refined picture is that of the whole file, byte for b
 TEST_CASE("equal depths are drawn in tie order, whatever slots they are in") {
   if (!device_answers()) return;
   // A grid seen along its axis: many means at one depth, in pages that come in any order.
-  EncodeOptions options;
-  options.chunk_size = 32;
-  const auto plain = encode(cloud_of(grid_splats(5, sized(8000, 3000, 600)), 3).view(), options);
-  require_ok(plain);
-  const auto cloud = decode(*plain);
-  require_ok(cloud);
-  options.order = Order::morton;
-  Bytes bytes;
-  require_ok(write_levels(trivial_levels(*cloud, {.chunk_size = 32, .page_chunks = 2}), options, bytes));
+  const Bytes bytes = in_pages(grid_splats(5, sized(8000, 3000, 600)));
   const Scene all = whole(bytes);
   Renderer reference = device_renderer();
   const Camera camera = front_camera(sized(256, 128, 64), sized(192, 96, 48));
@@ -126,6 +156,27 @@ TEST_CASE("equal depths are drawn in tie order, whatever slots they are in") {
       Renderer renderer = device_renderer();
       REQUIRE(renderer.refine(scene, camera, kLong, leaves) == true);
       CHECK(colours(renderer, scene, camera, leaves) == expected);
+    }
+  }
+}
+
+TEST_CASE("equal depths of a streamed frame: two by two, on a grid, and more of a tile than are ordered at a time") {
+  if (!device_answers()) return;
+  const int n = sized(6000, 4000, 600);
+  const Camera camera = front_camera(sized(256, 128, 64), sized(192, 96, 48));
+  RenderOptions leaves = turbo_options();
+  leaves.detail_px = 0;
+  const StreamPool pool = device_pool(16 << 20);
+  Renderer renderer = device_renderer(), reference = device_renderer();
+  for (const auto& splats : {pairs(6, n), grid_splats(6, n / 2), wall(6, std::max(n, 3000)), pairs(7, n)}) {
+    const Bytes bytes = in_pages(splats);
+    const StreamedScene scene = streamed_in(pool, bytes);
+    const Scene all = whole(bytes);
+    for (int i = 0; i < 2; ++i) {
+      CAPTURE(i);
+      REQUIRE(renderer.refine(scene, camera, kLong, leaves) == true);
+      CHECK(is_same_picture(draw(renderer, scene, camera, leaves), draw(reference, all, camera, leaves)));
+      CHECK(colours(renderer, scene, camera, leaves) == colours(reference, all, camera, leaves));
     }
   }
 }

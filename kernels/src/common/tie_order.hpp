@@ -23,11 +23,16 @@ Status launch_tie_order(const TieOrderArguments& arguments, Stream stream);
 /// Of both launches.
 Result<std::uint64_t> tie_order_bytes(std::uint32_t n);
 
-/// The same of some chunks: row j of chunk chunks[k] counts as drawn row k chunk_size + j. Errors: device_failed.
-struct ChosenTiesArguments {
+/// Rows of some chunks: row j of chunk chunks[k] counts as drawn row k chunk_size + j.
+struct ChosenRows {
   PagedAttributes attributes;
-  const std::uint32_t* chunks;  ///< [n_chunks]
-  std::uint32_t n_chunks;       ///< n_chunks * chunk_size < 2^31
+  const std::uint32_t* chunks;
+};
+
+/// The same of them. Errors: device_failed.
+struct ChosenTiesArguments {
+  ChosenRows rows;
+  std::uint32_t n_chunks;  ///< n_chunks * chunk_size < 2^31
   /// [n_chunks * chunk_size] what is drawn in tie order: drawn rows, and their places in `rank`; or, if that is null, rows of the scene.
   std::uint32_t *order, *rank;
   void* temporary;

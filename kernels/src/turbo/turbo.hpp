@@ -8,6 +8,7 @@
 
 #include "common/cut.hpp"
 #include "common/frame.hpp"
+#include "common/tie_order.hpp"
 #include "rgs/result.hpp"
 #include "sorted/front_end.hpp"
 #include "turbo/turbo_geometry.hpp"
@@ -215,6 +216,10 @@ struct TurboArrays {
   TurboSegment* waves;            ///< [kTurboWaves, segments]
   std::uint64_t entry_capacity, run_capacity, large_capacity, cell_capacity;
   TieOrder ties;  ///< of the scene's Gaussians; without one, equal depths are ordered by index
+  /// Or, with wants_ranks, by the values of drawn rows, which indices then are. *wants_ranks, page-locked memory that the device
+  /// reaches, becomes 1 where more of a tile are equal than are ordered at a time: the frame is then wrong, and has to be drawn with `ties`.
+  ChosenRows rows;
+  std::uint32_t* wants_ranks;
 };
 
 /// How many long cells and segments there can be at most among so many Gaussians of cells.

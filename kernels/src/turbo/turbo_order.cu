@@ -9,6 +9,8 @@
 // Shared  Shared: entries, their keys twice, places of runs; 36 KiB, and 1 KiB of bins for the units
 // Order   exact: by depth, then in tie order, whatever the order of the list: deterministic. Of cells in memory: any
 //
+// Of a streamed scene, whose pages come and go, no ranks are at hand: equal depths are then compared by the Gaussians' values.
+//
 // Units of a list (turbo_long_lists.cu) are ordered side by side. Where one's Gaussians begin in a cell it learns from
 // those before it: they have said so before they order theirs, and they have begun, because blocks take units in turn.
 #include <cstdint>
@@ -16,6 +18,7 @@
 #include "common/atomic_add.cuh"
 #include "common/block_scan.cuh"
 #include "common/launch.cuh"
+#include "common/tie_values.cuh"
 #include "turbo/place_cells.cuh"
 #include "turbo/read_list.cuh"
 #include "turbo/turbo.hpp"
@@ -27,6 +30,35 @@ constexpr int kThreads = 256;
 constexpr int kWarps = kThreads / 32;
 constexpr int kBinBits = 8;  // of the histogram that cuts a range, a bin a thread
 static_assert(kTurboRound == 8 * kThreads && kThreads == 1 << kBinBits && kTurboCells <= kWarps);
+
+// What decides between equal depths: ranks in tie order, if there are any. Where they are too many to be compared two by two,
+// entries get the rank in place of the index.
+struct ByRank {
+  static constexpr bool kGivesRanks = true;
+  TieOrder ties;
+
+  __device__ explicit ByRank(const TurboArrays& a) : ties(a.ties) {}
+  __device__ bool decides() const { return ties.rank != nullptr; }
+  __device__ bool is_before(std::uint32_t a, std::uint32_t b) const {
+    return __ldg(ties.rank + a) < __ldg(ties.rank + b);
+  }
+};
+
+// Not inlined, and without an address of the kernel's arguments: seldom called.
+__device__ __noinline__ bool is_chosen_before(ChosenRows rows, std::uint32_t a, std::uint32_t b) {
+  return chosen_ties_before(rows, a, b);
+}
+
+// The Gaussians' values, which cost nothing where depths differ, as they mostly do, while ranks cost a sort of all that is
+// drawn. Where more depths of a list are equal than are ordered at a time, the host learns it.
+struct ByValue {
+  static constexpr bool kGivesRanks = false;
+  const TurboArrays& arrays;
+
+  __device__ explicit ByValue(const TurboArrays& a) : arrays(a) {}
+  __device__ bool is_before(std::uint32_t a, std::uint32_t b) const { return is_chosen_before(arrays.rows, a, b); }
+  __device__ void give_up() const { *static_cast<volatile std::uint32_t*>(arrays.wants_ranks) = 1; }
+};
 
 struct Shared {
   TurboEntry entries[kTurboRound];
@@ -172,7 +204,8 @@ __device__ inline std::uint32_t* sort_keys(Shared& s, std::uint64_t low, int shi
 }
 
 // Orders the s.n entries themselves, where keys of 32 bits leave too much open: a bitonic network in shared memory.
-__device__ __noinline__ void sort_whole(Shared& s) {  // seldom called: not at the cost of the others' registers
+template <class IsBehind>
+__device__ inline void sort_whole_by(Shared& s, const IsBehind& is_behind) {
   const std::uint32_t total = 1u << (32 - __clz(static_cast<int>(s.n - 1)));
   for (std::uint32_t k = s.n + threadIdx.x; k < total; k += kThreads) s.entries[k] = ~TurboEntry{0};
   for (std::uint32_t k = threadIdx.x; k < total; k += kThreads) s.exchange[0][k] = k;
@@ -182,20 +215,32 @@ __device__ __noinline__ void sort_whole(Shared& s) {  // seldom called: not at t
       for (std::uint32_t pair = threadIdx.x; pair < total / 2; pair += kThreads) {
         const std::uint32_t k = 2 * pair - pair % stride;
         const TurboEntry a = s.entries[k], b = s.entries[k + stride];
-        if ((a > b) == ((k & length) == 0)) s.entries[k] = b, s.entries[k + stride] = a;
+        if (is_behind(a, b) == ((k & length) == 0)) s.entries[k] = b, s.entries[k + stride] = a;
       }
     }
   }
   if (threadIdx.x == 0) s.order = s.exchange[0], s.positions = kTurboRound - 1;
   __syncthreads();
 }
+// Seldom called: not at the cost of the others' registers.
+__device__ __noinline__ void sort_whole(Shared& s) {
+  sort_whole_by(s, [](TurboEntry a, TurboEntry b) { return a > b; });
+}
+__device__ __noinline__ void sort_whole_by_value(Shared& s, ChosenRows rows) {
+  sort_whole_by(s, [&](TurboEntry a, TurboEntry b) {
+    // What fills up has no row.
+    if (a == b || depth_of(a) != depth_of(b)) return a > b;
+    return is_chosen_before(rows, index_of(b), index_of(a));
+  });
+}
 
-// Position of each of the s.n entries in their order, into s.order: by depth, then by index; or, with ties, in their order.
+// Position of each of the s.n entries in their order, into s.order: by depth, then by index; or, if has_ties, in tie order.
 // Keys of 32 bits are ordered first. Their depth is relative to the list's own range; what it leaves of the key tells equal
 // depths apart by the first bits of the index, since far away many depths are equal. Neighbours whose keys do not decide are
 // then put right by looking at the entries themselves; if that takes too long, these are ordered as they are. `range` is that of
 // the depths of the list. False if ties are too many to be put right so: they want ranks in the entries.
-__device__ inline bool sort_entries(Shared& s, DepthRange range, const TieOrder& ties) {
+template <class Ties>
+__device__ inline bool sort_entries(Shared& s, DepthRange range, const Ties& ties, bool has_ties) {
   constexpr std::uint32_t kMostTurns = 24, kMostTurnsOfTies = 8;
   // Padding, all ones, comes last: it shares its depth with no position as high.
   const int position_bits = 32 - __clz(static_cast<int>(s.n - 1));
@@ -208,7 +253,6 @@ __device__ inline bool sort_entries(Shared& s, DepthRange range, const TieOrder&
   std::uint32_t* const order =
       s.n <= 4 * kThreads ? sort_keys<4>(s, low, shift, position_bits) : sort_keys<8>(s, low, shift, position_bits);
   s.order = order;
-  const bool has_ties = ties.rank != nullptr;
   // Of a key, what does not decide: the position, and with ties the bits of the index.
   const int open_bits = position_bits + (has_ties ? math::max(0, kTurboIndexBits - shift) : 0);
   const auto is_inverted = [&](std::uint32_t k) {
@@ -216,7 +260,7 @@ __device__ inline bool sort_entries(Shared& s, DepthRange range, const TieOrder&
     if ((a ^ b) >> open_bits != 0) return false;
     const TurboEntry first = s.entries[a & positions], second = s.entries[b & positions];
     if (!has_ties || depth_of(first) != depth_of(second)) return first > second;
-    return __ldg(ties.rank + index_of(first)) > __ldg(ties.rank + index_of(second));
+    return ties.is_before(index_of(second), index_of(first));
   };
   bool any = false;
   for (std::uint32_t k = threadIdx.x; k + 1 < s.n; k += kThreads) any = any || is_inverted(k);
@@ -242,18 +286,24 @@ __device__ inline bool sort_entries(Shared& s, DepthRange range, const TieOrder&
 
 // The same of entries with the index or, s.has_ranks, with ranks; where most depths are equal, the former are given them. `range`
 // is that of the depths that the thread has seen.
-__device__ inline void order_entries(Shared& s, const TieOrder& ties, DepthRange range) {
+template <class Ties>
+__device__ inline void order_entries(Shared& s, const Ties& ties, DepthRange range) {
   range.combine(s);
-  bool wants_ranks = !s.has_ranks && ties.rank != nullptr && range.high - range.low < s.n;
-  for (;;) {
-    if (wants_ranks) {
-      __syncthreads();
-      for (std::uint32_t k = threadIdx.x; k < s.n; k += kThreads) s.entries[k] = with_rank(ties, s.entries[k]);
-      if (threadIdx.x == 0) s.has_ranks = true;
-      __syncthreads();
+  if constexpr (Ties::kGivesRanks) {
+    bool wants_ranks = !s.has_ranks && ties.decides() && range.high - range.low < s.n;
+    for (;;) {
+      if (wants_ranks) {
+        __syncthreads();
+        for (std::uint32_t k = threadIdx.x; k < s.n; k += kThreads) s.entries[k] = with_rank(ties.ties, s.entries[k]);
+        if (threadIdx.x == 0) s.has_ranks = true;
+        __syncthreads();
+      }
+      if (sort_entries(s, range, ties, !s.has_ranks && ties.decides())) return;
+      wants_ranks = true;
     }
-    if (sort_entries(s, range, s.has_ranks ? TieOrder{} : ties)) return;
-    wants_ranks = true;
+  } else if (range.high - range.low < s.n || !sort_entries(s, range, ties, true)) {
+    __syncthreads();
+    sort_whole_by_value(s, ties.arrays.rows);
   }
 }
 
@@ -313,6 +363,7 @@ __device__ inline void deal_out(const Shared& s, const TurboArrays& a) {
 }
 
 // A list that fits shared memory, and is not empty.
+template <class Ties>
 __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                       const TurboRankedList& list) {
   if (threadIdx.x == 0) s.n = list.n_entries, s.has_ranks = false;
@@ -322,7 +373,7 @@ __device__ inline void deal_out_short(Shared& s, const TurboArrays& a, math::Til
     s.entries[k] = entry;
     range.add(depth_of(entry));
   });
-  order_entries(s, a.ties, range);
+  order_entries(s, Ties(a), range);
   count_groups(s);
   if (threadIdx.x < kTurboCells) {
     const CellPlace place = place_cells(a, grid, rank, list.tile, s.cell_n);
@@ -347,8 +398,9 @@ struct Part {
 };
 
 // Cuts a part in equal shares, by a sample of it: all blocks find the same. Entries are unique, so that equal depths
-// are cut, too.
-__device__ inline Part share_of(Shared& s, const TieOrder& ties, Part part, std::uint32_t share,
+// are cut, too; but not where their order is to follow from values.
+template <class Ties>
+__device__ inline Part share_of(Shared& s, const Ties& order, const TieOrder& ties, Part part, std::uint32_t share,
                                 std::uint32_t n_shares) {
   DepthRange range;
   for (std::uint32_t k = threadIdx.x; k < kTurboRound; k += kThreads) {
@@ -358,8 +410,11 @@ __device__ inline Part share_of(Shared& s, const TieOrder& ties, Part part, std:
   if (threadIdx.x == 0) s.n = kTurboRound;
   __syncthreads();
   range.combine(s);
-  sort_entries(s, range, {});
-  const auto cut = [&](std::uint32_t k) { return s.entries[s.order[k * kTurboRound / n_shares] & s.positions]; };
+  sort_entries(s, range, order, false);
+  const auto cut = [&](std::uint32_t k) {
+    const TurboEntry entry = s.entries[s.order[k * kTurboRound / n_shares] & s.positions];
+    return Ties::kGivesRanks ? entry : make_entry(depth_of(entry), 0, 0);
+  };
   if (share > 0) part.from = cut(share);
   if (share + 1 < n_shares) part.to = cut(share + 1);
   __syncthreads();
@@ -413,6 +468,17 @@ __device__ inline TurboEntry round_end(Shared& s, const TieOrder& ties, const Pa
   }
 }
 
+// The same where rounds cut no equal depths; but where all of a round are.
+template <class Ties>
+__device__ inline TurboEntry whole_depths(const TurboArrays& a, const Part& part, TurboEntry end) {
+  if constexpr (!Ties::kGivesRanks) {
+    const TurboEntry nearer = make_entry(depth_of(end), 0, 0);
+    if (nearer > part.from) return nearer;
+    if (end != part.to) Ties(a).give_up();
+  }
+  return end;
+}
+
 // Tells how many of the unit's entries touch each cell, and learns the same of the units before it: s.cell_begin. A
 // number and 1 are one word, which is there or is not, so that nothing else has to be waited for.
 __device__ inline void tell(const Shared& s, const TurboArrays& a, std::uint32_t unit) {
@@ -449,6 +515,7 @@ __device__ inline void place_in_cells(Shared& s, const TurboArrays& a, std::uint
 }
 
 // Orders a unit. All of it at a time, but where a share has become larger than the sample said: then as much as fits.
+template <class Ties>
 __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint32_t unit) {
   const TurboUnit own = a.units[unit];
   Part part{a.scratch + own.begin, own.end - own.begin};
@@ -457,7 +524,7 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   const bool ranks_in_memory = has_ranks_in_scratch(a.ties, list);
   if (n_shares > 1) {
     part.gives_ranks = !ranks_in_memory && a.ties.rank != nullptr;
-    part = share_of(s, a.ties, part, own.share, n_shares);
+    part = share_of(s, Ties(a), a.ties, part, own.share, n_shares);
   }
   if (threadIdx.x == 0) s.has_ranks = ranks_in_memory || part.gives_ranks;
   DepthRange range = load(s, a.ties, part);
@@ -469,12 +536,12 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
     __syncthreads();
     if (!at_once) {
       Part round = part;
-      if (left > kTurboRound) round.to = round_end(s, a.ties, part);
+      if (left > kTurboRound) round.to = whole_depths<Ties>(a, part, round_end(s, a.ties, part));
       range = load(s, a.ties, round);
       part.from = round.to;
     }
     left -= s.n;
-    order_entries(s, a.ties, range);
+    order_entries(s, Ties(a), range);
     count_groups(s);
     deal_out(s, a);
     __syncthreads();
@@ -483,60 +550,79 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
 }
 
 // Units, until there are no more.
+template <class Ties>
 __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   for (const std::uint32_t n = a.state->n_units;;) {
     if (threadIdx.x == 0) s.unit = n > 0 ? atomicAdd(&a.state->n_taken, 1u) : 0;
     __syncthreads();
     if (s.unit >= n) return;
-    deal_out_unit(s, a, s.unit);
+    deal_out_unit<Ties>(s, a, s.unit);
     __syncthreads();
   }
 }
 
+template <class Ties>
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads)) turbo_unit_kernel(TurboArrays a) {
   __shared__ Shared s;
-  deal_out_units(s, a);
+  deal_out_units<Ties>(s, a);
 }
 
+template <class Ties>
 __device__ inline void order_tile(Shared& s, const TurboArrays& a, math::TileGrid grid, std::uint32_t rank,
                                   TurboState* seen) {
   const TurboRankedList list = a.ranked[rank];
   if (list.n_entries == 0 || list.n_entries >= kTurboRound) return;  // empty, or a long list
-  deal_out_short(s, a, grid, rank, list);
+  deal_out_short<Ties>(s, a, grid, rank, list);
   if (threadIdx.x == 0) end_tile(a, seen);
 }
 
+template <class Ties>
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
     turbo_order_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
-  order_tile(s, a, grid, blockIdx.x, seen);
+  order_tile<Ties>(s, a, grid, blockIdx.x, seen);
 }
+template <class Ties>
 __global__ void __launch_bounds__(kThreads, resident_blocks(5, kThreads))
     turbo_order_sparse_kernel(TurboArrays a, math::TileGrid grid, TurboState* seen) {
   __shared__ Shared s;
   const std::uint32_t end = listed_tiles(a);
   for (std::uint32_t rank = blockIdx.x; rank < end; rank += gridDim.x) {
-    order_tile(s, a, grid, rank, seen);
+    order_tile<Ties>(s, a, grid, rank, seen);
     __syncthreads();
   }
+}
+
+template <class Ties>
+void launch_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
+  if (is_sparse) {
+    turbo_order_sparse_kernel<Ties><<<sparse_tiles(a.n_tiles), kThreads, 0, stream>>>(a, grid, seen);
+  } else {
+    turbo_order_kernel<Ties><<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
+  }
+}
+
+template <class Ties>
+Status launch_units(const TurboArrays& a, Stream stream) {
+  const auto blocks = resident_grid<turbo_unit_kernel<Ties>>(kThreads);
+  if (!blocks) return tl::unexpected(blocks.error());
+  turbo_unit_kernel<Ties><<<*blocks, kThreads, 0, stream>>>(a);
+  return launched("the kernel that orders the long lists could not be launched");
 }
 
 }  // namespace
 
 Status launch_turbo_order(const TurboArrays& a, math::TileGrid grid, TurboState* seen, bool is_sparse, Stream stream) {
-  if (is_sparse) {
-    turbo_order_sparse_kernel<<<sparse_tiles(a.n_tiles), kThreads, 0, stream>>>(a, grid, seen);
+  if (a.wants_ranks != nullptr) {
+    launch_order<ByValue>(a, grid, seen, is_sparse, stream);
   } else {
-    turbo_order_kernel<<<a.n_tiles, kThreads, 0, stream>>>(a, grid, seen);
+    launch_order<ByRank>(a, grid, seen, is_sparse, stream);
   }
   return launched("the kernel that orders the lists could not be launched");
 }
 
 Status launch_turbo_units(const TurboArrays& a, Stream stream) {
-  const auto blocks = resident_grid<turbo_unit_kernel>(kThreads);
-  if (!blocks) return tl::unexpected(blocks.error());
-  turbo_unit_kernel<<<*blocks, kThreads, 0, stream>>>(a);
-  return launched("the kernel that orders the long lists could not be launched");
+  return a.wants_ranks != nullptr ? launch_units<ByValue>(a, stream) : launch_units<ByRank>(a, stream);
 }
 
 }  // namespace rgs::cuda

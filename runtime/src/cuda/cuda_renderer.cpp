@@ -28,9 +28,12 @@ constexpr std::uint64_t kMaxRows = kMaxImageSide / math::kTileSize, kMaxTurboRow
 static_assert(kMaxRows <= 65535 && kMaxTurboRows * kMaxTurboRows * cuda::kTurboCells < std::uint64_t{1} << 31);
 static_assert(kMaxTurboRows <= std::uint64_t{1} << 15);
 
-// Of a scene with levels it is not known before how much is drawn.
+// Of a scene with levels it is not known before how much is drawn, unless the host has chosen it.
 bool draws_turbo(const FrameSettings& settings, const detail::SceneStorage* scene) {
-  return settings.cuda.turbo && (scene == nullptr || scene->pages || detail::TurboPipeline::takes(scene->n));
+  if (!settings.cuda.turbo || scene == nullptr) return settings.cuda.turbo;
+  if (!scene->pages) return detail::TurboPipeline::takes(scene->n);
+  const auto& chosen = scene->pages->chosen;
+  return !chosen || detail::TurboPipeline::takes(chosen->chunks.size() * scene->pages->chunk_size);
 }
 
 cuda::CutEye cut_eye(const lod::Eye& eye, float detail_px) {

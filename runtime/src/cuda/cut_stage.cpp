@@ -20,9 +20,9 @@ std::uint32_t n_all_rows(const SceneStorage& scene) {
 }  // namespace
 
 // Chunks that there is memory for.
-std::uint64_t CutStage::held(const SceneStorage& scene, const DeviceBuffer& splats) const {
-  const std::uint64_t rows = std::min(std::min(order_.bytes(), rank_.bytes()) / sizeof(std::uint32_t),
-                                      splats.bytes() / sizeof(cuda::ScreenSplat));
+std::uint64_t CutStage::held(const SceneStorage& scene, Order order, const DeviceBuffer& splats) const {
+  std::uint64_t rows = splats.bytes() / sizeof(cuda::ScreenSplat);
+  if (order != Order::none) rows = std::min(rows, std::min(order_.bytes(), rank_.bytes()) / sizeof(std::uint32_t));
   return std::min(chunks_.bytes() / sizeof(std::uint32_t), rows / scene.pages->chunk_size);
 }
 
@@ -34,7 +34,7 @@ std::uint64_t CutStage::bytes() const {
   return sum;
 }
 
-Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks,
+Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, Order order,
                          DeviceBuffer& splats, const Reserve& reserve) {
   const ScenePages& pages = *scene.pages;
   const std::uint64_t word = sizeof(std::uint32_t), limit = std::min(max_chunks, pages.n_chunks);
@@ -50,7 +50,14 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
     if (ok) ok = reserve(bits_, cuda::drawn_ties_words(n_all_rows(scene)) * word);
     if (ok) ok = reserve(bit_sums_, cuda::drawn_ties_blocks(n_all_rows(scene)) * word);
   }
-  const std::uint64_t before = held(scene, splats);
+  const bool sorts = pages.chosen && order != Order::none;
+  const auto reserve_sort = [&](std::uint64_t chunks) -> Status {
+    const auto bytes = cuda::tie_order_bytes(static_cast<std::uint32_t>(chunks * pages.chunk_size));
+    return bytes ? reserve(sort_, *bytes) : Status(tl::unexpected(bytes.error()));
+  };
+  // What has grown would keep the memory that the others need.
+  const auto forget = [&] { chunks_ = {}, order_ = {}, rank_ = {}, sort_ = {}, splats = {}; };
+  const std::uint64_t before = held(scene, order, splats);
   const std::uint64_t guess = std::max<std::uint64_t>(kFirstRows / pages.chunk_size, 1);
   const std::uint64_t least = std::min(n_chunks != 0 ? n_chunks : before != 0 ? before : guess, limit);
   if (ok && before < least) {
@@ -58,20 +65,22 @@ Status CutStage::reserve(const SceneStorage& scene, std::uint64_t n_chunks, std:
       const std::uint64_t n = is_generous ? with_room_to_grow(least, before, limit) : least;
       Status grown = reserve(chunks_, n * word);
       for (DeviceBuffer* b : {&order_, &rank_}) {
-        if (grown) grown = reserve(*b, n * pages.chunk_size * word);
+        if (grown && order != Order::none) grown = reserve(*b, n * pages.chunk_size * word);
       }
       if (grown) grown = reserve(splats, n * pages.chunk_size * sizeof(cuda::ScreenSplat));
-      // What has grown would keep the memory that the others need.
-      if (!grown) chunks_ = {}, order_ = {}, rank_ = {}, splats = {};
+      if (grown && sorts) grown = reserve_sort(n);
+      if (!grown) forget();
       return grown;
     });
   }
-  capacity_ = ok ? std::min(held(scene, splats), limit) : 0;
-  if (!ok || !pages.chosen) return ok;
-  const auto bytes = cuda::tie_order_bytes(static_cast<std::uint32_t>(capacity_ * pages.chunk_size));
-  if (bytes) ok = reserve(sort_, *bytes);
-  if (!bytes) ok = tl::unexpected(bytes.error());
-  if (!ok) capacity_ = 0;
+  capacity_ = ok ? std::min(held(scene, order, splats), limit) : 0;
+  if (!ok || !sorts) return ok;
+  // Of what frames of other scenes, or without this order, have made room for.
+  ok = reserve_sort(capacity_);
+  if (!ok) {
+    forget();
+    capacity_ = 0;
+  }
   return ok;
 }
 
@@ -79,9 +88,13 @@ cuda::DrawnChunks CutStage::drawn() const {
   return {chunks_.as<std::uint32_t>(), counts_.as<cuda::CutCounts>() + 1, static_cast<std::uint32_t>(capacity_)};
 }
 
-// The list goes to the device, and its rows are put in tie order: slots have others from frame to frame, so that there is no order of all
-// rows to take it from. Nothing is drawn where there is no room for the list.
-Status CutStage::launch_chosen(const SceneStorage& scene, bool by_row, CudaStream stream) const {
+cuda::ChosenRows CutStage::rows(const SceneStorage& scene) const {
+  return {std::get<cuda::PagedAttributes>(scene.attributes), chunks_.as<std::uint32_t>()};
+}
+
+// The list goes to the device, and its rows are put in tie order if that is wanted: slots have others from frame to frame, so that
+// there is no order of all rows to take it from. Nothing is drawn where there is no room for the list.
+Status CutStage::launch_chosen(const SceneStorage& scene, Order order, CudaStream stream) const {
   const ChosenChunks& chosen = *scene.pages->chosen;
   const bool has_room = chosen.chunks.size() <= capacity_;
   *seen_.get() = chosen.counts;
@@ -92,16 +105,16 @@ Status CutStage::launch_chosen(const SceneStorage& scene, bool by_row, CudaStrea
   ok = device_status(cudaMemcpyAsync(chunks_.as<void>(), chosen.chunks.data(), chosen.chunks.size_bytes(),
                                      cudaMemcpyHostToDevice, stream),
                      "the list of drawn chunks could not be copied to the device");
-  if (!ok) return ok;
-  return cuda::launch_chosen_ties({std::get<cuda::PagedAttributes>(scene.attributes), chunks_.as<std::uint32_t>(),
-                                   static_cast<std::uint32_t>(chosen.chunks.size()), order_.as<std::uint32_t>(),
-                                   by_row ? nullptr : rank_.as<std::uint32_t>(), sort_.as<void>(), sort_.bytes()},
-                                  stream);
+  if (!ok || order == Order::none) return ok;
+  return cuda::launch_chosen_ties(
+      {rows(scene), static_cast<std::uint32_t>(chosen.chunks.size()), order_.as<std::uint32_t>(),
+       order == Order::of_rows ? nullptr : rank_.as<std::uint32_t>(), sort_.as<void>(), sort_.bytes()},
+      stream);
 }
 
 Status CutStage::launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const {
   const ScenePages& pages = *scene.pages;
-  if (pages.chosen) return launch_chosen(scene, choice.by_row, stream);
+  if (pages.chosen) return launch_chosen(scene, choice.order, stream);
   auto* const counts = counts_.as<cuda::CutCounts>();
   auto* const chosen = chosen_.as<std::uint32_t>();
   auto* const places = places_.as<std::uint32_t>();
@@ -115,10 +128,10 @@ Status CutStage::launch(const SceneStorage& scene, const Choice& choice, CudaStr
         stream);
   }
   if (!ok) return ok;
-  return cuda::launch_drawn_ties(
-      {drawn(), places, pages.chunk_size, scene.tie_order(), n_all_rows(scene), bits_.as<std::uint32_t>(),
-       bit_sums_.as<std::uint32_t>(), order_.as<std::uint32_t>(), choice.by_row ? nullptr : rank_.as<std::uint32_t>()},
-      stream);
+  return cuda::launch_drawn_ties({drawn(), places, pages.chunk_size, scene.tie_order(), n_all_rows(scene),
+                                  bits_.as<std::uint32_t>(), bit_sums_.as<std::uint32_t>(), order_.as<std::uint32_t>(),
+                                  choice.order == Order::of_rows ? nullptr : rank_.as<std::uint32_t>()},
+                                 stream);
 }
 
 }  // namespace rgs::detail

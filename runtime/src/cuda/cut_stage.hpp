@@ -7,6 +7,7 @@
 #include <functional>
 
 #include "common/cut.hpp"
+#include "common/tie_order.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "cuda/device_memory.hpp"
 #include "cuda/device_scene.hpp"
@@ -22,16 +23,22 @@ class CutStage {
 
   /// Errors: device_failed.
   Status create() { return seen_.create(); }
+  /// What the front ends want besides the list of chunks.
+  enum class Order {
+    of_drawn_rows,  ///< the tie order of drawn rows, and their ranks
+    of_rows,        ///< the same rows as the scene numbers them, without ranks
+    none            ///< only of a scene whose chunks the host has chosen: rows() will do
+  };
   /// Makes room for `n_chunks` and more, or, if that is 0, for a first guess where there is none; but for at most `max_chunks`.
   /// `splats` gets room for as many. Before every launch. Errors: those of `reserve`.
-  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, DeviceBuffer& splats,
-                 const Reserve& reserve);
+  Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, Order order,
+                 DeviceBuffer& splats, const Reserve& reserve);
   /// What a frame draws, and how.
   struct Choice {
     cuda::CutEye eye;
     cuda::ViewParameters view;
     bool by_view;  ///< leave out what is not in view, which holds for tiles that a Gaussian's ellipse touches
-    bool by_row;   ///< the order is one of the scene's rows, otherwise one of drawn rows, and has ranks
+    Order order;
   };
   /// Queues the choice. Errors: device_failed.
   Status launch(const SceneStorage& scene, const Choice& choice, CudaStream stream) const;
@@ -44,11 +51,12 @@ class CutStage {
   std::uint64_t capacity() const { return capacity_; }  ///< chunks
   cuda::DrawnChunks drawn() const;
   cuda::TieOrder ties() const { return {order_.as<std::uint32_t>(), rank_.as<std::uint32_t>()}; }
+  cuda::ChosenRows rows(const SceneStorage& scene) const;
   std::uint64_t bytes() const;
 
  private:
-  Status launch_chosen(const SceneStorage& scene, bool by_row, CudaStream stream) const;
-  std::uint64_t held(const SceneStorage& scene, const DeviceBuffer& splats) const;
+  Status launch_chosen(const SceneStorage& scene, Order order, CudaStream stream) const;
+  std::uint64_t held(const SceneStorage& scene, Order order, const DeviceBuffer& splats) const;
 
   std::uint64_t capacity_ = 0;
   PageLocked<cuda::CutCounts> seen_;

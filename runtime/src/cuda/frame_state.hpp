@@ -107,14 +107,14 @@ struct FrameState {
 
   /// Room for the frame's cut, if it has one: for `n_chunks` and more, or, if that is 0, for what earlier frames drew. Errors:
   /// those of the other reserve().
-  Status reserve_cut(const Frame& f, std::uint64_t n_chunks = 0) {
+  Status reserve_cut(const Frame& f, CutStage::Order order, std::uint64_t n_chunks = 0) {
     if (!f.cut) return {};
-    return cut.reserve(*f.scene, n_chunks, f.max_chunks(), splats,
+    return cut.reserve(*f.scene, n_chunks, f.max_chunks(), order, splats,
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
   }
-  /// Queues the cut of a frame that has one. by_row: see CutStage.
-  Status launch_cut(const Frame& f, bool by_row) const {
-    return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, by_row}, f.stream);
+  /// Queues the cut of a frame that has one.
+  Status launch_cut(const Frame& f, CutStage::Order order) const {
+    return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, order}, f.stream);
   }
   /// Gaussians that the front end must have room for.
   std::uint64_t n_drawn(const Frame& f) const { return f.cut ? cut.capacity() * f.scene->pages->chunk_size : f.n(); }

@@ -39,9 +39,9 @@ std::uint64_t SortedPipeline::bytes() const {
 Status SortedPipeline::choose(const Frame& f) {
   n_ = f.n();
   if (!f.cut) return {};
-  Status ok = state_.reserve_cut(f);
+  Status ok = state_.reserve_cut(f, CutStage::Order::of_rows);
   for (;;) {
-    if (ok) ok = state_.launch_cut(f, true);
+    if (ok) ok = state_.launch_cut(f, CutStage::Order::of_rows);
     if (ok) ok = state_.wait(f.stream);
     if (!ok) return ok;
     const std::uint64_t n_chunks = state_.cut.seen().chunks;
@@ -50,7 +50,7 @@ Status SortedPipeline::choose(const Frame& f) {
     if (n_chunks > f.max_chunks()) {
       return make_error(Errc::limit_exceeded, Error::kNone, "more Gaussians than the renderer numbers", kMaxPairs, n_);
     }
-    ok = state_.reserve_cut(f, n_chunks);
+    ok = state_.reserve_cut(f, CutStage::Order::of_rows, n_chunks);
   }
 }
 

@@ -7,6 +7,7 @@
 #include <bit>
 #include <cmath>
 #include <cstring>
+#include <random>
 
 #include "device_fixture.hpp"
 #include "random_cloud.hpp"
@@ -674,6 +675,77 @@ TEST_CASE("a share that the sample has made too large is ordered in rounds") {
     require_ok(cuda::launch_turbo_units(arrays, nullptr));
     CHECK(gaussians.download() == expected);
     unit_cells.check_guards();
+  }
+}
+
+TEST_CASE(
+    "units order equal depths by values where no ranks are, and say where more are equal than they order at a time") {
+  if (!device_answers()) return;
+  constexpr std::uint32_t kEntries = 3 * cuda::kTurboRound - 5, kShares = cuda::turbo_shares(kEntries);
+  // Row i of the scene is drawn row n - 1 - i, and its mean as far along x as it is drawn early: values and indices disagree.
+  constexpr std::uint32_t kChunk = 32, kChunks = (kEntries + kChunk - 1) / kChunk;
+  std::vector<float> means(3 * std::size_t{kChunks} * kChunk);
+  std::vector<std::uint32_t> chunks;
+  for (std::uint32_t k = 0; k < kChunks; ++k) chunks.push_back(kChunks - 1 - k);
+  const auto x_of = [&](std::uint32_t index) {
+    return static_cast<float>(index * 7919 % 4096);  // of several the same: then by y
+  };
+  for (std::uint32_t i = 0; i < kEntries; ++i) {
+    const std::size_t row = std::size_t{chunks[i / kChunk]} * kChunk + i % kChunk;
+    means[3 * row] = x_of(i), means[3 * row + 1] = -static_cast<float>(i);
+  }
+  // Depths of one, of a few, of a thousand Gaussians, and one of them all.
+  for (const std::uint32_t each : {1u, 5u, 1000u, kEntries}) {
+    CAPTURE(each);
+    SplitMix random(813);
+    std::vector<TurboEntry> part;
+    for (std::uint32_t k = 0; k < kEntries; ++k) {
+      const auto cells = static_cast<std::uint32_t>(random.below(1u << cuda::kTurboCells));
+      part.push_back(cuda::make_entry(math::depth_bits(4.0F) + k / each, k, cells));
+    }
+    std::shuffle(part.begin(), part.end(), std::mt19937(814));
+    std::vector<TurboEntry> in_order = part;
+    std::sort(in_order.begin(), in_order.end(), [&](TurboEntry a, TurboEntry b) {
+      const std::uint32_t i = cuda::index_of(a), j = cuda::index_of(b);
+      if (cuda::depth_of(a) != cuda::depth_of(b)) return cuda::depth_of(a) < cuda::depth_of(b);
+      return x_of(i) != x_of(j) ? x_of(i) < x_of(j) : i > j;
+    });
+    std::vector<std::uint32_t> expected;
+    cuda::TurboLongList list{};
+    for (std::uint32_t c = 0; c < cuda::kTurboCells; ++c) {
+      list.cell_begin[c] = static_cast<std::uint32_t>(expected.size());
+      for (const TurboEntry entry : in_order) {
+        if (cuda::touches(entry, c)) expected.push_back(cuda::index_of(entry));
+      }
+    }
+    std::vector<cuda::TurboUnit> units;
+    for (std::uint32_t share = 0; share < kShares; ++share) units.push_back({0, kEntries, 0, share});
+    TurboState begun{};
+    begun.n_units = kShares;
+    const DeviceArray<TurboState> state{std::span<const TurboState>(&begun, 1)};
+    const DeviceArray<TurboEntry> scratch{std::span<const TurboEntry>(part)};
+    const DeviceArray<cuda::TurboLongList> lists{std::span<const cuda::TurboLongList>(&list, 1)};
+    const DeviceArray<cuda::TurboUnit> device_units{std::span<const cuda::TurboUnit>(units)};
+    DeviceArray<std::uint32_t> unit_cells(std::size_t{kShares} * cuda::kTurboCells);
+    unit_cells.fill(0);
+    const DeviceArray<std::uint32_t> gaussians(expected.size());
+    const DeviceArray<float> device_means{std::span<const float>(means)};
+    const DeviceArray<std::uint32_t> device_chunks{std::span<const std::uint32_t>(chunks)};
+    DeviceArray<std::uint32_t> wants_ranks(1);
+    wants_ranks.fill(0);
+    cuda::TurboArrays arrays{};
+    arrays.n_tiles = 1;
+    arrays.state = state.data(), arrays.scratch = scratch.data(), arrays.long_lists = lists.data();
+    arrays.units = device_units.data(), arrays.unit_cells = unit_cells.data();
+    arrays.cell_gaussians = gaussians.data(), arrays.cell_capacity = expected.size();
+    arrays.rows.attributes.mean = device_means.data();
+    arrays.rows.attributes.chunk_size = kChunk;
+    arrays.rows.chunks = device_chunks.data();
+    arrays.wants_ranks = wants_ranks.data();
+    require_ok(cuda::launch_turbo_units(arrays, nullptr));
+    const bool too_many = each == kEntries;
+    CHECK(wants_ranks.download().front() == (too_many ? 1 : 0));
+    if (!too_many) CHECK(gaussians.download() == expected);
   }
 }
 
