@@ -38,10 +38,10 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
     const StretchRange of = stretches_of_range(n_stretches, r, job.n_ranges);
     if (of.first == of.last) continue;
     const std::string path = run.range_path(r);
-    auto file = WorkFile::open(path, WorkKind::range);
-    const bool missing = !file && file.error().code == Errc::open_failed && file.error().system == ENOENT;
-    if (!file && !missing) return failed(path, file.error());
-    if (missing || file->basis() != plan.identity) {
+    auto found = WorkFile::find(path, WorkKind::range, plan.identity);
+    if (!found) return failed(path, found.error());
+    std::optional<WorkFile>& file = *found;
+    if (!file) {
       return failed(
           path, {Errc::open_failed, Error::kNone, "missing, or of another plan; run --lod-build for this range first",
                  Error::kNone, Error::kNone, 0});

@@ -72,8 +72,8 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
   std::size_t n_missing = 0;
   if (!selection.is_part) {
     for (std::size_t i = 0; i < n; ++i) {
-      const auto basis = WorkFile::open(run.scan_path(i), WorkKind::scan);
-      if (!basis || basis->basis() != job->identity) ++n_missing;
+      const auto scan = WorkFile::find(run.scan_path(i), WorkKind::scan, job->identity);
+      if (!scan || !*scan) ++n_missing;
     }
     if (n_missing == 0) {
       const Done planned = make_plan(run, *job);
@@ -126,6 +126,10 @@ int assemble(const PartsCommand& command, const PartsRun& run, const std::string
   for (const PartsInput& input : job->inputs) inputs.add_scene(input.path);
   inputs.add(run.job_path());
   inputs.add(run.plan_path());
+  for (std::size_t i = 0; i < job->inputs.size(); ++i) {
+    inputs.add(run.scan_path(i));
+    inputs.add(run.rows_path(i));
+  }
   for (std::size_t i = 0; i < job->n_ranges; ++i) inputs.add(run.range_path(i));
   if (const int code = inputs.check_outputs({&output_path, 1}); code != tool::kSuccess) return code;
   const auto summary = assemble_parts(run, *job, *plan, output_path, output);
