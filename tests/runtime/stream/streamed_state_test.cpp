@@ -6,75 +6,13 @@
 #include <future>
 #include <thread>
 
-#include "render_options.hpp"
-#include "stream/streamed_state.hpp"
-#include "streamed_fixture.hpp"
+#include "opened_state.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
 using namespace std::chrono_literals;
 using detail::StreamedState;
 using detail::StreamFrame;
-
-namespace {
-
-struct Opened {
-  std::shared_ptr<detail::StreamPoolState> pool;
-  std::shared_ptr<Script> script = std::make_shared<Script>();
-  std::shared_ptr<StreamedState> state;
-
-  explicit Opened(const Bytes& bytes, bool prefetch = false, int reads_at_once = 3, std::uint64_t most_bytes = 64 << 10)
-      : pool(std::make_shared<detail::StreamPoolState>(std::uint64_t{1} << 30)) {
-    StreamOptions options;
-    options.prefetch = prefetch;
-    const ByteSource::Traits traits{.reads_at_once = reads_at_once, .most_bytes = most_bytes, .gap_bytes = 4096};
-    auto opened = StreamedState::open(std::make_unique<ScriptedSource>(bytes, script, traits), options, pool);
-    REQUIRE(opened);
-    state = *std::move(opened);
-  }
-
-  detail::StreamRule rule(float detail_px) const {
-    const auto settings =
-        detail::resolve(detail::with_levels(at_detail(detail_px), detail_px), state->declarations, Backend::cpu);
-    REQUIRE(settings);
-    return {*settings, state->declarations->origin, state->declarations->z_near, detail_px};
-  }
-  Result<bool> refine(const Camera& camera, float detail_px, std::uint64_t renderer = 1, double seconds = kLong) {
-    return detail::refine_view(*state, renderer, camera, rule(detail_px), seconds);
-  }
-  StreamFrame frame(const Camera& camera, float detail_px, std::uint64_t renderer = 1) {
-    auto frame = StreamFrame::begin(state, renderer, camera, rule(detail_px));
-    REQUIRE(frame);
-    return *std::move(frame);
-  }
-  template <class Condition>
-  bool comes(const Condition& condition) {
-    return test::comes([&] {
-      const std::scoped_lock lock(pool->mutex);
-      return condition();
-    });
-  }
-  /// The camera was at one place so long ago, and is at another: where it is about to be follows. Only where the machine takes a
-  /// quarter of a second for two lines it does not, and is done again.
-  void move(const Camera& from, const Camera& to, float detail_px) {
-    REQUIRE(test::comes([&] {
-      frame(from, detail_px);
-      {
-        const std::scoped_lock lock(pool->mutex);
-        state->views.front()->came = detail::StreamClock::now() - 250ms;
-      }
-      frame(to, detail_px);
-      const std::scoped_lock lock(pool->mutex);
-      return state->views.front()->soon.has_value();
-    }));
-  }
-};
-
-Camera over() {
-  return camera_at({0, 30, 60}, {0, 0, 0});
-}
-
-}  // namespace
 
 TEST_CASE("while a frame is held open its view is looked at again, and afterwards nothing stays pinned") {
   const Bytes bytes = town({.n = 200000, .sh_degree = 0, .page_chunks = 1});
