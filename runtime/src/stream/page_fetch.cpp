@@ -330,6 +330,7 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
 }
 
 void StreamedState::work_until_stopped(PageReader& reader) {
+  if (store->is_on_device()) store->slots()->stay_on_device();
   std::unique_lock lock(pool->mutex);
   while (!is_stopping) {
     Run run;

@@ -1,6 +1,7 @@
 // device_order_test.cpp - pages on their way to a device and in its slots: nothing is drawn before it is there, and nothing is written while it
 // is drawn. On a device that does what it is told as late as it may, or at any time.
 // SPDX-License-Identifier: Apache-2.0
+#include <cuda_runtime_api.h>
 #include <doctest/doctest.h>
 
 #include <array>
@@ -195,6 +196,45 @@ TEST_CASE("one scene serves several renderers at once on a device") {
     }
     CHECK(cuda.n_faults == 0);
   }
+}
+
+TEST_CASE("a pool is of the device that was current when its first scene came, and leaves callers theirs") {
+  const Bytes bytes = town(), others = town({.seed = 18});
+  const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+  FakeCuda cuda(FakeCuda::Pace::any_time);
+  int device = -1;
+  const auto current = [&] {
+    REQUIRE(cudaGetDevice(&device) == cudaSuccess);
+    return device;
+  };
+  {
+    Renderer renderer = device_renderer();
+    const StreamPool pool = device_pool(8 << 20);
+    REQUIRE(cudaSetDevice(1) == cudaSuccess);
+    std::optional<StreamedScene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    CHECK(current() == 1);
+    CHECK(cuda.n_on_second == 1);
+    // Another device is the caller's from now on.
+    REQUIRE(cudaSetDevice(0) == cudaSuccess);
+    CHECK(renderer.refine(*one, camera, kLong, at_detail(0.5F)) == true);
+    CHECK(current() == 0);
+    std::optional<StreamedScene> two = streamed(others, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    CHECK(current() == 0);
+    const int n_set = cuda.n_set_device;
+    CHECK(renderer.refine(*two, camera, kLong, at_detail(0.5F)) == true);
+    CHECK(renderer.refine(*one, camera, kLong, at_detail(0)) == true);
+    CHECK(current() == 0);
+    // Threads that bring pages have the device once and for all: the first device gets no context of theirs.
+    CHECK(cuda.n_set_device - n_set <= 2 * kTraits.reads_at_once);
+    CHECK(one->stats().pages_resident + two->stats().pages_resident > 50);
+    one.reset();
+    two.reset();
+    CHECK(current() == 0);
+    CHECK(cuda.device_bytes == 0);
+    CHECK(cuda.n_allocations == 1);
+  }
+  CHECK(cuda.n_faults == 0);
+  CHECK(cuda.pinned_bytes == 0);
 }
 
 TEST_CASE("what has no room but for a frame at work waits for it, on the host and on a device") {
