@@ -125,6 +125,68 @@ TEST_CASE("a range that cannot be read keeps nothing else from being read") {
   CHECK(lossy.refine(over(), 0) == true);
 }
 
+TEST_CASE("a view whose pages cannot be read fails, whatever is read for another one meanwhile") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 2);
+  StreamedState& s = *opened.state;
+  REQUIRE(opened.refine(over(), 0, 2) == true);
+  float coarse = 4096;
+  while (opened.frame(over(), coarse, 2).n_pages() < 60) coarse /= 1.5F;
+  const auto eye = opened.rule(coarse).eye(over());
+  // What the coarse view wants and has nothing below it that it wants, and what only the other one wants.
+  std::uint32_t lost = 0, others = 0;
+  const auto is_below = [&](std::uint32_t page, std::uint32_t above) {
+    while (page > above) page = s.file->pages()[page].parent;
+    return page == above;
+  };
+  {
+    const std::scoped_lock lock(opened.pool->mutex);
+    const std::uint32_t n = s.residency->n_groups();
+    for (std::uint32_t group = 1; group < n; ++group) {
+      if (s.residency->wanted_px(group, eye) > 0) lost = group;
+    }
+    for (std::uint32_t group = 1; group < n; ++group) {
+      if (s.residency->wanted_px(group, eye) <= 0 && s.residency->can_evict(group) && !is_below(group, lost))
+        others = group;
+    }
+  }
+  REQUIRE(lost > 0);
+  REQUIRE(others > 0);
+  const auto range = s.file->stored(s.file->pages()[lost].first_child);
+
+  Opened lossy(bytes, false, 2);
+  StreamedState& t = *lossy.state;
+  lossy.script->gone_from = range.offset, lossy.script->gone_to = range.offset + 1;
+  lossy.frame(over(), 0, 2);
+  CHECK(lossy.comes([&] { return t.residency->can_evict(others) && t.residency->n_failed(lost) > 0; }));
+  auto complete = std::async(std::launch::async, [&] { return lossy.refine(over(), coarse, 1); });
+  const auto is_over = [&] { return complete.wait_for(0s) == std::future_status::ready; };
+  int n_before = 0, n_failed = 0, n_read = 0;
+  {
+    const std::scoped_lock lock(lossy.pool->mutex);
+    n_before = t.residency->n_failed(lost);
+  }
+  // Each time that the other view's pages are there they go. It ends long before so many failures.
+  CHECK(test::comes([&] {
+    lossy.frame(over(), 0, 2);
+    const std::scoped_lock lock(lossy.pool->mutex);
+    n_failed = t.residency->n_failed(lost) - n_before;
+    if (t.residency->can_evict(others)) {
+      t.evict(others);
+      ++n_read;
+    }
+    return is_over() || n_failed == 15;
+  }));
+  CHECK(n_failed < 15);
+  CHECK(n_read > 1);
+  lossy.script->gone_to = n_failed < 15 ? lossy.script->gone_to.load() : 0;
+  const auto refined = complete.get();
+  REQUIRE(!refined);
+  CHECK(refined.error().code == Errc::read_failed);
+  lossy.script->gone_to = 0;
+  CHECK(lossy.refine(over(), coarse, 1) == true);
+}
+
 TEST_CASE("ranges that cannot be read, however many and however wanted, leave time and room for everything else") {
   const Bytes bytes = town({.n = 300000, .sh_degree = 0, .page_chunks = 1});
   Opened sound(bytes);
