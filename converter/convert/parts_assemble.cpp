@@ -94,7 +94,7 @@ Status copy_records(WorkFile& file, const StretchLevel& level, LevelsWriter& wri
 class Assembler {
  public:
   Assembler(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::vector<OpenRange>& ranges)
-      : run_(run), job_(job), plan_(plan), options_(run.stream_options(job.quality)), ranges_(ranges) {}
+      : run_(run), plan_(plan), options_(run.stream_options(job.quality)), ranges_(ranges) {}
 
   // Puts the pages of all stretches together, and builds those above them.
   Outcome<void> build_tops() {
@@ -224,7 +224,6 @@ class Assembler {
   }
 
   const PartsRun& run_;
-  const PartsJob& job_;
   const PartsPlan& plan_;
   lod::StreamOptions options_;
   std::vector<OpenRange>& ranges_;

@@ -20,8 +20,7 @@ int report_failure(const Failure& failure) {
 
 class Steps {
  public:
-  Steps(const PartsCommand& command, const PartsRun& run, const Selection& selection)
-      : command_(command), run_(run), selection_(selection) {}
+  Steps(const PartsCommand& command, const Selection& selection) : command_(command), selection_(selection) {}
 
   int code() const { return code_; }
 
@@ -49,7 +48,6 @@ class Steps {
 
  private:
   const PartsCommand& command_;
-  const PartsRun& run_;
   Selection selection_;
   int code_ = tool::kSuccess;
 };
@@ -66,7 +64,7 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
   if (!job) return report_failure(job.error());
   const std::size_t n = job->inputs.size();
   if (selection.is_part && selection.last >= n) return selection_beyond(command.selected, n, "inputs");
-  Steps steps(command, run, selection);
+  Steps steps(command, selection);
   steps.each(n, "scanned", "inputs", [&](std::size_t i) { return scan_input(run, *job, i); });
   if (steps.code() != tool::kSuccess) return steps.code();
   std::size_t n_missing = 0;
@@ -111,7 +109,7 @@ int build(const PartsCommand& command, const PartsRun& run, const Selection& sel
     return selection_beyond(command.selected, job->n_ranges, "ranges");
   const auto plan = need_plan(run, *job);
   if (!plan) return report_failure(plan.error());
-  Steps steps(command, run, selection);
+  Steps steps(command, selection);
   steps.each(job->n_ranges, "built", "ranges", [&](std::size_t i) { return build_range(run, *job, *plan, i); });
   return steps.code();
 }
