@@ -40,8 +40,8 @@ const std::string& name_of(const PyStream& scene) {
 
 // Arrays of a call: pictures follow each other.
 struct Outputs {
-  py::object image, alpha, depth;
-  float* rgb = nullptr;  // one of the two
+  py::object image, alpha = py::none(), depth = py::none();  // None where not asked for
+  float* rgb = nullptr;                                      // one of the two
   std::uint8_t* codes = nullptr;
   float* alpha_data = nullptr;
   float* depth_data = nullptr;
@@ -89,13 +89,13 @@ Outputs outputs_of(std::vector<py::ssize_t> shape, py::object image, py::object 
   if (with_alpha) {
     if (alpha.is_none()) alpha = py::array_t<float>(shape);
     out.alpha_data = writable<float>(alpha, shape);
+    out.alpha = std::move(alpha);
   }
-  out.alpha = std::move(alpha);
   if (with_depth) {
     if (depth.is_none()) depth = py::array_t<float>(shape);
     out.depth_data = writable<float>(depth, shape);
+    out.depth = std::move(depth);
   }
-  out.depth = std::move(depth);
   if (overlap(out.image, out.alpha) || overlap(out.image, out.depth) || overlap(out.alpha, out.depth))
     refuse(Errc::bad_argument, "two outputs share memory");
   return out;
