@@ -91,12 +91,18 @@ endforeach()
 
 set(RGS_INSTALLED_PROGRAMS "")
 foreach(program rgs-convert rgs-info rgs-audit rgs-make-scene rgs-prune rgs-render rgs-bench rgs-bench-flight
-        rgs-bench-opening)
+        rgs-bench-opening rgs-view)
   if(TARGET ${program})
     list(APPEND RGS_INSTALLED_PROGRAMS ${program})
     install(TARGETS ${program} RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT programs)
   endif()
 endforeach()
+# The page that rgs-view serves, where npm has built it.
+if(TARGET rgs-view)
+  install(DIRECTORY web/viewer/dist/ DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer COMPONENT programs OPTIONAL)
+  install(FILES web/viewer/dist-single/page.html RENAME single.html DESTINATION ${CMAKE_INSTALL_DATADIR}/roofgs/viewer
+    COMPONENT programs OPTIONAL)
+endif()
 include(RgsManual)
 
 foreach(row "rgs_format;format;*" "rgs_math;kernels/math;*" "rgs_cameras;runtime;camera*" "rgs_runtime;runtime;*"

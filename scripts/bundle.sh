@@ -2,12 +2,12 @@
 # bundle.sh - copies programs and the libraries they need into a folder that runs on other machines:
 #   sh scripts/bundle.sh [--small] [BUILD_FOLDER] OUT    BUILD_FOLDER is build/cuda by default; OUT.tar.gz becomes an archive
 # OUT/bin/PROGRAM then needs a Linux of the same processor family with a glibc at least as new as this machine's, and
-# for CUDA a driver; no toolkit, no LD_LIBRARY_PATH. The folder may be moved. --small leaves out rgs-render and rgs-audit, since
-# they bring OpenImageIO and its 260 libraries.
+# for CUDA a driver; no toolkit, no LD_LIBRARY_PATH. The folder may be moved. --small leaves out rgs-render, rgs-audit and
+# rgs-view, since they bring OpenImageIO and its 260 libraries.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 programs="rgs-bench rgs-bench-flight rgs-bench-opening rgs-convert rgs-info rgs-make-scene rgs-prune rgs_test_kernels"
-pictures="rgs-audit rgs-render"
+pictures="rgs-audit rgs-render rgs-view"
 if [ "${1:-}" = --small ]; then
   pictures=
   shift
@@ -58,6 +58,13 @@ for library in "$out"/lib/*; do echo "*/${library##*/}"; done | xargs dpkg -S 2>
   while read -r package; do
     [ ! -e "/usr/share/doc/$package/copyright" ] || cp -L "/usr/share/doc/$package/copyright" "$out/licenses/$package"
   done
+# The page of rgs-view, where it is built.
+page=$(dirname "$0")/../web/viewer/dist
+if [ -x "$out/bin/rgs-view" ] && [ -f "$page/index.html" ]; then
+  mkdir -p "$out/share/roofgs"
+  cp -R "$page" "$out/share/roofgs/viewer"
+  [ ! -f "$page-single/page.html" ] || cp "$page-single/page.html" "$out/share/roofgs/viewer/single.html"
+fi
 # Man pages and completions, where they are built.
 if [ -d "$build/manual" ]; then
   mkdir -p "$out/share"

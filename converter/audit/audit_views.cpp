@@ -6,10 +6,10 @@
 
 #include <algorithm>
 #include <filesystem>
-#include <map>
 #include <utility>
 
 #include "image_file.hpp"
+#include "photo_folder.hpp"
 #include "rgs/camera_file.hpp"
 
 namespace rgs::audit {
@@ -41,37 +41,17 @@ Outcome<std::vector<Camera>> cameras_of(const Options& options) {
   return chosen;
 }
 
-// Files of a folder by their name without extension and in full; pictures only.
-std::map<std::string, std::string> pictures_by_name(const std::string& folder, std::error_code& failed) {
-  std::map<std::string, std::string> found;
-  std::vector<fs::path> files;
-  for (fs::directory_iterator it(folder, failed), end; !failed && it != end; it.increment(failed))
-    if (image_format(it->path().string())) files.push_back(it->path());
-  std::sort(files.begin(), files.end());
-  for (const fs::path& file : files) {
-    found.emplace(file.stem().string(), file.string());
-    found[file.filename().string()] = file.string();
-  }
-  return found;
-}
-
 // Gives every view its photograph. All that are missing are named at once, and all of another size.
 Outcome<std::vector<View>> with_photos(std::vector<View> views, const Options& options) {
-  std::error_code failed;
-  const auto found = pictures_by_name(options.photos, failed);
-  if (failed)
-    return make_error(options.photos, {Errc::open_failed, Error::kNone, "the folder of photographs cannot be read",
-                                       Error::kNone, Error::kNone, failed.value()});
+  const auto photos = PhotoFolder::open(options.photos);
+  if (!photos) return make_error(options.photos, photos.error());
   std::vector<std::string> missing, different;
   for (View& view : views) {
-    const fs::path name(view.camera.name);
-    auto photo = found.find(name.filename().string());
-    if (photo == found.end() && image_format(view.camera.name)) photo = found.find(name.stem().string());
-    if (photo == found.end()) {
+    view.photo = photos->find(view.camera.name);
+    if (view.photo.empty()) {
       missing.push_back(view.camera.name.empty() ? "a camera without a name" : view.camera.name);
       continue;
     }
-    view.photo = photo->second;
     const auto extent = read_image_extent(view.photo);
     if (!extent) return make_error(view.photo, extent.error());
     if (extent->width != view.camera.width || extent->height != view.camera.height)

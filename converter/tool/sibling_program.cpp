@@ -11,15 +11,24 @@
 
 namespace rgs::tool {
 
-Result<std::string> sibling_program(const std::string& name) {
+Result<std::string> program_folder() {
   std::error_code failed;
   const auto self = std::filesystem::read_symlink("/proc/self/exe", failed);
-  const std::string path = (self.parent_path() / name).string();
-  if (failed || ::access(path.c_str(), X_OK) != 0)
-    return make_error(Errc::open_failed, Error::kNone,
-                      "the program is not beside this one; install both into one folder", Error::kNone, Error::kNone,
-                      failed ? failed.value() : errno);
-  return path;
+  if (failed)
+    return make_error(Errc::open_failed, Error::kNone, "the program cannot tell where it lies", Error::kNone,
+                      Error::kNone, failed.value());
+  return self.parent_path().string();
+}
+
+Result<std::string> sibling_program(const std::string& name) {
+  return program_folder().and_then([&](const std::string& folder) -> Result<std::string> {
+    std::string path = (std::filesystem::path(folder) / name).string();
+    if (::access(path.c_str(), X_OK) != 0)
+      return make_error(Errc::open_failed, Error::kNone,
+                        "the program is not beside this one; install both into one folder", Error::kNone, Error::kNone,
+                        errno);
+    return path;
+  });
 }
 
 Result<int> run_program_and_wait(const std::string& path, const std::vector<std::string>& arguments) {

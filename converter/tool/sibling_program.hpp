@@ -1,4 +1,4 @@
-// sibling_program.hpp - running another program of this project that lies beside the running one.
+// sibling_program.hpp - where the running program lies, and running another one of this project beside it.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,6 +8,9 @@
 #include "rgs/result.hpp"
 
 namespace rgs::tool {
+
+/// The folder of the running program. Error: open_failed.
+Result<std::string> program_folder();
 
 /// Path of program `name` in the folder of the running program. Error: open_failed if it is not there or cannot be run.
 Result<std::string> sibling_program(const std::string& name);

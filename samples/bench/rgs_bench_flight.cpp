@@ -43,7 +43,7 @@ using Json = nlohmann::ordered_json;
 using rgs::Result;
 
 struct Options {
-  std::string scene, path, size = "3840x2160", json;
+  std::string scene, path, size = "3840x2160", json, pictures;
   int frames = 600, compare = 0, teleport = 0;
   double fps = 60, wait = 60;
   std::uint64_t host_memory = std::uint64_t{2} << 30;
@@ -144,6 +144,20 @@ class Pictures {
 
 // Of an arrival, at most.
 constexpr std::size_t kKeptPictures = 48;
+
+// Binary PPM, which needs no library.
+rgs::Status write_ppm(const std::string& path, const rgs::Image& image, bool overwrite) {
+  auto file = rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false});
+  if (!file) return tl::unexpected(file.error());
+  const std::string head = fmt::format("P6\n{} {}\n255\n", image.width, image.height);
+  std::vector<std::uint8_t> codes(image.pixels.size());
+  std::ranges::transform(image.pixels, codes.begin(), rgs::to_8bit);
+  rgs::Status written = file->write_at(0, std::as_bytes(std::span(head)));
+  if (written) written = file->write_at(head.size(), std::as_bytes(std::span(codes)));
+  if (!written) return written;
+  const auto committed = file->commit();
+  return committed ? rgs::Status() : tl::unexpected(committed.error());
+}
 
 // What is measured with.
 struct Bench {
@@ -361,6 +375,10 @@ Result<Json> fly(Bench& bench, const rgs::StreamedScene& scene, Print print) {
     std::size_t n_compared = 0;
     Json each = Json::array();
     for (auto& [i, picture] : kept) {
+      if (!o.pictures.empty()) {
+        const std::string path = (std::filesystem::path(o.pictures) / fmt::format("frame_{:04}.ppm", i)).string();
+        if (const auto ok = write_ppm(path, picture.image(), o.overwrite); !ok) return tl::unexpected(ok.error());
+      }
       const auto complete = complete_picture(bench, scene, bench.cameras[i]);
       if (!complete) return tl::unexpected(complete.error());
       if (!*complete) continue;
@@ -432,6 +450,8 @@ int bench_flight(const Options& o) {
   if (o.is_cold && rgs::is_url(o.scene)) return tool::report_usage("--cold is of files: a web server's are its own");
   if (o.device_memory == std::uint64_t{0} || o.host_memory == 0)
     return tool::report_usage("a memory budget of 0 bytes holds no scene");
+  if (!o.pictures.empty() && o.compare == 0)
+    return tool::report_usage("--pictures writes the frames that --compare compares");
   tool::InputFiles inputs;
   if (!rgs::is_url(o.scene)) inputs.add_scene(o.scene);
   inputs.add_cameras(o.path);
@@ -538,6 +558,7 @@ int main(int argc, char** argv) {
         ->option_text("BYTES");
     app.add_option("--compare", o.compare, "also compare every Nth frame with the complete picture")
         ->check(CLI::Range(1, 1'000'000));
+    app.add_option("--pictures", o.pictures, "folder for these frames as they were drawn: frame_NNNN.ppm");
     app.add_option("--teleport", o.teleport, "also jump to N views of the path, from a scene opened anew")
         ->check(CLI::Range(1, 1'000'000));
     app.add_option("--wait", o.wait, "seconds that a view may take to be complete")

@@ -39,7 +39,8 @@ void StreamedState::find_wants(bool now) {
   for (const auto& view : views) {
     if (!view->is_live || (!now && !view->soon)) continue;
     WantList& list = now ? view->wants : view->soon_wants;
-    if (!now && !std::exchange(view->is_soon_known, true)) {
+    const bool is_over = !now && list.wants().empty() && list.is_cut_off();
+    if (!now && (!std::exchange(view->is_soon_known, true) || is_over)) {
       list.clear();
       residency->cut(
           *view->soon, pool->tick, [](std::uint32_t) { return true; },

@@ -16,10 +16,12 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kViewLives = 1s;           // without a frame
-constexpr double kAheadSeconds = 0.5;     // of the camera's motion
-constexpr double kMotionSeconds = 0.5;    // between frames, above which they say nothing of motion
-constexpr double kMostTurn = 1;           // radians ahead
+constexpr auto kViewLives = 1s;         // without a frame
+constexpr double kAheadSeconds = 0.5;   // of the camera's motion
+constexpr double kMotionSeconds = 0.5;  // between frames, above which they say nothing of motion
+constexpr double kMostTurn = 1;         // radians ahead
+constexpr int kSoonFrames =
+    6;  // that what is about to be seen is looked for once: it takes as long as a frame's own choice
 constexpr std::size_t kFirstDrawn = 256;  // pages
 /// A block of memory costs its allocator some bytes of its own.
 constexpr std::uint64_t kAllocationBytes = 32;
@@ -161,10 +163,12 @@ void StreamedState::placed(std::uint32_t group) {
     if (store->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(child);
   }
   for (const auto& view : views) {
-    view->is_soon_known = false;
     for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
       if (child >= residency->n_groups()) break;
       if (const float px = residency->wanted_px(child, *view->now); px > 0) view->wants.insert(child, rank(child, px));
+      if (!view->soon) continue;
+      if (const float px = residency->wanted_px(child, *view->soon); px > 0)
+        view->soon_wants.insert(child, rank(child, px));
     }
   }
   pool->changed();
@@ -190,6 +194,7 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
   const auto found = std::ranges::find(views, renderer, [](const auto& view) { return view->renderer; });
   StreamView* view = found == views.end() ? nullptr : found->get();
   bool is_new = view == nullptr || !view->is_live;
+  const bool had_soon = view != nullptr && view->soon;
   if (view == nullptr) {
     forget_old_views();
     if (pool->take(view_bytes(), kNeeded) != StreamPoolState::Room::taken) {
@@ -223,7 +228,8 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
   view->camera = camera;
   view->now = eye;
   view->seen = now;
-  view->is_soon_known = false;
+  if (!had_soon || !view->soon || ++view->soon_frames >= kSoonFrames)
+    view->is_soon_known = false, view->soon_frames = 0;
   view->is_live = true;
   pool->last_view = view;
   if (is_new) pool->changed();

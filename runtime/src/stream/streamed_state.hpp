@@ -87,7 +87,8 @@ struct StreamView {
   std::optional<StreamEye> now;
   std::optional<StreamEye> soon;  ///< where the camera is about to be
   WantList wants, soon_wants;
-  bool is_soon_known = false;  ///< soon_wants are those of `soon`
+  bool is_soon_known = false;  ///< soon_wants are those of `soon`, or of one a few frames ago
+  int soon_frames = 0;         ///< since they were
   std::size_t next_want = 0;   ///< of either list, while one is chosen
   int n_busy = 0;              ///< frames at work, and callers that wait
   bool is_live = true;         ///< counts: see StreamedState::look_at_clock()

@@ -136,7 +136,8 @@ TEST_CASE("every --help lists the exit codes and what the program reads") {
     REQUIRE(codes != help.out.npos);
     for (const char* code : {" 1 ", " 2 ", " 3 "}) CHECK(help.out.find(code, codes) != help.out.npos);
     CHECK((help.out.find(" 4 ", codes) != help.out.npos) == (name != "rgs-make-scene"));
-    if (name == "rgs-convert" || name == "rgs-audit" || name == "rgs-prune" || name == "rgs-render") {
+    if (name == "rgs-convert" || name == "rgs-audit" || name == "rgs-prune" || name == "rgs-render" ||
+        name == "rgs-view") {
       for (const char* format : {".rgs", " .ply", ".compressed.ply", ".spz", ".splat", ".ksplat", ".sog", ".glb"}) {
         CAPTURE(format);
         CHECK(help.out.find(format) != help.out.npos);

@@ -28,6 +28,8 @@ export interface OpenOptions extends ReadOptions {
   url?: UrlOptions;
   /** rgs.wasm, compiled, for who wants to load it himself; otherwise the worker fetches it from beside its script. */
   wasm?: WebAssembly.Module;
+  /** In browsers: makes a worker that runs `@roofgs/reader/worker`, where none can be loaded from beside the script. */
+  worker?: () => Worker;
 }
 
 const kFirstBytes = 1 << 16;

@@ -1,0 +1,160 @@
+// frame_maker.cpp - one renderer, scenes in memory or streamed, pictures encoded off its thread.
+// SPDX-License-Identifier: Apache-2.0
+#include "frame_maker.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <mutex>
+#include <utility>
+#include <variant>
+
+#include "image_file.hpp"
+#include "input_files.hpp"
+#include "jpeg.hpp"
+#include "rgs/version.hpp"
+#include "scene_file.hpp"
+
+namespace rgs::view {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+using AnyScene = std::variant<Scene, StreamedScene>;
+
+double ms_since(Clock::time_point start) {
+  return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
+}
+
+Result<std::string> encode(const Image& image, const FrameRequest& request) {
+  if (request.format == ImageFormat::jpeg) {
+    std::vector<std::uint8_t> codes(image.pixels.size());
+    std::ranges::transform(image.pixels, codes.begin(), to_8bit);
+    return encode_jpeg(codes, image.width, image.height, request.quality);
+  }
+  return encode_image(image, request.format, {.software = "rgs-view " RGS_VERSION}).map([](const auto& bytes) {
+    return std::string(reinterpret_cast<const char*>(bytes.data()), bytes.size());
+  });
+}
+
+// What a file without levels of detail is told by.
+bool is_not_streamable(const Error& error) {
+  return error.code == Errc::missing_section || error.code == Errc::bad_magic;
+}
+
+}  // namespace
+
+struct FrameMaker::Impl {
+  explicit Impl(Renderer made) : renderer(std::move(made)) {}
+
+  // Buffers of frames that are done: the next one need not ask the system for 25 MB.
+  Image take_image(int width, int height) {
+    const std::scoped_lock lock(spare_lock);
+    if (spare.empty()) return Image::make(width, height, 3);
+    Image image = std::move(spare.back());
+    spare.pop_back();
+    image.width = width;
+    image.height = height;
+    image.pixels.resize(std::size_t{3} * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
+    return image;
+  }
+  void give_back(Image image) {
+    constexpr std::size_t kMost = 2;
+    const std::scoped_lock lock(spare_lock);
+    if (spare.size() < kMost) spare.push_back(std::move(image));
+  }
+
+  Renderer renderer;
+  std::optional<StreamPool> pool;
+  std::vector<AnyScene> scenes;
+  tool::InputFiles inputs;
+  std::mutex drawing, spare_lock;
+  std::vector<Image> spare;
+};
+
+FrameMaker::FrameMaker(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
+FrameMaker::FrameMaker(FrameMaker&&) noexcept = default;
+FrameMaker& FrameMaker::operator=(FrameMaker&&) noexcept = default;
+FrameMaker::~FrameMaker() = default;
+
+tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::string>& paths,
+                                                        const FrameSettings& settings) {
+  const auto fail = [](std::string path, const Error& error) {
+    return tl::unexpected(SceneError{std::move(path), error});
+  };
+  auto renderer = Renderer::create({.backend = settings.backend, .threads = settings.threads});
+  if (!renderer) return fail({}, renderer.error());
+  auto impl = std::make_unique<Impl>(*std::move(renderer));
+  if (settings.budget) {
+    auto pool = StreamPool::create(*settings.budget);
+    if (!pool) return fail({}, pool.error());
+    impl->pool = *std::move(pool);
+  }
+  bool is_any_streamed = false;
+  for (const std::string& path : paths) {
+    impl->inputs.add_scene(path);
+    // That a file changed explains whatever is found wrong in it.
+    const auto fail_at = [&](const Error& error) {
+      return fail(path, impl->inputs.changed() ? tool::kFileChanged : error);
+    };
+    if (impl->pool) {
+      auto streamed = StreamedScene::open(path, {.pool = impl->pool, .limits = settings.limits});
+      if (streamed) {
+        is_any_streamed = true;
+        impl->scenes.emplace_back(*std::move(streamed));
+        continue;
+      }
+      if (!is_not_streamable(streamed.error())) return fail_at(streamed.error());
+    }
+    auto opened = open_scene_file(path, settings.limits);
+    if (!opened) return fail_at(opened.error());
+    // The CPU makes arrays of the pages that it draws, and of no others.
+    if (opened->scene.levels() == nullptr || impl->renderer.backend() == Backend::cuda) {
+      if (const Status prepared = impl->renderer.prepare(opened->scene); !prepared) return fail_at(prepared.error());
+    }
+    impl->scenes.emplace_back(std::move(opened->scene));
+  }
+  if (impl->pool && !is_any_streamed) {
+    return fail({},
+                {Errc::bad_argument, Error::kNone,
+                 "--host-memory and --device-memory stream .rgs files with levels of detail, which none of the scenes "
+                 "is: rgs-convert --lod makes one"});
+  }
+  return FrameMaker(std::move(impl));
+}
+
+Backend FrameMaker::backend() const {
+  return impl_->renderer.backend();
+}
+
+std::size_t FrameMaker::n_scenes() const {
+  return impl_->scenes.size();
+}
+
+Result<Frame> FrameMaker::make(const FrameRequest& request) {
+  Image image = impl_->take_image(request.camera.width, request.camera.height);
+  Frame frame;
+  {
+    const std::scoped_lock lock(impl_->drawing);
+    const auto start = Clock::now();
+    const auto drawn = std::visit(
+        [&](const auto& scene) {
+          return impl_->renderer.render(scene, request.camera, {.rgb = image.pixels}, request.options);
+        },
+        impl_->scenes.at(request.scene));
+    frame.render_ms = ms_since(start);
+    if (impl_->inputs.changed()) return tl::unexpected(tool::kFileChanged);
+    if (!drawn) return tl::unexpected(drawn.error());
+    if (const auto* streamed = std::get_if<StreamedScene>(&impl_->scenes[request.scene])) {
+      frame.stream = drawn->stream;
+      if (const Status status = streamed->status(); !status) frame.stream_error = status.error();
+    }
+  }
+  const auto start = Clock::now();
+  auto file = encode(image, request);
+  if (!file) return tl::unexpected(file.error());
+  frame.file = *std::move(file);
+  frame.encode_ms = ms_since(start);
+  impl_->give_back(std::move(image));
+  return frame;
+}
+
+}  // namespace rgs::view

@@ -1,0 +1,370 @@
+// rgs_view.cpp - rgs-view: a page that shows a scene, or two beside each other, in the browser of this machine.
+// SPDX-License-Identifier: Apache-2.0
+#include <fmt/format.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <atomic>
+#include <cstdint>
+#include <cstdlib>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <string>
+#include <system_error>
+#include <thread>
+#include <utility>
+#include <vector>
+
+#include "browser.hpp"
+#include "command_line.hpp"
+#include "console.hpp"
+#include "frame_maker.hpp"
+#include "frame_request.hpp"
+#include "http_server.hpp"
+#include "input_files.hpp"
+#include "max_expansion.hpp"
+#include "page_export.hpp"
+#include "photo_folder.hpp"
+#include "rgs/camera_file.hpp"
+#include "rgs/file.hpp"
+#include "rgs/interchange.hpp"
+#include "rgs/version.hpp"
+#include "sibling_program.hpp"
+#include "view_documents.hpp"
+#include "view_site.hpp"
+
+namespace {
+
+namespace fs = std::filesystem;
+namespace tool = rgs::tool;
+namespace view = rgs::view;
+
+struct Options {
+  std::string scene, other, cameras, photos;
+  int port = 0;
+  bool no_browser = false;
+  rgs::Backend backend = rgs::Backend::automatic;  // automatic: no frames
+  std::optional<std::uint64_t> host_memory, device_memory;
+  int threads = 0;
+  rgs::DecodeLimits limits;
+  std::string export_to;
+  std::uint64_t export_limit = std::uint64_t{256} << 20;
+  bool overwrite = false;
+};
+
+bool has_frames(const Options& options) {
+  return options.backend != rgs::Backend::automatic || options.host_memory || options.device_memory;
+}
+
+// What is looked at, by the names that the page has for it.
+struct Shown {
+  struct File {
+    std::string name, path;
+  };
+  std::vector<std::string> scenes;  // paths
+  std::vector<File> files;
+  view::ViewDocument document;
+  std::vector<rgs::Camera> cameras;
+};
+
+int add_scene(const std::string& path, Shown& shown) {
+  const auto file = rgs::MappedFile::open(path);
+  if (!file) return tool::report(path, file.error());
+  if (rgs::detect_format(file->bytes()) == rgs::SplatFormat::unknown)
+    return tool::report(path, {rgs::Errc::bad_magic, 0, "no splat file: rgs-view shows " RGS_SCENE_FORMATS});
+  const std::string folder = fmt::format("scenes/{}/", shown.document.scenes.size());
+  tool::InputFiles files;  // of a SOG's meta.json also the pictures
+  files.add_scene(path);
+  for (const std::string& part : files.paths())
+    shown.files.push_back({folder + fs::path(part).filename().string(), part});
+  const std::string name = fs::path(path).filename().string();
+  shown.scenes.push_back(path);
+  shown.document.scenes.push_back({name, folder + view::percent_encoded(name), file->bytes().size()});
+  return tool::kSuccess;
+}
+
+int add_photos(const std::string& folder, Shown& shown) {
+  const auto photos = rgs::PhotoFolder::open(folder);
+  if (!photos) return tool::report(folder, photos.error());
+  for (const rgs::Camera& camera : shown.cameras) {
+    const std::string path = photos->find(camera.name);
+    // Browsers show neither TIFF nor OpenEXR.
+    if (path.empty() || std::string_view(view::content_type(path)).starts_with("application/")) continue;
+    const std::string name =
+        fmt::format("photos/{}{}", shown.document.photos.size(), fs::path(path).extension().string());
+    shown.files.push_back({name, path});
+    shown.document.photos.push_back({camera.name, name});
+  }
+  if (!shown.document.photos.empty()) return tool::kSuccess;
+  return tool::report(folder,
+                      {rgs::Errc::bad_argument, rgs::Error::kNone, "has no PNG or JPEG with the name of a camera"});
+}
+
+int look_at(const Options& options, Shown& shown) {
+  for (const std::string* scene : {&options.scene, &options.other}) {
+    if (scene->empty()) continue;
+    if (const int code = add_scene(*scene, shown); code != tool::kSuccess) return code;
+  }
+  if (options.cameras.empty()) return tool::kSuccess;
+  auto cameras = rgs::read_cameras(options.cameras);
+  if (!cameras) return tool::report(options.cameras, cameras.error());
+  shown.cameras = *std::move(cameras);
+  shown.document.cameras = "cameras.json";
+  return options.photos.empty() ? tool::kSuccess : add_photos(options.photos, shown);
+}
+
+// The folder of the built page: where the environment says, beside this program as it is installed, in the build tree.
+rgs::Result<std::string> page_folder() {
+  if (const char* named = std::getenv("RGS_VIEWER_DIR"); named != nullptr && *named != '\0') return std::string(named);
+  std::vector<fs::path> places;
+  if (const auto folder = tool::program_folder())
+    places.push_back(fs::path(*folder).parent_path() / "share/roofgs/viewer");
+  places.emplace_back(RGS_VIEWER_BUILD_DIR);
+  std::error_code ignored;
+  for (const fs::path& place : places)
+    if (fs::exists(place / "index.html", ignored)) return place.string();
+  return rgs::make_error(
+      rgs::Errc::open_failed, rgs::Error::kNone,
+      "the viewer's page is not installed: build web/ (sh scripts/test_web.sh), or name its folder by "
+      "RGS_VIEWER_DIR");
+}
+
+// Ctrl-C is how a server ends, so it is a success; it leaves nothing behind but what the system takes back. Blocked here and in all
+// threads to come, signals wait for the thread that takes them. What was ignored (nohup) stays so.
+void end_on_signals() {
+  sigset_t ends;
+  ::sigemptyset(&ends);
+  for (const int number : {SIGINT, SIGTERM, SIGHUP}) {
+    struct sigaction action {};
+    if (::sigaction(number, nullptr, &action) == 0 && action.sa_handler != SIG_IGN) ::sigaddset(&ends, number);
+  }
+  ::pthread_sigmask(SIG_BLOCK, &ends, nullptr);
+  std::thread([ends] {
+    int number = 0;
+    ::sigwait(&ends, &number);
+    tool::flush();
+    ::_exit(tool::kSuccess);
+  }).detach();
+}
+
+view::FrameSettings frame_settings(const Options& options) {
+  view::FrameSettings settings{.backend = options.backend, .threads = options.threads, .limits = options.limits};
+  // Where its pages are a scene is drawn.
+  if (settings.backend == rgs::Backend::automatic)
+    settings.backend = options.device_memory ? rgs::Backend::cuda : rgs::Backend::cpu;
+  if (options.host_memory || options.device_memory) {
+    rgs::StreamPoolOptions budget;
+    if (options.host_memory) budget.host_memory = *options.host_memory;
+    if (options.device_memory) budget.device_memory = *options.device_memory;
+    settings.budget = budget;
+  }
+  return settings;
+}
+
+// A page asks for one frame after the other; what many pages ask for at once would keep all threads of the server waiting.
+constexpr int kMostFramesAtOnce = 4;
+
+view::HttpAnswer answer_frame(view::FrameMaker& frames, std::atomic<int>& n_at_once, const std::string& body) {
+  const auto request = view::parse_frame_request(body, frames.n_scenes());
+  if (!request) {
+    view::HttpAnswer refusal = view::error_answer(request.error());
+    refusal.status = 400;
+    return refusal;
+  }
+  struct Count {
+    std::atomic<int>& n;
+    ~Count() { --n; }
+  };
+  const bool is_busy = ++n_at_once > kMostFramesAtOnce;
+  const Count count{n_at_once};
+  if (is_busy) {
+    return {.status = 503,
+            .fields = {{"Retry-After", "1"}},
+            .type = "application/json",
+            .body = view::error_body("busy", "frames are being drawn for others; ask again")};
+  }
+  auto frame = frames.make(*request);
+  if (!frame) return view::error_answer(frame.error());
+  view::HttpAnswer answer{.type = request->format == rgs::ImageFormat::jpeg ? "image/jpeg" : "image/png",
+                          .body = std::move(frame->file)};
+  answer.fields = {{"X-Render-Ms", fmt::format("{:.3f}", frame->render_ms)},
+                   {"X-Encode-Ms", fmt::format("{:.3f}", frame->encode_ms)}};
+  if (frame->stream) {
+    answer.fields.emplace_back("X-Detail-Px", fmt::format("{:.6g}", frame->stream->detail_reached_px));
+    answer.fields.emplace_back("X-Pages-Missing", std::to_string(frame->stream->pages_missing));
+  }
+  if (frame->stream_error) answer.fields.emplace_back("X-Scene-Error", tool::describe(*frame->stream_error));
+  return answer;
+}
+
+int serve(const Options& options, Shown& shown) {
+  end_on_signals();
+  const auto folder = page_folder();
+  if (!folder) return tool::report("", folder.error());
+  auto token = view::random_token();
+  if (!token) return tool::report("", token.error());
+  auto server = view::HttpServer::listen(options.port);
+  if (!server) return tool::report(fmt::format("127.0.0.1:{}", options.port), server.error());
+
+  std::optional<view::FrameMaker> frames;
+  std::atomic<int> n_frames_at_once{0};
+  if (has_frames(options)) {
+    auto made = view::FrameMaker::create(shown.scenes, frame_settings(options));
+    if (!made) return tool::report(made.error().path, made.error().error);
+    frames = *std::move(made);
+    shown.document.backend = frames->backend() == rgs::Backend::cuda ? "cuda" : "cpu";
+  }
+
+  view::ViewSite site(*std::move(token), server->port());
+  if (const rgs::Status added = site.add_page(*folder); !added) return tool::report(*folder, added.error());
+  for (const Shown::File& file : shown.files)
+    if (const rgs::Status added = site.add_file(file.name, file.path); !added)
+      return tool::report(file.path, added.error());
+  if (!shown.cameras.empty()) site.add_json("cameras.json", view::cameras_json(shown.cameras));
+  if (frames) {
+    site.add_action("frame", [&](const std::string& body) { return answer_frame(*frames, n_frames_at_once, body); });
+  }
+  site.add_json("view.json", view::view_json(shown.document));
+
+  tool::print(site.address() + "\n");
+  tool::flush();
+  if (!options.no_browser && view::has_screen() && !view::open_browser(site.address()))
+    tool::print_error("rgs-view: xdg-open does not start: open the address in a browser\n");
+  server->serve(site.handlers());
+  return tool::report("", {rgs::Errc::internal, rgs::Error::kNone, "the server ended by itself"});
+}
+
+// Everything in one file: the addresses of view.json become those of its elements.
+int export_page(const Options& options, Shown& shown) {
+  const auto folder = page_folder();
+  if (!folder) return tool::report("", folder.error());
+  // Installed beside the page, or where the build tree has it.
+  std::error_code ignored;
+  fs::path single = fs::path(*folder) / "single.html";
+  if (!fs::exists(single, ignored)) {
+    const fs::path built = fs::path(*folder).parent_path() / "dist-single/page.html";
+    if (fs::exists(built, ignored)) single = built;
+  }
+  auto page = view::PageExport::open(single.string());
+  if (!page) return tool::report(single.string(), page.error());
+
+  tool::InputFiles inputs;
+  inputs.add(single.string());
+  std::map<std::string, std::string> address_of;  // by the server's name
+  for (const Shown::File& file : shown.files) {
+    inputs.add(file.path);
+    auto mapped = rgs::MappedFile::open(file.path);
+    if (!mapped) return tool::report(file.path, mapped.error());
+    mapped->advise(rgs::MappedFile::Access::sequential);
+    address_of[file.name] = page->add(*std::move(mapped));
+  }
+  for (std::size_t i = 0; i < shown.document.scenes.size(); ++i) {
+    auto& scene = shown.document.scenes[i];
+    if (scene.name == "meta.json")
+      return tool::report_usage(
+          "a SOG of several files does not fit into one: zip it to a .sog, or convert it to .rgs");
+    scene.url = address_of.at(fmt::format("scenes/{}/{}", i, scene.name));
+  }
+  for (auto& photo : shown.document.photos) photo.url = address_of.at(photo.url);
+  if (!shown.cameras.empty()) shown.document.cameras = page->add(view::cameras_json(shown.cameras));
+  page->set_view(view::view_json(shown.document));
+
+  const std::uint64_t bytes = page->bytes();
+  if (bytes > options.export_limit) {
+    return tool::report_usage(fmt::format(
+        "'{}' would have {}, more than --export-limit allows ({}): rgs-convert --profile archive makes smaller "
+        "scenes",
+        options.export_to, tool::format_bytes(bytes), tool::format_bytes(options.export_limit)));
+  }
+  inputs.add_cameras(options.cameras);
+  const std::vector<std::string> outputs{options.export_to};
+  if (const int code = inputs.check_outputs(outputs); code != tool::kSuccess) return code;
+  auto out = rgs::AtomicFile::create(options.export_to, {.overwrite = options.overwrite, .inputs = page->inputs()});
+  if (!out) return tool::report(options.export_to, out.error());
+  const std::string stated = fmt::format("{}: {}\n", tool::printable(options.export_to), tool::format_bytes(bytes));
+  options.export_to == "-" ? tool::print_error(stated) : tool::print(stated);
+  tool::flush();
+  rgs::Status written = out->reserve(bytes);
+  if (written) written = page->write(*out);
+  if (written) written = out->commit().map([](double) {});
+  return written ? tool::kSuccess : tool::report(options.export_to, written.error());
+}
+
+void add_options(CLI::App& app, Options& o) {
+  app.add_option("scene", o.scene, "scene to look at, " RGS_SCENE_FORMATS)->required();
+  app.add_option("other", o.other, "a second one, to compare it with");
+  auto* const cameras =
+      app.add_option("--cameras,-c", o.cameras, "cameras to jump to: camera file or COLMAP folder (docs/CAMERAS.md)");
+  app.add_option("--photos", o.photos, "folder of the cameras' photographs, by name; PNG or JPEG")->needs(cameras);
+
+  const std::string single = "One file instead of a server";
+  auto* const export_to =
+      app.add_option("--export", o.export_to, "write a page that opens from a disk, with all that it shows in it")
+          ->option_text("PAGE.html")
+          ->group(single);
+  app.add_option("--export-limit", o.export_limit, "bytes that it may have [256MiB]")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->needs(export_to)
+      ->group(single);
+  app.add_flag("--overwrite", o.overwrite, "replace an existing page")->needs(export_to)->group(single);
+
+  const std::string frames = "Frames of this machine's renderer (docs/VIEW.md)";
+  app.add_option("--backend", o.backend, "draw true pictures for the page: cpu, cuda [none]")
+      ->transform(tool::one_of<rgs::Backend>({{"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
+      ->group(frames);
+  app.add_option("--host-memory", o.host_memory,
+                 "draw .rgs files with levels of detail from what of them is read into so much memory")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->group(frames);
+  app.add_option("--device-memory", o.device_memory,
+                 "the same on the GPU: pages are in so much of its memory, renderers' workspaces come on top")
+      ->transform(CLI::AsSizeValue(false))
+      ->option_text("BYTES")
+      ->group(frames);
+  app.add_option("--threads", o.threads, "CPU threads of the renderer, 0 for all cores")
+      ->check(CLI::Range(0, 1024))
+      ->capture_default_str()
+      ->group(frames);
+  tool::add_max_expansion(app, o.limits)->group(frames);
+
+  const std::string server = "Server";
+  app.add_option("--port", o.port, "port on 127.0.0.1, 0 for a free one")
+      ->check(CLI::Range(0, 65535))
+      ->capture_default_str()
+      ->group(server);
+  app.add_flag("--no-browser", o.no_browser, "print the address and open no browser")->group(server);
+  app.set_version_flag("--version", "rgs-view " RGS_VERSION);
+  app.footer("Ctrl-C ends it.\nExit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input.");
+}
+
+// Contradictions that can be told without reading a file; empty if there is none.
+std::string contradiction(const Options& o) {
+  if (o.host_memory == std::uint64_t{0}) return "--host-memory of 0 bytes holds no scene";
+  if (o.device_memory == std::uint64_t{0}) return "--device-memory of 0 bytes holds no scene";
+  if (o.backend == rgs::Backend::cpu && o.device_memory)
+    return "--device-memory is of the GPU: --backend cuda, or --host-memory alone";
+  if (o.backend == rgs::Backend::cuda && o.host_memory && !o.device_memory)
+    return "a scene is streamed to the GPU within --device-memory; without it --backend cpu draws it";
+  if (!o.export_to.empty() && has_frames(o))
+    return "a page without a server has no frames of this machine: --export goes without --backend and memory";
+  return {};
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return tool::run([&]() -> int {
+    Options options;
+    CLI::App app{"Shows a 3D Gaussian splat scene, or two to compare, on a page in the browser of this machine.",
+                 "rgs-view"};
+    add_options(app, options);
+    if (const auto code = tool::parse(app, argc, argv)) return *code;
+    if (const std::string wrong = contradiction(options); !wrong.empty()) return tool::report_usage(wrong);
+    Shown shown;
+    if (const int code = look_at(options, shown); code != tool::kSuccess) return code;
+    return options.export_to.empty() ? serve(options, shown) : export_page(options, shown);
+  });
+}

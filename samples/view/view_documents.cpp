@@ -1,0 +1,68 @@
+// view_documents.cpp - view.json and cameras.json.
+// SPDX-License-Identifier: Apache-2.0
+#include "view_documents.hpp"
+
+#include <fmt/format.h>
+
+#include <cstddef>
+#include <nlohmann/json.hpp>
+
+namespace rgs::view {
+namespace {
+
+using Json = nlohmann::ordered_json;
+
+std::string dumped(const Json& json) {
+  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+}  // namespace
+
+std::string percent_encoded(std::string_view name) {
+  std::string out;
+  for (const char c : name) {
+    const bool plain = (c >= '0' && c <= '9') || (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || c == '-' ||
+                       c == '.' || c == '_' || c == '~';
+    out += plain ? std::string(1, c) : fmt::format("%{:02X}", static_cast<unsigned char>(c));
+  }
+  return out;
+}
+
+std::string cameras_json(std::span<const Camera> cameras) {
+  Json list = Json::array();
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const Camera& camera = cameras[i];
+    const glm::dvec3 centre = camera_centre(camera);
+    // Camera to world, row by row: the columns of GLM's matrix of the other direction.
+    Json rotation = Json::array();
+    for (int row = 0; row < 3; ++row) {
+      const glm::dvec4& column = camera.world_to_camera[row];
+      rotation.push_back({column.x, column.y, column.z});
+    }
+    list.push_back({{"id", i},
+                    {"img_name", camera.name},
+                    {"width", camera.width},
+                    {"height", camera.height},
+                    {"position", {centre.x, centre.y, centre.z}},
+                    {"rotation", std::move(rotation)},
+                    {"fx", camera.fx},
+                    {"fy", camera.fy},
+                    {"cx", camera.cx},
+                    {"cy", camera.cy}});
+  }
+  return dumped(list);
+}
+
+std::string view_json(const ViewDocument& document) {
+  Json scenes = Json::array(), photos = Json::array();
+  for (const auto& scene : document.scenes)
+    scenes.push_back({{"name", scene.name}, {"url", scene.url}, {"bytes", scene.bytes}});
+  for (const auto& photo : document.photos) photos.push_back({{"camera", photo.camera}, {"url", photo.url}});
+  Json json{{"version", 1}, {"scenes", std::move(scenes)}};
+  json["cameras"] = document.cameras.empty() ? Json(nullptr) : Json(document.cameras);
+  json["photos"] = std::move(photos);
+  json["frames"] = document.backend.empty() ? Json(nullptr) : Json{{"url", "frame"}, {"backend", document.backend}};
+  return dumped(json);
+}
+
+}  // namespace rgs::view

@@ -1,0 +1,40 @@
+// view_documents.hpp - what the page is told: view.json and cameras.json. docs/VIEW.md has every field.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "rgs/camera.hpp"
+
+namespace rgs::view {
+
+/// `name` as a part of an address: all but letters, digits, '-', '.', '_' and '~' as %XX of its bytes.
+std::string percent_encoded(std::string_view name);
+
+/// The cameras as 3DGS training programs write them, with the principal point besides: [{id, img_name, width, height, position, rotation,
+/// fx, fy, cx, cy}]. parse_camera_json() gives them back.
+std::string cameras_json(std::span<const Camera> cameras);
+
+struct ViewDocument {
+  struct Scene {
+    std::string name, url;
+    std::uint64_t bytes = 0;
+  };
+  struct Photo {
+    std::string camera, url;
+  };
+  std::vector<Scene> scenes;
+  std::string cameras = {};  ///< its address, empty without cameras
+  std::vector<Photo> photos = {};
+  std::string backend = {};  ///< that frames come from, "cpu" or "cuda"; empty without them
+};
+
+/// The document as JSON. Names that are not UTF-8 get replacement characters.
+std::string view_json(const ViewDocument& document);
+
+}  // namespace rgs::view

@@ -1,0 +1,92 @@
+#!/usr/bin/python3
+# plot_flight.py - a record of rgs-bench-flight as a picture: frame time, error drawn and bytes read, frame by frame.
+# SPDX-License-Identifier: Apache-2.0
+"""plot_flight.py FLIGHT.json OUT.svg
+
+The bytes of the output depend on the record alone.
+"""
+import argparse
+import json
+import math
+from pathlib import Path
+from xml.sax.saxutils import escape
+
+WIDTH, LEFT, RIGHT = 760, 62, 738
+PANEL, GAP, TOP = 110, 34, 44  # px
+STYLE = ("text{font:12px sans-serif;fill:#1f2328}.small{font-size:11px}.grid{stroke:#818b98;stroke-opacity:.3}"
+         ".curve{fill:none;stroke:#0969da;stroke-width:1.2}"
+         "@media (prefers-color-scheme:dark){text{fill:#e6edf3}.curve{stroke:#58a6ff}}")
+
+
+def nice_ceiling(value):
+    """The next of 1, 2, 5, 10, 20, ... from a value on; 1 from nothing."""
+    if value <= 0:
+        return 1
+    power = 10 ** math.floor(math.log10(value))
+    return next(step * power for step in (1, 2, 5, 10) if step * power >= value * (1 - 1e-9))
+
+
+def panels(flight, fps):
+    """(title, values) of each panel."""
+    frames = flight["frames"]
+    window = max(1, round(fps / 2))  # a half of a second: single frames read all or nothing
+    read = [f["bytes_read"] for f in frames]
+    rate = [(b - a) / 1e6 / ((min(i, window)) / fps) if i else 0
+            for i, (b, a) in enumerate(zip(read, [read[max(0, i - window)] for i in range(len(read))]))]
+    return [("frame time, ms", [f["render_ms"] for f in frames]),
+            ("error drawn, px", [f["detail_reached_px"] for f in frames]),
+            ("read, MB a second", rate)]
+
+
+def svg(record):
+    flight, fps = record["flight"], record["fps"]
+    shown = panels(flight, fps)
+    height = TOP + len(shown) * (PANEL + GAP) + 24
+    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" height="{height}" '
+           'role="img">', "<title>A flight, frame by frame</title>", f"<style>{STYLE}</style>"]
+
+    def text(x, y, words, anchor="start", kind=""):
+        out.append(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" class="{kind}">{escape(words)}</text>')
+
+    def line(x1, y1, x2, y2):
+        out.append(f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" class="grid"/>')
+
+    device = record["backend"].removeprefix("cuda ")
+    detail = "" if record["detail_px"] is None else f", detail {record['detail_px']:g} px"
+    text(LEFT, 18, f"{record['scene']['gaussians']:,} Gaussians, {record['width']}x{record['height']}, {fps:g} frames a second{detail}; "
+         f"{device}, {record['date'][:10]}", kind="small")
+    n = len(flight["frames"])
+    for k, (title, values) in enumerate(shown):
+        top, bottom = TOP + k * (PANEL + GAP), TOP + k * (PANEL + GAP) + PANEL
+        text(LEFT, top - 6, title)
+        # One frame in a hundred may lie beyond the axis: the largest is said.
+        ordered = sorted(values)
+        limit = nice_ceiling(ordered[min(n - 1, math.floor(0.99 * n))])
+        if values and ordered[-1] > limit:
+            text(RIGHT, top - 6, f"at most {ordered[-1]:.3g}", "end", "small")
+        for part in (0, 0.5, 1):
+            y = bottom - part * PANEL
+            line(LEFT, y, RIGHT, y)
+            text(LEFT - 6, y + 4, f"{part * limit:g}", "end", "small")
+        points = " ".join(f"{LEFT + (RIGHT - LEFT) * i / max(1, n - 1):.1f},{bottom - PANEL * min(v / limit, 1):.1f}"
+                          for i, v in enumerate(values))
+        out.append(f'<polyline points="{points}" class="curve"/>')
+    bottom = TOP + len(shown) * (PANEL + GAP) - GAP
+    for i in range(0, n + 1, max(1, round(fps))):
+        x = LEFT + (RIGHT - LEFT) * i / max(1, n - 1)
+        if x <= RIGHT + 2:
+            text(x, bottom + 17, f"{i / fps:g}", "middle", "small")
+    text((LEFT + RIGHT) / 2, bottom + 34, "seconds", "middle")
+    return "\n".join(out) + "\n</svg>\n"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("record", type=Path)
+    parser.add_argument("svg", type=Path)
+    arguments = parser.parse_args()
+    arguments.svg.write_text(svg(json.loads(arguments.record.read_text())))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,221 @@
+// http_server_test.cpp - limits of the server: heads, bodies, time. SPDX-License-Identifier: Apache-2.0
+#include "http_server.hpp"
+
+#include <arpa/inet.h>
+#include <doctest/doctest.h>
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <array>
+#include <chrono>
+#include <filesystem>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <thread>
+
+#include "temporary_folder.hpp"
+#include "text_file.hpp"
+
+using namespace std::chrono_literals;
+using rgs::view::HttpAnswer;
+using rgs::view::HttpHandlers;
+using rgs::view::HttpLimits;
+using rgs::view::HttpRequest;
+using rgs::view::HttpServer;
+
+namespace {
+
+// Says what it was asked; refuses "/no".
+HttpHandlers echo() {
+  return {.refuse = [](const HttpRequest& request) -> std::optional<HttpAnswer> {
+            if (request.path != "/no") return std::nullopt;
+            return HttpAnswer{.status = 403, .type = "text/plain", .body = "refused"};
+          },
+          .answer =
+              [](const HttpRequest& request) {
+                if (request.path == "/throw") throw std::runtime_error("on purpose");
+                return HttpAnswer{.type = "text/plain",
+                                  .body = request.method + ' ' + request.path + " range=" + request.field("range") +
+                                          " body=" + std::to_string(request.body.size())};
+              },
+          .fail = [](int status) { return HttpAnswer{.status = status, .type = "text/plain", .body = "failed"}; }};
+}
+
+class Running {
+ public:
+  explicit Running(const HttpHandlers& handlers, const HttpLimits& limits = {.idle_time = 200ms})
+      : server_(HttpServer::listen(0, limits).value()), thread_([this, handlers] { server_.serve(handlers); }) {}
+  ~Running() {
+    server_.stop();
+    thread_.join();
+  }
+  int port() const { return server_.port(); }
+
+ private:
+  HttpServer server_;
+  std::thread thread_;
+};
+
+class Client {
+ public:
+  explicit Client(int port) : fd_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    const int few_bytes = 65536;
+    ::setsockopt(fd_, SOL_SOCKET, SO_RCVBUF, &few_bytes, sizeof few_bytes);
+    sockaddr_in a{};
+    a.sin_family = AF_INET;
+    a.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+    a.sin_port = htons(static_cast<std::uint16_t>(port));
+    if (::connect(fd_, reinterpret_cast<sockaddr*>(&a), sizeof a) != 0) throw std::runtime_error("cannot connect");
+  }
+  ~Client() { ::close(fd_); }
+  Client(const Client&) = delete;
+  Client& operator=(const Client&) = delete;
+
+  void send(std::string_view text) const {
+    while (!text.empty()) {
+      const ssize_t n = ::send(fd_, text.data(), text.size(), MSG_NOSIGNAL);
+      if (n <= 0) return;  // the server has closed
+      text.remove_prefix(static_cast<std::size_t>(n));
+    }
+  }
+  void end() const { ::shutdown(fd_, SHUT_WR); }
+  // All until the server closes.
+  std::string rest() const {
+    std::string text;
+    std::array<char, 4096> bytes;
+    for (ssize_t n = 0; (n = ::recv(fd_, bytes.data(), bytes.size(), 0)) > 0;)
+      text.append(bytes.data(), static_cast<std::size_t>(n));
+    return text;
+  }
+
+ private:
+  int fd_;
+};
+
+std::string ask(int port, std::string_view request) {
+  const Client client(port);
+  client.send(request);
+  client.end();
+  return client.rest();
+}
+
+bool has(const std::string& text, std::string_view part) {
+  return text.find(part) != text.npos;
+}
+
+}  // namespace
+
+TEST_CASE("a connection answers one request after the other, with and without bodies") {
+  const Running server(echo());
+  const std::string said = ask(server.port(),
+                               "GET /one HTTP/1.1\r\nHost: a\r\n\r\nPOST /two HTTP/1.1\r\nContent-Length: "
+                               "3\r\n\r\nabcGET /three HTTP/1.1\r\n\r\n");
+  CHECK(has(said, "GET /one range= body=0"));
+  CHECK(has(said, "POST /two range= body=3"));
+  CHECK(has(said, "GET /three range= body=0"));
+}
+
+TEST_CASE("ranges reach the handler as they are, and nothing else answers them") {
+  const Running server(echo());
+  for (const char* range : {"bytes=5-3", "bytes=99999999999999999999-", "bytes=0-1,2-3", "nonsense"}) {
+    for (const char* name : {"Range", "range", "RANGE"}) {
+      const std::string said =
+          ask(server.port(), std::string("GET /a HTTP/1.1\r\n") + name + ": " + range + "\r\n\r\n");
+      CHECK(said.starts_with("HTTP/1.1 200 "));
+      CHECK(has(said, std::string("GET /a range=") + range + " body=0"));
+    }
+  }
+}
+
+TEST_CASE("a head that is too large, or no head, is refused and ends the connection") {
+  const Running server(echo());
+  const std::string many = "bytes=" + std::string(7900, '1');
+  CHECK(has(ask(server.port(), "GET /a HTTP/1.1\r\nRange: " + many + "\r\n\r\n"), "range=" + many));
+  CHECK(
+      ask(server.port(), "GET /a HTTP/1.1\r\nX: " + std::string(9000, 'x') + "\r\n\r\n").starts_with("HTTP/1.1 431 "));
+  CHECK(ask(server.port(), std::string(20'000, 'x')).starts_with("HTTP/1.1 431 "));
+  std::string fields;
+  for (int i = 0; i < 2000; ++i) fields += "A: b\r\n";
+  CHECK(ask(server.port(), "GET /a HTTP/1.1\r\n" + fields + "\r\n").starts_with("HTTP/1.1 431 "));
+  for (const std::string& head : {std::string("GET /a\r\n\r\n"), std::string("BREW /a HTTP/1.1\r\n\r\n"),
+                                  std::string("GET /a HTTP/1.1\r\nX: y\nRange: bytes=1-2\r\n\r\n"),
+                                  std::string("GET /a HTTP/1.1\r\nX: \0\r\n\r\n", 25)}) {
+    const std::string said = ask(server.port(), head + "GET /second HTTP/1.1\r\n\r\n");
+    CHECK(said.starts_with("HTTP/1.1 400 "));
+  }
+  // With a line feed alone a head could end earlier for one reader than for the other.
+  CHECK(!has(ask(server.port(), "GET /a HTTP/1.1\r\nX: y\n\r\nGET /smuggled HTTP/1.1\r\n\r\n"), "smuggled"));
+}
+
+TEST_CASE("bodies end at their limit, and those of refused requests are not read as requests") {
+  const Running server(echo(), {.body_bytes = 1000, .idle_time = 200ms});
+  const auto post = [&](const std::string& path, std::size_t stated, std::size_t sent) {
+    return ask(server.port(), "POST " + path + " HTTP/1.1\r\nContent-Length: " + std::to_string(stated) + "\r\n\r\n" +
+                                  std::string(sent, 'x'));
+  };
+  CHECK(has(post("/a", 1000, 1000), "body=1000"));
+  CHECK(post("/a", 1001, 1001).starts_with("HTTP/1.1 4"));
+  CHECK(post("/a", 1'000'000'000'000, 100).starts_with("HTTP/1.1 4"));
+  CHECK(post("/a", 10, 5).starts_with("HTTP/1.1 4"));  // ends early
+  const std::string inner = "GET /inner HTTP/1.1\r\n\r\n";
+  const std::string said =
+      ask(server.port(), "POST /no HTTP/1.1\r\nContent-Length: " + std::to_string(inner.size()) + "\r\n\r\n" + inner);
+  CHECK(said.starts_with("HTTP/1.1 403 "));
+  CHECK(has(said, "Connection: close"));
+  CHECK(!has(said, "/inner"));
+}
+
+TEST_CASE("a client that never ends its request is sent away, and others are served meanwhile") {
+  const Running server(echo(), {.request_time = 300ms, .idle_time = 300ms});
+  const Client slow(server.port()), silent(server.port()), body(server.port());
+  slow.send("GET /slow HTT");
+  body.send("POST /body HTTP/1.1\r\nContent-Length: 100\r\n\r\nhalf");
+  CHECK(has(ask(server.port(), "GET /quick HTTP/1.1\r\n\r\n"), "GET /quick"));
+  CHECK(slow.rest().starts_with("HTTP/1.1 408 "));
+  CHECK(body.rest().starts_with("HTTP/1.1 4"));
+  CHECK(silent.rest().empty());
+}
+
+TEST_CASE("an exception becomes an answer and the server goes on") {
+  const Running server(echo());
+  const std::string said = ask(server.port(), "GET /throw HTTP/1.1\r\n\r\nGET /after HTTP/1.1\r\n\r\n");
+  CHECK(said.starts_with("HTTP/1.1 500 "));
+  CHECK(!has(said, "on purpose"));
+  CHECK(has(said, "GET /after"));
+}
+
+TEST_CASE("a file that changes while it is sent ends the connection before its last byte") {
+  const rgs::test::TemporaryFolder folder;
+  const std::string path = folder.file("large.bin");
+  constexpr std::size_t kBytes = 32 << 20;  // more than the two sockets hold
+  rgs::test::write_text(path, std::string(kBytes, 'a'));
+  std::filesystem::last_write_time(path, std::filesystem::file_time_type::clock::now() - std::chrono::hours(1));
+  const auto file = rgs::view::ServedFile::look(path);
+  REQUIRE(file);
+  HttpHandlers handlers = echo();
+  handlers.answer = [&](const HttpRequest&) {
+    const auto open = file->open();
+    return HttpAnswer{.type = "application/octet-stream", .file = open.value(), .count = file->size()};
+  };
+  const Running server(handlers);
+  const Client client(server.port());
+  client.send("GET /f HTTP/1.1\r\n\r\n");
+  // The server waits for room once the socket is full; what it has not read by then is of the other file.
+  rgs::test::write_text(path, std::string(kBytes, 'b'));
+  const std::string text = client.rest();
+  const std::size_t head = text.find("\r\n\r\n");
+  REQUIRE(head != text.npos);
+  CHECK(has(text.substr(0, head), "Content-Length: " + std::to_string(kBytes)));
+  CHECK(text.size() - head - 4 < kBytes);
+  CHECK(text.find('b', head + 4) == text.npos);
+}
+
+TEST_CASE("a port that is taken is refused") {
+  const Running server(echo());
+  ask(server.port(), "GET /a HTTP/1.1\r\n\r\n");
+  const auto second = HttpServer::listen(server.port());
+  REQUIRE(!second);
+  CHECK(second.error().code == rgs::Errc::open_failed);
+}
