@@ -19,7 +19,7 @@ std::atomic<bool> g_has_threads{false}, g_lost_threads{false};
 // Never destroyed: a forked process has the entries but not the threads. Touched with Python's lock alone.
 struct Left {
   std::thread thread;
-  std::future<void> ended;
+  std::shared_future<void> ended;
 };
 std::vector<Left>& left() {
   static auto& all = *new std::vector<Left>;
@@ -39,8 +39,9 @@ void wait_for_threads() {
   if (g_lost_threads) return;
   for (join_ended(); !left().empty(); join_ended()) {
     {
+      const std::shared_future<void> first = left().front().ended;  // its own: other threads may add and remove entries
       const py::gil_scoped_release unlocked;
-      left().front().ended.wait_for(std::chrono::milliseconds(50));
+      first.wait_for(std::chrono::milliseconds(50));
     }
     if (PyErr_CheckSignals() != 0) {
       for (Left& each : left()) each.thread.detach();
