@@ -144,6 +144,7 @@ _KINDS = {
     "output_unusable": InputOutputError,
 }
 _ENOENT = 2
+_NAMES = {"DecodeLimits::": "", "StreamPoolOptions::": "", "Backend::cpu": "device='cpu'", "Backend::cuda": "device='cuda'"}
 _FLAGS = {"overwrite", "strict", "merge", "lod", "keep_permutation", "keep_order"}
 
 
@@ -158,7 +159,9 @@ def _as_python(text: str) -> str:
 
     values = r"(?:[ =](drop|repair|refuse|packed|direct|archive(?::[a-z]+)?)\b|=)?"
     text = re.sub(r"--([a-z][a-z-]*[a-z])" + values, argument, text)
-    return text.replace("DecodeLimits::", "").replace("Backend::cpu", "device='cpu'")
+    for native, here in _NAMES.items():
+        text = text.replace(native, here)
+    return text
 
 
 def make(code: str, message: str, hint: str = "", file: Optional[str] = None, offset: Optional[int] = None,

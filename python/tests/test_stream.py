@@ -84,6 +84,74 @@ def test_a_budget_that_holds_nothing(examples):
             roofgs.StreamedScene(examples / "levels.rgs", host_memory=wrong)
 
 
+def opens(path, host_memory):
+    try:
+        roofgs.StreamedScene(path, host_memory=host_memory).close()
+    except roofgs.Error:
+        return False
+    return True
+
+
+def test_scenes_share_a_pool(examples, renderer):
+    pool = roofgs.StreamPool(host_memory=64 << 20)
+    assert (pool.host_memory, pool.device_memory, pool.host_bytes, pool.device_bytes) == (64 << 20, 0, 0, 0)
+    whole = roofgs.load(examples / "levels.rgs")
+    view = cameras.default_view(whole, width=32, height=24)
+    with roofgs.StreamedScene(examples / "levels.rgs", pool=pool) as one:
+        assert renderer.refine(one, view, 60)
+        held = pool.host_bytes
+        assert 0 < held <= pool.host_memory and one.pool is pool
+        with roofgs.StreamedScene(GOLDEN / "levels_packed.rgs", pool=pool) as other:
+            assert pool.host_bytes > held  # both are counted
+            renderer.refine(other, cameras.default_view(other, width=32, height=24), 60)
+        assert np.array_equal(renderer.render(one, view), renderer.render(whole, view))
+    assert pool.host_bytes == 0
+    # A pool that one scene has filled has no room for another.
+    budget = 1000
+    while not opens(examples / "levels.rgs", budget):
+        budget += budget // 4
+    small = roofgs.StreamPool(host_memory=budget)
+    with roofgs.StreamedScene(examples / "levels.rgs", pool=small):
+        with pytest.raises(roofgs.Error) as caught:
+            roofgs.StreamedScene(examples / "levels.rgs", pool=small)
+        assert caught.value.code in ("host_out_of_memory", "limit_exceeded")
+    assert repr(small) == f"roofgs.StreamPool(host_memory={small.host_memory})"
+
+
+def test_pools_that_cannot_be(examples):
+    for wrong in (0, -1, 1 << 64):
+        with pytest.raises(roofgs.ArgumentError):
+            roofgs.StreamPool(host_memory=wrong)
+    with pytest.raises(roofgs.ArgumentError):
+        roofgs.StreamPool(device_memory=-1)
+    for budget in ({"host_memory": 1 << 30}, {"device_memory": 1 << 30}):
+        with pytest.raises(roofgs.ArgumentError, match=f"{next(iter(budget))} are those of the pool"):
+            roofgs.StreamedScene(examples / "levels.rgs", pool=roofgs.StreamPool(), **budget)
+
+
+def test_memory_of_a_device(examples, renderer, has_gpu):
+    if not has_gpu:
+        for make in (lambda: roofgs.StreamedScene(examples / "levels.rgs", device_memory=1 << 26),
+                     lambda: roofgs.StreamedScene(examples / "levels.rgs", pool=roofgs.StreamPool(device_memory=1 << 26))):
+            with pytest.raises(roofgs.UnavailableError) as caught:
+                make()
+            assert caught.value.code == "unavailable" and "::" not in str(caught.value)
+        pytest.skip("there is no GPU")
+    on_gpu, whole = roofgs.Renderer(device="cuda"), roofgs.load(examples / "levels.rgs")
+    view = cameras.default_view(whole, width=96, height=72)
+    pool = roofgs.StreamPool(device_memory=1 << 26)
+    with roofgs.StreamedScene(examples / "levels.rgs", pool=pool) as scene:
+        assert pool.device_bytes == 1 << 26
+        assert on_gpu.refine(scene, view, 60)
+        assert np.array_equal(on_gpu.render(scene, view), on_gpu.render(whole, view))
+        assert scene.stats["bytes_uploaded"] > 0
+        with pytest.raises(roofgs.UnavailableError, match="device_memory"):
+            renderer.render(scene, view)  # by the CPU
+    assert pool.device_bytes == 0
+    with roofgs.StreamedScene(examples / "levels.rgs") as scene, pytest.raises(roofgs.UnavailableError, match="device_memory"):
+        on_gpu.render(scene, view)
+
+
 def test_a_file_without_levels_is_no_stream(examples):
     with pytest.raises(roofgs.FormatError) as caught:
         roofgs.StreamedScene(examples / "scene.rgs")
