@@ -23,17 +23,6 @@ _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 _PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small")
 
 
-def _shown_name(name: bytes) -> str:
-    """A path, or an address without user, password and query."""
-    text = shown(name)
-    if not text.lower().startswith(("http://", "https://")):
-        return text
-    scheme, _, rest = text.partition("://")
-    rest = rest.partition("?")[0].partition("#")[0]
-    host, slash, path = rest.partition("/")
-    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
-
-
 class Scene:
     """Gaussians to be drawn, which never change.
 
@@ -180,7 +169,7 @@ class Scene:
     @property
     def path(self) -> Optional[str]:
         """Where it came from: a path, or an address without user, password and query."""
-        return _shown_name(self._native.path) or None
+        return shown(self._native.path) or None
 
     # ---- saving
 
@@ -336,7 +325,7 @@ class StreamedScene:
     @property
     def path(self) -> str:
         """Its path, or its address without user, password and query."""
-        return _shown_name(self._native.name)
+        return shown(self._native.name)
 
     @property
     def pool(self) -> StreamPool:

@@ -52,6 +52,12 @@ Camera make(const py::object& width, const py::object& height, double fx, std::o
   return camera;
 }
 
+// COLMAP names images by bytes, which may be no text.
+std::string as_text(const std::string& name) {
+  return py::reinterpret_steal<py::str>(
+      PyUnicode_DecodeUTF8(name.data(), static_cast<Py_ssize_t>(name.size()), "replace"));
+}
+
 py::object matrix_of(const Camera& camera) {
   py::object matrix = new_array<double>({4, 4});
   std::ranges::copy(row_major(camera.world_to_camera), static_cast<double*>(Elements(matrix).data()));
@@ -142,10 +148,11 @@ name : str
       "read_cameras",
       [](const std::string& path) {
         static constexpr const char* kSources[] = {"list", "training", "transforms", "colmap"};
-        const auto set = [&] {  // without threads: a process may fork after it
+        auto set = [&] {  // without threads: a process may fork after it
           const py::gil_scoped_release unlocked;
           return take(read_camera_set(path), path);
         }();
+        for (Camera& camera : set.cameras) camera.name = as_text(camera.name);
         std::vector<bool> test;
         for (const Split split : set.split) test.push_back(split == Split::test);
         return py::make_tuple(kSources[static_cast<int>(set.source)], py::cast(set.cameras), test, set.split_declared);

@@ -8,9 +8,9 @@
 #include <array>
 #include <cmath>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <span>
+#include <stop_token>
 #include <string>
 #include <utility>
 #include <vector>
@@ -96,32 +96,17 @@ PyScene load(const std::string& name, std::optional<std::uint32_t> level_of_deta
   if (max_expansion) options.read.limits.max_expansion = *max_expansion;
   const auto progress = std::make_shared<Progress>(std::move(callback));
   if (!is_url(name)) return {take(run([=] { return load_path(name, options); }, progress, {}), name), name};
-  // A source that is given up reads no further. Nothing ends the wait for a connection, so the work is left behind.
-  struct Shared {
-    std::mutex mutex;
-    std::unique_ptr<ByteSource> source;
-  };
-  const auto shared = std::make_shared<Shared>();
+  const std::stop_source stop;
   const auto work = [=]() -> Result<SceneFile> {
     return detail::guard_memory([&]() -> Result<SceneFile> {
-      auto source = open_url_source(name);
+      UrlOptions way;
+      way.stop = stop.get_token();
+      const auto source = open_url_source(name, way);
       if (!source) return tl::unexpected(source.error());
-      {
-        const std::scoped_lock lock(shared->mutex);
-        shared->source = *std::move(source);
-        if (progress->cancelled()) shared->source->cancel();
-      }
-      return load_url(*shared->source, options, *progress);
+      return load_url(**source, options, *progress);
     });
   };
-  try {
-    return {take(run(work, progress, {}), name), name};
-  } catch (py::error_already_set&) {
-    progress->cancel();
-    const std::scoped_lock lock(shared->mutex);
-    if (shared->source) shared->source->cancel();
-    throw;
-  }
+  return {take(run_stoppable(work, progress, stop), name), name};
 }
 
 // ---- arrays

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <stop_token>
 #include <string>
 
 #include "bindings.hpp"
@@ -24,14 +25,16 @@ StreamPool make_pool(std::uint64_t host_memory, std::uint64_t device_memory) {
 
 PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
               std::optional<std::uint64_t> max_expansion) {
+  const std::stop_source stop;
   const auto work = [=]() -> Result<StreamedScene> {
     StreamOptions options;
     options.pool = pool;
     options.prefetch = prefetch;
+    options.url.stop = stop.get_token();
     if (max_expansion) options.limits.max_expansion = *max_expansion;
     return StreamedScene::open(name, options);
   };
-  return {take(run(work, nullptr, {}), name), name};
+  return {take(run_stoppable(work, nullptr, stop), name), name};
 }
 
 py::dict stats(const PyStream& stream) {

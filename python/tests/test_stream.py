@@ -10,7 +10,7 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import GOLDEN
+from conftest import GOLDEN, program
 
 import roofgs
 from roofgs import cameras
@@ -211,45 +211,105 @@ def test_html(examples):
 
 
 class Slow(Ranges):
-    """The same, but that it gives the first bytes alone until it is told to go on."""
+    """The same, but that it gives the first bytes alone, and of /silent nothing, until it is told to go on."""
 
-    go_on = threading.Event()
+    waits, go_on = threading.Event(), threading.Event()
 
     def do_GET(self):
         asked = self.headers.get("Range", "bytes=0-")
-        if int(asked.removeprefix("bytes=").partition("-")[0]) > 0:
-            self.go_on.wait(60)
+        if self.path == "/silent" or int(asked.removeprefix("bytes=").partition("-")[0]) > 0:
+            self.waits.set()
+            self.go_on.wait(600)
         super().do_GET()
 
 
-def test_ctrl_c_ends_a_wait(examples, renderer, tmp_path):
+INTERRUPTED = """
+import os, signal, sys
+import roofgs
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+try:
+    if sys.argv[2] == "load":
+        roofgs.load(sys.argv[1])
+    else:
+        scene = roofgs.StreamedScene(sys.argv[1])
+        view = roofgs.cameras.default_view(scene, width=640, height=480)
+        roofgs.Renderer(device="cpu").refine(scene, view, 600, detail=0)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+    child = os.fork()  # without the thread that was left behind
+    if child:
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def slow_server(tmp_path_factory):
     # More than the 64 KiB that a source keeps of its first answer.
-    big = tmp_path / "big"
-    big.mkdir()
-    subprocess.run([os.environ["ROOFGS_PROGRAMS"] + "/rgs-make-scene", "--gaussians", "20k", big / "scene.ply", "-q"], check=True)
+    big = tmp_path_factory.mktemp("big")
+    program("rgs-make-scene", "--gaussians", "20k", big / "scene.ply", "-q")
     roofgs.load(big / "scene.ply").save(big / "levels.rgs", lod=True)
     handler = functools.partial(Slow, directory=str(big))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         serving = threading.Thread(target=server.serve_forever)
         serving.start()
-        code = ("import roofgs, signal, sys, os\n"
-                "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-                "scene = roofgs.StreamedScene(sys.argv[1]) if sys.argv[2] == 'stream' else None\n"
-                "view = scene and roofgs.cameras.default_view(scene, width=640, height=480)\n"
-                "renderer = roofgs.Renderer(device='cpu')\n"
-                "try:\n"
-                "    print('begun', flush=True)\n"
-                "    renderer.refine(scene, view, 300, detail=0) if scene else roofgs.load(sys.argv[1])\n"
-                "except KeyboardInterrupt:\n"
-                "    print('interrupted', flush=True)\n")
-        for how in ("stream", "load"):
-            process = subprocess.Popen([sys.executable, "-c", code, f"http://127.0.0.1:{server.server_port}/levels.rgs", how],
-                                       stdout=subprocess.PIPE, text=True)
-            assert process.stdout.readline() == "begun\n"
-            process.send_signal(signal.SIGINT)
-            process.wait(60)  # far less than the wait, and with nothing that ends it
-            assert process.stdout.read() == "interrupted\n" and process.returncode == 0
-            process.stdout.close()
+        yield f"http://127.0.0.1:{server.server_port}"
         Slow.go_on.set()
         server.shutdown()
         serving.join()
+
+
+@pytest.mark.parametrize("name", ["levels.rgs", "silent"])
+@pytest.mark.parametrize("how", ["stream", "load"])
+def test_ctrl_c_ends_a_wait(name, how, slow_server):
+    Slow.waits.clear()
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED, f"{slow_server}/{name}", how], stdout=subprocess.PIPE, text=True)
+    try:
+        assert Slow.waits.wait(60)
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=60)  # far less than the wait, and with nothing that ends it
+    finally:
+        process.kill()
+        process.communicate()
+    assert out.split() == ["interrupted", "0"] and process.returncode == 0
+
+
+WAITS_FOR_EVER = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <string.h>
+#include <sys/types.h>
+#include <unistd.h>
+
+static int open_or_wait(const char* function, const char* path, int flags, mode_t mode) {
+  if (strstr(path, "waits-for-ever")) {
+    write(STDOUT_FILENO, "waits\n", 6);
+    for (;;) pause();
+  }
+  return ((int (*)(const char*, int, ...))dlsym(RTLD_NEXT, function))(path, flags, mode);
+}
+int open(const char* path, int flags, mode_t mode) { return open_or_wait("open", path, flags, mode); }
+int open64(const char* path, int flags, mode_t mode) { return open_or_wait("open64", path, flags, mode); }
+"""
+
+
+def test_another_ctrl_c_ends_the_process_without_work_that_never_ends(tmp_path):
+    (tmp_path / "open.c").write_text(WAITS_FOR_EVER)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", tmp_path / "open.so", tmp_path / "open.c", "-ldl"], check=True)
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED, "waits-for-ever.rgs", "load"], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True, env={**os.environ, "LD_PRELOAD": str(tmp_path / "open.so")})
+    try:
+        assert process.stdout.readline() == "waits\n"
+        process.send_signal(signal.SIGINT)
+        assert [process.stdout.readline() for _ in range(2)] == ["interrupted\n", "0\n"]
+        for _ in range(600):  # the first may come before the wait for threads begins
+            process.send_signal(signal.SIGINT)
+            try:
+                _, said = process.communicate(timeout=0.1)
+                break
+            except subprocess.TimeoutExpired:
+                pass
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode in (0, 130, -signal.SIGINT) and "KeyboardInterrupt" in said
