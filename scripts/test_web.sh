@@ -11,14 +11,14 @@ quiet packages sh scripts/install-deps.sh web
 quiet configure cmake --preset release
 quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs-convert rgs-make-scene rgs-render
 # Files that take several requests and many frames.
-scene() {
-  mkdir -p build/web/scenes && cd build/web/scenes || return
+scene() (
+  mkdir -p build/web/scenes && cd build/web/scenes || exit
   ../../release/bin/rgs-make-scene --overwrite --seed 1 --gaussians 60k --degree 3 --cameras cameras.json scene.ply &&
     ../../release/bin/rgs-convert --overwrite scene.ply packed.rgs &&
     ../../release/bin/rgs-convert --overwrite --profile direct scene.ply direct.rgs &&
     ../../release/bin/rgs-convert --overwrite --lod scene.ply levels.rgs
-}
-[ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ] || (quiet scenes scene)
+)
+[ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ] || quiet scenes scene
 quiet modules sh -c 'cd web && { [ node_modules/.package-lock.json -nt package-lock.json ] || npm ci --no-progress; }'
 quiet build sh -c 'cd web && npm run --silent build'
 
