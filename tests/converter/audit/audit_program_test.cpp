@@ -213,7 +213,7 @@ TEST_CASE("commands are what a shell takes, or none") {
   CHECK(view_command(options).empty());
   options.cameras.clear(), options.source = "a\n.ply";
   CHECK(view_command(options).empty());
-  CHECK(audit::view_argument("--export=x") == " --view=--export=x");
+  CHECK(audit::view_argument("--export=x") == " --view='--export=x'");
 }
 
 TEST_CASE("large noisy pictures stay within the report's size, photographs too") {
