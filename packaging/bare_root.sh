@@ -2,8 +2,8 @@
 # bare_root.sh - runs a command in a Debian that has nothing but its base system, no compiler and no library of ours:
 #   sh packaging/bare_root.sh [--release NAME] [--packages "P..."] [--offline] COMMAND...
 # NAME is bookworm by default; P... are installed before. The checkout is seen, read-only, as /project. What the command writes
-# elsewhere is gone afterwards. Base systems, sets of packages and downloads are kept in build/roots. Needs root and debootstrap; exit
-# code 77, after a line that says so, where it has no root.
+# elsewhere is gone afterwards. Base systems, sets of packages and downloads are kept in build/roots. The mirror is the one that apt has
+# of Debian here, or RGS_DEBIAN_MIRROR. Needs root and debootstrap; exit code 77, after a line that says so, where it has no root.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
@@ -14,7 +14,7 @@ while :; do
     --release) release=$2; shift 2 ;;
     --packages) packages=$2; shift 2 ;;
     --offline) offline=--net; shift ;;
-    "" | --*) sed -n '2,6s/^# //p' "$0" >&2; exit 2 ;;
+    "" | --*) sed -n '2,7s/^# //p' "$0" >&2; exit 2 ;;
     *) break ;;
   esac
 done
@@ -54,9 +54,16 @@ within() {
 
 base=$roots/$release
 if [ ! -d "$base" ]; then
+  # The codename of a release has no hyphen; bookworm-security and others do, and hold no whole release.
+  # shellcheck disable=SC2016  # apt expands them
+  mirror=${RGS_DEBIAN_MIRROR:-$(apt-get indextargets --format '$(CODENAME) $(REPO_URI)' 'Origin: Debian' 'Component: main' |
+    sed -n 's/^[a-z]* //p' | head -n 1)}
+  if [ -z "$mirror" ]; then
+    echo "bare_root.sh: apt knows no mirror of Debian here: run apt-get update, or set RGS_DEBIAN_MIRROR" >&2
+    exit 3
+  fi
   # It mounts file systems in there.
-  if ! unshare --mount debootstrap --variant=minbase "$release" "$work/base" "${RGS_DEBIAN_MIRROR:-http://deb.debian.org/debian}" \
-    >"$roots/$release.log" 2>&1; then
+  if ! unshare --mount debootstrap --variant=minbase "$release" "$work/base" "$mirror" >"$roots/$release.log" 2>&1; then
     tail -n 20 "$roots/$release.log" >&2
     echo "bare_root.sh: debootstrap $release failed" >&2
     exit 3

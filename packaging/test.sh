@@ -63,8 +63,20 @@ bundle() {
 wheel() {
   rm -rf build/wheels
   step wheel-build sh packaging/wheel.sh ${RGS_WHEEL:-}
+  wheel_in bookworm
+  # For Debian 13's Python and NumPy 2: RGS_PYTHON313 names a Python 3.13 with its headers, which Debian 12 does not have.
+  if [ -n "${RGS_PYTHON313:-}" ]; then
+    rm -rf build/wheels
+    step wheel-build-313 sh packaging/wheel.sh --python "$RGS_PYTHON313"
+    wheel_in trixie
+  else
+    echo "skipped: the wheel for Python 3.13: RGS_PYTHON313 names none"
+  fi
+}
+
+wheel_in() {
   for wheel in build/wheels/*.whl; do
-    step wheel-bare sh packaging/bare_root.sh --packages "python3 python3-pip python3-numpy" --offline \
+    step "wheel-$1" sh packaging/bare_root.sh --release "$1" --packages "python3 python3-pip python3-numpy" --offline \
       sh /project/tests/packaging/wheel.sh "/project/$wheel"
   done
 }

@@ -1,7 +1,8 @@
 #!/bin/sh
-# wheel.sh - makes a wheel of the Python module: sh packaging/wheel.sh [--cuda] [--python PYTHON]
+# wheel.sh - makes a wheel of the Python module: sh packaging/wheel.sh [--cuda] [--python PYTHON] [-DNAME=VALUE...]
 # It lies in build/wheels. --cuda: with the kernels; CUDA's runtime is in it, the driver is looked for when it renders, and where
-# there is none the CPU renders. PYTHON is Debian's by default; any other whose headers are there will do.
+# there is none the CPU renders. PYTHON is Debian's by default; any other whose headers are there will do. -D options go to CMake, as
+# -DCMAKE_CUDA_ARCHITECTURES=90 for kernels that are built in less time and run on Hopper alone.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/.."
@@ -10,7 +11,8 @@ while [ $# -gt 0 ]; do
   case $1 in
     --cuda) cuda=ON local=+cuda; shift ;;
     --python) python=$2; shift 2 ;;
-    *) sed -n '2,4s/^# //p' "$0" >&2; exit 2 ;;
+    -D*) break ;;
+    *) sed -n '2,5s/^# //p' "$0" >&2; exit 2 ;;
   esac
 done
 sh scripts/install-deps.sh packaging
@@ -18,7 +20,7 @@ build=$PWD/build/wheel$local-$("$python" -c 'import sys; print("cp%d%d" % sys.ve
 mkdir -p "$build"
 quietly() { "$@" >"$build/log" 2>&1 </dev/null || { tail -n 50 "$build/log" >&2; echo "wheel.sh: failed: $*" >&2; exit 1; }; }
 quietly cmake -S . -B "$build" -G Ninja -DCMAKE_BUILD_TYPE=Release -DRGS_ENABLE_CUDA=$cuda -DRGS_BUILD_PYTHON=ON \
-  -DRGS_PYTHON="$python" -DRGS_BUILD_TESTS=OFF -DRGS_BUILD_SAMPLES=OFF
+  -DRGS_PYTHON="$python" -DRGS_BUILD_TESTS=OFF -DRGS_BUILD_SAMPLES=OFF "$@"
 quietly cmake --build "$build" --parallel "${RGS_JOBS:-$(nproc)}" \
   --target rgs_python_package rgs-convert rgs-prune
 version=$(sed -n 's/^CMAKE_PROJECT_VERSION:STATIC=//p' "$build/CMakeCache.txt")

@@ -70,7 +70,7 @@ if [ -d "$build/manual" ]; then
   mkdir -p "$out/share"
   cp -R "$build/manual" "$out/share/man"
   rm -f "$out/share/man/made"
-  for folder in bash zsh fish; do mv "$out/share/man/$folder" "$out/share/$folder"; done
+  for shell in bash zsh fish; do mv "$out/share/man/$shell" "$out/share/$shell"; done
 fi
 
 # Every library is found in the bundle or belongs to glibc, in an empty environment.

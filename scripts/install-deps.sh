@@ -16,8 +16,8 @@ packages="g++ clang clang-format clang-tidy llvm libclang-rt-14-dev cmake ninja-
   python3 python3-numpy python3-zstandard python3-xxhash zstd"
 
 [ "${1:-}" != packaging ] || packages="$packages dpkg-dev debootstrap lintian man-db zsh fish bash-completion pkgconf
-  patchelf python3-dev pybind11-dev"
-[ "${1:-}" != python ] || packages="$packages python3-dev pybind11-dev python3-pytest mypy
+  patchelf python3-dev pybind11-dev libdlpack-dev"
+[ "${1:-}" != python ] || packages="$packages python3-dev pybind11-dev libdlpack-dev python3-pytest mypy
   python3-nbformat python3-nbclient python3-ipykernel"
 case ${1:-} in test | web) packages="$packages chromium pkgconf nginx-light openssl" ;; esac
 [ "${1:-}" != web ] || packages="$packages clang-19 lld-19 libc++-19-dev-wasm32 libc++abi-19-dev-wasm32 wasi-libc

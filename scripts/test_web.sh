@@ -9,23 +9,35 @@ preset=web
 
 quiet packages sh scripts/install-deps.sh web
 quiet configure cmake --preset release
-quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs-convert rgs-make-scene
+quiet programs cmake --build build/release --parallel "$jobs" --target rgs_dump_file rgs-convert rgs-make-scene rgs-render
 # Files that take several requests and many frames.
-scene() {
-  mkdir -p build/web/scenes && cd build/web/scenes || return
-  ../../release/bin/rgs-make-scene --overwrite --seed 1 --gaussians 60k --degree 3 scene.ply &&
+scene() (
+  mkdir -p build/web/scenes && cd build/web/scenes || exit
+  ../../release/bin/rgs-make-scene --overwrite --seed 1 --gaussians 60k --degree 3 --cameras cameras.json scene.ply &&
     ../../release/bin/rgs-convert --overwrite scene.ply packed.rgs &&
     ../../release/bin/rgs-convert --overwrite --profile direct scene.ply direct.rgs &&
     ../../release/bin/rgs-convert --overwrite --lod scene.ply levels.rgs
-}
-[ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ] || (quiet scenes scene)
+)
+[ build/web/scenes/levels.rgs -nt build/release/bin/rgs-convert ] || quiet scenes scene
 quiet modules sh -c 'cd web && { [ node_modules/.package-lock.json -nt package-lock.json ] || npm ci --no-progress; }'
 quiet build sh -c 'cd web && npm run --silent build'
 
-export RGS_DUMP_FILE="$PWD/build/release/bin/rgs_dump_file" RGS_WEB_SCENES="$PWD/build/web/scenes"
+# A trained scene, where the data are.
+south="${RGS_DATA_DIR:+$RGS_DATA_DIR/south/south.ply.zst}"
+trained() {
+  zstd -q -d -f "$south" -o build/web/south.ply && build/release/bin/rgs-convert --overwrite build/web/south.ply build/web/south.rgs &&
+    rm build/web/south.ply
+}
+if [ -n "$south" ] && [ -f "$south" ]; then
+  export RGS_WEB_SOUTH="$PWD/build/web/south.rgs"
+  [ "$RGS_WEB_SOUTH" -nt build/release/bin/rgs-convert ] || (quiet trained trained)
+fi
+
+export RGS_DUMP_FILE="$PWD/build/release/bin/rgs_dump_file" RGS_WEB_SCENES="$PWD/build/web/scenes" RGS_WEB_PROGRAMS="$PWD/build/release/bin"
 report=build/web/test.tap
 status=0
-(cd web/reader && exec node --test --test-reporter=tap "$@" test/) >"$report" 2>&1 </dev/null || status=$?
+# One file at a time: browsers draw in software, on all cores.
+(cd web && exec node --test --test-concurrency=1 --test-reporter=tap "$@" */test/*.test.mjs) >"$report" 2>&1 </dev/null || status=$?
 # In the words of ctest, which .ci/run counts.
 awk '
   /^ *# Subtest: /  { next }

@@ -96,7 +96,7 @@ void sort_morton(std::vector<std::uint32_t>& indices, std::vector<float>& means,
   tbb::parallel_for(tbb::blocked_range<std::size_t>(0, keys.size(), 16384), [&](const auto& range) {
     for (std::size_t i = range.begin(); i < range.end(); ++i) keys[i] = key(&means[3 * std::size_t{indices[i]}]);
   });
-  means = {};
+  means = std::vector<float>();  // `= {}` would keep the memory
   const std::vector<std::size_t> starts = partition_by_key(keys, indices);
   tbb::parallel_for(std::size_t{0}, starts.size() - 1, [&](std::size_t bucket) {
     const std::size_t first = starts[bucket], count = starts[bucket + 1] - first;
@@ -305,12 +305,12 @@ Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::stri
   }
   clock.begin("sort", 0, "");
   std::vector<std::uint32_t> indices = kept_indices(scanned);
-  scanned.kept = {};
+  scanned.kept = std::vector<std::uint64_t>();
   std::vector<float> sample;
   if (!options.cameras.empty()) sample = sample_means(scanned, indices);
   if (const Status s = find_depth_range(encode, options, scanned.scan, sample); !s) return tl::unexpected(s.error());
   if (encode.order == Order::morton) sort_morton(indices, scanned.means, scanned.scan.robust());
-  scanned.means = {};
+  scanned.means = std::vector<float>();
   hashing.wait();
   if (encode.provenance) encode.provenance->source_xxh3 = source_xxh3;
 

@@ -11,9 +11,11 @@
 // The file has the bytes of convert_to_levels(), for any number of inputs a process and of ranges.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -28,14 +30,17 @@
 namespace rgs {
 
 struct PartsInput {
-  std::string path, name;  ///< absolute; without folders
-  std::uint64_t bytes = 0;
+  std::string path, name;                       ///< absolute; without folders
+  std::uint64_t bytes = 0, beginning_xxh3 = 0;  ///< see hash_of_beginning()
   SplatFormat format = SplatFormat::unknown;
   Axes axes = kAxes3dgs;
   Similarity placed;
   TileFacts facts;
   std::uint64_t first = 0;  ///< position of its first Gaussian among those of all inputs
 };
+
+/// Of the first 64 KiB, where formats have what they declare: of what the job says of an input nothing may change.
+std::uint64_t hash_of_beginning(std::span<const std::byte> input);
 
 struct PartsJob {
   std::vector<PartsInput> inputs;
@@ -84,12 +89,13 @@ struct PartsRun {
 /// Gaussians of a bin so that it can be sorted in that memory, whatever the sample misses.
 std::uint64_t choose_bin_rows(const EncodeOptions& encode, int sh_degree, std::uint64_t memory_bytes);
 
-/// Writes the job, in a folder that is made if need be. The same job again changes nothing; another one is refused
-/// (output_exists), or with `overwrite` takes its place, and what was made for the old one is removed.
+/// Writes the job, in a folder that is made if need be. The same job again changes nothing, another one is refused
+/// (output_exists). With `overwrite` all begins again: what the steps made of whatever job is removed, and nothing else. An input
+/// that has the name of a file of the work is refused (bad_argument).
 Outcome<PartsJob> begin_parts(const PartsRun& run, PartsJob job, bool overwrite);
 /// Errors: WorkFile's.
 Outcome<PartsJob> open_job(const PartsRun& run);
-/// The plan, if it was made of the scans that are there; none if a scan is missing or newer.
+/// The plan, if this version made it of the scans that are there; none if a scan is missing or newer.
 Outcome<std::optional<PartsPlan>> find_plan(const PartsRun& run, const PartsJob& job);
 
 /// What a step did: true if there was anything to do.

@@ -38,10 +38,10 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
     const StretchRange of = stretches_of_range(n_stretches, r, job.n_ranges);
     if (of.first == of.last) continue;
     const std::string path = run.range_path(r);
-    auto file = WorkFile::open(path, WorkKind::range);
-    const bool missing = !file && file.error().code == Errc::open_failed && file.error().system == ENOENT;
-    if (!file && !missing) return failed(path, file.error());
-    if (missing || file->basis() != plan.identity) {
+    auto found = WorkFile::find(path, WorkKind::range, plan.identity);
+    if (!found) return failed(path, found.error());
+    std::optional<WorkFile>& file = *found;
+    if (!file) {
       return failed(
           path, {Errc::open_failed, Error::kNone, "missing, or of another plan; run --lod-build for this range first",
                  Error::kNone, Error::kNone, 0});
@@ -94,7 +94,7 @@ Status copy_records(WorkFile& file, const StretchLevel& level, LevelsWriter& wri
 class Assembler {
  public:
   Assembler(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::vector<OpenRange>& ranges)
-      : run_(run), job_(job), plan_(plan), options_(run.stream_options(job.quality)), ranges_(ranges) {}
+      : run_(run), plan_(plan), options_(run.stream_options(job.quality)), ranges_(ranges) {}
 
   // Puts the pages of all stretches together, and builds those above them.
   Outcome<void> build_tops() {
@@ -224,7 +224,6 @@ class Assembler {
   }
 
   const PartsRun& run_;
-  const PartsJob& job_;
   const PartsPlan& plan_;
   lod::StreamOptions options_;
   std::vector<OpenRange>& ranges_;

@@ -229,7 +229,7 @@ Done build_range(const PartsRun& run, const PartsJob& job, const PartsPlan& plan
   const std::vector<std::uint64_t> begins = stretches_of(run, job, plan);
   const StretchRange of = stretches_of_range(begins.size() - 1, range, job.n_ranges);
   if (of.first == of.last) return false;
-  if (const auto old = WorkFile::open(path, WorkKind::range); old && old->basis() == plan.identity) return false;
+  if (const auto old = WorkFile::find(path, WorkKind::range, plan.identity); old && *old) return false;
   auto leaves = LeafReader::open(run, job, plan);
   if (!leaves) return tl::unexpected(leaves.error());
   auto writer = WorkWriter::create(path, WorkKind::range, plan.identity, run.sync);

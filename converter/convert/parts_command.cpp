@@ -20,8 +20,7 @@ int report_failure(const Failure& failure) {
 
 class Steps {
  public:
-  Steps(const PartsCommand& command, const PartsRun& run, const Selection& selection)
-      : command_(command), run_(run), selection_(selection) {}
+  Steps(const PartsCommand& command, const Selection& selection) : command_(command), selection_(selection) {}
 
   int code() const { return code_; }
 
@@ -49,7 +48,6 @@ class Steps {
 
  private:
   const PartsCommand& command_;
-  const PartsRun& run_;
   Selection selection_;
   int code_ = tool::kSuccess;
 };
@@ -66,14 +64,14 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
   if (!job) return report_failure(job.error());
   const std::size_t n = job->inputs.size();
   if (selection.is_part && selection.last >= n) return selection_beyond(command.selected, n, "inputs");
-  Steps steps(command, run, selection);
+  Steps steps(command, selection);
   steps.each(n, "scanned", "inputs", [&](std::size_t i) { return scan_input(run, *job, i); });
   if (steps.code() != tool::kSuccess) return steps.code();
   std::size_t n_missing = 0;
   if (!selection.is_part) {
     for (std::size_t i = 0; i < n; ++i) {
-      const auto basis = WorkFile::open(run.scan_path(i), WorkKind::scan);
-      if (!basis || basis->basis() != job->identity) ++n_missing;
+      const auto scan = WorkFile::find(run.scan_path(i), WorkKind::scan, job->identity);
+      if (!scan || !*scan) ++n_missing;
     }
     if (n_missing == 0) {
       const Done planned = make_plan(run, *job);
@@ -111,7 +109,7 @@ int build(const PartsCommand& command, const PartsRun& run, const Selection& sel
     return selection_beyond(command.selected, job->n_ranges, "ranges");
   const auto plan = need_plan(run, *job);
   if (!plan) return report_failure(plan.error());
-  Steps steps(command, run, selection);
+  Steps steps(command, selection);
   steps.each(job->n_ranges, "built", "ranges", [&](std::size_t i) { return build_range(run, *job, *plan, i); });
   return steps.code();
 }
@@ -126,6 +124,10 @@ int assemble(const PartsCommand& command, const PartsRun& run, const std::string
   for (const PartsInput& input : job->inputs) inputs.add_scene(input.path);
   inputs.add(run.job_path());
   inputs.add(run.plan_path());
+  for (std::size_t i = 0; i < job->inputs.size(); ++i) {
+    inputs.add(run.scan_path(i));
+    inputs.add(run.rows_path(i));
+  }
   for (std::size_t i = 0; i < job->n_ranges; ++i) inputs.add(run.range_path(i));
   if (const int code = inputs.check_outputs({&output_path, 1}); code != tool::kSuccess) return code;
   const auto summary = assemble_parts(run, *job, *plan, output_path, output);

@@ -3,10 +3,13 @@
 #include <sys/stat.h>
 
 #include <algorithm>
+#include <array>
 #include <cerrno>
 #include <filesystem>
+#include <string_view>
 #include <utility>
 
+#include "input_files.hpp"
 #include "parts.hpp"
 #include "parts_scan.hpp"
 #include "rgs/checksum.hpp"
@@ -152,6 +155,7 @@ json input_json(const PartsInput& input) {
   return {{"path", text_json(input.path)},
           {"name", text_json(input.name)},
           {"bytes", input.bytes},
+          {"beginning_xxh3", input.beginning_xxh3},
           {"format", enum_json(input.format)},
           {"axes", axes_json(input.axes)},
           {"placed", std::move(placed)},
@@ -167,6 +171,7 @@ PartsInput input_of(const json& j) {
   input.path = text_of(j.at("path"));
   input.name = text_of(j.at("name"));
   input.bytes = j.at("bytes");
+  input.beginning_xxh3 = j.at("beginning_xxh3");
   input.format = enum_of<SplatFormat>(j.at("format"));
   input.axes = axes_of(j.at("axes"));
   const json& placed = j.at("placed");
@@ -241,15 +246,43 @@ PartsJob job_of(const json& j) {
   return job;
 }
 
-// Files of another job, which would only take room.
-void remove_steps(const PartsRun& run) {
-  std::error_code ignored;
-  for (const auto& entry : fs::directory_iterator(run.folder, ignored)) {
-    const std::string name = entry.path().filename().string();
-    for (const char* prefix : {"plan", "scan.", "rows.", "range."}) {
-      if (name.starts_with(prefix)) fs::remove(entry.path(), ignored);
-    }
+bool is_digits(std::string_view text) {
+  return !text.empty() && text.find_first_not_of("0123456789") == std::string_view::npos;
+}
+
+// Whether a file of this name is one that the work makes, or that a killed process left of such a one (AtomicFile).
+bool is_of_work(std::string_view name) {
+  constexpr std::string_view kTemporary = ".tmp-";
+  constexpr std::size_t kRandom = 6;
+  if (name.size() > kTemporary.size() + kRandom &&
+      name.substr(name.size() - kRandom - kTemporary.size(), kTemporary.size()) == kTemporary)
+    name.remove_suffix(kRandom + kTemporary.size());
+  if (name == "job" || name == "plan") return true;
+  return std::ranges::any_of(std::array<std::string_view, 3>{"scan.", "rows.", "range."}, [name](std::string_view of) {
+    return name.starts_with(of) && is_digits(name.substr(of.size()));
+  });
+}
+
+std::vector<fs::path> files_of_work(const std::string& folder) {
+  std::vector<fs::path> paths;
+  std::error_code error;
+  for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
+    if (is_of_work(it->path().filename().string())) paths.push_back(it->path());
   }
+  return paths;
+}
+
+// A file of the work that is the user's: it would be removed, or written over. Empty if there is none.
+std::string input_of_work(const std::vector<fs::path>& of_work, const PartsJob& job) {
+  tool::InputFiles inputs;
+  for (const PartsInput& input : job.inputs) inputs.add_scene(input.path);
+  inputs.add_cameras(job.cameras);
+  std::vector<std::string> paths;
+  for (const fs::path& path : of_work) paths.push_back(path.string());
+  if (inputs.clash(paths).empty()) return {};
+  const auto taken = std::ranges::find_if(
+      paths, [&inputs](const std::string& path) { return !inputs.clash(std::span(&path, 1)).empty(); });
+  return taken == paths.end() ? "" : *taken;
 }
 
 bool is_there(const std::string& path) {
@@ -277,22 +310,34 @@ std::uint64_t choose_bin_rows(const EncodeOptions& encode, int sh_degree, std::u
   return std::clamp<std::uint64_t>(memory_bytes / 4 / lod::sorting_bytes(row_bytes) / 3, 1024, 400'000);
 }
 
+std::uint64_t hash_of_beginning(std::span<const std::byte> input) {
+  return xxh3(input.first(std::min<std::size_t>(input.size(), std::size_t{64} << 10)));
+}
+
 Outcome<PartsJob> begin_parts(const PartsRun& run, PartsJob job, bool overwrite) {
   const std::string path = run.job_path();
   const json about = job_json(job);
-  if (is_there(path)) {
-    auto old = WorkFile::open(path, WorkKind::job);
-    if (old && old->about() == about) return open_job(run);
-    if (!overwrite) {
-      if (!old && old.error().code != Errc::bad_magic) return failed(path, old.error());
-      return failed(path,
-                    {Errc::output_exists, Error::kNone,
-                     "this work is of other inputs or options; name another folder, or begin again with --overwrite",
-                     Error::kNone, Error::kNone, 0});
-    }
-    remove_steps(run);
+  const std::vector<fs::path> of_work = files_of_work(run.folder);
+  if (const std::string input = input_of_work(of_work, job); !input.empty()) {
+    return failed(input, {Errc::bad_argument, Error::kNone,
+                          "the input has the name of a file that the work makes; name another folder", Error::kNone,
+                          Error::kNone, 0});
   }
   std::error_code error;
+  if (overwrite) {
+    for (const fs::path& step : of_work) {
+      if (step.filename() != "job" && fs::symlink_status(step, error).type() == fs::file_type::regular)
+        fs::remove(step, error);
+    }
+  } else if (is_there(path)) {
+    auto old = WorkFile::open(path, WorkKind::job);
+    if (old && old->about() == about) return open_job(run);
+    if (!old && old.error().code != Errc::bad_magic) return failed(path, old.error());
+    return failed(path,
+                  {Errc::output_exists, Error::kNone,
+                   "this work is of other inputs or options; name another folder, or begin again with --overwrite",
+                   Error::kNone, Error::kNone, 0});
+  }
   fs::create_directories(run.folder, error);
   if (error) {
     return failed(run.folder, {Errc::write_failed, Error::kNone, "the folder of the work cannot be made", Error::kNone,
@@ -321,11 +366,13 @@ Outcome<PartsJob> open_job(const PartsRun& run) {
 Outcome<std::optional<PartsPlan>> find_plan(const PartsRun& run, const PartsJob& job) {
   const std::string path = run.plan_path();
   if (!is_there(path)) return std::nullopt;
-  auto file = WorkFile::open(path, WorkKind::plan);
-  if (!file) return failed(path, file.error());
-  const auto basis = basis_of_plan(run, job);
+  const auto basis = find_basis_of_plan(run, job);
   if (!basis) return tl::unexpected(basis.error());
-  if (!*basis || file->basis() != **basis) return std::nullopt;
+  if (!*basis) return std::nullopt;
+  auto found = WorkFile::find(path, WorkKind::plan, **basis);
+  if (!found) return failed(path, found.error());
+  std::optional<WorkFile>& file = *found;
+  if (!file) return std::nullopt;
   PartsPlan plan;
   plan.identity = file->identity();
   const Status read = read_about([&]() -> Status {
@@ -375,8 +422,8 @@ Outcome<std::string> list_parts(const PartsRun& run) {
   const auto plan = find_plan(run, *job);
   if (!plan) return tl::unexpected(plan.error());
   const auto done = [](const std::string& path, WorkKind kind, std::uint64_t basis) {
-    const auto file = WorkFile::open(path, kind);
-    return file && file->basis() == basis;
+    const auto file = WorkFile::find(path, kind, basis);
+    return file && *file;
   };
   json inputs = json::array(), ranges = json::array();
   for (std::size_t i = 0; i < job->inputs.size(); ++i) {

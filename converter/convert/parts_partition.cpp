@@ -36,7 +36,9 @@ class OpenInput {
  public:
   Outcome<void> open(const PartsJob& job, const PartsInput& part) {
     if (const Status s = input_.open(part.path); !s) return failed(part.path, s.error());
-    if (input_.file().bytes().size() != part.bytes) return failed(part.path, kInputChanged);
+    const auto bytes = input_.file().bytes();
+    if (bytes.size() != part.bytes || hash_of_beginning(bytes) != part.beginning_xxh3)
+      return failed(part.path, kInputChanged);
     auto tile = input_.tile(part.format, job.read);
     if (!tile) return failed(part.path, tile.error());
     if (tile->ply && (tile->ply->size() != part.facts.n || tile->ply->sh_degree() != part.facts.sh_degree))
@@ -144,12 +146,11 @@ std::vector<std::uint64_t> cut_bins(const PartsJob& job, const SceneScan& scan, 
 
 Outcome<std::optional<ScannedInput>> find_scan(const PartsRun& run, const PartsJob& job, std::size_t input) {
   const std::string path = run.scan_path(input);
-  const auto file = WorkFile::open(path, WorkKind::scan);
-  if (!file && file.error().code == Errc::open_failed && file.error().system == ENOENT) return std::nullopt;
+  const auto file = WorkFile::find(path, WorkKind::scan, job.identity);
   if (!file) return failed(path, file.error());
-  if (file->basis() != job.identity) return std::nullopt;
+  if (!*file) return std::nullopt;
   auto scanned = read_about([&]() -> Result<ScannedInput> {
-    const nlohmann::json& j = file->about();
+    const nlohmann::json& j = (*file)->about();
     return ScannedInput{j.at("xxh3"),       j.at("modified"),    j.at("first_damaged"), j.at("position_rounding"),
                         j.at("scan_bytes"), j.at("content_xxh3")};
   });
@@ -157,16 +158,21 @@ Outcome<std::optional<ScannedInput>> find_scan(const PartsRun& run, const PartsJ
   return std::move(*scanned);
 }
 
-Outcome<std::optional<std::uint64_t>> basis_of_plan(const PartsRun& run, const PartsJob& job) {
+std::uint64_t basis_of_plan(const PartsJob& job, std::span<const ScannedInput> scans) {
   std::vector<std::uint64_t> hashes{job.identity};
+  for (const ScannedInput& scanned : scans) hashes.insert(hashes.end(), {scanned.xxh3, scanned.content_xxh3});
+  return xxh3(std::as_bytes(std::span(hashes)));
+}
+
+Outcome<std::optional<std::uint64_t>> find_basis_of_plan(const PartsRun& run, const PartsJob& job) {
+  std::vector<ScannedInput> scans;
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
     const auto scanned = find_scan(run, job, i);
     if (!scanned) return tl::unexpected(scanned.error());
     if (!*scanned) return std::nullopt;
-    hashes.push_back((*scanned)->xxh3);
-    hashes.push_back((*scanned)->content_xxh3);
+    scans.push_back(std::move(**scanned));
   }
-  return xxh3(std::as_bytes(std::span(hashes)));
+  return basis_of_plan(job, scans);
 }
 
 Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
@@ -178,7 +184,8 @@ Done scan_input(const PartsRun& run, const PartsJob& job, std::size_t input) {
   if (const auto old = find_scan(run, job, input); old && *old) {
     const auto same = is_unchanged(part, open.input(), **old);
     if (!same) return tl::unexpected(same.error());
-    if (*same) return false;
+    if (!*same) return failed(part.path, kInputChanged);  // what begin found in it may have changed as well
+    return false;
   }
   ScannedInput scanned;
   scanned.modified = modified_of(part.path);
@@ -225,10 +232,11 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   plan.encode = job.encode;
   plan.scan = SceneScan(job.output_degree(), job.encode.on_bad);
   std::vector<float> means;
+  std::vector<ScannedInput> scans;
   std::vector<std::uint64_t> hashes;
   Failure damage{"", {}};
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
-    const auto scanned = find_scan(run, job, i);
+    auto scanned = find_scan(run, job, i);
     if (!scanned) return tl::unexpected(scanned.error());
     if (!*scanned) {
       return failed(run.scan_path(i),
@@ -242,6 +250,7 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
     hashes.push_back((*scanned)->xxh3);
     if (damage.file.empty() && scan->n_kept() != scan->n_source())
       damage = {job.inputs[i].path, damaged_gaussian((*scanned)->first_damaged, *scan).value()};
+    scans.push_back(std::move(**scanned));
   }
   const std::string& first_path = job.inputs.front().path;
   if (job.encode.on_bad == BadPolicy::refuse && !damage.file.empty()) return tl::unexpected(damage);
@@ -269,17 +278,15 @@ Done make_plan(const PartsRun& run, const PartsJob& job) {
   if (const Status s = find_depth_range(plan.encode, depth, plan.scan, even); !s)
     return failed(job.cameras.empty() ? first_path : job.cameras, s.error());
   plan.bins = cut_bins(job, plan.scan, means);
-  const auto basis = basis_of_plan(run, job);
-  if (!basis) return tl::unexpected(basis.error());
-  if (!*basis) return failed(run.folder, kInputChanged);
-  if (const Status s = write_plan(run, plan, **basis); !s) return failed(run.plan_path(), s.error());
+  // Of the scans that were read: another may have taken the place of one meanwhile.
+  if (const Status s = write_plan(run, plan, basis_of_plan(job, scans)); !s) return failed(run.plan_path(), s.error());
   return true;
 }
 
 Done place_input(const PartsRun& run, const PartsJob& job, const PartsPlan& plan, std::size_t input) {
   const PartsInput& part = job.inputs[input];
   const std::string path = run.rows_path(input);
-  if (const auto old = WorkFile::open(path, WorkKind::rows); old && old->basis() == plan.identity) return false;
+  if (const auto old = WorkFile::find(path, WorkKind::rows, plan.identity); old && *old) return false;
   const auto scanned = find_scan(run, job, input);
   if (!scanned) return tl::unexpected(scanned.error());
   OpenInput open;

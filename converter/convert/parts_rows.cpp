@@ -3,7 +3,6 @@
 #include "parts_rows.hpp"
 
 #include <algorithm>
-#include <cerrno>
 #include <utility>
 
 #include "rgs/checksum.hpp"
@@ -64,7 +63,7 @@ Status RowsWriter::flush(std::size_t bin) {
   blocks_.insert(blocks_.end(), {bin, file_.end(), rows.size() / rows_.row_bytes(), xxh3(rows)});
   n_waiting_ -= rows.size();
   const Status written = file_.append(rows);
-  rows = {};
+  rows = std::vector<std::byte>();  // `= {}` would keep the memory, of as many bins as there are
   return written;
 }
 
@@ -87,10 +86,10 @@ Outcome<LeafReader> LeafReader::open(const PartsRun& run, const PartsJob& job, c
   LeafReader reader(run, plan);
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
     const std::string path = run.rows_path(i);
-    auto file = WorkFile::open(path, WorkKind::rows);
-    const bool missing = !file && file.error().code == Errc::open_failed && file.error().system == ENOENT;
-    if (!file && !missing) return failed(path, file.error());
-    if (missing || file->basis() != plan.identity) {
+    auto found = WorkFile::find(path, WorkKind::rows, plan.identity);
+    if (!found) return failed(path, found.error());
+    std::optional<WorkFile>& file = *found;
+    if (!file) {
       return failed(path, {Errc::open_failed, Error::kNone,
                            "missing, or of another plan; run --lod-partition for this input first", Error::kNone,
                            Error::kNone, 0});

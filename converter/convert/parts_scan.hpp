@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -20,10 +21,12 @@ struct ScannedInput {
   double position_rounding = 0;
   std::uint64_t scan_bytes = 0, content_xxh3 = 0;
 };
-/// None if it is missing, or of another job.
+/// None if it is missing, or of another job or version.
 Outcome<std::optional<ScannedInput>> find_scan(const PartsRun& run, const PartsJob& job, std::size_t input);
-/// What a plan of the scans that are there is made of; none if one is missing.
-Outcome<std::optional<std::uint64_t>> basis_of_plan(const PartsRun& run, const PartsJob& job);
+/// What a plan is made of: the scans of all inputs.
+std::uint64_t basis_of_plan(const PartsJob& job, std::span<const ScannedInput> scans);
+/// The same of the scans that are there; none if one is missing.
+Outcome<std::optional<std::uint64_t>> find_basis_of_plan(const PartsRun& run, const PartsJob& job);
 Status write_plan(const PartsRun& run, const PartsPlan& plan, std::uint64_t basis);
 
 }  // namespace rgs

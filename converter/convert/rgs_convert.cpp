@@ -592,6 +592,7 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
     part = {fs::absolute(input.path(), ignored).string(),
             input.name(),
             input.bytes().size(),
+            rgs::hash_of_beginning(input.bytes()),
             looked->format,
             looked->tile.axes,
             looked->tile.placed,
@@ -632,6 +633,10 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
   return job;
 }
 
+// What many scenes have beyond one. None of these shows in an output.
+constexpr std::string_view kBatchOptions[] = {"--list",       "--jobs",          "--shard",
+                                              "--keep-going", "--no-keep-going", "--report"};
+
 // What parts cannot do; the message for the user.
 std::optional<std::string> check_parts(const Arguments& a) {
   if (!a.parts.partition.empty() && a.n_inputs() > 0) {
@@ -657,6 +662,26 @@ std::optional<std::string> check_parts(const Arguments& a) {
   if (a.parts.assemble.empty() && a.parts.partition.empty() && !a.files.empty())
     return "the folder of the work says all: " + a.files.front() + " is one too many";
   if (a.convert.memory_bytes < rgs::lod::kLeastMemory) return "--memory takes at least 128MiB";
+  return std::nullopt;
+}
+
+// An option that the step would leave without effect; the message for the user.
+std::optional<std::string> check_parts_options(const CLI::App& app, const rgs::PartsCommand& parts) {
+  const char* const command = !parts.partition.empty()  ? "--lod-partition"
+                              : !parts.build.empty()    ? "--lod-build"
+                              : !parts.assemble.empty() ? "--lod-assemble"
+                                                        : "--lod-list";
+  const auto has_effect = [&](std::string_view option) {
+    if (option == "--list") return !parts.partition.empty();
+    if (option == "--json") return !parts.assemble.empty() || !parts.list.empty();
+    if (option == "--overwrite") return !parts.assemble.empty() || !parts.partition.empty();
+    if (option == "--lod-input") return !parts.partition.empty() || !parts.build.empty();
+    return std::ranges::find(kBatchOptions, option) == std::end(kBatchOptions);
+  };
+  for (const CLI::Option* option : app.get_options()) {
+    if (option->count() != 0 && !has_effect(option->get_name()))
+      return option->get_name() + " has no effect on " + command;
+  }
   return std::nullopt;
 }
 
@@ -847,9 +872,6 @@ void add_archive_options(CLI::App& app, Arguments& a) {
   app.add_option("--archive-slope", c.slope,
                  "archive: steps fall with importance to the power of half of this, 0 to 1 [0.6]");
 }
-
-// What many scenes have beyond one. None of these shows in an output.
-constexpr const char* kBatchOptions[] = {"--list", "--jobs", "--shard", "--keep-going", "--no-keep-going", "--report"};
 
 void add_batch_options(CLI::App& app, Arguments& a) {
   const std::string group = "Many scenes (docs/BATCH.md)";
@@ -1072,7 +1094,10 @@ int parse_and_convert(int argc, char** argv) {
   }
   arguments.given = given_options(app);
   arguments.memory_given = app.get_option("--memory")->count() != 0;
-  if (!arguments.parts.folder().empty()) return convert_parts(arguments);
+  if (!arguments.parts.folder().empty()) {
+    if (const auto message = check_parts_options(app, arguments.parts)) return tool::report_usage(*message);
+    return convert_parts(arguments);
+  }
   for (const char* name : {"--lod-input", "--ranges"}) {
     if (app.get_option(name)->count() != 0)
       return tool::report_usage(std::string(name) + " is of --lod-partition and --lod-build");
@@ -1081,8 +1106,8 @@ int parse_and_convert(int argc, char** argv) {
   std::error_code ignored;
   if (!arguments.list.empty() || fs::is_directory(arguments.files.front(), ignored)) return convert_many(arguments);
   if (arguments.files.size() < 2) return tool::report_usage("an input needs an output: rgs-convert INPUT OUTPUT");
-  for (const char* name : kBatchOptions)
-    if (app.get_option(name)->count() != 0)
+  for (const std::string_view name : kBatchOptions)
+    if (app.get_option(std::string(name))->count() != 0)
       return tool::report_usage(std::string(name) + " is for a folder of scenes, or --list");
   return convert_main(arguments);
 }

@@ -153,6 +153,15 @@ Result<WorkFile> WorkFile::open(const std::string& path, WorkKind kind) {
   });
 }
 
+Result<std::optional<WorkFile>> WorkFile::find(const std::string& path, WorkKind kind, std::uint64_t basis) {
+  auto file = open(path, kind);
+  if (file) return file->basis() == basis ? std::optional(std::move(*file)) : std::nullopt;
+  const Error& error = file.error();
+  const bool is_missing = error.code == Errc::open_failed && error.system == ENOENT;
+  if (is_missing || error.code == Errc::unsupported_version) return std::nullopt;
+  return tl::unexpected(error);
+}
+
 Status unpack_bytes(const nlohmann::json& packed, std::size_t size_each, std::vector<std::uint8_t>& bytes) {
   return read_about([&]() -> Status {
     bytes = packed.get_binary();

@@ -9,6 +9,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <nlohmann/json.hpp>
+#include <optional>
 #include <span>
 #include <string>
 #include <vector>
@@ -41,6 +42,8 @@ class WorkFile {
   /// Errors: open_failed; truncated, bad_magic, unsupported_version (of another version of RoofGS), bad_header,
   /// checksum_mismatch (of what it says of itself), bad_value (another kind).
   static Result<WorkFile> open(const std::string& path, WorkKind kind);
+  /// The same, or none: missing, of another version of RoofGS, or made from something else.
+  static Result<std::optional<WorkFile>> find(const std::string& path, WorkKind kind, std::uint64_t basis);
   WorkFile(WorkFile&& other) noexcept;
   WorkFile& operator=(WorkFile&& other) noexcept;
   ~WorkFile();

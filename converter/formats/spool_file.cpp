@@ -83,7 +83,7 @@ Status SpoolFile::flush() {
 Status SpoolFile::finish() {
   if (!spilled_) return {};
   if (auto flushed = flush(); !flushed) return flushed;
-  buffer_ = {};
+  buffer_ = std::vector<std::byte>();  // `= {}` would keep the memory
   auto mapped = MappedFile::map(fd_);
   if (!mapped) return tl::unexpected(mapped.error());
   file_ = std::move(*mapped);

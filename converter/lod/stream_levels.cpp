@@ -131,7 +131,7 @@ void sort_rows(std::vector<std::byte>& rows, std::uint64_t row_bytes, const Mort
     const std::size_t begin = starts[bucket], count = starts[bucket + 1] - begin;
     if (count > 1) sort_bucket(std::span(keys).subspan(begin, count), std::span(indices).subspan(begin, count));
   });
-  keys = {};
+  keys = std::vector<std::uint64_t>();  // `= {}` would keep the memory
   std::vector<std::byte> sorted(rows.size());
   each_in_parallel(
       n, [&](std::size_t i) { std::memcpy(&sorted[i * row_bytes], &rows[indices[i] * row_bytes], row_bytes); });
@@ -416,7 +416,7 @@ Status order_leaves(const SplatStream& stream, const SceneScan& scan, const Enco
     auto ranges = cut_ranges(stream, scan, encode, most_rows, options);
     if (!ranges) return tl::unexpected(ranges.error());
     if (Status s = distribute(stream, scan, encode, *ranges, options, leaves); !s) return s;
-    ranges->of_cell = {};
+    ranges->of_cell = std::vector<std::uint32_t>();
     out.chunks.resize((scan.n_kept() + encode.chunk_size - 1) / encode.chunk_size);
     if (encode.keep_permutation) out.positions.resize(scan.n_kept());
     options.begin("sort", scan.n_kept(), "Gaussians");
@@ -439,7 +439,7 @@ Status build_upper(const EncodeOptions& encode, const StreamOptions& options, St
   return detail::guard_memory([&]() -> Status {
     std::vector<std::uint32_t> stretches;
     out.pages.assign(1, cut_leaf_pages(out.chunks, out.n_leaves, build_options(encode, options), stretches));
-    out.chunks = {};
+    out.chunks = std::vector<ChunkBoxes>();
     if (std::vector<Page>& leaves = out.pages.front(); leaves.size() == 1) {
       SplatCloud splats;
       if (Status s = out.rows.front().read(0, out.n_leaves, splats); !s) return s;

@@ -177,7 +177,6 @@ const char* hint(const Error& error) {
       return "if you trust the file, allow more: --max-expansion RATIO or a size such as 8GB";
     case Errc::bad_magic: return "the file is of another format; its name does not decide what it is";
     case Errc::host_out_of_memory: return "raise the limit of memory (ulimit -v), or use a machine with more";
-    case Errc::unsupported_version: return "the file comes from a newer version of these programs; update them";
     default: return "";
   }
 }

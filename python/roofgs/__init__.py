@@ -16,13 +16,13 @@ from ._pictures import png
 from ._programs import Audit, audit, convert, prune
 from ._rasterization import rasterization
 from ._render import Frame, Renderer
-from ._roofgs import Camera
+from ._roofgs import Camera, DeviceArray
 from ._roofgs import version as __version__
-from ._scene import Scene, StreamedScene, info, load
+from ._scene import Scene, StreamedScene, StreamPool, info, load
 
 __all__ = [
-    "ArgumentError", "Audit", "Camera", "DeviceError", "Error", "FormatError", "Frame", "IncompleteError",
+    "ArgumentError", "Audit", "Camera", "DeviceArray", "DeviceError", "Error", "FormatError", "Frame", "IncompleteError",
     "InputOutputError", "InternalError", "MissingFileError", "OutOfMemoryError", "OutputExistsError", "QualityError",
-    "Renderer", "Scene", "StreamedScene", "UnavailableError", "audit", "cameras", "convert", "info", "load", "png",
+    "Renderer", "Scene", "StreamPool", "StreamedScene", "UnavailableError", "audit", "cameras", "convert", "info", "load", "png",
     "prune", "rasterization", "__version__",
 ]

@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from typing import Any, Optional, Sequence
+import math
+import sys
+from typing import Any, Dict, NamedTuple, Optional, Sequence, Tuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,10 +60,40 @@ def output_array(value: Any, name: str) -> "NDArray[Any]":
     """The memory of an output: an array, or a torch tensor on the CPU."""
     if isinstance(value, np.ndarray):
         return value
-    if is_tensor(value):
+    if is_tensor(value) and value.device.type == "cpu":
         _refuse_gradient(value, name)
-        if value.device.type != "cpu":
-            raise argument_error(f"{name} is a tensor on {value.device}; pictures come to the host's memory")
         array: NDArray[Any] = value.numpy()
         return array
-    raise argument_error(f"{name} is neither a NumPy array nor a torch tensor")
+    raise argument_error(f"{name} is neither a NumPy array, nor a torch tensor, nor an array on a GPU")
+
+
+class DeviceOutput(NamedTuple):
+    """An output in a GPU's memory, as the extension module takes it."""
+
+    array: Any
+    address: int
+    shape: Tuple[int, ...]
+    format: str  #: "f" float32, "B" uint8, else something that no output is
+    contiguous: bool
+    readonly: bool
+
+
+def device_output(value: Any, name: str) -> "Optional[Tuple[DeviceOutput, int]]":
+    """An output in a GPU's memory with the stream on which it is ready: a torch tensor, or whatever has
+    ``__cuda_array_interface__``. None for others."""
+    if is_tensor(value):
+        if value.device.type != "cuda":
+            return None
+        _refuse_gradient(value, name)
+        torch: Any = sys.modules["torch"]
+        kind = {torch.float32: "f", torch.uint8: "B"}.get(value.dtype, "?")
+        stream = int(torch.cuda.current_stream(value.device).cuda_stream)
+        return DeviceOutput(value, value.data_ptr(), tuple(value.shape), kind, value.is_contiguous(), False), stream
+    facts: Optional[Dict[str, Any]] = getattr(value, "__cuda_array_interface__", None)
+    if facts is None:
+        return None
+    kind = {"<f4": "f", "|u1": "B"}.get(facts["typestr"], "?")
+    shape, strides, (address, readonly) = tuple(facts["shape"]), facts.get("strides"), facts["data"]
+    size = 4 if kind == "f" else 1
+    tight = [size * math.prod(shape[i + 1:]) for i in range(len(shape))]
+    return DeviceOutput(value, address, shape, kind, strides is None or list(strides) == tight, readonly), facts.get("stream") or 0

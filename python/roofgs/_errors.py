@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any, Optional, Type
 
+from ._paths import shown
+
 
 class Error(Exception):
     """Whatever RoofGS refuses or cannot do. Each kind is also the usual exception of its sort, as the classes below say.
@@ -14,7 +16,7 @@ class Error(Exception):
     code : str
         Stable name of the failure: ``"checksum_mismatch"``, ``"bad_camera"``, ... (``Errc`` in ``rgs/result.hpp``).
     file : str or None
-        The file or address that it is about.
+        The file that it is about, or the address without user, password and query.
     offset : int or None
         Byte in that file where it was noticed.
     expected, found : int or None
@@ -142,6 +144,7 @@ _KINDS = {
     "output_unusable": InputOutputError,
 }
 _ENOENT = 2
+_NAMES = {"DecodeLimits::": "", "StreamPoolOptions::": "", "Backend::cpu": "device='cpu'", "Backend::cuda": "device='cuda'"}
 _FLAGS = {"overwrite", "strict", "merge", "lod", "keep_permutation", "keep_order"}
 
 
@@ -150,13 +153,15 @@ def _as_python(text: str) -> str:
 
     def argument(match: "re.Match[str]") -> str:
         name = match[1].replace("-", "_")
-        if name in _FLAGS:
-            return f"{name}=True"
-        return f"{name}={match[2]!r}" if match[2] else f"{name}="
+        if match[2]:
+            return f"{name}={match[2]!r}"
+        return f"{name}=True" if name in _FLAGS and not match[0].endswith("=") else f"{name}="
 
-    values = r"(?:[ =](?=[a-z]*\b)(drop|repair|refuse|packed|direct|archive))?"
+    values = r"(?:[ =](drop|repair|refuse|packed|direct|archive(?::[a-z]+)?)\b|=)?"
     text = re.sub(r"--([a-z][a-z-]*[a-z])" + values, argument, text)
-    return text.replace("DecodeLimits::", "").replace("Backend::cpu", "device='cpu'")
+    for native, here in _NAMES.items():
+        text = text.replace(native, here)
+    return text
 
 
 def make(code: str, message: str, hint: str = "", file: Optional[str] = None, offset: Optional[int] = None,
@@ -165,7 +170,7 @@ def make(code: str, message: str, hint: str = "", file: Optional[str] = None, of
     kind: Type[Error] = _KINDS.get(code, FormatError)
     if kind is InputOutputError and errno == _ENOENT:
         kind = MissingFileError
-    return kind(_as_python(message), code=code, file=file, offset=offset, expected=expected, found=found,
+    return kind(_as_python(message), code=code, file=None if file is None else shown(file), offset=offset, expected=expected, found=found,
                 errno=errno or None, hint=_as_python(hint))
 
 

@@ -16,5 +16,12 @@ def encoded(path: Path) -> bytes:
     return name
 
 
-def shown(name: bytes) -> str:
-    return os.fsdecode(name)
+def shown(name: Union[str, bytes]) -> str:
+    """A path, or an address without user, password, query and fragment."""
+    text = os.fsdecode(name)
+    if not text.lower().startswith(("http://", "https://")):
+        return text
+    scheme, _, rest = text.partition("://")
+    rest = rest.partition("?")[0].partition("#")[0]
+    host, slash, path = rest.partition("/")
+    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"

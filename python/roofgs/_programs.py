@@ -77,6 +77,9 @@ def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, floa
     >>> prune(examples / "scene.rgs", folder / "half.rgs", examples / "cameras.json", keep=0.5)["output"]["gaussians"]
     1000
     """
+    given: Any = keep
+    if hasattr(given, "tolist"):  # of NumPy
+        keep = given.tolist()
     if isinstance(keep, float):
         if not 0 <= keep <= 1:
             raise argument_error(f"keep is a share of 0 to 1 as a float, a number as an int; not {keep}")

@@ -177,7 +177,7 @@ def _split(value: Any, name: str, n_own: int) -> Tuple[Tuple[int, ...], Tuple[in
 
 def _flat(value: Any, name: str, batch: Tuple[int, ...], own: Tuple[int, ...]) -> Floats:
     """[..., own] as [n_batches, own]."""
-    return float_array(value, name, (*batch, *own)).reshape(-1, *own)
+    return float_array(value, name, (*batch, *own)).reshape(int(np.prod(batch, dtype=int)), *own)  # -1 is no length of what is empty
 
 
 def _harmonics(colors: Any, batch: Tuple[int, ...], n_cameras: int, n: int,
@@ -188,7 +188,7 @@ def _harmonics(colors: Any, batch: Tuple[int, ...], n_cameras: int, n: int,
     per_camera = len(shape) == len(batch) + own + 1
     wanted: Tuple[Optional[int], ...] = (*batch, *((n_cameras,) if per_camera else ()), n)
     values = float_array(colors, "colors", (*wanted, None) if sh_degree is None else (*wanted, None, 3))
-    values = values.reshape(-1, n_cameras if per_camera else 1, *shape[len(shape) - own:])
+    values = values.reshape(int(np.prod(batch, dtype=int)), n_cameras if per_camera else 1, *shape[len(shape) - own:])
     if sh_degree is not None:
         n_used = (sh_degree + 1) ** 2
         if values.shape[-2] < n_used:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _roofgs
-from ._arrays import FloatArray, output_array
+from ._arrays import DeviceOutput, device_output, output_array
 from ._errors import argument_error
 from ._roofgs import Camera
 from ._scene import Scene, StreamedScene
@@ -22,9 +22,9 @@ _PIPELINES = ("automatic", "baseline", "paper", "turbo")
 class Frame(NamedTuple):
     """What :meth:`Renderer.render` gives where alpha or depth is asked for."""
 
-    image: "NDArray[Any]"  #: [height, width, 3] colour over the background, float32 or uint8
-    alpha: Optional[FloatArray]  #: [height, width] 1 - transmittance
-    depth: Optional[FloatArray]  #: [height, width] expected z in the camera's axes, world units; 0 where nothing is
+    image: Any  #: [height, width, 3] colour over the background, float32 or uint8
+    alpha: Any  #: [height, width] 1 - transmittance; None unless it was asked for
+    depth: Any  #: [height, width] expected z in the camera's axes, world units; 0 where nothing is
 
 
 class Renderer:
@@ -86,31 +86,38 @@ class Renderer:
         return f"<roofgs.Renderer {self.name}, pipeline {self._pipeline}>"
 
     @overload
-    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
-               alpha: Literal[False] = ..., depth: Literal[False] = ...,
+    def render(self, scene: AnyScene, camera: Cameras, *, out: None = ..., dtype: Any = ...,
+               alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: Literal[False] = ...,
                background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> "NDArray[Any]": ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
-               alpha: Literal[True], depth: bool = ...,
+               alpha: Literal[True], depth: bool = ..., on_device: bool = ...,
                background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
-               alpha: bool = ..., depth: Literal[True],
+               alpha: bool = ..., depth: Literal[True], on_device: bool = ...,
                background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
 
+    @overload
+    def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
+               alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: bool = ...,
+               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
+               anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Any: ...
+
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: Any = None, alpha: bool = False,
-               depth: bool = False, background: Tuple[float, float, float] = (0.0, 0.0, 0.0),
+               depth: bool = False, on_device: bool = False, background: Tuple[float, float, float] = (0.0, 0.0, 0.0),
                near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
                low_pass: Optional[float] = None, anti_aliasing: Optional[str] = None,
-               detail: Optional[float] = None) -> "Union[NDArray[Any], Frame]":
+               detail: Optional[float] = None) -> Any:
         """A picture, or one for each of several cameras, whose pictures must have one size.
 
         Parameters
@@ -119,11 +126,14 @@ class Renderer:
             With several, a leading axis of all results counts them.
         out : array, or Frame or tuple of arrays
             Filled instead of new arrays: C-contiguous, float32 or, of the image, uint8; with `alpha` or `depth` a tuple
-            (image, alpha, depth). NumPy arrays, or torch tensors on the CPU.
+            (image, alpha, depth). NumPy arrays and torch tensors on the CPU; on "cuda" also torch tensors on the GPU and other
+            arrays with ``__cuda_array_interface__``, all of them or none.
         dtype : "float32" or "uint8"
             Of the image; that of `out`, else float32. 8-bit codes are round(255 clamp(v, 0, 1)).
         alpha, depth : bool
             Give these, too, in a :class:`Frame`.
+        on_device : bool
+            On "cuda": new arrays are in the GPU's memory, as :class:`DeviceArray`, which ``torch.from_dlpack()`` takes.
         background : three numbers
             The colour behind everything.
         near_plane, far_plane : float, optional
@@ -136,15 +146,23 @@ class Renderer:
             Of scenes with levels of detail: pages are drawn whose error is at most so many pixels. 1 unless it is given; 0
             draws all Gaussians.
 
-        Python's lock is not held. Ctrl-C is seen between two pictures of a call.
+        What is in the GPU's memory is written after what torch's current stream (or the one that the array names) holds by then,
+        and complete on return. Python's lock is not held. Ctrl-C is seen between two pictures of a call, on "cuda" between 64.
+        Several small pictures of one call take less time there than as many calls.
         """
         single = isinstance(camera, Camera)
         cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
-        image_out, alpha_out, depth_out = _outputs(out, alpha or depth)
-        eight_bit = _is_eight_bit(dtype, image_out)
+        outputs, stream = _outputs(out, alpha or depth, on_device)
+        eight_bit = _is_eight_bit(dtype, outputs[0])
         options = self._options_of(background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
-        image, alphas, depths = self._native.render(
-            scene._native, cameras, not single, image_out, alpha_out, depth_out, eight_bit, alpha, depth, options)
+        if stream is None:
+            image, alphas, depths = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth,
+                                                        options)
+        else:
+            if isinstance(scene, StreamedScene):
+                raise argument_error("streamed scenes are drawn into the host's memory")
+            image, alphas, depths = self._native.render_on_device(scene._native, cameras, not single, *outputs, eight_bit, alpha,
+                                                                  depth, stream, options)
         return Frame(image, alphas, depths) if alpha or depth else image
 
     def refine(self, scene: StreamedScene, camera: Camera, seconds: float = 60.0, *,
@@ -179,21 +197,31 @@ class Renderer:
         return options
 
 
-def _outputs(out: Any, several: bool) -> Tuple[Any, Any, Any]:
-    if out is None:
-        return None, None, None
-    if not several:
-        if isinstance(out, Frame):
-            out = out.image
-        return output_array(out, "out"), None, None
-    if not isinstance(out, tuple) or len(out) != 3:
-        raise argument_error("with alpha or depth, out is a tuple (image, alpha, depth)")
-    return tuple(None if each is None else output_array(each, name)  # type: ignore[return-value]
-                 for each, name in zip(out, ("out[0]", "out[1]", "out[2]")))
+def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, Any, Any], Optional[int]]:
+    """Image, alpha and depth to be filled, None where there is none; of a GPU's memory also the stream to begin after."""
+    given: Tuple[Any, ...] = (None, None, None)
+    if out is not None and not several:
+        given = (out.image if isinstance(out, Frame) else out, None, None)
+    elif out is not None:
+        if not isinstance(out, tuple) or len(out) != 3:
+            raise argument_error("with alpha or depth, out is a tuple (image, alpha, depth)")
+        given = out
+    names = ("out[0]", "out[1]", "out[2]") if several else ("out", "", "")
+    found = [None if each is None or isinstance(each, np.ndarray) else device_output(each, name)
+             for each, name in zip(given, names)]
+    if not on_device and not any(found):
+        image, alpha, depth = (None if each is None else output_array(each, name) for each, name in zip(given, names))
+        return (image, alpha, depth), None
+    if any(each is not None and place is None for each, place in zip(given, found)):
+        raise argument_error("outputs are on the GPU or in the host's memory, all of them")
+    first, second, third = (None if place is None else place[0] for place in found)
+    return (first, second, third), next((place[1] for place in found if place is not None), 0)
 
 
 def _is_eight_bit(dtype: Any, image: Any) -> bool:
     if dtype is None:
+        if isinstance(image, DeviceOutput):
+            return image.format == "B"
         return image is not None and image.dtype == np.uint8
     kind = np.dtype(dtype)
     if kind not in (np.dtype(np.float32), np.dtype(np.uint8)):

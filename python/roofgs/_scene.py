@@ -23,17 +23,6 @@ _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
 _PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small")
 
 
-def _shown_name(name: bytes) -> str:
-    """A path, or an address without user, password and query."""
-    text = shown(name)
-    if not text.lower().startswith(("http://", "https://")):
-        return text
-    scheme, _, rest = text.partition("://")
-    rest = rest.partition("?")[0].partition("#")[0]
-    host, slash, path = rest.partition("/")
-    return f"{scheme}://{host.rpartition('@')[2]}{slash}{path}"
-
-
 class Scene:
     """Gaussians to be drawn, which never change.
 
@@ -180,7 +169,7 @@ class Scene:
     @property
     def path(self) -> Optional[str]:
         """Where it came from: a path, or an address without user, password and query."""
-        return _shown_name(self._native.path) or None
+        return shown(self._native.path) or None
 
     # ---- saving
 
@@ -227,6 +216,52 @@ class Scene:
         return _html(self, self._facts())
 
 
+class StreamPool:
+    """A budget of memory that streamed scenes share: what shows the largest error in pixels gets room first, whichever scene it
+    is of.
+
+    Parameters
+    ----------
+    host_memory : int
+        Bytes that all of its scenes may take in the host's memory.
+    device_memory : int
+        Bytes of the GPU that their pages take instead, as one piece while there are scenes: those are drawn by "cuda" alone, and
+        have one SH degree, chunk size and page size. 0: pages are in the host's memory, and drawn by "cpu" alone.
+
+    >>> pool = StreamPool(host_memory=1 << 28)
+    >>> with StreamedScene(examples / "levels.rgs", pool=pool) as one, StreamedScene(examples / "levels.rgs", pool=pool):
+    ...     one.pool is pool, 0 < pool.host_bytes <= pool.host_memory
+    (True, True)
+    """
+
+    def __init__(self, *, host_memory: int = 2 << 30, device_memory: int = 0) -> None:
+        self._native = _roofgs.StreamPool(_count(host_memory, "host_memory"), _count(device_memory, "device_memory"))
+
+    @property
+    def host_memory(self) -> int:
+        """The budget, bytes."""
+        return self._native.host_memory
+
+    @property
+    def device_memory(self) -> int:
+        """The budget on the GPU, bytes."""
+        return self._native.device_memory
+
+    @property
+    def host_bytes(self) -> int:
+        """Held now."""
+        return self._native.host_bytes
+
+    @property
+    def device_bytes(self) -> int:
+        """Held now on the GPU."""
+        return self._native.device_bytes
+
+    def __repr__(self) -> str:
+        device = f", device_memory={self.device_memory}" if self.device_memory else ""
+        return f"roofgs.StreamPool(host_memory={self.host_memory}{device})"
+
+
 class StreamedScene:
     """A file with levels of detail that is drawn while it is read: the coarsest part is in memory always, the rest as cameras
     need it, within a budget.
@@ -235,8 +270,10 @@ class StreamedScene:
     ----------
     path : path or address
         An .rgs that was written with levels (``lod=True``).
-    host_memory : int
-        Bytes that all of it may take in the host's memory.
+    host_memory, device_memory : int
+        Those of a :class:`StreamPool` of its own: 2 GiB and 0 unless they are given.
+    pool : StreamPool
+        In place of these, one that it shares with others.
     prefetch : bool
         Read also what a moving camera is about to see.
 
@@ -252,9 +289,14 @@ class StreamedScene:
     (True, (48, 64, 3))
     """
 
-    def __init__(self, path: Path, *, host_memory: int = 2 << 30, prefetch: bool = True,
-                 max_expansion: Optional[int] = None) -> None:
-        self._native = _roofgs.open_stream(encoded(path), _count(host_memory, "host_memory"), prefetch,
+    def __init__(self, path: Path, *, host_memory: Optional[int] = None, device_memory: Optional[int] = None,
+                 pool: Optional[StreamPool] = None, prefetch: bool = True, max_expansion: Optional[int] = None) -> None:
+        budget = {name: value for name, value in (("host_memory", host_memory), ("device_memory", device_memory))
+                  if value is not None}
+        if pool is not None and budget:
+            raise argument_error(f"{' and '.join(budget)} are those of the pool that is given")
+        self._pool = StreamPool(**budget) if pool is None else pool
+        self._native = _roofgs.open_stream(encoded(path), self._pool._native, prefetch,
                                            _count_or_none(max_expansion, "max_expansion"))
 
     def __len__(self) -> int:
@@ -283,7 +325,12 @@ class StreamedScene:
     @property
     def path(self) -> str:
         """Its path, or its address without user, password and query."""
-        return _shown_name(self._native.name)
+        return shown(self._native.name)
+
+    @property
+    def pool(self) -> StreamPool:
+        """Whose budget it takes its memory from."""
+        return self._pool
 
     @property
     def stats(self) -> Dict[str, float]:
@@ -380,6 +427,7 @@ def _html(scene: Union[Scene, StreamedScene], facts: str) -> str:
     picture = ""
     if len(scene):
         camera = cameras.default_view(scene, width=480, height=270)
-        data = png(Renderer(device="cpu").render(scene, camera, dtype="uint8"))
+        on_device = isinstance(scene, StreamedScene) and scene.pool.device_memory > 0
+        data = png(Renderer(device="cuda" if on_device else "cpu").render(scene, camera, dtype="uint8"))
         picture = f'<img alt="" width="480" height="270" src="data:image/png;base64,{base64.b64encode(data).decode()}">'
     return f"<figure>{picture}<figcaption>{html.escape(facts)}</figcaption></figure>"

@@ -28,7 +28,7 @@ WORLD_UP = (0.0, -1.0, 0.0)
 
 
 class CameraList(List[Camera]):
-    """The cameras of a file, in its order.
+    """The cameras of a file, in its order. A slice of it is a plain list, which has no parts.
 
     Attributes
     ----------
@@ -54,10 +54,6 @@ class CameraList(List[Camera]):
                 return camera
         raise KeyError(name)
 
-    def __reduce__(self) -> "tuple[Any, ...]":
-        test = [camera in self.test for camera in self]
-        return CameraList, (list(self), test, self.source, self.split_declared)
-
 
 def load(path: Path) -> CameraList:
     """Reads a JSON file of cameras or a folder with a COLMAP model.
@@ -71,14 +67,18 @@ def load(path: Path) -> CameraList:
 
 
 def save(path: Path, cameras: Iterable[Camera]) -> None:
-    """Writes cameras as the JSON list of docs/CAMERAS.md.
+    """Writes cameras as the JSON list of docs/CAMERAS.md, those of a :class:`CameraList` with the split that it declares.
 
     >>> save(folder / "two.json", orbit(roofgs.load(examples / "scene.rgs"), 2))
     >>> len(load(folder / "two.json"))
     2
     """
+    parts = {}  # by identity: two cameras that are equal may be of different parts
+    if isinstance(cameras, CameraList) and cameras.split_declared:
+        parts = {id(camera): split for split in ("train", "test") for camera in getattr(cameras, split)}
     rows = [{"name": camera.name, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
-             "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist()} for camera in cameras]
+             "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist(),
+             **({"split": parts[id(camera)]} if id(camera) in parts else {})} for camera in cameras]
     with open(encoded(path), "w", encoding="utf-8") as file:
         json.dump(rows, file, indent=1)
 

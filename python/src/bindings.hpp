@@ -7,6 +7,8 @@
 namespace rgs::python {
 
 void bind_work(pybind11::module_& module);
+void bind_arrays(pybind11::module_& module);
+void bind_device_array(pybind11::module_& module);
 void bind_cameras(pybind11::module_& module);
 void bind_scene(pybind11::module_& module);
 void bind_stream(pybind11::module_& module);

@@ -2,13 +2,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "camera_binding.hpp"
 
-#include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
+#include <algorithm>
+#include <array>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "arrays.hpp"
 #include "bindings.hpp"
 #include "rgs/camera_file.hpp"
 #include "work.hpp"
@@ -19,7 +21,6 @@ using namespace py::literals;
 namespace rgs::python {
 namespace {
 
-using Matrix = py::array_t<double, py::array::c_style | py::array::forcecast>;
 using Vector = std::array<double, 3>;
 
 glm::dvec3 vector(const Vector& v) {
@@ -31,8 +32,7 @@ Vector array(const glm::dvec3& v) {
 }
 
 Camera make(const py::object& width, const py::object& height, double fx, std::optional<double> fy,
-            std::optional<double> cx, std::optional<double> cy, const std::optional<Matrix>& world_to_camera,
-            std::string name) {
+            std::optional<double> cx, std::optional<double> cy, const py::object& world_to_camera, std::string name) {
   Camera camera;
   camera.name = std::move(name);
   camera.width = image_side(width);
@@ -41,20 +41,27 @@ Camera make(const py::object& width, const py::object& height, double fx, std::o
   camera.fy = fy.value_or(fx);
   camera.cx = cx.value_or(camera.width / 2.0);
   camera.cy = cy.value_or(camera.height / 2.0);
-  if (world_to_camera) {
-    if (world_to_camera->ndim() != 2 || world_to_camera->shape(0) != 4 || world_to_camera->shape(1) != 4)
-      refuse(Errc::bad_camera, "world_to_camera is a matrix of 4 rows and 4 columns");
+  if (!world_to_camera.is_none()) {
+    const Elements matrix(py::module_::import("numpy").attr("ascontiguousarray")(world_to_camera, "d"));
+    if (matrix.shape() != Shape{4, 4}) refuse(Errc::bad_camera, "world_to_camera is a matrix of 4 rows and 4 columns");
     std::array<double, 16> rows{};
-    std::copy_n(world_to_camera->data(), 16, rows.begin());
+    std::ranges::copy(matrix.as<double>(), rows.begin());
     camera.world_to_camera = from_row_major(rows);
   }
   take(validate(camera), camera.name);
   return camera;
 }
 
-py::array_t<double> matrix_of(const Camera& camera) {
-  const std::array<double, 16> rows = row_major(camera.world_to_camera);
-  return py::array_t<double>({4, 4}, rows.data());
+// COLMAP names images by bytes, which may be no text.
+std::string as_text(const std::string& name) {
+  return py::reinterpret_steal<py::str>(
+      PyUnicode_DecodeUTF8(name.data(), static_cast<Py_ssize_t>(name.size()), "replace"));
+}
+
+py::object matrix_of(const Camera& camera) {
+  py::object matrix = new_array<double>({4, 4});
+  std::ranges::copy(row_major(camera.world_to_camera), static_cast<double*>(Elements(matrix).data()));
+  return matrix;
 }
 
 ViewFormat view_format(const py::object& width, const py::object& height, double horizontal_fov) {
@@ -141,10 +148,11 @@ name : str
       "read_cameras",
       [](const std::string& path) {
         static constexpr const char* kSources[] = {"list", "training", "transforms", "colmap"};
-        const auto set = [&] {  // without threads: a process may fork after it
+        auto set = [&] {  // without threads: a process may fork after it
           const py::gil_scoped_release unlocked;
           return take(read_camera_set(path), path);
         }();
+        for (Camera& camera : set.cameras) camera.name = as_text(camera.name);
         std::vector<bool> test;
         for (const Split split : set.split) test.push_back(split == Split::test);
         return py::make_tuple(kSources[static_cast<int>(set.source)], py::cast(set.cameras), test, set.split_declared);

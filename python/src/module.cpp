@@ -6,6 +6,8 @@
 PYBIND11_MODULE(_roofgs, module) {
   module.attr("version") = RGS_VERSION;
   rgs::python::bind_work(module);
+  rgs::python::bind_arrays(module);
+  rgs::python::bind_device_array(module);
   rgs::python::bind_cameras(module);
   rgs::python::bind_scene(module);
   rgs::python::bind_stream(module);

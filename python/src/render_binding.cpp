@@ -1,6 +1,5 @@
 // render_binding.cpp - pictures of scenes, into arrays that Python holds.
 // SPDX-License-Identifier: Apache-2.0
-#include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
 #include <algorithm>
@@ -8,11 +7,15 @@
 #include <cstdint>
 #include <functional>
 #include <optional>
+#include <span>
 #include <string>
+#include <tuple>
 #include <utility>
 #include <vector>
 
+#include "arrays.hpp"
 #include "bindings.hpp"
+#include "device_array.hpp"
 #include "rgs/image.hpp"
 #include "rgs/renderer.hpp"
 #include "scene_binding.hpp"
@@ -38,67 +41,134 @@ const std::string& name_of(const PyStream& scene) {
   return scene.name();
 }
 
-// Arrays of a call: pictures follow each other.
-struct Outputs {
-  py::object image, alpha, depth;
-  float* rgb = nullptr;  // one of the two
-  std::uint8_t* codes = nullptr;
-  float* alpha_data = nullptr;
-  float* depth_data = nullptr;
+// An array to be filled, and where it is.
+struct Output {
+  py::object array = py::none();
+  std::optional<Elements> memory = {};  // of the host's
+  void* data = nullptr;
+  std::uint64_t bytes = 0;
 };
 
-template <class T>
-T* writable(const py::object& object, const std::vector<py::ssize_t>& shape) {
-  if (!py::isinstance<py::array>(object)) refuse(Errc::bad_argument, "an output is a NumPy array");
-  auto array = py::reinterpret_borrow<py::array>(object);
-  if (!array.dtype().is(py::dtype::of<T>()) && !array.dtype().equal(py::dtype::of<T>()))
+// Arrays of a call: pictures follow each other.
+struct Outputs {
+  Output image, alpha, depth;
+};
+
+// What an array says of itself; of one on a device Python has asked it.
+struct Description {
+  void* data;
+  Shape shape;
+  bool is_of_type, is_contiguous, is_readonly;
+};
+
+void check(const Description& given, const Shape& shape) {
+  if (!given.is_of_type)
     refuse(Errc::bad_argument, "an output has another data type than the picture: float32 or, of images alone, uint8");
-  if (array.ndim() != static_cast<py::ssize_t>(shape.size()) || !std::equal(shape.begin(), shape.end(), array.shape()))
+  if (given.shape != shape)
     refuse(Errc::bad_argument,
            "an output has another shape than the pictures: [height, width, 3] for colour and [height, width] for alpha "
-           "and "
-           "depth, with the number of cameras before that for a list of cameras");
-  if ((array.flags() & py::array::c_style) == 0)
+           "and depth, with the number of cameras before that for a list of cameras");
+  if (!given.is_contiguous)
     refuse(Errc::bad_argument, "an output has gaps or another order of axes: it must be C-contiguous");
-  if (!array.writeable()) refuse(Errc::bad_argument, "an output is read-only");
-  return static_cast<T*>(array.mutable_data());
+  if (given.is_readonly) refuse(Errc::bad_argument, "an output is read-only");
 }
 
-bool overlap(const py::object& a, const py::object& b) {
-  if (a.is_none() || b.is_none()) return false;
-  const auto x = py::reinterpret_borrow<py::array>(a), y = py::reinterpret_borrow<py::array>(b);
-  const auto *first = static_cast<const std::byte*>(x.data()), *other = static_cast<const std::byte*>(y.data());
+std::uint64_t bytes_of(const Shape& shape, std::uint64_t element_bytes) {
+  for (const py::ssize_t side : shape) element_bytes *= static_cast<std::uint64_t>(side);
+  return element_bytes;
+}
+
+// `given` is an array to fill, or None, for which one is made.
+template <class T>
+Output in_host_memory(py::object given, const Shape& shape) {
+  Output out;
+  out.array = given.is_none() ? new_array<T>(shape) : std::move(given);
+  out.memory.emplace(out.array);
+  check({out.memory->data(), out.memory->shape(), out.memory->are<T>(), out.memory->is_contiguous(),
+         out.memory->is_readonly()},
+        shape);
+  out.data = out.memory->data();
+  out.bytes = bytes_of(shape, sizeof(T));
+  return out;
+}
+
+// The same on a device: `given` is (array, address, shape, format, is contiguous, is read-only) or None.
+template <class T>
+Output in_device_memory(const Renderer& renderer, const py::object& given, const Shape& shape) {
+  Output out;
+  out.bytes = bytes_of(shape, sizeof(T));
+  if (given.is_none()) {
+    DeviceArray array{{}, shape, kFormat<T>};
+    if (out.bytes > 0) {
+      const py::gil_scoped_release unlocked;
+      array.block = take(renderer.allocate_on_device(out.bytes));
+    }
+    out.data = array.block.data.get();
+    out.array = py::cast(std::move(array));
+    return out;
+  }
+  const auto [array, address, sides, format, is_contiguous, is_readonly] =
+      given.cast<std::tuple<py::object, std::uintptr_t, Shape, char, bool, bool>>();
+  out.data = reinterpret_cast<void*>(address);
+  check({out.data, sides, format == kFormat<T>, is_contiguous, is_readonly}, shape);
+  out.array = array;
+  return out;
+}
+
+bool overlap(const Output& a, const Output& b) {
+  const auto *first = static_cast<const std::byte*>(a.data), *other = static_cast<const std::byte*>(b.data);
   const std::less<> before;
-  return before(first, other + y.nbytes()) && before(other, first + x.nbytes());
+  return before(first, other + b.bytes) && before(other, first + a.bytes);
 }
 
-// `wanted`: whether there is one; an array to fill or None, for which one is made.
-Outputs outputs_of(std::vector<py::ssize_t> shape, py::object image, py::object alpha, py::object depth, bool eight_bit,
-                   bool with_alpha, bool with_depth) {
-  Outputs out;
-  std::vector<py::ssize_t> with_channels = shape;
-  with_channels.push_back(3);
-  if (eight_bit) {
-    if (image.is_none()) image = py::array_t<std::uint8_t>(with_channels);
-    out.codes = writable<std::uint8_t>(image, with_channels);
-  } else {
-    if (image.is_none()) image = py::array_t<float>(with_channels);
-    out.rgb = writable<float>(image, with_channels);
-  }
-  out.image = std::move(image);
-  if (with_alpha) {
-    if (alpha.is_none()) alpha = py::array_t<float>(shape);
-    out.alpha_data = writable<float>(alpha, shape);
-  }
-  out.alpha = std::move(alpha);
-  if (with_depth) {
-    if (depth.is_none()) depth = py::array_t<float>(shape);
-    out.depth_data = writable<float>(depth, shape);
-  }
-  out.depth = std::move(depth);
+void refuse_overlap(const Outputs& out) {
   if (overlap(out.image, out.alpha) || overlap(out.image, out.depth) || overlap(out.alpha, out.depth))
     refuse(Errc::bad_argument, "two outputs share memory");
-  return out;
+}
+
+// What a call asks for.
+struct Request {
+  std::vector<Camera> cameras;  // of one size
+  Shape shape;                  // of alpha and depth
+  Shape image_shape;
+};
+
+Request request_of(const std::vector<const Camera*>& cameras, bool batch) {
+  Request request;
+  for (const Camera* camera : cameras) {
+    if (camera == nullptr) refuse(Errc::bad_camera, "None is no camera");
+    if (camera->width != cameras.front()->width || camera->height != cameras.front()->height)
+      refuse(Errc::bad_argument, "the cameras of one call have pictures of one size: use Camera.resized()",
+             camera->name);
+    request.cameras.push_back(*camera);
+  }
+  if (batch) request.shape.push_back(static_cast<py::ssize_t>(cameras.size()));
+  request.shape.push_back(cameras.empty() ? 0 : cameras.front()->height);
+  request.shape.push_back(cameras.empty() ? 0 : cameras.front()->width);
+  request.image_shape = request.shape;
+  request.image_shape.push_back(3);
+  return request;
+}
+
+PictureArrays arrays_of(const Outputs& out, bool eight_bit) {
+  PictureArrays arrays;
+  if (eight_bit) {
+    arrays.codes = static_cast<std::uint8_t*>(out.image.data);
+  } else {
+    arrays.rgb = static_cast<float*>(out.image.data);
+  }
+  arrays.alpha = static_cast<float*>(out.alpha.data);
+  arrays.depth = static_cast<float*>(out.depth.data);
+  return arrays;
+}
+
+// The arrays from picture i on.
+PictureArrays from(PictureArrays p, std::size_t i, std::size_t n_pixels) {
+  if (p.rgb != nullptr) p.rgb += 3 * n_pixels * i;
+  if (p.codes != nullptr) p.codes += 3 * n_pixels * i;
+  if (p.alpha != nullptr) p.alpha += n_pixels * i;
+  if (p.depth != nullptr) p.depth += n_pixels * i;
+  return p;
 }
 
 class PyRenderer {
@@ -117,46 +187,39 @@ class PyRenderer {
   const char* device() const { return renderer_->backend() == Backend::cuda ? "cuda" : "cpu"; }
   const char* name() const { return renderer_->backend_name(); }
 
-  // Pictures of one size, one after the other; between them signals are looked at.
   template <class AnyScene>
   py::tuple render(const AnyScene& scene, const std::vector<const Camera*>& cameras, bool batch, py::object image,
                    py::object alpha, py::object depth, bool eight_bit, bool with_alpha, bool with_depth,
                    const RenderOptions& options) {
     begin_work();
-    for (const Camera* camera : cameras)
-      if (camera == nullptr) refuse(Errc::bad_camera, "None is no camera");
-    int width = 0, height = 0;
-    if (!cameras.empty()) width = cameras.front()->width, height = cameras.front()->height;
-    for (const Camera* camera : cameras) {
-      if (camera->width != width || camera->height != height)
-        refuse(Errc::bad_argument, "the cameras of one call have pictures of one size: use Camera.resized()",
-               camera->name);
-    }
-    std::vector<py::ssize_t> shape;
-    if (batch) shape.push_back(static_cast<py::ssize_t>(cameras.size()));
-    shape.push_back(height);
-    shape.push_back(width);
-    const Outputs out = outputs_of(std::move(shape), std::move(image), std::move(alpha), std::move(depth), eight_bit,
-                                   with_alpha, with_depth);
-    const std::size_t n_pixels = static_cast<std::size_t>(width) * static_cast<std::size_t>(height);
-    const auto held = drawn(scene);  // a copy: another thread may close the scene
-    {
-      const py::gil_scoped_release unlocked;
-      const std::scoped_lock lock(mutex_);
-      stats_.clear();
-      if (eight_bit) scratch_.resize(3 * n_pixels);
-      for (std::size_t i = 0; i < cameras.size(); ++i) {
-        float* const rgb = eight_bit ? scratch_.data() : out.rgb + i * 3 * n_pixels;
-        RenderTarget target;
-        target.rgb = {rgb, 3 * n_pixels};
-        if (out.alpha_data != nullptr) target.alpha = {out.alpha_data + i * n_pixels, n_pixels};
-        if (out.depth_data != nullptr) target.depth = {out.depth_data + i * n_pixels, n_pixels};
-        stats_.push_back(take(renderer_->render(held, *cameras[i], target, options), name_of(scene)));
-        if (eight_bit) std::transform(rgb, rgb + 3 * n_pixels, out.codes + i * 3 * n_pixels, to_8bit);
-        check_signals(i + 1 == cameras.size());
-      }
-    }
-    return py::make_tuple(out.image, out.alpha, out.depth);
+    const Request request = request_of(cameras, batch);
+    Outputs out;
+    out.image = eight_bit ? in_host_memory<std::uint8_t>(std::move(image), request.image_shape)
+                          : in_host_memory<float>(std::move(image), request.image_shape);
+    if (with_alpha) out.alpha = in_host_memory<float>(std::move(alpha), request.shape);
+    if (with_depth) out.depth = in_host_memory<float>(std::move(depth), request.shape);
+    refuse_overlap(out);
+    draw(drawn(scene), name_of(scene), request.cameras, arrays_of(out, eight_bit), options);
+    return py::make_tuple(out.image.array, out.alpha.array, out.depth.array);
+  }
+
+  // The same into memory of the device, after what is queued on a stream.
+  py::tuple render_on_device(const PyScene& scene, const std::vector<const Camera*>& cameras, bool batch,
+                             const py::object& image, const py::object& alpha, const py::object& depth, bool eight_bit,
+                             bool with_alpha, bool with_depth, std::uintptr_t stream, const RenderOptions& options) {
+    begin_work();
+    const Request request = request_of(cameras, batch);
+    Outputs out;
+    out.image = eight_bit ? in_device_memory<std::uint8_t>(*renderer_, image, request.image_shape)
+                          : in_device_memory<float>(*renderer_, image, request.image_shape);
+    if (with_alpha) out.alpha = in_device_memory<float>(*renderer_, alpha, request.shape);
+    if (with_depth) out.depth = in_device_memory<float>(*renderer_, depth, request.shape);
+    refuse_overlap(out);
+    PictureArrays arrays = arrays_of(out, eight_bit);
+    arrays.on_device = true;
+    arrays.stream = reinterpret_cast<CUstream_st*>(stream);
+    draw(drawn(scene), name_of(scene), request.cameras, arrays, options);
+    return py::make_tuple(out.image.array, out.alpha.array, out.depth.array);
   }
 
   // Waits in steps, so that signals are seen. A step that ends early and without success has no room for the view.
@@ -208,6 +271,45 @@ class PyRenderer {
   }
 
  private:
+  // By parts, between which signals are looked at. The scene is a copy: another thread may close it.
+  void draw(const Scene& scene, const std::string& name, std::span<const Camera> cameras, const PictureArrays& arrays,
+            const RenderOptions& options) {
+    const std::size_t n_pixels = pixels_of(cameras), part = renderer_->backend() == Backend::cuda ? 64 : 1;
+    const Scene held = scene;
+    const py::gil_scoped_release unlocked;
+    const std::scoped_lock lock(mutex_);
+    stats_.clear();
+    for (std::size_t i = 0; i < cameras.size(); i += part) {
+      const auto some = cameras.subspan(i, std::min(part, cameras.size() - i));
+      const auto stats = take(renderer_->render_all(held, some, from(arrays, i, n_pixels), options), name);
+      stats_.insert(stats_.end(), stats.begin(), stats.end());
+      check_signals(i + some.size() == cameras.size());
+    }
+  }
+  void draw(const StreamedScene& scene, const std::string& name, std::span<const Camera> cameras,
+            const PictureArrays& arrays, const RenderOptions& options) {
+    const std::size_t n_pixels = pixels_of(cameras);
+    const StreamedScene held = scene;
+    const py::gil_scoped_release unlocked;
+    const std::scoped_lock lock(mutex_);
+    stats_.clear();
+    if (arrays.codes != nullptr) scratch_.resize(3 * n_pixels);
+    for (std::size_t i = 0; i < cameras.size(); ++i) {
+      const PictureArrays at = from(arrays, i, n_pixels);
+      RenderTarget target;
+      target.rgb = {at.rgb != nullptr ? at.rgb : scratch_.data(), 3 * n_pixels};
+      if (at.alpha != nullptr) target.alpha = {at.alpha, n_pixels};
+      if (at.depth != nullptr) target.depth = {at.depth, n_pixels};
+      stats_.push_back(take(renderer_->render(held, cameras[i], target, options), name));
+      if (at.codes != nullptr) std::ranges::transform(target.rgb, at.codes, to_8bit);
+      check_signals(i + 1 == cameras.size());
+    }
+  }
+  static std::size_t pixels_of(std::span<const Camera> cameras) {
+    if (cameras.empty()) return 0;
+    return static_cast<std::size_t>(cameras.front().width) * static_cast<std::size_t>(cameras.front().height);
+  }
+
   // Raises what a signal's handler raises. Not after the last picture: the interpreter looks itself as soon as it goes on.
   static void check_signals(bool last) {
     if (last) return;
@@ -255,6 +357,8 @@ void bind_render(py::module_& module) {
            "eight_bit"_a, "with_alpha"_a, "with_depth"_a, "options"_a)
       .def("render", &PyRenderer::render<PyStream>, "scene"_a, "cameras"_a, "batch"_a, "image"_a, "alpha"_a, "depth"_a,
            "eight_bit"_a, "with_alpha"_a, "with_depth"_a, "options"_a)
+      .def("render_on_device", &PyRenderer::render_on_device, "scene"_a, "cameras"_a, "batch"_a, "image"_a, "alpha"_a,
+           "depth"_a, "eight_bit"_a, "with_alpha"_a, "with_depth"_a, "stream"_a, "options"_a)
       .def("refine", &PyRenderer::refine, "stream"_a, "camera"_a, "seconds"_a, "options"_a)
       .def("prepare", &PyRenderer::prepare, "scene"_a)
       .def("stats", &PyRenderer::stats);

@@ -2,20 +2,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_binding.hpp"
 
-#include <pybind11/numpy.h>
 #include <pybind11/stl.h>
 
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <memory>
-#include <mutex>
 #include <optional>
 #include <span>
+#include <stop_token>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "arrays.hpp"
 #include "bindings.hpp"
 #include "convert.hpp"
 #include "info_json.hpp"
@@ -34,8 +34,6 @@ using namespace py::literals;
 
 namespace rgs::python {
 namespace {
-
-using Floats = py::array_t<float, py::array::c_style>;
 
 struct LoadOptions {
   ReadOptions read;
@@ -98,53 +96,36 @@ PyScene load(const std::string& name, std::optional<std::uint32_t> level_of_deta
   if (max_expansion) options.read.limits.max_expansion = *max_expansion;
   const auto progress = std::make_shared<Progress>(std::move(callback));
   if (!is_url(name)) return {take(run([=] { return load_path(name, options); }, progress, {}), name), name};
-  // A source that is given up reads no further. Nothing ends the wait for a connection, so the work is left behind.
-  struct Shared {
-    std::mutex mutex;
-    std::unique_ptr<ByteSource> source;
-  };
-  const auto shared = std::make_shared<Shared>();
+  const std::stop_source stop;
   const auto work = [=]() -> Result<SceneFile> {
     return detail::guard_memory([&]() -> Result<SceneFile> {
-      auto source = open_url_source(name);
+      UrlOptions way;
+      way.stop = stop.get_token();
+      const auto source = open_url_source(name, way);
       if (!source) return tl::unexpected(source.error());
-      {
-        const std::scoped_lock lock(shared->mutex);
-        shared->source = *std::move(source);
-        if (progress->cancelled()) shared->source->cancel();
-      }
-      return load_url(*shared->source, options, *progress);
+      return load_url(**source, options, *progress);
     });
   };
-  try {
-    return {take(run(work, progress, {}), name), name};
-  } catch (py::error_already_set&) {
-    progress->cancel();
-    const std::scoped_lock lock(shared->mutex);
-    if (shared->source) shared->source->cancel();
-    throw;
-  }
+  return {take(run_stoppable(work, progress, stop), name), name};
 }
 
 // ---- arrays
 
-std::span<const float> floats_of(const Floats& array) {
-  return {array.data(), static_cast<std::size_t>(array.size())};
-}
-
-// Shapes have been checked: means [n, 3], quats [n, 4], scales [n, 3], opacities [n], sh [n, k, 3].
-PyScene from_arrays(const Floats& means, const Floats& quats, const Floats& scales, const Floats& opacities,
-                    const Floats& sh, int sh_degree, const Origin& origin, const std::string& anti_aliasing,
-                    std::optional<float> low_pass) {
+// These are float32 and C-contiguous, and have shapes that agree: means [n, 3], quats [n, 4], scales [n, 3], opacities [n],
+// sh [n, k, 3].
+PyScene from_arrays(const py::object& means, const py::object& quats, const py::object& scales,
+                    const py::object& opacities, const py::object& sh, int sh_degree, const Origin& origin,
+                    const std::string& anti_aliasing, std::optional<float> low_pass) {
   begin_work();
+  const Elements mean(means), rotation(quats), scale(scales), opacity(opacities), harmonics(sh);
   SceneView view;
-  view.n = static_cast<std::uint64_t>(opacities.size());
+  view.mean = mean.as<float>();
+  view.rotation = rotation.as<float>();
+  view.scale = scale.as<float>();
+  view.opacity = opacity.as<float>();
+  view.sh = harmonics.as<float>();
+  view.n = view.opacity.size();
   view.sh_degree = sh_degree;
-  view.mean = floats_of(means);
-  view.rotation = floats_of(quats);
-  view.scale = floats_of(scales);
-  view.opacity = floats_of(opacities);
-  view.sh = floats_of(sh);
   Declarations declared;
   declared.origin = origin;
   declared.aa_mode = anti_aliasing == "mip" ? AaMode::mip_splatting : AaMode::classic;
@@ -162,25 +143,26 @@ SceneView view_of(const PyScene& scene) {
   return take(scene.file.scene.view(), scene.path);
 }
 
-// A read-only array of the scene's memory, which lives as long as the array. Strides in floats; absent: as the shape has it.
-py::array array_of(const PyScene& scene, const float* data, const std::vector<py::ssize_t>& shape,
-                   std::vector<py::ssize_t> strides = {}) {
-  const py::capsule owner(new Scene(scene.file.scene), [](void* p) { delete static_cast<Scene*>(p); });
-  for (py::ssize_t& stride : strides) stride *= static_cast<py::ssize_t>(sizeof(float));
+// A read-only array of the scene's memory, which lives as long as the array: of each Gaussian's `stride` numbers those of a row.
+py::object array_of(const PyScene& scene, const float* data, Shape row, py::ssize_t stride) {
   static const float nothing = 0;
-  py::array array = strides.empty()
-                        ? py::array(py::dtype::of<float>(), shape, data == nullptr ? &nothing : data, owner)
-                        : py::array(py::dtype::of<float>(), shape, strides, data == nullptr ? &nothing : data, owner);
-  py::detail::array_proxy(array.ptr())->flags &= ~py::detail::npy_api::NPY_ARRAY_WRITEABLE_;
-  return array;
+  Shape shape{static_cast<py::ssize_t>(scene.file.scene.size())};
+  shape.insert(shape.end(), row.begin(), row.end());
+  Shape strides(shape.size());
+  py::ssize_t step = sizeof(float);
+  for (std::size_t i = row.size(); i > 0; --i) {
+    strides[i] = step;
+    step *= row[i - 1];
+  }
+  strides[0] = stride * static_cast<py::ssize_t>(sizeof(float));
+  const py::capsule owner(new Scene(scene.file.scene), [](void* p) { delete static_cast<Scene*>(p); });
+  return readonly_array(owner, data == nullptr ? &nothing : data, std::move(shape), std::move(strides));
 }
 
-py::array sh_of(const PyScene& scene, int first, int end) {
+py::object sh_of(const PyScene& scene, int first, int end) {
   const SceneView view = view_of(scene);
-  const auto n = static_cast<py::ssize_t>(view.n);
-  const py::ssize_t all = sh_coefficients(view.sh_degree);
-  return array_of(scene, view.sh.data() + (view.n == 0 ? 0 : 3 * first),
-                  {n, std::min<py::ssize_t>(end, all) - first, 3}, {3 * all, 3, 1});
+  const int all = sh_coefficients(view.sh_degree);
+  return array_of(scene, view.sh.data() + (view.n == 0 ? 0 : 3 * first), {std::min(end, all) - first, 3}, 3 * all);
 }
 
 // ---- saving
@@ -347,26 +329,11 @@ void bind_scene(py::module_& module) {
                              })
       .def_property_readonly("up",
                              [](const PyScene& s) { return py::make_tuple(s.file.up.x, s.file.up.y, s.file.up.z); })
-      .def_property_readonly("means",
-                             [](const PyScene& s) {
-                               const SceneView v = view_of(s);
-                               return array_of(s, v.mean.data(), {static_cast<py::ssize_t>(v.n), 3});
-                             })
-      .def_property_readonly("quats",
-                             [](const PyScene& s) {
-                               const SceneView v = view_of(s);
-                               return array_of(s, v.rotation.data(), {static_cast<py::ssize_t>(v.n), 4});
-                             })
-      .def_property_readonly("scales",
-                             [](const PyScene& s) {
-                               const SceneView v = view_of(s);
-                               return array_of(s, v.scale.data(), {static_cast<py::ssize_t>(v.n), 3});
-                             })
+      .def_property_readonly("means", [](const PyScene& s) { return array_of(s, view_of(s).mean.data(), {3}, 3); })
+      .def_property_readonly("quats", [](const PyScene& s) { return array_of(s, view_of(s).rotation.data(), {4}, 4); })
+      .def_property_readonly("scales", [](const PyScene& s) { return array_of(s, view_of(s).scale.data(), {3}, 3); })
       .def_property_readonly("opacities",
-                             [](const PyScene& s) {
-                               const SceneView v = view_of(s);
-                               return array_of(s, v.opacity.data(), {static_cast<py::ssize_t>(v.n)});
-                             })
+                             [](const PyScene& s) { return array_of(s, view_of(s).opacity.data(), {}, 1); })
       .def_property_readonly("sh", [](const PyScene& s) { return sh_of(s, 0, 16); })
       .def_property_readonly("sh0", [](const PyScene& s) { return sh_of(s, 0, 1); })
       .def_property_readonly("shN", [](const PyScene& s) { return sh_of(s, 1, 16); })

@@ -6,6 +6,7 @@
 
 #include <cstdint>
 #include <optional>
+#include <stop_token>
 #include <string>
 
 #include "bindings.hpp"
@@ -17,18 +18,23 @@ using namespace py::literals;
 namespace rgs::python {
 namespace {
 
-PyStream open(const std::string& name, std::uint64_t host_memory, bool prefetch,
+StreamPool make_pool(std::uint64_t host_memory, std::uint64_t device_memory) {
+  begin_work();
+  return take(StreamPool::create({.host_memory = host_memory, .device_memory = device_memory}));
+}
+
+PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
               std::optional<std::uint64_t> max_expansion) {
+  const std::stop_source stop;
   const auto work = [=]() -> Result<StreamedScene> {
-    const auto pool = StreamPool::create({.host_memory = host_memory});
-    if (!pool) return tl::unexpected(pool.error());
     StreamOptions options;
-    options.pool = *pool;
+    options.pool = pool;
     options.prefetch = prefetch;
+    options.url.stop = stop.get_token();
     if (max_expansion) options.limits.max_expansion = *max_expansion;
     return StreamedScene::open(name, options);
   };
-  return {take(run(work, nullptr, {}), name), name};
+  return {take(run_stoppable(work, nullptr, stop), name), name};
 }
 
 py::dict stats(const PyStream& stream) {
@@ -42,6 +48,20 @@ py::dict stats(const PyStream& stream) {
 }  // namespace
 
 void bind_stream(py::module_& module) {
+  // What is held now is asked under the lock of the pool, which a thread that was lost may have.
+  const auto held = [](std::uint64_t (StreamPool::*bytes)() const) {
+    return [bytes](const StreamPool& pool) {
+      begin_work();
+      const py::gil_scoped_release unlocked;
+      return (pool.*bytes)();
+    };
+  };
+  py::class_<StreamPool>(module, "StreamPool")
+      .def(py::init(&make_pool), "host_memory"_a, "device_memory"_a)
+      .def_property_readonly("host_memory", &StreamPool::host_memory)
+      .def_property_readonly("device_memory", &StreamPool::device_memory)
+      .def_property_readonly("host_bytes", held(&StreamPool::host_bytes))
+      .def_property_readonly("device_bytes", held(&StreamPool::device_bytes));
   py::class_<PyStream>(module, "StreamedScene")
       .def_property_readonly("name", [](const PyStream& s) { return py::bytes(s.name()); })
       .def_property_readonly("n", [](const PyStream& s) { return s.scene().size(); })
@@ -62,7 +82,7 @@ void bind_stream(py::module_& module) {
       .def("stats", &stats)
       .def("check", [](const PyStream& s) { take(s.scene().status(), s.name()); })
       .def("close", &PyStream::close);
-  module.def("open_stream", &open, "name"_a, "host_memory"_a, "prefetch"_a, "max_expansion"_a);
+  module.def("open_stream", &open, "name"_a, "pool"_a, "prefetch"_a, "max_expansion"_a);
 }
 
 }  // namespace rgs::python

@@ -16,8 +16,48 @@ namespace {
 
 std::atomic<bool> g_has_threads{false}, g_lost_threads{false};
 
-std::mutex g_left_mutex;
-std::vector<std::thread> g_left;
+// Never destroyed: a forked process has the entries but not the threads. Touched with Python's lock alone.
+struct Left {
+  std::thread thread;
+  std::shared_future<void> ended;
+};
+std::vector<Left>& left() {
+  static auto& all = *new std::vector<Left>;
+  return all;
+}
+
+void join_ended() {
+  std::erase_if(left(), [](Left& each) {
+    if (each.ended.wait_for(std::chrono::seconds(0)) != std::future_status::ready) return false;
+    each.thread.join();
+    return true;
+  });
+}
+
+// Before the interpreter goes, so that no thread outlives what it uses. Another Ctrl-C ends the wait, and the process without them.
+void wait_for_threads() {
+  if (g_lost_threads) return;
+  for (join_ended(); !left().empty(); join_ended()) {
+    {
+      const std::shared_future<void> first = left().front().ended;  // its own: other threads may add and remove entries
+      const py::gil_scoped_release unlocked;
+      first.wait_for(std::chrono::milliseconds(50));
+    }
+    if (PyErr_CheckSignals() != 0) {
+      for (Left& each : left()) each.thread.detach();
+      left().clear();
+      throw py::error_already_set();
+    }
+  }
+}
+
+bool is_finalizing() {
+#if PY_VERSION_HEX >= 0x030D0000
+  return Py_IsFinalizing() != 0;
+#else
+  return _Py_IsFinalizing() != 0;
+#endif
+}
 
 void set_python_error(const Failure& failure) {
   const Error& e = failure.error;
@@ -53,6 +93,10 @@ bool lost_threads() {
 
 // Work that was left behind may be the last to hold it, on a thread without Python's lock.
 Progress::~Progress() {
+  if (is_finalizing()) {  // nobody gets the lock any more
+    callback_.release();
+    return;
+  }
   const py::gil_scoped_acquire locked;
   callback_ = py::object();
 }
@@ -97,9 +141,9 @@ void Progress::report() {
   for (const Stage& s : stages) callback_(s.name, s.done, s.total, s.unit);
 }
 
-void leave_behind(std::thread thread) {
-  const std::scoped_lock lock(g_left_mutex);
-  g_left.push_back(std::move(thread));
+void leave_behind(std::thread thread, std::future<void> ended) {
+  join_ended();
+  left().push_back({std::move(thread), std::move(ended)});
 }
 
 void bind_work(py::module_& module) {
@@ -115,16 +159,7 @@ void bind_work(py::module_& module) {
     }
   });
   ::pthread_atfork(nullptr, nullptr, [] { g_lost_threads = g_lost_threads || g_has_threads; });
-  module.def("_wait_for_threads", [] {
-    if (g_lost_threads) return;
-    const py::gil_scoped_release unlocked;
-    std::vector<std::thread> left;
-    {
-      const std::scoped_lock lock(g_left_mutex);
-      left.swap(g_left);
-    }
-    for (std::thread& thread : left) thread.join();
-  });
+  module.def("_wait_for_threads", &wait_for_threads);
   module.def("_begin_work", &begin_work);
   py::module_::import("atexit").attr("register")(module.attr("_wait_for_threads"));
 }

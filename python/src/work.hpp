@@ -12,6 +12,7 @@
 #include <future>
 #include <memory>
 #include <mutex>
+#include <stop_token>
 #include <string>
 #include <thread>
 #include <type_traits>
@@ -60,7 +61,6 @@ class Progress {
   void begin(const char* stage, std::uint64_t total, const char* unit);
   void advance(std::uint64_t units) { done_.fetch_add(units, std::memory_order_relaxed); }
   void cancel() { cancelled_ = true; }
-  bool cancelled() const { return cancelled_; }
   /// Calls the callback, with the lock of Python held: (stage, done, total, unit). total is 0 where nobody knows it.
   void report();
 
@@ -82,8 +82,8 @@ class Progress {
   std::deque<Stage> finished_;
 };
 
-/// Keeps a thread that nobody waits for until the interpreter ends.
-void leave_behind(std::thread thread);
+/// Keeps a thread that nobody waits for until the interpreter ends. `ended` is ready when all that the thread does is done.
+void leave_behind(std::thread thread, std::future<void> ended);
 
 /// work(), which touches no Python object, on a thread of its own, while this one reports progress and looks for
 /// signals (KeyboardInterrupt). One is raised once `cancel` is called and the work has ended; without `cancel` at
@@ -94,7 +94,12 @@ auto run(Work work, const std::shared_ptr<Progress>& progress, const std::functi
   using Value = decltype(work());
   std::packaged_task<Value()> task(std::move(work));
   std::future<Value> future = task.get_future();
-  std::thread thread(std::move(task));
+  std::promise<void> over;
+  std::future<void> ended = over.get_future();
+  std::thread thread([task = std::move(task), over = std::move(over)]() mutable {
+    std::exchange(task, {})();  // and what it holds goes
+    over.set_value();
+  });
   const auto wait = [&](std::chrono::milliseconds time) {
     const pybind11::gil_scoped_release unlocked;
     return future.wait_for(time) == std::future_status::ready;
@@ -110,13 +115,24 @@ auto run(Work work, const std::shared_ptr<Progress>& progress, const std::functi
       const pybind11::gil_scoped_release unlocked;
       thread.join();
     } else {
-      leave_behind(std::move(thread));
+      leave_behind(std::move(thread), std::move(ended));
     }
     throw;
   }
   thread.join();
   if (progress) progress->report();
   return future.get();
+}
+
+/// run() without `cancel`; work that is left behind is asked to stop.
+template <class Work>
+auto run_stoppable(Work work, const std::shared_ptr<Progress>& progress, std::stop_source stop) {
+  try {
+    return run(std::move(work), progress, {});
+  } catch (const pybind11::error_already_set&) {
+    stop.request_stop();
+    throw;
+  }
 }
 
 }  // namespace rgs::python

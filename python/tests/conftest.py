@@ -45,6 +45,15 @@ def renderer():
     return roofgs.Renderer(device="cpu")
 
 
+@pytest.fixture(scope="session")
+def has_gpu():
+    """Whether this build and this machine render with CUDA."""
+    try:
+        return roofgs.Renderer(device="cuda").device == "cuda"
+    except roofgs.UnavailableError:
+        return False
+
+
 @pytest.fixture()
 def camera(scene):
     return roofgs.cameras.default_view(scene, width=64, height=48)

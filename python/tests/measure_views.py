@@ -20,9 +20,9 @@ def seconds(call):
     return time.perf_counter() - start
 
 
-def throughput(renderer, scene, views, size, batch):
+def throughput(renderer, scene, views, size, batch, empty=lambda shape: np.empty(shape, np.uint8)):
     """Views a second, one by one and in batches, into memory that is there."""
-    single, several = np.empty((size, size, 3), np.uint8), np.empty((batch, size, size, 3), np.uint8)
+    single, several = empty((size, size, 3)), empty((batch, size, size, 3))
     best = [np.inf, np.inf]
     for first in range(0, len(views) - batch + 1, batch):
         part = views[first:first + batch]

@@ -1,4 +1,6 @@
 """Cameras. SPDX-License-Identifier: Apache-2.0"""
+import copy
+import json
 import pickle
 
 import numpy as np
@@ -85,6 +87,32 @@ def test_files(examples):
         loaded.named("nobody")
     with pytest.raises(FileNotFoundError):
         cameras.load(examples / "none.json")
+
+
+def test_a_declared_split_is_kept(examples, tmp_path):
+    views = [roofgs.Camera(8, 8, 10, name=name) for name in "abca"]  # the first and the last are equal
+    declared = cameras.CameraList(views, [False, True, False, True], "list", True)
+    for again in (pickle.loads(pickle.dumps(declared)), copy.copy(declared), copy.deepcopy(declared)):
+        assert again == declared and again.split_declared and again.source == "list"
+        assert [camera.name for camera in again.test] == ["b", "a"] and [camera.name for camera in again.train] == ["a", "c"]
+    declared.reverse()
+    declared.append(roofgs.Camera(8, 8, 10, name="of neither part"))
+    cameras.save(tmp_path / "declared.json", declared)
+    rows = json.loads((tmp_path / "declared.json").read_text())
+    assert [(row["name"], row.get("split")) for row in rows] == \
+        [("a", "test"), ("c", "train"), ("b", "test"), ("a", "train"), ("of neither part", None)]
+    cameras.save(tmp_path / "undeclared.json", cameras.load(examples / "cameras.json"))
+    assert "split" not in (tmp_path / "undeclared.json").read_text()
+
+
+def test_names_that_are_no_text(tmp_path):
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24\n")
+    (tmp_path / "images.txt").write_bytes(b"1 1 0 0 0 0 0 0 1 caf\xe9.jpg\n\n")
+    [camera] = cameras.load(tmp_path)
+    assert camera.name == "caf\ufffd.jpg" and "caf" in repr(camera)
+    assert pickle.loads(pickle.dumps(camera)) == camera and hash(camera) == hash(pickle.loads(pickle.dumps(camera)))
+    cameras.save(tmp_path / "saved.json", [camera])
+    assert cameras.load(tmp_path / "saved.json") == [camera]
 
 
 def test_views_and_paths(scene):

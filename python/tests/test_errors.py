@@ -65,6 +65,30 @@ def test_options_of_programs_become_arguments():
     assert text == ("on_bad='drop' leaves such out, without strict=True; give memory=, or profile='packed' [bad_value]")
 
 
+@pytest.mark.parametrize("said, meant", [
+    ("pass --memory=8GiB", "pass memory=8GiB"), ("--on-bad=drop, or --on-bad dropped", "on_bad='drop', or on_bad= dropped"),
+    ("--lod=best takes longer than --lod", "lod=best takes longer than lod=True"),
+    ("choose --profile archive:high", "choose profile='archive:high'")])
+def test_options_with_values(said, meant):
+    assert make("bad_argument", said).message == meant
+
+
+@pytest.mark.parametrize("file, shown", [
+    ("https://me:secret@host.org/a.rgs?token=12#x", "https://host.org/a.rgs"), ("HTTP://me@host:8/", "HTTP://host:8/"),
+    ("http://host/a@b.rgs", "http://host/a@b.rgs"), ("me@host?x.rgs", "me@host?x.rgs"), (None, None)])
+def test_addresses_are_shown_without_what_is_secret(file, shown):
+    error = make("open_failed", "is away", file=file)
+    assert error.file == shown and "secret" not in str(error) and "12" not in str(error)
+    assert pickle.loads(pickle.dumps(error)).file == shown
+
+
+@pytest.mark.parametrize("use", [roofgs.load, roofgs.StreamedScene])
+def test_addresses_that_fail_are_shown_so(use):
+    with pytest.raises(roofgs.Error) as caught:
+        use("http://me:secret@127.0.0.1:1/a.rgs?token=12")
+    assert caught.value.file == "http://127.0.0.1:1/a.rgs" and "secret" not in str(caught.value)
+
+
 FORKED = """
 import multiprocessing, sys
 import roofgs

@@ -167,6 +167,16 @@ def test_a_program_that_is_not_there(monkeypatch, tmp_path, examples):
 # ---- prune
 
 
+def test_cameras_in_memory_keep_their_split(examples, tmp_path):
+    views = roofgs.cameras.load(examples / "cameras.json")
+    is_test = [i % 2 == 0 for i in range(len(views))]
+    declared = roofgs.cameras.CameraList(views, is_test, "list", True)
+    done = roofgs.prune(examples / "scene.rgs", tmp_path / "a.ply", declared, keep=0.5, split="train")
+    roofgs.prune(examples / "scene.rgs", tmp_path / "b.ply", [view for view, test in zip(views, is_test) if not test], keep=0.5)
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert done["output"]["gaussians"] == 1000
+
+
 def test_pruning_is_that_of_the_program(examples, tmp_path):
     done = roofgs.prune(examples / "scene.rgs", tmp_path / "a.ply", examples / "cameras.json", keep=0.25, score="max",
                         size=(64, 48))
@@ -176,7 +186,8 @@ def test_pruning_is_that_of_the_program(examples, tmp_path):
     assert done["output"]["gaussians"] == 500 and done["score"] == "max"
 
 
-@pytest.mark.parametrize("keep, kept", [(300, 300), ("10%", 200), (1.0, 2000), (1, 1), (0.1, 200)])
+@pytest.mark.parametrize("keep, kept", [(300, 300), ("10%", 200), (1.0, 2000), (1, 1), (0.1, 200),
+                                        (np.float32(0.5), 1000), (np.int64(300), 300)])
 def test_how_many_are_kept(keep, kept, examples, tmp_path):
     views = roofgs.cameras.load(examples / "cameras.json")[:2]
     done = roofgs.prune(examples / "scene.rgs", tmp_path / "a.rgs", views, keep=keep)

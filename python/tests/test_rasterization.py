@@ -164,6 +164,19 @@ def test_batches_of_scenes():
         assert np.array_equal(colors[i // 3, i % 3], single)
 
 
+@pytest.mark.parametrize("batch", [(), (2,)])
+@pytest.mark.parametrize("sh_degree", [None, 0])
+def test_no_gaussians_are_the_background(batch, sh_degree):
+    nothing = {name: np.zeros((*batch, 0, *own), np.float32) for name, own in
+               dict(means=(3,), quats=(4,), scales=(3,), opacities=(), colors=(3,) if sh_degree is None else (1, 3)).items()}
+    views = {name: np.broadcast_to(CAMERAS[name], (*batch, *CAMERAS[name].shape)) for name in ("viewmats", "Ks")}
+    behind = np.broadcast_to(np.float32([0.25, 0.5, 0.75]), (*batch, 2, 3))
+    colors, alphas, _ = roofgs.rasterization(**nothing, **views, width=W, height=H, sh_degree=sh_degree, backgrounds=behind,
+                                             render_mode="RGB+ED")
+    assert colors.shape == (*batch, 2, H, W, 4) and alphas.shape == (*batch, 2, H, W, 1) and not alphas.any()
+    assert (colors == np.float32([0.25, 0.5, 0.75, 0])).all()
+
+
 def test_near_and_far_planes():
     given = splats(n=2)
     given["means"] = np.array([[0, 0, 0.1], [1.5, 0, 5.0]])

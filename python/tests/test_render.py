@@ -150,6 +150,15 @@ def test_outputs_that_do_not_fit_are_refused(name, scene, camera, renderer):
         renderer.render(scene, camera, out=wrong_outputs()[name])
 
 
+def test_outputs_that_are_not_asked_for_stay_as_they_are(scene, camera, renderer):
+    for alpha, depth in ((True, False), (False, True)):
+        out = roofgs.Frame(np.zeros((48, 64, 3), np.float32), *(np.full((48, 64), np.nan, np.float32) for _ in range(2)))
+        frame = renderer.render(scene, camera, out=out, alpha=alpha, depth=depth)
+        assert frame.image is out.image
+        assert frame.alpha is (out.alpha if alpha else None) and frame.depth is (out.depth if depth else None)
+        assert np.isnan(out.alpha).all() == (not alpha) and np.isnan(out.depth).all() == (not depth)
+
+
 def test_outputs_do_not_share_memory(scene, camera, renderer):
     memory = np.zeros(48 * 64 * 4, np.float32)
     image, alpha = memory[:48 * 64 * 3].reshape(48, 64, 3), memory[48 * 64 * 3:].reshape(48, 64)

@@ -331,10 +331,10 @@ def test_html_has_a_picture_and_escapes_names(tmp_path, scene):
 
 
 def test_addresses_are_shown_without_secrets():
-    from roofgs._scene import _shown_name
+    from roofgs._paths import shown
 
-    assert _shown_name(b"https://me:secret@host/a/b.rgs?token=1#x") == "https://host/a/b.rgs"
-    assert _shown_name(b"http://host") == "http://host" and _shown_name(b"a?b@c.rgs") == "a?b@c.rgs"
+    assert shown(b"https://me:secret@host/a/b.rgs?token=1#x") == "https://host/a/b.rgs"
+    assert shown(b"http://host") == "http://host" and shown(b"a?b@c.rgs") == "a?b@c.rgs"
 
 
 def test_info(tmp_path, scene):

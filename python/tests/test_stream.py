@@ -10,7 +10,7 @@ import threading
 
 import numpy as np
 import pytest
-from conftest import GOLDEN
+from conftest import GOLDEN, program
 
 import roofgs
 from roofgs import cameras
@@ -84,6 +84,74 @@ def test_a_budget_that_holds_nothing(examples):
             roofgs.StreamedScene(examples / "levels.rgs", host_memory=wrong)
 
 
+def opens(path, host_memory):
+    try:
+        roofgs.StreamedScene(path, host_memory=host_memory).close()
+    except roofgs.Error:
+        return False
+    return True
+
+
+def test_scenes_share_a_pool(examples, renderer):
+    pool = roofgs.StreamPool(host_memory=64 << 20)
+    assert (pool.host_memory, pool.device_memory, pool.host_bytes, pool.device_bytes) == (64 << 20, 0, 0, 0)
+    whole = roofgs.load(examples / "levels.rgs")
+    view = cameras.default_view(whole, width=32, height=24)
+    with roofgs.StreamedScene(examples / "levels.rgs", pool=pool) as one:
+        assert renderer.refine(one, view, 60)
+        held = pool.host_bytes
+        assert 0 < held <= pool.host_memory and one.pool is pool
+        with roofgs.StreamedScene(GOLDEN / "levels_packed.rgs", pool=pool) as other:
+            assert pool.host_bytes > held  # both are counted
+            renderer.refine(other, cameras.default_view(other, width=32, height=24), 60)
+        assert np.array_equal(renderer.render(one, view), renderer.render(whole, view))
+    assert pool.host_bytes == 0
+    # A pool that one scene has filled has no room for another.
+    budget = 1000
+    while not opens(examples / "levels.rgs", budget):
+        budget += budget // 4
+    small = roofgs.StreamPool(host_memory=budget)
+    with roofgs.StreamedScene(examples / "levels.rgs", pool=small):
+        with pytest.raises(roofgs.Error) as caught:
+            roofgs.StreamedScene(examples / "levels.rgs", pool=small)
+        assert caught.value.code in ("host_out_of_memory", "limit_exceeded")
+    assert repr(small) == f"roofgs.StreamPool(host_memory={small.host_memory})"
+
+
+def test_pools_that_cannot_be(examples):
+    for wrong in (0, -1, 1 << 64):
+        with pytest.raises(roofgs.ArgumentError):
+            roofgs.StreamPool(host_memory=wrong)
+    with pytest.raises(roofgs.ArgumentError):
+        roofgs.StreamPool(device_memory=-1)
+    for budget in ({"host_memory": 1 << 30}, {"device_memory": 1 << 30}):
+        with pytest.raises(roofgs.ArgumentError, match=f"{next(iter(budget))} are those of the pool"):
+            roofgs.StreamedScene(examples / "levels.rgs", pool=roofgs.StreamPool(), **budget)
+
+
+def test_memory_of_a_device(examples, renderer, has_gpu):
+    if not has_gpu:
+        for make in (lambda: roofgs.StreamedScene(examples / "levels.rgs", device_memory=1 << 26),
+                     lambda: roofgs.StreamedScene(examples / "levels.rgs", pool=roofgs.StreamPool(device_memory=1 << 26))):
+            with pytest.raises(roofgs.UnavailableError) as caught:
+                make()
+            assert caught.value.code == "unavailable" and "::" not in str(caught.value)
+        pytest.skip("there is no GPU")
+    on_gpu, whole = roofgs.Renderer(device="cuda"), roofgs.load(examples / "levels.rgs")
+    view = cameras.default_view(whole, width=96, height=72)
+    pool = roofgs.StreamPool(device_memory=1 << 26)
+    with roofgs.StreamedScene(examples / "levels.rgs", pool=pool) as scene:
+        assert pool.device_bytes == 1 << 26
+        assert on_gpu.refine(scene, view, 60)
+        assert np.array_equal(on_gpu.render(scene, view), on_gpu.render(whole, view))
+        assert scene.stats["bytes_uploaded"] > 0
+        with pytest.raises(roofgs.UnavailableError, match="device_memory"):
+            renderer.render(scene, view)  # by the CPU
+    assert pool.device_bytes == 0
+    with roofgs.StreamedScene(examples / "levels.rgs") as scene, pytest.raises(roofgs.UnavailableError, match="device_memory"):
+        on_gpu.render(scene, view)
+
+
 def test_a_file_without_levels_is_no_stream(examples):
     with pytest.raises(roofgs.FormatError) as caught:
         roofgs.StreamedScene(examples / "scene.rgs")
@@ -143,45 +211,105 @@ def test_html(examples):
 
 
 class Slow(Ranges):
-    """The same, but that it gives the first bytes alone until it is told to go on."""
+    """The same, but that it gives the first bytes alone, and of /silent nothing, until it is told to go on."""
 
-    go_on = threading.Event()
+    waits, go_on = threading.Event(), threading.Event()
 
     def do_GET(self):
         asked = self.headers.get("Range", "bytes=0-")
-        if int(asked.removeprefix("bytes=").partition("-")[0]) > 0:
-            self.go_on.wait(60)
+        if self.path == "/silent" or int(asked.removeprefix("bytes=").partition("-")[0]) > 0:
+            self.waits.set()
+            self.go_on.wait(600)
         super().do_GET()
 
 
-def test_ctrl_c_ends_a_wait(examples, renderer, tmp_path):
+INTERRUPTED = """
+import os, signal, sys
+import roofgs
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+try:
+    if sys.argv[2] == "load":
+        roofgs.load(sys.argv[1])
+    else:
+        scene = roofgs.StreamedScene(sys.argv[1])
+        view = roofgs.cameras.default_view(scene, width=640, height=480)
+        roofgs.Renderer(device="cpu").refine(scene, view, 600, detail=0)
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+    child = os.fork()  # without the thread that was left behind
+    if child:
+        print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def slow_server(tmp_path_factory):
     # More than the 64 KiB that a source keeps of its first answer.
-    big = tmp_path / "big"
-    big.mkdir()
-    subprocess.run([os.environ["ROOFGS_PROGRAMS"] + "/rgs-make-scene", "--gaussians", "20k", big / "scene.ply", "-q"], check=True)
+    big = tmp_path_factory.mktemp("big")
+    program("rgs-make-scene", "--gaussians", "20k", big / "scene.ply", "-q")
     roofgs.load(big / "scene.ply").save(big / "levels.rgs", lod=True)
     handler = functools.partial(Slow, directory=str(big))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         serving = threading.Thread(target=server.serve_forever)
         serving.start()
-        code = ("import roofgs, signal, sys, os\n"
-                "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-                "scene = roofgs.StreamedScene(sys.argv[1]) if sys.argv[2] == 'stream' else None\n"
-                "view = scene and roofgs.cameras.default_view(scene, width=640, height=480)\n"
-                "renderer = roofgs.Renderer(device='cpu')\n"
-                "try:\n"
-                "    print('begun', flush=True)\n"
-                "    renderer.refine(scene, view, 300, detail=0) if scene else roofgs.load(sys.argv[1])\n"
-                "except KeyboardInterrupt:\n"
-                "    print('interrupted', flush=True)\n")
-        for how in ("stream", "load"):
-            process = subprocess.Popen([sys.executable, "-c", code, f"http://127.0.0.1:{server.server_port}/levels.rgs", how],
-                                       stdout=subprocess.PIPE, text=True)
-            assert process.stdout.readline() == "begun\n"
-            process.send_signal(signal.SIGINT)
-            process.wait(60)  # far less than the wait, and with nothing that ends it
-            assert process.stdout.read() == "interrupted\n" and process.returncode == 0
-            process.stdout.close()
+        yield f"http://127.0.0.1:{server.server_port}"
         Slow.go_on.set()
         server.shutdown()
         serving.join()
+
+
+@pytest.mark.parametrize("name", ["levels.rgs", "silent"])
+@pytest.mark.parametrize("how", ["stream", "load"])
+def test_ctrl_c_ends_a_wait(name, how, slow_server):
+    Slow.waits.clear()
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED, f"{slow_server}/{name}", how], stdout=subprocess.PIPE, text=True)
+    try:
+        assert Slow.waits.wait(60)
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=60)  # far less than the wait, and with nothing that ends it
+    finally:
+        process.kill()
+        process.communicate()
+    assert out.split() == ["interrupted", "0"] and process.returncode == 0
+
+
+WAITS_FOR_EVER = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <string.h>
+#include <sys/types.h>
+#include <unistd.h>
+
+static int open_or_wait(const char* function, const char* path, int flags, mode_t mode) {
+  if (strstr(path, "waits-for-ever")) {
+    write(STDOUT_FILENO, "waits\n", 6);
+    for (;;) pause();
+  }
+  return ((int (*)(const char*, int, ...))dlsym(RTLD_NEXT, function))(path, flags, mode);
+}
+int open(const char* path, int flags, mode_t mode) { return open_or_wait("open", path, flags, mode); }
+int open64(const char* path, int flags, mode_t mode) { return open_or_wait("open64", path, flags, mode); }
+"""
+
+
+def test_another_ctrl_c_ends_the_process_without_work_that_never_ends(tmp_path):
+    (tmp_path / "open.c").write_text(WAITS_FOR_EVER)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", tmp_path / "open.so", tmp_path / "open.c", "-ldl"], check=True)
+    process = subprocess.Popen([sys.executable, "-c", INTERRUPTED, "waits-for-ever.rgs", "load"], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE, text=True, env={**os.environ, "LD_PRELOAD": str(tmp_path / "open.so")})
+    try:
+        assert process.stdout.readline() == "waits\n"
+        process.send_signal(signal.SIGINT)
+        assert [process.stdout.readline() for _ in range(2)] == ["interrupted\n", "0\n"]
+        for _ in range(600):  # the first may come before the wait for threads begins
+            process.send_signal(signal.SIGINT)
+            try:
+                _, said = process.communicate(timeout=0.1)
+                break
+            except subprocess.TimeoutExpired:
+                pass
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode in (0, 130, -signal.SIGINT) and "KeyboardInterrupt" in said

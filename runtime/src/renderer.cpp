@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "rgs/renderer.hpp"
 
+#include <algorithm>
 #include <atomic>
 #include <optional>
 #include <string>
@@ -32,6 +33,8 @@ struct Renderer::Impl {
     Scene scene = {};
   } cut;
 
+  std::vector<float> scratch;  // a picture of which only codes are wanted
+
   // Of streamed scenes: which renderer looks at them.
   std::uint64_t identity = next_identity();
 
@@ -39,6 +42,8 @@ struct Renderer::Impl {
                             const RenderOptions& options);
   Result<FrameStats> render(const detail::StreamFrame& frame, const StreamedScene& scene, const Camera& camera,
                             const RenderTarget& target, const RenderOptions& options);
+  Result<std::vector<FrameStats>> render_on_device(const Scene& scene, std::span<const Camera> cameras,
+                                                   const PictureArrays& pictures, const RenderOptions& options);
   Result<detail::StreamRule> rule_of(const StreamedScene& scene, const Camera& camera,
                                      const RenderOptions& options) const;
   static std::uint64_t next_identity() {
@@ -105,6 +110,73 @@ Result<FrameStats> Renderer::render(const Scene& scene, const Camera& camera, co
     if (stats) stats->pages = cut.pages.size();
     return stats;
   });
+}
+
+Result<std::vector<FrameStats>> Renderer::render_all(const Scene& scene, std::span<const Camera> cameras,
+                                                     const PictureArrays& pictures, const RenderOptions& options) {
+  if (pictures.on_device && !impl_->cuda) {
+    return make_error(Errc::unavailable, Error::kNone,
+                      "pictures in a device's memory are drawn by CUDA, and not by the CPU: Backend::cuda");
+  }
+  for (const Camera& camera : cameras) {
+    if (const auto ok = validate(camera); !ok) return tl::unexpected(ok.error());
+    if (camera.width != cameras.front().width || camera.height != cameras.front().height)
+      return make_error(Errc::bad_argument, Error::kNone, "the cameras of one call have pictures of different sizes");
+  }
+  return detail::guard_memory([&] {
+    return impl_->cuda && (pictures.on_device || cameras.size() > 1)
+               ? impl_->render_on_device(scene, cameras, pictures, options)
+               : render_each(scene, cameras, pictures, options);
+  });
+}
+
+Result<std::vector<FrameStats>> Renderer::Impl::render_on_device(const Scene& scene, std::span<const Camera> cameras,
+                                                                 const PictureArrays& pictures,
+                                                                 const RenderOptions& options) {
+  const auto detail = drawn_detail(options, scene);
+  if (!detail) return tl::unexpected(detail.error());
+  const RenderOptions drawn = detail::with_levels(options, *detail);
+  const auto settings = detail::resolve(drawn, scene.declarations(), Backend::cuda);
+  if (!settings) return tl::unexpected(settings.error());
+  auto stats = cuda->render_all(scene, cameras, pictures, with_declarations(drawn, scene.declarations()));
+  if (!stats) return stats;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    FrameStats& s = (*stats)[i];
+    s.depth_resolution = detail::depth_resolution(*settings, s.depth_bits, cameras[i], scene.declarations());
+  }
+  return stats;
+}
+
+Result<std::vector<FrameStats>> Renderer::render_each(const Scene& scene, std::span<const Camera> cameras,
+                                                      const PictureArrays& pictures, const RenderOptions& options) {
+  std::vector<FrameStats> all;
+  std::vector<float>& scratch = impl_->scratch;
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    const auto n = static_cast<std::size_t>(cameras[i].width) * static_cast<std::size_t>(cameras[i].height);
+    RenderTarget target;
+    if (pictures.rgb != nullptr) {
+      target.rgb = {pictures.rgb + 3 * n * i, 3 * n};
+    } else if (pictures.codes != nullptr) {
+      scratch.resize(3 * n);
+      target.rgb = scratch;
+    }
+    if (pictures.alpha != nullptr) target.alpha = {pictures.alpha + n * i, n};
+    if (pictures.depth != nullptr) target.depth = {pictures.depth + n * i, n};
+    const auto stats = render(scene, cameras[i], target, options);
+    if (!stats) return tl::unexpected(stats.error());
+    if (pictures.codes != nullptr) std::ranges::transform(target.rgb, pictures.codes + 3 * n * i, to_8bit);
+    all.push_back(*stats);
+  }
+  return all;
+}
+
+Result<DeviceBlock> Renderer::allocate_on_device(std::uint64_t bytes) const {
+  if (!impl_->cuda) {
+    return make_error(Errc::unavailable, Error::kNone,
+                      "pictures in a device's memory are drawn by CUDA, and not by the CPU: Backend::cuda");
+  }
+  if (bytes == 0) return make_error(Errc::bad_argument, Error::kNone, "an array on a device has no bytes");
+  return detail::guard_memory([&] { return detail::CudaBackend::allocate(bytes); });
 }
 
 // A scene without levels, or the leaves of one with them; on CUDA any scene.

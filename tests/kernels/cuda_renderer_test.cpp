@@ -451,6 +451,92 @@ TEST_CASE("Renderer on CUDA is CudaRenderer, in host memory, for one scene after
   }
 }
 
+TEST_CASE("pictures of several cameras at once, in the host's memory and the device's, are those of each") {
+  if (!device_answers()) return;
+  const Scene scene = scene_of(cloud_of(random_splats(608, sized(3000, 1000, 200)), 2));
+  const std::size_t n = sized<std::size_t>(23, 9, 3);
+  std::vector<Camera> cameras;
+  for (std::size_t i = 0; i < n; ++i) {
+    // The later ones see more, so that workspaces grow in the midst of it.
+    cameras.push_back(front_camera(61, 47));
+    cameras.back().fx *= i < n / 2 ? 8 : 0.5;
+  }
+  constexpr std::size_t kPixels = 61 * 47;
+  for (const std::size_t m : {std::size_t{0}, kTurboFp32}) {
+    for (const Pipeline pipeline : {Pipeline::turbo, Pipeline::baseline}) {
+      if (m != 0 && pipeline != Pipeline::turbo) continue;
+      RenderOptions options = pipeline == Pipeline::turbo ? modes()[m] : baseline_options();
+      options.background = {0.25F, 0.5F, 1};
+      std::vector<Frame> expected;
+      {
+        auto renderer = Renderer::create({.backend = Backend::cuda});
+        require_ok(renderer);
+        for (const Camera& camera : cameras) {
+          Frame frame = Frame::of(camera);
+          RenderTarget target;
+          target.rgb = frame.rgb, target.alpha = frame.alpha;
+          const auto stats = renderer->render(scene, camera, target, options);
+          require_ok(stats);
+          frame.stats = *stats;
+          expected.push_back(std::move(frame));
+        }
+      }
+      auto renderer = Renderer::create({.backend = Backend::cuda});
+      require_ok(renderer);
+      const auto block = renderer->allocate_on_device(n * kPixels * 19);
+      require_ok(block);
+      for (const bool on_device : {false, true, true}) {  // the first one makes the renderers, the others find them
+        CAPTURE(on_device);
+        std::vector<float> rgb(3 * n * kPixels, -1), alpha(n * kPixels, -1);
+        std::vector<std::uint8_t> codes(3 * n * kPixels, 77);
+        auto* const base = static_cast<std::byte*>(block->data.get());
+        PictureArrays pictures{.rgb = rgb.data(), .codes = codes.data(), .alpha = alpha.data()};
+        cudaStream_t stream = nullptr;
+        if (on_device) {
+          require_cuda(cudaStreamCreateWithFlags(&stream, cudaStreamNonBlocking));
+          pictures = {.rgb = reinterpret_cast<float*>(base),
+                      .codes = reinterpret_cast<std::uint8_t*>(base + n * kPixels * 16),
+                      .alpha = reinterpret_cast<float*>(base + n * kPixels * 12),
+                      .on_device = true,
+                      .stream = stream};
+          // What is queued before comes before: it would leave its bytes in the pictures otherwise.
+          require_cuda(cudaMemsetAsync(base, 0x55, n * kPixels * 19, stream));
+        }
+        const auto stats = renderer->render_all(scene, cameras, pictures, options);
+        require_ok(stats);
+        REQUIRE(stats->size() == n);
+        if (on_device) {
+          require_cuda(cudaMemcpy(rgb.data(), pictures.rgb, rgb.size() * 4, cudaMemcpyDeviceToHost));
+          require_cuda(cudaMemcpy(alpha.data(), pictures.alpha, alpha.size() * 4, cudaMemcpyDeviceToHost));
+          require_cuda(cudaMemcpy(codes.data(), pictures.codes, codes.size(), cudaMemcpyDeviceToHost));
+          require_cuda(cudaStreamDestroy(stream));
+        }
+        for (std::size_t i = 0; i < n; ++i) {
+          CAPTURE(i);
+          CHECK((*stats)[i].instances == expected[i].stats.instances);
+          CHECK((*stats)[i].total_ms > 0);
+          CHECK(std::ranges::equal(expected[i].rgb, std::span(rgb).subspan(3 * kPixels * i, 3 * kPixels)));
+          CHECK(std::ranges::equal(expected[i].alpha, std::span(alpha).subspan(kPixels * i, kPixels)));
+          std::vector<std::uint8_t> wanted(3 * kPixels);
+          std::ranges::transform(expected[i].rgb, wanted.begin(), to_8bit);
+          CHECK(std::ranges::equal(wanted, std::span(codes).subspan(3 * kPixels * i, 3 * kPixels)));
+        }
+      }
+      // Codes alone; and memory that is not the device's.
+      std::vector<std::uint8_t> codes(3 * n * kPixels, 77);
+      require_ok(renderer->render_all(scene, cameras, {.codes = codes.data()}, options));
+      CHECK(std::ranges::equal(std::span(codes).last(3 * kPixels), [&] {
+        std::vector<std::uint8_t> wanted(3 * kPixels);
+        std::ranges::transform(expected.back().rgb, wanted.begin(), to_8bit);
+        return wanted;
+      }()));
+      const auto refused = renderer->render_all(scene, cameras, {.codes = codes.data(), .on_device = true}, options);
+      REQUIRE_FALSE(refused);
+      CHECK(refused.error().code == Errc::bad_argument);
+    }
+  }
+}
+
 TEST_CASE("packed targets hold what the float targets hold, converted; misaligned ones are refused") {
   if (!device_answers()) return;
   const Camera camera = front_camera(75, 33);

@@ -43,6 +43,56 @@ std::vector<Contribution> contributions_of(const Scene& scene, const std::vector
 
 }  // namespace
 
+TEST_CASE("pictures of several cameras are those of each, one behind the other") {
+  const Scene scene = scene_of(cloud_of(random_splats(31, 200), 2));
+  auto renderer = Renderer::create(kVector);
+  REQUIRE(renderer);
+  std::vector<Camera> cameras;
+  for (int i = 0; i < 3; ++i) {
+    cameras.push_back(front_camera(19, 23));
+    cameras.back().fx += i;
+  }
+  const RenderOptions options{.background = {0.25F, 0.5F, 1}};
+  constexpr std::size_t kPixels = 19 * 23, kGuard = 5;
+  constexpr float kNothing = -7;
+  std::vector<float> rgb(9 * kPixels + kGuard, kNothing), alpha(3 * kPixels + kGuard, kNothing), depth = alpha;
+  std::vector<std::uint8_t> codes(9 * kPixels + kGuard, 77);
+  const auto stats =
+      renderer->render_all(scene, cameras, {rgb.data(), codes.data(), alpha.data(), depth.data()}, options);
+  REQUIRE(stats);
+  REQUIRE(stats->size() == 3);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const Frame frame = render(scene, cameras[i], options, kVector);
+    CHECK((*stats)[i].instances == frame.stats.instances);
+    CHECK(std::ranges::equal(frame.rgb, std::span(rgb).subspan(3 * kPixels * i, 3 * kPixels)));
+    CHECK(std::ranges::equal(frame.alpha, std::span(alpha).subspan(kPixels * i, kPixels)));
+    CHECK(std::ranges::equal(frame.depth, std::span(depth).subspan(kPixels * i, kPixels)));
+    for (std::size_t k = 0; k < 3 * kPixels; ++k) REQUIRE(codes[3 * kPixels * i + k] == to_8bit(frame.rgb[k]));
+  }
+  for (const auto& array : {rgb, alpha, depth}) {
+    CHECK(std::ranges::all_of(std::span(array).last(kGuard), [](float v) { return v == kNothing; }));
+  }
+  CHECK(std::ranges::all_of(std::span(codes).last(kGuard), [](int code) { return code == 77; }));
+
+  // Codes alone, and no camera.
+  const std::vector<std::uint8_t> expected = codes;
+  std::ranges::fill(codes, std::uint8_t{77});
+  REQUIRE(renderer->render_all(scene, cameras, {.codes = codes.data()}, options));
+  CHECK(codes == expected);
+  CHECK(renderer->render_all(scene, {}, {.rgb = rgb.data()})->empty());
+
+  const auto code_of = [](const auto& result) {
+    REQUIRE_FALSE(result);
+    return result.error().code;
+  };
+  CHECK(code_of(renderer->render_all(scene, cameras, {.rgb = rgb.data(), .on_device = true})) == Errc::unavailable);
+  CHECK(code_of(renderer->allocate_on_device(16)) == Errc::unavailable);
+  cameras[1].fy = 0;
+  CHECK(code_of(renderer->render_all(scene, cameras, {.rgb = rgb.data()})) == Errc::bad_camera);
+  cameras[1] = front_camera(19, 22);
+  CHECK(code_of(renderer->render_all(scene, cameras, {.rgb = rgb.data()})) == Errc::bad_argument);
+}
+
 TEST_CASE("one Gaussian on the axis has the closed form's pixels") {
   const Camera camera = front_camera(33, 33);
   const Scene scene = scene_of(cloud_of(std::vector{splat_at(0, 0, 4, 0.5, 0.8, 0.75F)}));

@@ -85,8 +85,8 @@ class FileView {
   static Result<std::vector<FileRange>> head_needs(std::span<const FilePart> parts, std::uint64_t size,
                                                    const DecodeLimits& limits = {});
   /// Header, declarations, provenance and sections. Only these may be asked for: no bytes of the file are there, and nothing of
-  /// the others has been checked. Nothing of `parts` is needed afterwards. Errors: those of open() for what is read; truncated if
-  /// head_needs() is not empty.
+  /// the others has been checked. Nothing of `parts` is needed afterwards. Where only PROV is missing, there is no provenance().
+  /// Errors: those of open() for what is read; truncated if the head or DECL is missing.
   static Result<FileView> open_head(std::span<const FilePart> parts, std::uint64_t size,
                                     const DecodeLimits& limits = {});
 

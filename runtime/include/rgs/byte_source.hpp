@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <span>
+#include <stop_token>
 #include <string>
 
 #include "rgs/result.hpp"
@@ -47,6 +48,8 @@ struct UrlOptions {
   double stall_seconds = 20;    ///< for the head of an answer, and then without a byte: the request is made again
   int most_redirects = 5;       ///< of one request; never from https to http
   std::string certificates;     ///< PEM file of more to trust than the system's folder has; empty: the system's
+  /// A request to stop ends the opening with Errc::cancelled; later it does what cancel() does.
+  std::stop_token stop = {};
 };
 
 /// Whether a name is an address that open_url_source() reads: it begins with http:// or https://, in letters of either case.
@@ -57,7 +60,7 @@ bool is_url(const std::string& name);
 /// connections, stalls and the statuses 408, 429, 500, 502, 503 and 504 are tried again. Certificates are always checked; proxies are
 /// those of the environment (http_proxy, https_proxy, all_proxy, no_proxy). Blocks until the first answer is there. Errors: open_failed (no
 /// connection, a certificate that is not trusted, a status of failure, which is in Error::found, a server without ranges (found: 200) for a file of more than
-/// 64 KiB), unavailable (built without libcurl), bad_argument (no such address, an option out of its range). Error::found of read_failed
+/// 64 KiB), unavailable (built without libcurl), cancelled (by UrlOptions::stop), bad_argument (no such address, an option out of its range). Error::found of read_failed
 /// is the status too, where Error::expected is none.
 Result<std::unique_ptr<ByteSource>> open_url_source(const std::string& url, const UrlOptions& options = {});
 

@@ -8,6 +8,9 @@
 #include <vector>
 
 #include "rgs/api.hpp"
+#include "rgs/math/pixel_format.hpp"
+
+struct CUstream_st;
 
 namespace RGS_API rgs {
 
@@ -36,8 +39,7 @@ struct Image {
 
 /// 8-bit code of a colour value: round(255 * clamp(v, 0, 1)), halves up; NaN gives 0.
 inline std::uint8_t to_8bit(float value) {
-  if (!(value > 0)) return 0;
-  return static_cast<std::uint8_t>(value >= 1 ? 255.0F : value * 255.0F + 0.5F);
+  return math::code8(value);
 }
 
 /// What one Gaussian gave to pixels: alpha T, the weight with which its colour was blended into each of them.
@@ -48,6 +50,19 @@ struct Contribution {
   float largest = 0;      ///< of any pixel
 
   double weight() const { return static_cast<double>(sum) * kUnit; }
+};
+
+/// Where pictures of several cameras of one size go: caller-owned arrays, one picture behind the other, rows from top to bottom.
+/// Null: not wanted.
+struct PictureArrays {
+  float* rgb = nullptr;           ///< [n, height, width, 3] colour over the background
+  std::uint8_t* codes = nullptr;  ///< [n, height, width, 3] to_8bit() of it
+  float* alpha = nullptr;         ///< [n, height, width] as in RenderTarget
+  float* depth = nullptr;         ///< [n, height, width] as in RenderTarget
+  /// They are in the memory of the device that draws, and are written after what is queued on `stream` (a cudaStream_t; null is the
+  /// default stream). Otherwise they are in the host's.
+  bool on_device = false;
+  CUstream_st* stream = nullptr;
 };
 
 /// Where a frame goes: caller-owned arrays of camera.width * camera.height pixels, rows from top to bottom.

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "rgs/camera.hpp"
@@ -151,6 +152,12 @@ struct FrameStats {
   StreamStats stream;  ///< of a StreamedScene
 };
 
+/// Memory of a device. Copies share it; the last one waits for the device and frees it.
+struct DeviceBlock {
+  std::shared_ptr<void> data;
+  int device = 0;  ///< its number among those of CUDA
+};
+
 /// Renders frames. Holds the workspace, which grows and is reused; one Renderer serves one thread at a time, and any
 /// number of Renderers may share a Scene.
 class Renderer {
@@ -174,6 +181,12 @@ class Renderer {
   Result<FrameStats> render(const Scene& scene, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options = {});
 
+  /// Pictures of several cameras of one size, each as render() gives it. On CUDA several are on their way at once, which makes the most of
+  /// small ones. Complete on return; times of stages are those of a single picture alone. Errors: those of render(); bad_argument
+  /// (sizes that differ, an array that is not in the device's memory), unavailable (arrays on a device, drawn by the CPU).
+  Result<std::vector<FrameStats>> render_all(const Scene& scene, std::span<const Camera> cameras,
+                                             const PictureArrays& pictures, const RenderOptions& options = {});
+
   /// The same of what is there of a streamed scene: the frame waits for no input, and FrameStats::stream says what it lacks. Errors: also
   /// unavailable (CUDA, of a pool without StreamPoolOptions::device_memory; the CPU, of one with it).
   Result<FrameStats> render(const StreamedScene& scene, const Camera& camera, const RenderTarget& target,
@@ -184,10 +197,16 @@ class Renderer {
   Result<bool> refine(const StreamedScene& scene, const Camera& camera, double seconds,
                       const RenderOptions& options = {});
 
+  /// Memory of the device that is drawn on, for PictureArrays. Errors: unavailable (the CPU has none), bad_argument (0 bytes),
+  /// device_out_of_memory, device_failed.
+  Result<DeviceBlock> allocate_on_device(std::uint64_t bytes) const;
+
   Backend backend() const;           ///< the backend in use, never automatic
   const char* backend_name() const;  ///< e.g. "cpu AVX3_SPR", "cpu scalar"
 
  private:
+  Result<std::vector<FrameStats>> render_each(const Scene& scene, std::span<const Camera> cameras,
+                                              const PictureArrays& pictures, const RenderOptions& options);
   struct Impl;
   explicit Renderer(std::unique_ptr<Impl> impl);
   std::unique_ptr<Impl> impl_;

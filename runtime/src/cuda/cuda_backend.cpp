@@ -9,6 +9,7 @@
 #include "cuda/device_memory.hpp"
 #include "cuda/device_scene.hpp"
 #include "cuda/file_upload.hpp"
+#include "cuda/picture_batch.hpp"
 #include "rgs/cuda_renderer.hpp"
 #include "rgs/decode.hpp"
 #include "rgs/paged_file.hpp"
@@ -41,6 +42,7 @@ struct CudaBackend::Impl {
   DeviceScene scene = {};
   std::uint64_t scene_identity = 0;
   DeviceBuffer rgb = {}, alpha = {}, depth = {}, evaluated = {}, blended = {};
+  PictureBatch batch{renderer, memory};
 };
 
 CudaBackend::CudaBackend(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -75,6 +77,28 @@ Result<FrameStats> CudaBackend::render(const Scene& scene, const Camera& camera,
                                        const RenderOptions& options) {
   if (const auto ok = prepare(scene); !ok) return tl::unexpected(ok.error());
   return impl_->draw(impl_->scene, camera, target, options);
+}
+
+Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene& scene, std::span<const Camera> cameras,
+                                                        const PictureArrays& pictures, const RenderOptions& options) {
+  if (const auto ok = prepare(scene); !ok) return tl::unexpected(ok.error());
+  return impl_->batch.render(impl_->scene, cameras, pictures, options);
+}
+
+// Not of the pool: who frees it may have work queued that reads it, for which cudaFree() waits.
+Result<DeviceBlock> CudaBackend::allocate(std::uint64_t bytes) {
+  void* data = nullptr;
+  DeviceBlock block;
+  if (Status ok = device_status(cudaGetDevice(&block.device), "the current device could not be read"); !ok)
+    return tl::unexpected(ok.error());
+  const cudaError_t error = cudaMalloc(&data, bytes);
+  if (error == cudaErrorMemoryAllocation) {
+    cudaGetLastError();
+    return make_error(Errc::device_out_of_memory, Error::kNone, "the device has no memory for pictures", bytes);
+  }
+  if (Status ok = device_status(error, "device memory could not be allocated"); !ok) return tl::unexpected(ok.error());
+  block.data = {data, [](void* memory) { cudaFree(memory); }};
+  return block;
 }
 
 // The storage of such a scene lives as long as its frame: its destructor waits for it, so that the slots may be others' afterwards.

@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <vector>
 
 #include "rgs/renderer.hpp"
 #include "stream/device_slots.hpp"
@@ -38,6 +39,11 @@ class CudaBackend {
   /// The same of a part of a scene; the frame is made on return, whatever that is. Errors: also bad_argument (another device is current).
   Result<FrameStats> render(const SlotDraw& draw, const Camera& camera, const RenderTarget& target,
                             const RenderOptions& options);
+  /// Cameras are valid and of one size, options valid. Errors: those of PictureBatch::render().
+  Result<std::vector<FrameStats>> render_all(const Scene& scene, std::span<const Camera> cameras,
+                                             const PictureArrays& pictures, const RenderOptions& options);
+  /// `bytes` > 0. Errors: device_out_of_memory, device_failed.
+  static Result<DeviceBlock> allocate(std::uint64_t bytes);
   const char* name() const;
 
  private:

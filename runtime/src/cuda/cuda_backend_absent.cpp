@@ -22,6 +22,13 @@ Result<FrameStats> CudaBackend::render(const Scene&, const Camera&, const Render
 Result<FrameStats> CudaBackend::render(const SlotDraw&, const Camera&, const RenderTarget&, const RenderOptions&) {
   return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
 }
+Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene&, std::span<const Camera>, const PictureArrays&,
+                                                        const RenderOptions&) {
+  return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+}
+Result<DeviceBlock> CudaBackend::allocate(std::uint64_t) {
+  return make_error(Errc::unavailable, Error::kNone, "this build has no CUDA renderer; use the CPU backend");
+}
 const char* CudaBackend::name() const {
   return "";
 }

@@ -11,10 +11,31 @@
 namespace rgs::detail {
 namespace {
 
-// Threads begin with device 0.
-Status use(int device) {
-  return device_status(cudaSetDevice(device), "the pool's device could not be made current");
-}
+/// The pool's device is the current one of a thread as long as this lives, then the one that was before. Where the thread has it
+/// already nothing is set: cudaSetDevice() makes a context, of hundreds of megabytes, on a device that has none.
+class OnDevice {
+ public:
+  explicit OnDevice(int device) {
+    status_ = device_status(cudaGetDevice(&before_), "the current device could not be read");
+    if (!status_ || before_ == device) return;
+    status_ = device_status(cudaSetDevice(device), kNotCurrent);
+    is_changed_ = status_.has_value();
+  }
+  OnDevice(const OnDevice&) = delete;
+  OnDevice& operator=(const OnDevice&) = delete;
+  ~OnDevice() {
+    if (is_changed_) cudaSetDevice(before_);
+  }
+  /// Errors: device_failed.
+  const Status& status() const { return status_; }
+
+  static constexpr const char* kNotCurrent = "the pool's device could not be made current";
+
+ private:
+  int before_ = 0;
+  bool is_changed_ = false;
+  Status status_;
+};
 
 }  // namespace
 
@@ -45,8 +66,14 @@ Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape& shape,
 }
 
 DeviceSlots::~DeviceSlots() {
-  if (memory_ == nullptr || !use(device_)) return;
-  cudaFree(memory_);
+  if (memory_ == nullptr) return;
+  const OnDevice here(device_);
+  if (here.status()) cudaFree(memory_);
+}
+
+// If it fails, each write() says so.
+void DeviceSlots::stay_on_device() const {
+  static_cast<void>(device_status(cudaSetDevice(device_), OnDevice::kNotCurrent));
 }
 
 struct SlotWriter::Impl {
@@ -78,7 +105,8 @@ Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots> slots) 
   auto impl = std::make_unique<Impl>(std::move(slots));
   const SlotShape& shape = impl->slots->plan().shape;
   void* memory = nullptr;
-  Status ok = use(impl->slots->device());
+  const OnDevice here(impl->slots->device());
+  Status ok = here.status();
   if (ok) {
     ok = device_status(cudaMallocHost(&memory, staging_bytes(shape)), "page-locked host memory could not be allocated");
   }
@@ -100,7 +128,8 @@ Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
   const SlotPlan& plan = impl_->slots->plan();
   Impl::Staged& staged = impl_->staged[impl_->next];
   impl_->next = (impl_->next + 1) % impl_->staged.size();
-  Status ok = use(impl_->slots->device());
+  const OnDevice here(impl_->slots->device());
+  Status ok = here.status();
   if (ok) ok = staged.copied.wait();
   if (!ok) return ok;
   write_page_sections(page, plan.shape.chunk_size, std::uint64_t{slot} * plan.shape.page_chunks, staged.at);
@@ -118,10 +147,10 @@ Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
 }
 
 Status SlotWriter::finish() {
-  Status ok = use(impl_->slots->device());
+  const OnDevice here(impl_->slots->device());
   const Status done =
       device_status(cudaStreamSynchronize(impl_->stream.get()), "a page could not be copied to the device");
-  return ok ? done : ok;
+  return here.status() ? done : here.status();
 }
 
 }  // namespace rgs::detail

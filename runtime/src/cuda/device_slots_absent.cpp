@@ -18,6 +18,7 @@ Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape&, std::
   return not_built();
 }
 DeviceSlots::~DeviceSlots() = default;
+void DeviceSlots::stay_on_device() const {}
 
 struct SlotWriter::Impl {};
 SlotWriter::SlotWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}

@@ -16,9 +16,11 @@
 #include <cmath>
 #include <condition_variable>
 #include <cstring>
+#include <functional>
 #include <mutex>
 #include <optional>
 #include <random>
+#include <stop_token>
 #include <string>
 #include <string_view>
 #include <system_error>
@@ -225,7 +227,10 @@ class UrlSource final : public ByteSource {
     static std::once_flag once;  // where libcurl's own is not thread-safe
     static CURLcode ready = CURLE_FAILED_INIT;
     std::call_once(once, [] { ready = ::curl_global_init(CURL_GLOBAL_DEFAULT); });
-    multi_.reset(ready == CURLE_OK ? ::curl_multi_init() : nullptr);
+    {
+      const std::scoped_lock lock(mutex_);  // of cancel()
+      multi_.reset(ready == CURLE_OK ? ::curl_multi_init() : nullptr);
+    }
     if (!multi_) return detail::out_of_memory();
     // Compressed bytes have ranges of their own. No header goes to a proxy.
     head_.reset(::curl_slist_append(nullptr, "Accept-Encoding: identity"));
@@ -577,6 +582,8 @@ class UrlSource final : public ByteSource {
   Request* waiting_ = nullptr;
   std::minstd_rand random_;
   std::thread thread_;
+  const std::stop_callback<std::function<void()>> stop_{options_.stop,
+                                                        [this] { UrlSource::cancel(); }};  // may come at once
 };
 
 bool in_range(const UrlOptions& o) {

@@ -14,7 +14,7 @@
 namespace rgs::detail {
 
 /// Slots of the device that was current at create(), allocated once. Which are free is of the pool's lock; what is in a slot is of who has
-/// taken it.
+/// taken it. But for stay_on_device(), these functions and those of writers leave the caller's current device as it is.
 class DeviceSlots {
  public:
   /// Errors: those of plan_slots(); unavailable (not built, or no device answers), device_out_of_memory, device_failed.
@@ -36,6 +36,8 @@ class DeviceSlots {
   static std::uint64_t host_bytes(const SlotPlan& plan) { return plan.n_slots * sizeof(std::uint32_t); }
 
   int device() const { return device_; }
+  /// Makes the device the calling thread's, for good: of threads that bring pages and do nothing else.
+  void stay_on_device() const;
   /// On the device.
   std::byte* at(std::size_t section, std::uint32_t slot) const { return memory_ + plan_.at(section, slot); }
 

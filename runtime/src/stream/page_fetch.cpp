@@ -98,10 +98,10 @@ StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
   for (const auto& view : views) {
     if (!view->is_live) continue;
     for (const WantList::Want& want : view->wants.wants()) {
-      const int failures = residency->is_known(want.group) ? residency->n_failed(want.group) : n_table_failures;
-      if (failures > least || (failures == least && want.rank <= chosen.rank)) continue;
+      const int n_times = residency->is_known(want.group) ? residency->n_failed(want.group) : n_table_failures;
+      if (n_times > least || (n_times == least && want.rank <= chosen.rank)) continue;
       if (is_put_off(want.group, run)) continue;
-      least = failures;
+      least = n_times;
       chosen = want;
     }
   }
@@ -143,7 +143,7 @@ StreamedState::Choice StreamedState::choose(Run& run) {
     return Choice::later;
   }
   look_at_clock(now);
-  Choice choice = n_failures > 0 ? choose_elsewhere(run) : Choice::nothing;
+  Choice choice = failures.n > 0 ? choose_elsewhere(run) : Choice::nothing;
   if (choice != Choice::run && choice != Choice::table) choice = choose_among(true, run);
   // What is about to be seen waits for what is waited for, and takes no room from it.
   if (choice == Choice::nothing && prefetches && n_waiting == 0) choice = choose_among(false, run);
@@ -235,9 +235,9 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
           view->wants.insert(again, rank(again, px));
       }
     }
-    const int n_before = residency->n_failed(group) - 1;
+    const int n_times = residency->n_failed(group);
     lock.unlock();
-    return fail(reader, read, n_before, begun);
+    return fail(reader, read, {group, run.first + run.n - group}, n_times, begun);
   }
 }
 
@@ -267,23 +267,32 @@ float StreamedState::rank(std::uint32_t group, float px) const {
 }
 
 void StreamedState::succeed() {
-  n_failures = n_away = 0;
-  is_lasting = false;
+  failures.n = n_away = 0;
   trouble = {};
 }
 
-// One outage ends all reads at work, and is one failure.
-void StreamedState::fail(PageReader& reader, const Status& read, int n_before, std::uint64_t begun) {
+void StreamedState::fail(PageReader& reader, const Status& read, const Run& failed, int n_times, std::uint64_t begun) {
   FileRange known;
   {
     const std::scoped_lock lock(pool->mutex);
     trouble = read;
-    if (begun == n_failed) {
+    ++n_failed;
+    if (failures.add(begun, n_failed)) {
       failed_at = StreamClock::now();
-      ++n_failures, ++n_failed, ++n_away;
+      ++n_away;
       known = readable;
     }
-    is_lasting = std::max(n_before + 1, n_away) >= kLastingTrouble;
+    const bool is_lasting = std::max(n_times, n_away) >= kLastingTrouble;
+    for (const auto& view : views) {
+      // The table is of all views, and so is a source that gives nothing any more.
+      bool is_own = failed.n == 0 || n_away > 1;
+      for (std::uint32_t group = failed.first; !is_own && group < failed.first + failed.n; ++group)
+        is_own = residency->wanted_px(group, *view->now) > 0;
+      if (!is_own) continue;
+      view->failures.add(begun, n_failed);
+      view->is_lasting = is_lasting;
+      view->trouble = read;
+    }
     pool->changed();
     if (n_waiting > 0) pool->news.notify_all();
   }
@@ -314,12 +323,13 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
   is_extending = false;
   if (!part) {
     table_failed_at = StreamClock::now();
-    const int n_before = n_table_failures++;
+    const int n_times = ++n_table_failures;
     lock.unlock();
-    return fail(reader, tl::unexpected(part.error()), n_before, begun);
+    return fail(reader, tl::unexpected(part.error()), {}, n_times, begun);
   }
   succeed();
   n_table_failures = 0;
+  for (const auto& view : views) view->failures.n = 0;
   const Status extended = file->extend(*part);
   residency->extend();
   if (!extended) {
@@ -331,6 +341,7 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
 }
 
 void StreamedState::work_until_stopped(PageReader& reader) {
+  if (store->is_on_device()) store->slots()->stay_on_device();
   std::unique_lock lock(pool->mutex);
   while (!is_stopping) {
     Run run;

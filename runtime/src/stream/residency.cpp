@@ -14,7 +14,8 @@ float error_px(const lod::Page& page, double footprint) {
   return static_cast<float>(std::clamp(px, static_cast<double>(Limits::min()), static_cast<double>(Limits::max())));
 }
 
-Residency::Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages) : pages_(pages), groups_(n_pages) {
+Residency::Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages)
+    : pages_(pages), groups_(n_pages), there_(n_words(n_pages)) {
   extend();
 }
 
@@ -28,15 +29,26 @@ void Residency::add_below(std::uint32_t group, int n) {
   if (above != kNoGroup) groups_[above].n_below = static_cast<std::uint8_t>(groups_[above].n_below + n);
 }
 
+void Residency::set_there(std::uint32_t group, bool is_there) {
+  const std::uint64_t bit = std::uint64_t{1} << (group % 64);
+  if (is_there) {
+    there_[group / 64] |= bit;
+  } else {
+    there_[group / 64] &= ~bit;
+  }
+}
+
 void Residency::request(std::uint32_t group) {
   assert(state(group) == State::absent && has(group));
   groups_[group].state = State::requested;
+  set_there(group, true);
   add_below(group, 1);
 }
 
 void Residency::drop(std::uint32_t group) {
   assert(state(group) == State::requested);
   groups_[group].state = State::absent;
+  set_there(group, false);
   add_below(group, -1);
 }
 
@@ -65,6 +77,7 @@ void Residency::place(std::uint32_t group) {
 void Residency::evict(std::uint32_t group) {
   assert(can_evict(group));
   groups_[group].state = State::absent;
+  set_there(group, false);
   add_below(group, -1);
   n_resident_ -= pages_[group].n_children;
 }

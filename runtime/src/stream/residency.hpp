@@ -3,6 +3,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <bit>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -45,7 +46,9 @@ class Residency {
   /// `pages` must outlive it; more of them may come, up to `n_pages`.
   Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages);
   /// Memory that it takes for a tree.
-  static std::uint64_t bytes(std::uint32_t n_pages) { return n_pages * sizeof(Group); }
+  static std::uint64_t bytes(std::uint32_t n_pages) {
+    return n_pages * sizeof(Group) + n_words(n_pages) * sizeof(std::uint64_t);
+  }
   /// More pages have come.
   void extend();
   /// No more pages come: those that are not known never will be.
@@ -124,9 +127,12 @@ class Residency {
     return pages_[page].parent;
   }  // that the page is in; kNoGroup: the root
   void add_below(std::uint32_t group, int n);
+  static std::size_t n_words(std::uint32_t n_pages) { return (std::size_t{n_pages} + 63) / 64; }
+  void set_there(std::uint32_t group, bool is_there);
 
   const std::vector<lod::Page>& pages_;
-  std::vector<Group> groups_;  // [n_pages]; leaves have none
+  std::vector<Group> groups_;         // [n_pages]; leaves have none
+  std::vector<std::uint64_t> there_;  // a bit a group, requested or resident: of very many pages few may be
   std::uint32_t n_groups_ = 0;
   bool is_broken_ = false;
   std::uint64_t n_resident_ = 1;
@@ -137,17 +143,23 @@ float error_px(const lod::Page& page, double footprint);
 
 template <class MayGo, class F>
 void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
-  // Pages below have larger numbers.
-  for (Group& g : groups_) g.blocked = false;
-  for (std::uint32_t i = n_groups(); i-- > 0;) {
-    Group& g = groups_[i];
-    const bool is_there = g.state == State::resident || g.state == State::requested;
-    if (!is_there) continue;
-    if (g.state == State::resident && may_go(i) && g.pins == 0 && !g.blocked) {
-      f(i);
-      continue;
+  // Pages below have larger numbers. What is above a group that is there is there, too.
+  for (std::size_t w = 0; w < there_.size(); ++w) {
+    for (std::uint64_t left = there_[w]; left != 0; left &= left - 1)
+      groups_[64 * w + static_cast<std::size_t>(std::countr_zero(left))].blocked = false;
+  }
+  for (std::size_t w = there_.size(); w-- > 0;) {
+    for (std::uint64_t left = there_[w]; left != 0;) {
+      const int bit = 63 - std::countl_zero(left);
+      left &= ~(std::uint64_t{1} << bit);
+      const auto i = static_cast<std::uint32_t>(64 * w + static_cast<std::size_t>(bit));
+      const Group& g = groups_[i];
+      if (g.state == State::resident && may_go(i) && g.pins == 0 && !g.blocked) {
+        f(i);
+        continue;
+      }
+      if (const std::uint32_t above = group_of(i); above != kNoGroup) groups_[above].blocked = true;
     }
-    if (const std::uint32_t above = group_of(i); above != kNoGroup) groups_[above].blocked = true;
   }
 }
 

@@ -49,7 +49,7 @@ StreamPoolState::Room StreamPoolState::look_for_victims(std::uint64_t bytes, con
             [](const Victim& a, const Victim& b) { return goes_before(b, a); });
   could_go_ = would_go;
   if (could_go >= bytes - left_for_pages()) return Room::taken;
-  return would_go >= bytes - left() ? Room::pinned : Room::none;
+  return would_go >= bytes - left_for_pages() ? Room::pinned : Room::none;
 }
 
 StreamPoolState::Room StreamPoolState::take(std::uint64_t bytes, const Worth& worth) {

@@ -170,6 +170,7 @@ void StreamedState::placed(std::uint32_t group) {
       if (const float px = residency->wanted_px(child, *view->soon); px > 0)
         view->soon_wants.insert(child, rank(child, px));
     }
+    if (residency->wanted_px(group, *view->now) > 0) view->failures.n = 0;
   }
   pool->changed();
 }
@@ -362,11 +363,8 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
       if (scene.n_waiting == 0) scene.pool->changed();  // what is about to be seen has waited
     }
   } waiter{s, view};
-  const std::uint64_t n_failed_before = s.n_failed;
-  const auto n_failures = [&] {
-    return std::min(static_cast<std::uint64_t>(s.n_failures), s.n_failed - n_failed_before);
-  };
-  const auto fails_for_long = [&] { return s.is_lasting && n_failures() >= StreamedState::kLastingTrouble; };
+  view.failures.n = 0;
+  const auto fails_for_long = [&] { return view.is_lasting && view.failures.n >= StreamedState::kLastingTrouble; };
   for (;;) {
     // Its lists too: the frame that follows shall need no more room.
     const Residency::Cut cut = s.cut(view, &view.lists);
@@ -378,8 +376,8 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
     const bool is_late = StreamClock::now() >= deadline;
-    const bool is_failing = is_late ? n_failures() > 0 : fails_for_long();
-    if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(s.trouble.error());
+    const bool is_failing = is_late ? view.failures.n > 0 : fails_for_long();
+    if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(view.trouble.error());
     if (cut.damaged > 0 && (is_settled() || is_late || is_failing)) return tl::unexpected(s.damage.error());
     if (is_settled() || is_late) return false;
     s.pool->news.wait_until(lock, deadline, [&] {

@@ -76,6 +76,20 @@ struct DrawLists {
   std::uint64_t bytes = 0;            ///< taken from the pool
 };
 
+/// Reads that failed, one after the other. One outage ends all reads at work, and is one failure: those that began before the last one
+/// that counts are part of it.
+struct Failures {
+  int n = 0;
+  std::uint64_t last = 0;  ///< StreamedState::n_failed then
+
+  bool add(std::uint64_t begun, std::uint64_t n_failed) {
+    if (begun < last) return false;
+    last = n_failed;
+    ++n;
+    return true;
+  }
+};
+
 /// What one renderer sees of a scene.
 struct StreamView {
   std::uint64_t renderer = 0;
@@ -93,6 +107,9 @@ struct StreamView {
   int n_busy = 0;              ///< frames at work, and callers that wait
   bool is_live = true;         ///< counts: see StreamedState::look_at_clock()
   DrawLists lists;             ///< empty while a frame has them
+  Failures failures;           ///< of reads of what it wants, since it is waited for and something of it has come
+  bool is_lasting = false;     ///< what failed last of them has done so often, or the source
+  Status trouble;              ///< the last of them
   std::uint64_t bytes = 0;     ///< taken from the pool, but for lists
 };
 
@@ -119,12 +136,11 @@ struct StreamedState {
   StreamStats stats;
   std::condition_variable work;  // for threads that read: `pool->changes` grew
   Status damage, trouble;        // of a page; of reading, while it lasts
-  int n_failures = 0;  // reads, one after the other; those that began before the last of them failed are part of it
-  std::uint64_t n_failed = 0;  // the same, never less
+  Failures failures;
+  std::uint64_t n_failed = 0;  // reads, all that ever did
   StreamClock::time_point failed_at{};
-  int n_away = 0;            // of n_failures the last, where not even `readable` could be read
+  int n_away = 0;            // of `failures` the last, where not even `readable` could be read
   FileRange readable;        // bytes that were there once
-  bool is_lasting = false;   // n_failures > 0, and what failed last has done so often, or the source
   int n_table_failures = 0;  // of the table, one after the other
   StreamClock::time_point table_failed_at{};
   int n_at_work = 0;          // threads that read or decode
@@ -196,8 +212,9 @@ struct StreamedState {
   void placed(std::uint32_t group);
   void fetch(PageReader& reader, const Run& run, std::uint64_t begun);
   void extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun);
-  /// Without the lock. `n_before`: failures of what was to be read, `begun`: n_failed when that began.
-  void fail(PageReader& reader, const Status& read, int n_before, std::uint64_t begun);
+  /// Without the lock. `failed`: of the table if it has no groups; `n_times`: that it has failed, this one too; `begun`: n_failed when
+  /// it began to be read.
+  void fail(PageReader& reader, const Status& read, const Run& failed, int n_times, std::uint64_t begun);
   static constexpr int kLastingTrouble = 3;
   void succeed();
   /// Of the pause after n failures, the last of them so long ago.

@@ -1,8 +1,10 @@
 # city.py - the tiles of a city, and what a job for one of them needs.
 # SPDX-License-Identifier: Apache-2.0
 import hashlib
+import math
 import os
 import re
+import shlex
 import sys
 
 import yaml
@@ -37,10 +39,35 @@ def bytes_of(text):
     return int(found[1]) * UNITS[found[2]]
 
 
+COLMAP = [os.path.join(folder, name) for folder in ("", "sparse/0", "sparse")
+          for name in ("cameras.bin", "images.bin", "cameras.txt", "images.txt")]
+
+
+def files_named(options):
+    """Files that the words of a command line name: cameras, those of a COLMAP model by its folder."""
+    try:
+        words = shlex.split(options)
+    except ValueError as problem:
+        raise ConfigError(f"config: options: {problem}: {options!r}") from problem
+    for word in words:
+        path = word.split("=", 1)[1] if word.startswith("--") and "=" in word else word
+        yield from filter(os.path.isfile, [path, *(os.path.join(path, name) for name in COLMAP)])
+
+
+def stamp_of(path):
+    """Changes when a file is replaced by another one, by an older one too."""
+    stat = os.stat(path)
+    return f"{path} {stat.st_size} {stat.st_mtime_ns}"
+
+
 class City:
     def __init__(self, config, defaults_path):
         check_config(config, defaults_path)
         self.out, self.work = os.path.normpath(config["out"]), os.path.normpath(config["work"])
+        if not os.path.isdir(config["tiles"]):
+            raise ConfigError(f"config: tiles: {config['tiles']!r} is no folder; pass --config tiles=FOLDER")
+        if os.path.realpath(config["tiles"]) == os.path.realpath(self.work):
+            raise ConfigError("config: work: the folder of the tiles cannot be that of the work; pass --config work=ANOTHER")
         self._folder = SceneFolder(config["tiles"], "", config["leave_out"], self.work)
         if self._folder.unusable:
             name, why = sorted(self._folder.unusable.items())[0]
@@ -56,10 +83,12 @@ class City:
                   if not tile.lower().endswith(".ply") or tile.lower().endswith(".compressed.ply")]
         self._tile_mb = max([self._folder.megabytes(name, 0, 600) for name in packed], default=0)
         self._mb = 200 + int(1.2 * bytes_of(config["memory"]) / 1e6) + self._tile_mb
-        self._per_range = sum(self._folder.minutes(name, 0, 1) for name in self._names) // config["ranges"] + 1
+        self._millions = [self._folder.millions(name) for name in self._names]
+        self._per_range = sum(self._millions) / config["ranges"] + 1.6  # one may have a stretch more than others
         # Whatever makes another job: a changed value makes all of it again.
         said = [version("rgs-convert"), config["ranges"], config["options"], config["memory"]]
         said += [f"{path} {os.path.getsize(path)}" for path in self.tiles]
+        said += [stamp_of(path) for path in files_named(config["options"])]
         self.key = hashlib.sha256("\n".join(map(str, said)).encode()).hexdigest()
 
     def write_list(self, path):
@@ -71,8 +100,8 @@ class City:
 
     def minutes(self, base, per_million, tile=None):
         """For a job on a tile, or else on a range: without other jobs on its cores."""
-        millions = self._folder.minutes(self._names[tile], 0, 1) if tile is not None else self._per_range
-        return base + per_million * millions
+        millions = self._millions[tile] if tile is not None else self._per_range
+        return base + math.ceil(per_million * millions)
 
     def stamp(self, tile):
         """Changes when a file is replaced by another one, by an older one too."""

@@ -142,16 +142,16 @@ class SceneFolder:
         stats = [os.stat(f) for f in self.files(name) + self.cameras(name)]
         return [f"{stat.st_size} {stat.st_mtime_ns}" for stat in stats]
 
-    def _millions(self, name):
+    def millions(self, name):
         path = self._paths[name]
         ending = next((e for e in ENDINGS if path.lower().endswith(e)), ".sog")
         return sum(os.path.getsize(f) for f in self.files(name)) / ENDINGS[ending] / 1e6
 
     def threads(self, name, most):
-        return max(1, min(most, 1 + int(self._millions(name) / 4)))
+        return max(1, min(most, 1 + int(self.millions(name) / 4)))
 
     def megabytes(self, name, base, per_million):
-        return base + int(per_million * self._millions(name))
+        return base + int(per_million * self.millions(name))
 
     def minutes(self, name, base, per_million):
-        return base + int(per_million * self._millions(name))
+        return base + int(per_million * self.millions(name))

@@ -127,7 +127,7 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
   CHECK(program({"--lod-assemble", work, out}).exit_code == 3);  // is there already
   CHECK(program({"--quiet", "--lod-assemble", work, out, "--overwrite"}).out.empty());
   const Bytes input = read_bytes(inputs[0]);
-  for (const std::string& taken : {inputs[0], work + "/plan", work + "/job"})
+  for (const std::string& taken : {inputs[0], work + "/plan", work + "/job", work + "/scan.1", work + "/rows.2"})
     CHECK(program({"--lod-assemble", work, taken, "--overwrite"}).exit_code == 2);
   CHECK(read_bytes(inputs[0]) == input);
   CHECK_FALSE(std::filesystem::exists(folder.file("early.rgs")));
@@ -151,12 +151,19 @@ TEST_CASE("what parts cannot do is refused before anything is written") {
                                                {"--lod-input", "x", ply},
                                                {"--lod-build", work, ply},
                                                {"--memory", "1MiB", ply},
+                                               {"--jobs", "2", ply},
+                                               {"--shard", "1/2", ply},
+                                               {"--report", work + ".jsonl", ply},
+                                               {"--keep-going", ply},
+                                               {"--no-keep-going", ply},
+                                               {"--json", ply},
                                                {"--translate", "0,0,0", "--translate", "1,0,0", ply}}) {
     CAPTURE(more);
     const ProgramResult run = program(joined(begin, more));
     CAPTURE(run.err);
     CHECK(run.exit_code == 2);
   }
+  CHECK_FALSE(std::filesystem::exists(work));
   CHECK(program({"--lod-partition", work, ply}).exit_code == 2);  // without --ranges
   CHECK(program({"--ranges", "2", ply, rgs}).exit_code == 2);
   CHECK(program({"--lod-input", "2", ply, rgs}).exit_code == 2);
@@ -170,6 +177,27 @@ TEST_CASE("what parts cannot do is refused before anything is written") {
   CHECK(program({"--lod-partition", work, "--overwrite"}).exit_code == 2);
   CHECK(program({"--lod-build", work, "--lod-input", "2"}).exit_code == 2);
   CHECK(program({"--lod-assemble", work}).exit_code == 2);
+  for (const std::vector<std::string>& more : {std::vector<std::string>{"--lod-partition", work, "--shard", "1/2"},
+                                               {"--lod-build", work, "--list", ply},
+                                               {"--lod-build", work, "--jobs", "2"},
+                                               {"--lod-build", work, "--json"},
+                                               {"--lod-build", work, "--overwrite"},
+                                               {"--lod-assemble", work, folder.file("no.rgs"), "--list", ply},
+                                               {"--lod-assemble", work, folder.file("no.rgs"), "--report", "-"},
+                                               {"--lod-assemble", work, folder.file("no.rgs"), "--lod-input", "0"},
+                                               {"--lod-list", work, "--overwrite"},
+                                               {"--lod-list", work, "--lod-input", "0"}}) {
+    CAPTURE(more);
+    const ProgramResult run = program(more);
+    CHECK(run.exit_code == 2);
+    CHECK(run.err.find(" has no effect on " + more[0]) != std::string::npos);
+  }
+  const std::string taken = write_scene(work + "/plan", ordinary_cloud(300, 0, 1));
+  const Bytes kept = read_bytes(taken);
+  const ProgramResult input = program(joined(begin, {taken, "--overwrite"}));
+  CHECK(input.exit_code == 2);
+  CHECK(input.err.find("name another folder") != std::string::npos);
+  CHECK(read_bytes(taken) == kept);
   const ProgramResult other = program({"--lod-partition", work, "--ranges", "3", ply});
   CHECK(other.exit_code == 3);
   CHECK(other.err.find("other inputs or options") != std::string::npos);

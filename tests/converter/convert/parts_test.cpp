@@ -13,12 +13,17 @@
 #include <functional>
 #include <numeric>
 
+#include "batch_plan.hpp"
 #include "convert_scenes.hpp"
+#include "counted_memory.hpp"
 #include "edit_file.hpp"
 #include "parts_command.hpp"
+#include "parts_rows.hpp"
 #include "plausible_cloud.hpp"
 #include "rgs/camera_file.hpp"
+#include "rgs/checksum.hpp"
 #include "scene_input.hpp"
+#include "skip.hpp"
 #include "temporary_folder.hpp"
 
 using namespace rgs;
@@ -109,8 +114,8 @@ PartsJob job_of(const Scene& scene, std::uint32_t n_ranges) {
     REQUIRE(input.open(scene.paths[i]));
     const auto facts = look_at_tile(tile_of(input, scene.placed[i]), job.encode.axes);
     REQUIRE(facts);
-    job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), SplatFormat::ply, kAxes3dgs,
-                          scene.placed[i], *facts, job.n});
+    job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), hash_of_beginning(input.bytes()),
+                          SplatFormat::ply, kAxes3dgs, scene.placed[i], *facts, job.n});
     job.n += facts->n;
     job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
     if (job.encode.origin == kNoOrigin) job.encode.origin = facts->origin;
@@ -326,11 +331,10 @@ TEST_CASE("an input that changes or vanishes is named; what does not need it goe
   const Failure other = failure_of(place_input(run, *job, **plan, 2));
   CHECK(other.file == scene.paths[2]);
   CHECK(other.error.code == Errc::read_failed);
-  // Scanned again it is another scene, whose plan is not this one.
-  CHECK(scan_input(run, *job, 2).value());
-  const auto stale = find_plan(run, *job);
-  REQUIRE(stale);
-  CHECK_FALSE(stale->has_value());
+  // What begin found in it may be another as well.
+  const Failure scanned = failure_of(scan_input(run, *job, 2));
+  CHECK(scanned.file == scene.paths[2]);
+  CHECK(scanned.error.code == Errc::read_failed);
 
   changed.pop_back();
   write_file(scene.paths[2], changed);
@@ -353,6 +357,229 @@ TEST_CASE("an input that changes or vanishes is named; what does not need it goe
   CAPTURE(what);
   CHECK(none.file.empty());
   CHECK(read_bytes(folder.file("out.rgs")) == at_once(scene, folder.file("whole.rgs")));
+
+  // Begun again it is another scene.
+  changed = original;
+  changed[changed.size() - 100] ^= std::byte{1};
+  write_file(scene.paths[2], changed);
+  CHECK(failure_of(scan_input(run, *job, 2)).file == scene.paths[2]);
+  CHECK(in_parts(scene, 2, run, false) == at_once(scene, folder.file("whole.rgs")));
+}
+
+TEST_CASE("an input whose beginning changes before it is scanned is named: the job says what it declared") {
+  const TemporaryFolder folder;
+  const Scene scene = three_tiles(folder.path());
+  const PartsRun run = run_in(folder.file("work"));
+  REQUIRE(begin_parts(run, job_of(scene, 2), false));
+  const auto job = open_job(run);
+  Bytes changed = read_bytes(scene.paths[0]);
+  changed[5000] ^= std::byte{1};
+  write_file(scene.paths[0], changed);
+  const Failure failure = failure_of(scan_input(run, *job, 0));
+  CHECK(failure.file == scene.paths[0]);
+  CHECK(failure.error.code == Errc::read_failed);
+  CHECK_FALSE(std::filesystem::exists(run.scan_path(0)));
+  CHECK(failure_of(begin_parts(run, job_of(scene, 2), false)).error.code == Errc::output_exists);
+}
+
+TEST_CASE("to begin again removes what the work made, and nothing else") {
+  const TemporaryFolder folder;
+  const PartsRun run = run_in(folder.file("work"));
+  std::filesystem::create_directories(run.folder + "/rows.9");
+  Scene scene;
+  for (const char* name : {"plan.ply", "scan.ply", "scan.1.ply", "planet.ply", "range."}) {
+    SplitMix random(scene.paths.size());
+    scene.paths.push_back(write_scene(run.folder + "/" + name, plausible_cloud(300, 0, random)));
+  }
+  scene.placed.resize(scene.paths.size());
+  std::vector<std::string> kept = scene.paths;
+  for (const char* name :
+       {"plans.txt", "range.csv", "scan.1x", "scan.-1", "rows", "replan", "plan.tmp-", "plan.tmp-12345",
+        "plan.tmp-1234567", ".tmp-123456", "planet.tmp-123456", "job.1", "job.ply.tmp-123456"}) {
+    kept.push_back(run.folder + "/" + name);
+    write_file(kept.back(), {std::byte{7}});
+  }
+  in_parts(scene, 2, run, false);
+  std::vector<std::string> made{run.plan_path(), run.scan_path(4), run.rows_path(0), run.range_path(1)};
+  for (const std::string& path : made) REQUIRE(std::filesystem::exists(path));
+  for (const char* name : {"plan.tmp-aB3456", "job.tmp-123456", "scan.17.tmp-zzzzzz", "rows.40", "range.123"}) {
+    made.push_back(run.folder + "/" + name);
+    write_file(made.back(), {std::byte{7}});
+  }
+  std::vector<Bytes> before;
+  for (const std::string& path : kept) before.push_back(read_bytes(path));
+  scene.encode.sh_degree = 0;
+  REQUIRE(begin_parts(run, job_of(scene, 3), true));
+  for (const std::string& path : made) {
+    CAPTURE(path);
+    CHECK_FALSE(std::filesystem::exists(path));
+  }
+  for (std::size_t i = 0; i < kept.size(); ++i) {
+    CAPTURE(kept[i]);
+    REQUIRE(std::filesystem::exists(kept[i]));
+    CHECK(read_bytes(kept[i]) == before[i]);
+  }
+  CHECK(std::filesystem::is_directory(run.folder + "/rows.9"));
+  // A lost job is no reason to keep what was made for it; the same job again is none either.
+  for (const bool lost : {true, false}) {
+    CAPTURE(lost);
+    write_file(run.plan_path(), {std::byte{7}});
+    if (lost) std::filesystem::remove(run.job_path());
+    REQUIRE(begin_parts(run, job_of(scene, 3), true));
+    CHECK_FALSE(std::filesystem::exists(run.plan_path()));
+  }
+}
+
+TEST_CASE("an input or a camera file that has the name of a file of the work is refused, and stays") {
+  const TemporaryFolder folder;
+  const PartsRun run = run_in(folder.file("work"));
+  std::filesystem::create_directories(run.folder);
+  SplitMix random(1);
+  const SplatCloud cloud = plausible_cloud(300, 0, random);
+  const std::string link = folder.file("link.ply"), other = write_scene(folder.file("other.ply"), cloud);
+  std::filesystem::create_symlink(run.folder + "/range.1", link);
+  for (const char* name : {"plan", "scan.0", "rows.12", "range.1", "scan.3.tmp-123456"}) {
+    CAPTURE(name);
+    const std::string path = write_scene(run.folder + "/" + name, cloud);
+    Scene scene;
+    scene.paths = {std::string(name) == "range.1" ? link : path};
+    scene.placed.resize(1);
+    const Bytes before = read_bytes(path);
+    PartsJob of_cameras = job_of(scene, 2);
+    of_cameras.inputs[0].path = other;
+    of_cameras.cameras = path;
+    for (const bool overwrite : {false, true}) {
+      for (const PartsJob& job : {job_of(scene, 2), of_cameras}) {
+        const Failure refused = failure_of(begin_parts(run, job, overwrite));
+        CHECK(refused.file == path);
+        CHECK(refused.error.code == Errc::bad_argument);
+      }
+    }
+    CHECK(read_bytes(path) == before);
+    CHECK_FALSE(std::filesystem::exists(run.job_path()));
+    std::filesystem::remove(path);
+  }
+}
+
+TEST_CASE("what another version made is as good as missing") {
+  const TemporaryFolder folder;
+  const Scene scene = three_tiles(folder.path());
+  const PartsRun run = run_in(folder.file("work"));
+  const Bytes whole = in_parts(scene, 2, run, false);
+  const auto job = open_job(run);
+  const auto plan = find_plan(run, *job);
+  const auto age = [](const std::string& path) {
+    Bytes bytes = read_bytes(path);
+    bytes[16] ^= std::byte{1};  // of the version
+    const std::uint64_t hash = xxh3(std::span(bytes).first(56));
+    std::ranges::copy(std::as_bytes(std::span(&hash, 1)), bytes.begin() + 56);
+    write_file(path, bytes);
+    CHECK(WorkFile::open(path, WorkKind::plan).error().code == Errc::unsupported_version);
+  };
+  age(run.range_path(0));
+  const Failure assembled = failure_of(assemble_parts(run, *job, **plan, folder.file("no.rgs"), {}));
+  CHECK(assembled.file == run.range_path(0));
+  CHECK(assembled.error.code == Errc::open_failed);
+  age(run.rows_path(1));
+  const Failure built = failure_of(build_range(run, *job, **plan, 0));
+  CHECK(built.file == run.rows_path(1));
+  CHECK(built.error.code == Errc::open_failed);
+  age(run.plan_path());
+  CHECK_FALSE(find_plan(run, *job).value().has_value());
+  REQUIRE(list_parts(run));
+  age(run.scan_path(2));
+  CHECK_FALSE(find_plan(run, *job).value().has_value());
+  const Failure planned = failure_of(make_plan(run, *job));
+  CHECK(planned.file == run.scan_path(2));
+  CHECK(planned.error.code == Errc::open_failed);
+  REQUIRE(list_parts(run));
+  const std::string output = folder.file("out.rgs");
+  CHECK(all_steps(
+            run, [](auto&) {}, output)
+            .file.empty());
+  CHECK(read_bytes(output) == whole);
+  // A job is what the others hang on: it says so itself.
+  age(run.job_path());
+  CHECK(failure_of(open_job(run)).error.code == Errc::unsupported_version);
+  CHECK(failure_of(begin_parts(run, job_of(scene, 2), false)).error.code == Errc::unsupported_version);
+  CHECK(in_parts(scene, 2, run, false) == whole);
+}
+
+TEST_CASE("a plan is marked as made of the scans that it was made of") {
+  const TemporaryFolder folder;
+  const Scene scene = three_tiles(folder.path());
+  const PartsRun run = run_in(folder.file("work"));
+  PartsJob wanted = job_of(scene, 2);
+  wanted.cameras = folder.file("cameras.json");
+  std::ofstream(wanted.cameras) << R"([{"id":0,"img_name":"a","width":640,"height":480,"position":[0,0,-4],)"
+                                   R"("rotation":[[1,0,0],[0,1,0],[0,0,1]],"fx":500,"fy":500}])";
+  wanted.cameras_hash = options_hash({}, wanted.cameras).value();
+  const auto job = begin_parts(run, wanted, false);
+  REQUIRE(job);
+  for (std::size_t i = 0; i < 4; ++i) REQUIRE(scan_input(run, *job, i));
+  const Bytes scan = read_bytes(run.scan_path(3)), original = read_bytes(scene.paths[3]);
+  Bytes changed = original;
+  changed[changed.size() - 100] ^= std::byte{1};
+  write_file(scene.paths[3], changed);
+  std::filesystem::remove(run.scan_path(3));
+  REQUIRE(scan_input(run, *job, 3));
+  const Bytes other = read_bytes(run.scan_path(3));
+  REQUIRE(other != scan);
+  write_file(scene.paths[3], original);
+  write_file(run.scan_path(3), scan);
+  // All scans are read when the cameras' sample begins; then one of them is replaced.
+  PartsRun disturbed = run;
+  bool is_disturbed = false;
+  disturbed.observer.begin = [&](const char* stage, std::uint64_t, const char*) {
+    if (std::string(stage) != "sample") return;
+    is_disturbed = true;
+    write_file(run.scan_path(3), other);
+  };
+  CHECK(make_plan(disturbed, *job).value());
+  CHECK(is_disturbed);
+  const auto plan = find_plan(run, *job);
+  REQUIRE(plan);
+  CHECK_FALSE(plan->has_value());
+  write_file(run.scan_path(3), scan);
+  CHECK(find_plan(run, *job).value().has_value());
+}
+
+TEST_CASE("rows that wait take the memory that they may, however many bins there are") {
+  if (!counts_live_memory()) return skip("a sanitizer that does not count has the allocator");
+  const TemporaryFolder folder;
+  PartsPlan plan;
+  SplitMix random(5);
+  const SplatCloud cloud = plausible_cloud(4000, 1, random);
+  plan.scan = SceneScan(1, BadPolicy::drop);
+  std::vector<Splat> rows;
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) plan.scan.add(rows.emplace_back(cloud.view().splat(i)));
+  const std::uint64_t row_bytes = leaf_rows(plan).row_bytes();
+  std::vector<std::uint64_t> keys = lod::keys_of(rows, MortonKey(plan.scan.robust()));
+  std::ranges::sort(keys);
+  constexpr std::size_t kBins = 20;
+  for (std::size_t bin = 0; bin < kBins; ++bin) plan.bins.push_back(bin == 0 ? 0 : keys[bin * keys.size() / kBins]);
+  // Of the same Gaussians 50 times so many, bin by bin, as tiles come that lie side by side: 1 MB each.
+  constexpr std::uint64_t kMemory = 8'000'000;
+  auto file = WorkWriter::create(folder.file("rows.0"), WorkKind::rows, 0, false);
+  REQUIRE(file);
+  const std::int64_t before = live_bytes();
+  RowsWriter writer(*file, plan, kMemory);
+  const std::vector<std::uint32_t> positions(1, 0);
+  const MortonKey key(plan.scan.robust());
+  std::int64_t most = 0;
+  for (std::size_t bin = 0; bin < kBins; ++bin) {
+    for (int again = 0; again < 50; ++again) {
+      for (const Splat& row : rows) {
+        const std::uint64_t k = key(row.mean);
+        if (k < plan.bins[bin] || (bin + 1 < kBins && k >= plan.bins[bin + 1])) continue;
+        REQUIRE(writer.add(0, positions, std::span(&row, 1)));
+      }
+    }
+    most = std::max(most, live_bytes() - before);
+  }
+  REQUIRE(rows.size() * 50 * row_bytes > kMemory);
+  CHECK(most < static_cast<std::int64_t>(kMemory / 4));  // an eighth, where vectors grow by doubling
+  REQUIRE(writer.finish());
 }
 
 TEST_CASE("every byte of every file of the work is looked at") {

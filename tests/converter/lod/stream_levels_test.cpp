@@ -6,15 +6,18 @@
 #include <tbb/task_arena.h>
 
 #include <algorithm>
+#include <cstring>
 #include <filesystem>
 #include <limits>
 #include <string>
 #include <utility>
 #include <vector>
 
+#include "counted_memory.hpp"
 #include "lod_scenes.hpp"
 #include "rgs/encode.hpp"
 #include "rgs/paged_file.hpp"
+#include "skip.hpp"
 #include "temporary_folder.hpp"
 
 namespace {
@@ -200,4 +203,22 @@ TEST_CASE("scratch files give back what was written, and leave nothing behind") 
     bytes[0] = std::byte{7};
     CHECK(std::filesystem::is_empty(folder.path()));
   }
+}
+
+TEST_CASE("rows are sorted with themselves and their order in memory, not with their keys") {
+  if (!rgs::test::counts_memory()) return rgs::test::skip("a sanitizer has the allocator");
+  constexpr std::uint64_t kRowBytes = 200, kRows = 20'000;
+  const auto before = rgs::test::live_bytes();
+  std::vector<std::byte> rows(kRows * kRowBytes);
+  for (std::uint64_t i = 0; i < kRows; ++i) {
+    const float mean[3] = {static_cast<float>(i * 7919 % kRows), 0, 0};
+    std::memcpy(&rows[i * kRowBytes], mean, sizeof mean);
+  }
+  const MortonKey key({{0, 0, 0}, {kRows, 1, 1}});
+  rgs::test::reset_peak_bytes();
+  sort_rows(rows, kRowBytes, key);
+  CHECK(rgs::test::peak_bytes() - before < static_cast<std::int64_t>(kRows * (2 * kRowBytes + 4 + 6)));
+  float last[3];
+  std::memcpy(last, &rows[(kRows - 1) * kRowBytes], sizeof last);
+  CHECK(last[0] == kRows - 1);
 }

@@ -40,6 +40,8 @@ TEST_CASE("an error is described with its place, both numbers and the system's r
   CHECK(std::string(hint({Errc::write_failed, Error::kNone, "", Error::kNone, Error::kNone, ENOSPC})) ==
         "free some space or write to another disk");
   CHECK(std::string(hint({Errc::bad_argument})) == "");
+  // Of files of others and of a folder of work, too: the message itself says what to do.
+  CHECK(std::string(hint({Errc::unsupported_version})) == "");
   CHECK(std::string(hint({Errc::limit_exceeded, 8, "decodes to too much (max_expansion)"})).find("--max-expansion") !=
         std::string::npos);
   CHECK(std::string(hint({Errc::limit_exceeded, Error::kNone, "a writer refuses what readers would not decode"})) ==

@@ -1,5 +1,5 @@
 // programs_test.cpp - what all programs have in common: standard streams that are closed or full, names that would act on
-// a terminal, values that no option can mean, outputs that are inputs, inputs that change, little memory, --help.
+// a terminal, values that no option can mean, outputs that are inputs, inputs that change, little memory, messages as JSON, --help.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 #include <sys/resource.h>
@@ -8,11 +8,15 @@
 
 #include <algorithm>
 #include <array>
+#include <cerrno>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
 #include <filesystem>
 #include <functional>
+#include <map>
 #include <memory>
+#include <nlohmann/json.hpp>
 #include <regex>
 #include <set>
 #include <string>
@@ -34,6 +38,7 @@
 using namespace rgs;
 using namespace rgs::test;
 namespace fs = std::filesystem;
+using Json = nlohmann::json;
 
 namespace {
 
@@ -123,6 +128,20 @@ std::set<std::string> names_in(const fs::path& folder) {
   return names;
 }
 
+// The lines of a program's standard error that are JSON, which must be all of them, by kind.
+std::map<std::string, std::vector<Json>> messages_of(const ProgramResult& result) {
+  std::map<std::string, std::vector<Json>> messages;
+  std::istringstream lines(result.err);
+  for (std::string line; std::getline(lines, line);) {
+    CAPTURE(line);
+    const Json message = Json::parse(line, nullptr, false);
+    REQUIRE(message.is_object());
+    REQUIRE(message.size() == 1);
+    messages[message.begin().key()].push_back(message.begin().value());
+  }
+  return messages;
+}
+
 }  // namespace
 
 TEST_CASE("every --help lists the exit codes and what the program reads") {
@@ -147,6 +166,68 @@ TEST_CASE("every --help lists the exit codes and what the program reads") {
     CHECK(version.exit_code == 0);
     CHECK(version.out.starts_with(name + " "));
   }
+}
+
+TEST_CASE("with RGS_MESSAGES=json progress and errors are lines of JSON") {
+  const auto as_json = [] { ::setenv("RGS_MESSAGES", "json", 1); };
+  const Scene scene;
+  for (const Arguments& run : scene.runs(scene.file("out"))) {
+    CAPTURE(run.front());
+    const ProgramResult result = run_program(run, as_json);
+    CHECK(result.exit_code == 0);
+    auto messages = messages_of(result);
+    CHECK_FALSE(messages.contains("error"));
+    if (fs::path(run.front()).filename() == "rgs-info") continue;  // it prints no progress
+    REQUIRE_FALSE(messages["progress"].empty());
+    Json last;
+    for (const Json& at : messages["progress"]) {
+      REQUIRE(at.size() == 4);
+      CHECK(at.at("stage").is_string());
+      CHECK(at.at("unit").is_string());
+      // Within a stage it goes on, and not beyond the total that is known.
+      if (last.is_object() && last.at("stage") == at.at("stage")) CHECK(at.at("done") >= last.at("done"));
+      if (at.at("total") != 0) CHECK(at.at("done") <= at.at("total"));
+      last = at;
+    }
+    CHECK((last.at("total") == 0 || last.at("done") == last.at("total")));
+    // Anything else in the variable is no wish for JSON.
+    const ProgramResult plain = run_program(run, [] { ::setenv("RGS_MESSAGES", "JSON", 1); });
+    CHECK(plain.exit_code == 0);
+    CHECK(plain.err.find('{') == plain.err.npos);
+  }
+  const auto error_of = [&](const Arguments& run, int code) {
+    const ProgramResult result = run_program(run, as_json);
+    CHECK(result.exit_code == code);
+    auto errors = messages_of(result)["error"];
+    REQUIRE(errors.size() == 1);
+    CHECK(errors[0].size() == 8);
+    return errors[0];
+  };
+  for (const std::string& path : kPrograms) {
+    CAPTURE(path);
+    const Json wrong = error_of({path, "--no-such-option"}, 2);
+    CHECK(wrong.at("code") == "bad_argument");
+    for (const char* number : {"file", "offset", "expected", "found"}) CHECK(wrong.at(number).is_null());
+    CHECK(wrong.at("system") == 0);
+    CHECK_FALSE(wrong.at("message").get<std::string>().empty());
+  }
+  // A name is the file's own, not as it would be printed; what is no UTF-8 of it is replaced, which keeps the line one.
+  const std::string missing = scene.file("a \"b\"\n\x1b[2J\xff.ply");
+  const Json absent = error_of({program("rgs-convert"), missing, scene.file("never.rgs")}, 3);
+  CHECK(absent.at("code") == "open_failed");
+  CHECK(absent.at("file") == scene.file("a \"b\"\n\x1b[2J\xef\xbf\xbd.ply"));
+  CHECK(absent.at("system") == ENOENT);
+  CHECK(absent.at("hint").get<std::string>().find("spelling") != std::string::npos);
+  // Numbers are numbers, in the place and in the text.
+  const auto size = fs::file_size(scene.rgs);
+  fs::resize_file(scene.rgs, size - 100);
+  const Json cut = error_of({program("rgs-info"), "--verify", scene.rgs}, 4);
+  CHECK(cut.at("file") == scene.rgs);
+  CHECK(cut.at("offset").is_number_unsigned());
+  CHECK(cut.at("expected") == size);
+  CHECK(cut.at("found") == size - 100);
+  CHECK(cut.at("message").get<std::string>().find("byte " + std::to_string(cut.at("offset").get<std::uint64_t>())) ==
+        0);
 }
 
 TEST_CASE("what cannot be written to a standard stream is exit code 3") {

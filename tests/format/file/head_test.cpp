@@ -130,6 +130,20 @@ TEST_CASE("the head of a file that is shorter or longer than it says is refused"
   }
 }
 
+TEST_CASE("open_head() without the provenance has none") {
+  const Bytes full = read_bytes(kGolden / "packed_degree3.rgs");
+  const auto whole = FileView::open(full);
+  REQUIRE(whole);
+  REQUIRE(whole->provenance());
+  const SectionEntry *decl = whole->find(SectionType::declarations), *prov = whole->find(SectionType::provenance);
+  const std::span<const std::byte> head = std::span(full).first(std::min(decl->offset, prov->offset));
+  const FilePart parts[] = {{0, head}, {decl->offset, std::span(full).subspan(decl->offset, decl->stored_bytes)}};
+  const auto without_provenance = FileView::open_head(parts, full.size());
+  REQUIRE(without_provenance);
+  CHECK_FALSE(without_provenance->provenance());
+  CHECK(FileView::head_needs(parts, full.size())->size() == 1);
+}
+
 TEST_CASE("open_head() without what head_needs() asks for is an error") {
   const Bytes file = read_bytes(kGolden / "degree3.rgs");
   for (std::uint64_t first = 0; first < 900; first += 7) {

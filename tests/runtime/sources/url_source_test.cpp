@@ -8,6 +8,8 @@
 #include <cstdlib>
 #include <filesystem>
 #include <limits>
+#include <memory>
+#include <stop_token>
 #include <string_view>
 #include <thread>
 #include <vector>
@@ -463,6 +465,35 @@ TEST_CASE("cancelling wakes who reads, at whatever stage") {
     CHECK(source->size() == kSize);
     source->cancel();
   }
+}
+
+TEST_CASE("a request to stop ends the opening, at whatever stage, and reads") {
+  const HostileServer server;
+  const auto stopped = [](const Result<std::unique_ptr<ByteSource>>& source) {
+    return !source && source.error().code == Errc::cancelled;
+  };
+  for (const std::string path : {"/stall?", "/silent?", "/status?code=503&", "/slow?all=1&", "/slow-head?"}) {
+    CAPTURE(path);
+    std::stop_source stop;
+    UrlOptions options;
+    options.stop = stop.get_token();
+    std::thread stopper([&] {
+      while (server.requests(path) == 0) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+      stop.request_stop();
+    });
+    CHECK(stopped(open_url_source(server.url(path), options)));
+    stopper.join();
+    CHECK(stopped(open_url_source(server.url(path + "again=1"), options)));  // stopped before it begins
+  }
+  std::stop_source stop;
+  UrlOptions options;
+  options.stop = stop.get_token();
+  const auto source = open_url_source(server.url("/plain"), options).value();
+  CHECK(reads_right(*source, kFrom, kBytes));
+  stop.request_stop();
+  std::vector<std::byte> bytes(10);
+  CHECK(source->read(kFrom, bytes).error().code == Errc::cancelled);
+  CHECK(server.requests("again") == 0);
 }
 
 TEST_CASE("what is no server or no address is said at once") {

@@ -1,19 +1,24 @@
 // device_order_test.cpp - pages on their way to a device and in its slots: nothing is drawn before it is there, and nothing is written while it
 // is drawn. On a device that does what it is told as late as it may, or at any time.
 // SPDX-License-Identifier: Apache-2.0
+#include <cuda_runtime_api.h>
 #include <doctest/doctest.h>
 
 #include <array>
 #include <atomic>
+#include <chrono>
+#include <future>
 #include <optional>
 #include <thread>
 
 #include "counted_memory.hpp"
 #include "fake_cuda.hpp"
+#include "opened_state.hpp"
 #include "streamed_fixture.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
+using detail::StreamedState;
 
 namespace {
 
@@ -190,6 +195,89 @@ TEST_CASE("one scene serves several renderers at once on a device") {
       CHECK(scene.stats().bytes_evicted > 0);
     }
     CHECK(cuda.n_faults == 0);
+  }
+}
+
+TEST_CASE("a pool is of the device that was current when its first scene came, and leaves callers theirs") {
+  const Bytes bytes = town(), others = town({.seed = 18});
+  const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+  FakeCuda cuda(FakeCuda::Pace::any_time);
+  int device = -1;
+  const auto current = [&] {
+    REQUIRE(cudaGetDevice(&device) == cudaSuccess);
+    return device;
+  };
+  {
+    Renderer renderer = device_renderer();
+    const StreamPool pool = device_pool(8 << 20);
+    REQUIRE(cudaSetDevice(1) == cudaSuccess);
+    std::optional<StreamedScene> one = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    CHECK(current() == 1);
+    CHECK(cuda.n_on_second == 1);
+    // Another device is the caller's from now on.
+    REQUIRE(cudaSetDevice(0) == cudaSuccess);
+    CHECK(renderer.refine(*one, camera, kLong, at_detail(0.5F)) == true);
+    CHECK(current() == 0);
+    std::optional<StreamedScene> two = streamed(others, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
+    CHECK(current() == 0);
+    const int n_set = cuda.n_set_device;
+    CHECK(renderer.refine(*two, camera, kLong, at_detail(0.5F)) == true);
+    CHECK(renderer.refine(*one, camera, kLong, at_detail(0)) == true);
+    CHECK(current() == 0);
+    // Threads that bring pages have the device once and for all: the first device gets no context of theirs.
+    CHECK(cuda.n_set_device - n_set <= 2 * kTraits.reads_at_once);
+    CHECK(one->stats().pages_resident + two->stats().pages_resident > 50);
+    one.reset();
+    two.reset();
+    CHECK(current() == 0);
+    CHECK(cuda.device_bytes == 0);
+    CHECK(cuda.n_allocations == 1);
+  }
+  CHECK(cuda.n_faults == 0);
+  CHECK(cuda.pinned_bytes == 0);
+}
+
+TEST_CASE("what has no room but for a frame at work waits for it, on the host and on a device") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  for (const std::uint64_t device_memory : {std::uint64_t{0}, std::uint64_t{8} << 20}) {
+    CAPTURE(device_memory);
+    FakeCuda cuda(FakeCuda::Pace::late);
+    {
+      Opened opened(bytes, false, 3, 64 << 10, device_memory);
+      detail::StreamPoolState& pool = *opened.pool;
+      float coarse = 4096;
+      for (; opened.frame(over(), coarse, 1).n_pages() < 60; coarse /= 1.5F)
+        REQUIRE(opened.refine(over(), coarse, 1) == true);
+      REQUIRE(opened.refine(over(), coarse, 1) == true);
+      std::optional<detail::StreamFrame> held = opened.frame(over(), coarse, 1);
+      {
+        // The rest is taken, but for what another view takes of the host.
+        const std::scoped_lock lock(pool.mutex);
+        (pool.is_on_device() ? pool.slots_held : pool.held) +=
+            pool.left_for_pages() - (pool.is_on_device() ? 0 : opened.state->least_view_bytes());
+      }
+      // Close to the ground less is in view, and with a larger error.
+      const Camera near = camera_at({0, 1, 0}, {10, 1, 0});
+      float detail = 1024;
+      while (opened.frame(near, detail, 2).cut().missing == 0) {
+        detail /= 1.2F;
+        REQUIRE(detail > 1e-3F);
+      }
+      auto complete = std::async(std::launch::async, [&] { return opened.refine(near, detail, 2); });
+      const auto is_over = [&] { return complete.wait_for(std::chrono::seconds(0)) == std::future_status::ready; };
+      CHECK(opened.comes([&] { return pool.waits_for_pins || is_over(); }));
+      {
+        const std::scoped_lock lock(pool.mutex);
+        StreamedState::Run run;
+        CHECK(opened.state->choose(run) == StreamedState::Choice::pinned);
+      }
+      CHECK(!is_over());
+      held.reset();
+      CHECK(complete.get() == true);
+      CHECK(opened.state->stats.bytes_evicted > 0);
+    }
+    CHECK(cuda.n_faults == 0);
+    CHECK(cuda.device_bytes == 0);
   }
 }
 

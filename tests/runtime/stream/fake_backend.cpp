@@ -104,6 +104,13 @@ Result<FrameStats> CudaBackend::render(const SlotDraw& draw, const Camera& camer
                                    drawn.opacity.data(), drawn.sh.data()}};
   return impl_->renderer.render({shape.sh_degree, draw.declarations.origin, parts}, camera, target, *settings);
 }
+Result<std::vector<FrameStats>> CudaBackend::render_all(const Scene&, std::span<const Camera>, const PictureArrays&,
+                                                        const RenderOptions&) {
+  return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
+}
+Result<DeviceBlock> CudaBackend::allocate(std::uint64_t) {
+  return make_error(Errc::unavailable, Error::kNone, "the test's device draws streamed scenes alone");
+}
 const char* CudaBackend::name() const {
   return "cuda of the tests";
 }

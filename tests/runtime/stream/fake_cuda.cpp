@@ -20,6 +20,7 @@ struct CUstream_st {
     std::byte* to = nullptr;  // of a copy
     std::size_t bytes = 0;
   };
+  int device = 0;
   mutable std::mutex mutex;
   std::condition_variable done_one;
   std::deque<Work> queue;  // the first is at work if is_busy
@@ -61,6 +62,7 @@ struct CUstream_st {
 };
 
 struct CUevent_st {
+  int device = 0;
   std::mutex mutex;
   CUstream_st* stream = nullptr;
   std::uint64_t ticket = 0;
@@ -70,6 +72,8 @@ namespace rgs::test {
 namespace {
 
 FakeCuda* the_device = nullptr;
+thread_local int the_current = 0;
+constexpr int kDevices = 2;
 constexpr int kPoison = 0xFB;  // of memory that nobody has written: no number
 
 bool overlap(const std::byte* a, std::size_t n, const std::byte* b, std::size_t m) {
@@ -85,18 +89,23 @@ void note_most(std::atomic<std::uint64_t>& most, std::uint64_t now) {
 
 struct FakeCuda::Impl {
   mutable std::mutex mutex;  // of what follows
-  std::map<std::byte*, std::size_t> device, pinned;
+  struct Block {
+    std::size_t bytes;
+    int device;
+  };
+  using Memory = std::map<std::byte*, Block>;
+  Memory device, pinned;
   std::vector<CUstream_st*> streams;
   std::uint64_t device_memory = 0;
   bool is_stopping = false;
   std::mt19937 random;
   std::thread engine;
 
-  static bool holds(const std::map<std::byte*, std::size_t>& memory, const std::byte* from, std::size_t bytes) {
-    for (const auto& [begin, size] : memory) {
-      if (from >= begin && from + bytes <= begin + size) return true;
+  static const Block* find(const Memory& memory, const std::byte* from, std::size_t bytes) {
+    for (const auto& [begin, block] : memory) {
+      if (from >= begin && from + bytes <= begin + block.bytes) return &block;
     }
-    return false;
+    return nullptr;
   }
   void work() {
     for (;;) {
@@ -115,6 +124,7 @@ FakeCuda::FakeCuda(Pace pace, std::uint64_t device_memory, unsigned seed) : impl
   impl->device_memory = device_memory;
   impl->random.seed(seed);
   the_device = this;
+  the_current = 0;
   if (pace == Pace::any_time) impl->engine = std::thread([this] { impl->work(); });
 }
 
@@ -154,7 +164,7 @@ std::size_t FakeCuda::n_pending() const {
 
 bool FakeCuda::is_allocated(const std::byte* from, std::size_t bytes) const {
   const std::scoped_lock lock(impl->mutex);
-  return Impl::holds(impl->device, from, bytes);
+  return Impl::find(impl->device, from, bytes) != nullptr;
 }
 
 }  // namespace rgs::test
@@ -170,10 +180,12 @@ cudaError_t allocate(void** memory, std::size_t bytes, bool is_pinned) {
   if (!is_pinned && held + bytes > cuda.impl->device_memory) return cudaErrorMemoryAllocation;
   auto* const made = static_cast<std::byte*>(::operator new (bytes, std::align_val_t{256}));
   std::memset(made, rgs::test::kPoison, bytes);
-  (is_pinned ? cuda.impl->pinned : cuda.impl->device)[made] = bytes;
+  int current = 0;
+  cudaGetDevice(&current);
+  (is_pinned ? cuda.impl->pinned : cuda.impl->device)[made] = {bytes, current};
   held += bytes;
   rgs::test::note_most(is_pinned ? cuda.most_pinned_bytes : cuda.most_device_bytes, held);
-  if (!is_pinned) ++cuda.n_allocations;
+  if (!is_pinned) ++cuda.n_allocations, cuda.n_on_second += current == 1;
   *memory = made;
   return cudaSuccess;
 }
@@ -187,7 +199,7 @@ cudaError_t release(void* memory, bool is_pinned) {
     auto& all = is_pinned ? cuda.impl->pinned : cuda.impl->device;
     const auto found = all.find(from);
     if (found == all.end()) return std::size_t{0};
-    const std::size_t size = found->second;
+    const std::size_t size = found->second.bytes;
     all.erase(found);
     return size;
   }();
@@ -203,15 +215,18 @@ cudaError_t cudaGetLastError() {
   return cudaSuccess;
 }
 cudaError_t cudaGetDeviceCount(int* n) {
-  *n = FakeCuda::current() != nullptr ? 1 : 0;
+  *n = FakeCuda::current() != nullptr ? rgs::test::kDevices : 0;
   return cudaSuccess;
 }
 cudaError_t cudaGetDevice(int* device) {
-  *device = 0;
+  *device = rgs::test::the_current;
   return cudaSuccess;
 }
 cudaError_t cudaSetDevice(int device) {
-  return device == 0 ? cudaSuccess : cudaErrorInvalidValue;
+  if (device < 0 || device >= rgs::test::kDevices) return cudaErrorInvalidValue;
+  if (FakeCuda* const cuda = FakeCuda::current()) ++cuda->n_set_device;
+  rgs::test::the_current = device;
+  return cudaSuccess;
 }
 cudaError_t cudaMalloc(void** memory, std::size_t bytes) {
   return allocate(memory, bytes, false);
@@ -244,7 +259,8 @@ cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaM
   bool is_sound = kind == cudaMemcpyHostToDevice && cuda.is_allocated(target, bytes) && !cuda.is_written(target, bytes);
   {
     const std::scoped_lock lock(cuda.impl->mutex);
-    is_sound = is_sound && FakeCuda::Impl::holds(cuda.impl->pinned, source, bytes);
+    is_sound = is_sound && FakeCuda::Impl::find(cuda.impl->pinned, source, bytes) != nullptr &&
+               FakeCuda::Impl::find(cuda.impl->device, target, bytes)->device == stream->device;
   }
   if (!is_sound) {
     ++cuda.n_faults;
@@ -256,6 +272,7 @@ cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaM
 
 cudaError_t cudaStreamCreateWithPriority(cudaStream_t* stream, unsigned, int) {
   *stream = new CUstream_st;
+  (*stream)->device = rgs::test::the_current;
   const std::scoped_lock lock(FakeCuda::current()->impl->mutex);
   FakeCuda::current()->impl->streams.push_back(*stream);
   return cudaSuccess;
@@ -285,6 +302,7 @@ cudaError_t cudaStreamWaitEvent(cudaStream_t stream, cudaEvent_t event) {
 }
 cudaError_t cudaEventCreateWithFlags(cudaEvent_t* event, unsigned) {
   *event = new CUevent_st;
+  (*event)->device = rgs::test::the_current;
   return cudaSuccess;
 }
 cudaError_t cudaEventDestroy(cudaEvent_t event) {
@@ -292,6 +310,10 @@ cudaError_t cudaEventDestroy(cudaEvent_t event) {
   return cudaSuccess;
 }
 cudaError_t cudaEventRecord(cudaEvent_t event, cudaStream_t stream) {
+  if (event->device != stream->device) {
+    ++FakeCuda::current()->n_faults;
+    return cudaErrorInvalidValue;
+  }
   const std::scoped_lock lock(event->mutex);
   event->stream = stream;
   event->ticket = stream->add({[] {}});

@@ -9,7 +9,7 @@
 
 namespace rgs::test {
 
-/// The device, while it is there; without one there is none. One at a time.
+/// Two devices, while it is there; without one there is none. One at a time. Each thread has a current device, the first as it begins.
 class FakeCuda {
  public:
   enum class Pace : std::uint8_t {
@@ -27,13 +27,16 @@ class FakeCuda {
   bool is_written(const std::byte* from, std::size_t bytes) const;
   /// Copies that are on their way.
   std::size_t n_pending() const;
-  /// Whether they are the device's, allocated.
+  /// Whether they are the first device's or the second's, allocated.
   bool is_allocated(const std::byte* from, std::size_t bytes) const;
 
   std::atomic<std::uint64_t> device_bytes{0}, most_device_bytes{0}, pinned_bytes{0}, most_pinned_bytes{0};
   std::atomic<int> n_allocations{0};  ///< of the device's memory, ever
-  std::atomic<int> n_faults{0};       ///< of the caller: bytes that are nobody's, memory freed while it is in use
-  std::atomic<int> fails_next{0};     ///< so many copies are refused
+  /// Of the caller: bytes that are nobody's, memory freed while it is in use, a stream or an event of another device.
+  std::atomic<int> n_faults{0};
+  std::atomic<int> fails_next{0};    ///< so many copies are refused
+  std::atomic<int> n_set_device{0};  ///< calls of cudaSetDevice()
+  std::atomic<int> n_on_second{0};   ///< allocations of the second device's memory, ever
 
   struct Impl;
   std::unique_ptr<Impl> impl;

@@ -6,75 +6,13 @@
 #include <future>
 #include <thread>
 
-#include "render_options.hpp"
-#include "stream/streamed_state.hpp"
-#include "streamed_fixture.hpp"
+#include "opened_state.hpp"
 
 using namespace rgs;
 using namespace rgs::test;
 using namespace std::chrono_literals;
 using detail::StreamedState;
 using detail::StreamFrame;
-
-namespace {
-
-struct Opened {
-  std::shared_ptr<detail::StreamPoolState> pool;
-  std::shared_ptr<Script> script = std::make_shared<Script>();
-  std::shared_ptr<StreamedState> state;
-
-  explicit Opened(const Bytes& bytes, bool prefetch = false, int reads_at_once = 3, std::uint64_t most_bytes = 64 << 10)
-      : pool(std::make_shared<detail::StreamPoolState>(std::uint64_t{1} << 30)) {
-    StreamOptions options;
-    options.prefetch = prefetch;
-    const ByteSource::Traits traits{.reads_at_once = reads_at_once, .most_bytes = most_bytes, .gap_bytes = 4096};
-    auto opened = StreamedState::open(std::make_unique<ScriptedSource>(bytes, script, traits), options, pool);
-    REQUIRE(opened);
-    state = *std::move(opened);
-  }
-
-  detail::StreamRule rule(float detail_px) const {
-    const auto settings =
-        detail::resolve(detail::with_levels(at_detail(detail_px), detail_px), state->declarations, Backend::cpu);
-    REQUIRE(settings);
-    return {*settings, state->declarations->origin, state->declarations->z_near, detail_px};
-  }
-  Result<bool> refine(const Camera& camera, float detail_px, std::uint64_t renderer = 1, double seconds = kLong) {
-    return detail::refine_view(*state, renderer, camera, rule(detail_px), seconds);
-  }
-  StreamFrame frame(const Camera& camera, float detail_px, std::uint64_t renderer = 1) {
-    auto frame = StreamFrame::begin(state, renderer, camera, rule(detail_px));
-    REQUIRE(frame);
-    return *std::move(frame);
-  }
-  template <class Condition>
-  bool comes(const Condition& condition) {
-    return test::comes([&] {
-      const std::scoped_lock lock(pool->mutex);
-      return condition();
-    });
-  }
-  /// The camera was at one place so long ago, and is at another: where it is about to be follows. Only where the machine takes a
-  /// quarter of a second for two lines it does not, and is done again.
-  void move(const Camera& from, const Camera& to, float detail_px) {
-    REQUIRE(test::comes([&] {
-      frame(from, detail_px);
-      {
-        const std::scoped_lock lock(pool->mutex);
-        state->views.front()->came = detail::StreamClock::now() - 250ms;
-      }
-      frame(to, detail_px);
-      const std::scoped_lock lock(pool->mutex);
-      return state->views.front()->soon.has_value();
-    }));
-  }
-};
-
-Camera over() {
-  return camera_at({0, 30, 60}, {0, 0, 0});
-}
-
-}  // namespace
 
 TEST_CASE("while a frame is held open its view is looked at again, and afterwards nothing stays pinned") {
   const Bytes bytes = town({.n = 200000, .sh_degree = 0, .page_chunks = 1});
@@ -185,6 +123,68 @@ TEST_CASE("a range that cannot be read keeps nothing else from being read") {
   CHECK(lossy.comes([&] { return lossy.state->residency->n_resident() == n_all - n_children; }));
   lossy.script->gone_to = 0;
   CHECK(lossy.refine(over(), 0) == true);
+}
+
+TEST_CASE("a view whose pages cannot be read fails, whatever is read for another one meanwhile") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 2);
+  StreamedState& s = *opened.state;
+  REQUIRE(opened.refine(over(), 0, 2) == true);
+  float coarse = 4096;
+  while (opened.frame(over(), coarse, 2).n_pages() < 60) coarse /= 1.5F;
+  const auto eye = opened.rule(coarse).eye(over());
+  // What the coarse view wants and has nothing below it that it wants, and what only the other one wants.
+  std::uint32_t lost = 0, others = 0;
+  const auto is_below = [&](std::uint32_t page, std::uint32_t above) {
+    while (page > above) page = s.file->pages()[page].parent;
+    return page == above;
+  };
+  {
+    const std::scoped_lock lock(opened.pool->mutex);
+    const std::uint32_t n = s.residency->n_groups();
+    for (std::uint32_t group = 1; group < n; ++group) {
+      if (s.residency->wanted_px(group, eye) > 0) lost = group;
+    }
+    for (std::uint32_t group = 1; group < n; ++group) {
+      if (s.residency->wanted_px(group, eye) <= 0 && s.residency->can_evict(group) && !is_below(group, lost))
+        others = group;
+    }
+  }
+  REQUIRE(lost > 0);
+  REQUIRE(others > 0);
+  const auto range = s.file->stored(s.file->pages()[lost].first_child);
+
+  Opened lossy(bytes, false, 2);
+  StreamedState& t = *lossy.state;
+  lossy.script->gone_from = range.offset, lossy.script->gone_to = range.offset + 1;
+  lossy.frame(over(), 0, 2);
+  CHECK(lossy.comes([&] { return t.residency->can_evict(others) && t.residency->n_failed(lost) > 0; }));
+  auto complete = std::async(std::launch::async, [&] { return lossy.refine(over(), coarse, 1); });
+  const auto is_over = [&] { return complete.wait_for(0s) == std::future_status::ready; };
+  int n_before = 0, n_failed = 0, n_read = 0;
+  {
+    const std::scoped_lock lock(lossy.pool->mutex);
+    n_before = t.residency->n_failed(lost);
+  }
+  // Each time that the other view's pages are there they go. It ends long before so many failures.
+  CHECK(test::comes([&] {
+    lossy.frame(over(), 0, 2);
+    const std::scoped_lock lock(lossy.pool->mutex);
+    n_failed = t.residency->n_failed(lost) - n_before;
+    if (t.residency->can_evict(others)) {
+      t.evict(others);
+      ++n_read;
+    }
+    return is_over() || n_failed == 15;
+  }));
+  CHECK(n_failed < 15);
+  CHECK(n_read > 1);
+  lossy.script->gone_to = n_failed < 15 ? lossy.script->gone_to.load() : 0;
+  const auto refined = complete.get();
+  REQUIRE(!refined);
+  CHECK(refined.error().code == Errc::read_failed);
+  lossy.script->gone_to = 0;
+  CHECK(lossy.refine(over(), coarse, 1) == true);
 }
 
 TEST_CASE("ranges that cannot be read, however many and however wanted, leave time and room for everything else") {

@@ -28,6 +28,8 @@ export interface OpenOptions extends ReadOptions {
   url?: UrlOptions;
   /** rgs.wasm, compiled, for who wants to load it himself; otherwise the worker fetches it from beside its script. */
   wasm?: WebAssembly.Module;
+  /** In browsers: makes a worker that runs `@roofgs/reader/worker`, where none can be loaded from beside the script. */
+  worker?: () => Worker;
 }
 
 const kFirstBytes = 1 << 16;
@@ -145,7 +147,7 @@ export class RgsFile {
   private whole<T>(...args: Parameters<typeof this.wholeNow<T>>): Promise<T> {
     const result = this.last.then(() => this.wholeNow(...args));
     this.last = result.catch(() => undefined);
-    return result;
+    return untilAborted(result, args[0].signal);
   }
 
   private async wholeNow<T>(
@@ -178,6 +180,17 @@ export class RgsFile {
 /** The buffer of bytes that are ours alone, to be handed over. */
 function own(bytes: Uint8Array): ArrayBuffer {
   return bytes.buffer as ArrayBuffer;
+}
+
+/** The same, but for the signal's reason as soon as it aborts: who waits for others' work need not. */
+function untilAborted<T>(result: Promise<T>, signal: AbortSignal | undefined): Promise<T> {
+  if (!signal) return result;
+  return new Promise((resolve, reject) => {
+    const abort = (): void => reject(signal.reason);
+    if (signal.aborted) abort();
+    signal.addEventListener("abort", abort, { once: true });
+    result.then(resolve, reject).finally(() => signal.removeEventListener("abort", abort));
+  });
 }
 
 /** What a source gives is checked: sources may be the caller's. The bytes are ours, to be handed over. */
@@ -234,7 +247,7 @@ async function sourceOf(source: Source, options: OpenOptions): Promise<RangeSour
   if (typeof source === "string" || source instanceof URL) {
     const onProgress = (done: number, total: number | undefined): void =>
       options.onProgress?.({ phase: "read", done, total });
-    return UrlSource.open(String(source), options.url ?? {}, options.signal, onProgress);
+    return UrlSource.open(String(source), options.url ?? {}, options.signal, onProgress, options.limits?.maxFileBytes);
   }
   // What it gives may be part of something that it keeps, and buffers are handed over whole.
   const own = source as RangeSource;

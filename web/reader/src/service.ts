@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { buffersOf, Decoder, type Gaussians, type Limits, type Range, type StoredGaussians } from "./decoder.js";
 import { RgsError, type RgsErrorFields } from "./errors.js";
+import { parseHead } from "./head.js";
 
 interface Shape {
   shDegree: number;
@@ -48,6 +49,13 @@ function turn(): Promise<void> {
     };
     port1.postMessage(0);
   });
+}
+
+/** What a file says of itself, with the checksums of all it holds. */
+function identityOf(decoder: Decoder): string {
+  const { values, text } = decoder.head();
+  const { header, declarations, sections } = parseHead(values, text);
+  return JSON.stringify([header, declarations, sections.map((section) => ({ ...section, xxh3: String(section.xxh3) }))]);
 }
 
 export class Service {
@@ -129,14 +137,12 @@ export class Service {
         return decoder.putWhole(address, request.args.offset, request.args.bytes);
       }
       case "wholeGaussians": {
-        const { decoder, address, bytes } = this.wholeFile;
-        decoder.openWhole(address, bytes);
+        const decoder = this.openWhole();
         const gaussians = await this.finish(request.id, decoder.gaussians(request.args.n, request.args.shDegree));
         return { gaussians, sourceIndex: decoder.sourceIndex() };
       }
       case "wholeStored": {
-        const { decoder, address, bytes } = this.wholeFile;
-        decoder.openWhole(address, bytes);
+        const decoder = this.openWhole();
         const gaussians = await this.finish(request.id, decoder.storedGaussians(request.args.n, request.args.shape));
         return { gaussians, sourceIndex: decoder.sourceIndex() };
       }
@@ -146,6 +152,16 @@ export class Service {
       case "cancel":
         return undefined;
     }
+  }
+
+  /** Opens the whole file, which must be the one whose head the caller has: others may have replaced it meanwhile. */
+  private openWhole(): Decoder {
+    const { decoder, address, bytes } = this.wholeFile;
+    decoder.openWhole(address, bytes);
+    if (identityOf(decoder) !== identityOf(this.opened)) {
+      throw new RgsError({ code: "read_failed", text: "the file has changed since it was opened: open it again" });
+    }
+    return decoder;
   }
 
   /** Runs work to its end, with a turn for messages now and then. */

@@ -24,6 +24,7 @@ export interface UrlOptions {
 const kFirstBytes = 1 << 16;
 /** A server that knows no ranges sends everything; decoding takes no more than that either. */
 const kMostWhole = 2 ** 32;
+const kTooLarge = "the server has no ranges, and the file is too large to be kept whole";
 
 export class MemorySource implements RangeSource {
   readonly size: number;
@@ -75,12 +76,13 @@ export class UrlSource implements RangeSource {
     private readonly first: Uint8Array,
   ) {}
 
-  /** Asks for the beginning of the file. A server without ranges sends all of it, which is kept. */
+  /** Asks for the beginning of the file. A server without ranges sends all of it, which is kept, up to `maxBytes`. */
   static async open(
     url: string,
     options: UrlOptions,
     signal?: AbortSignal,
     onProgress?: (bytes: number, total: number | undefined) => void,
+    maxBytes = Infinity,
   ): Promise<RangeSource> {
     return retried(options, signal, async (timed) => {
       const answer = await request(url, options, 0, kFirstBytes, timed.signal, null);
@@ -90,7 +92,8 @@ export class UrlSource implements RangeSource {
       }
       if (answer.status === 200) {
         const length = lengthOf(answer);
-        const bytes = await readBody(answer, length, kMostWhole, timed, (done) => onProgress?.(done, length));
+        const most = Math.min(kMostWhole, maxBytes);
+        const bytes = await readBody(answer, length, most, timed, (done) => onProgress?.(done, length), kTooLarge);
         return new MemorySource(bytes);
       }
       const range = rangeOf(answer);
@@ -212,8 +215,8 @@ async function request(
   etag: string | null,
 ): Promise<Response> {
   const headers: Record<string, string> = { ...options.headers, range: `bytes=${offset}-${offset + bytes - 1}` };
-  // A weak one says nothing of bytes. Not from pages: browsers ask other servers' leave for this header.
-  if (etag !== null && !etag.startsWith("W/") && typeof document === "undefined") headers["if-range"] = etag;
+  // A weak one says nothing of bytes. Not from pages and their workers: browsers ask other servers' leave for this header.
+  if (etag !== null && !etag.startsWith("W/") && typeof location === "undefined") headers["if-range"] = etag;
   const init: RequestInit = { headers, signal, redirect: "follow" };
   if (options.credentials !== undefined) init.credentials = options.credentials;
   const answer = await fetch(url, init);
@@ -249,16 +252,18 @@ function lengthOf(answer: Response): number | undefined {
   return !coded && text !== null && /^\d{1,15}$/.test(text) ? Number(text) : undefined;
 }
 
-/** The body, of exactly `bytes` bytes where that is known, of at most `most` otherwise. */
+/** The body, of exactly `bytes` bytes where that is known, of at most `most` otherwise: `tooLarge` says why, if that is a limit. */
 async function readBody(
   answer: Response,
   bytes: number | undefined,
   most: number,
   timed: Timed,
   onProgress?: (done: number) => void,
+  tooLarge?: string,
 ): Promise<Uint8Array> {
-  if (bytes !== undefined && bytes > most) {
-    throw new RgsError({ code: "limit_exceeded", text: "the server has no ranges, and the file is too large to be kept whole" });
+  if (tooLarge !== undefined && bytes !== undefined && bytes > most) {
+    await answer.body?.cancel();
+    throw new RgsError({ code: "limit_exceeded", text: tooLarge });
   }
   if (!answer.body) return new Uint8Array(0);
   const reader = answer.body.getReader();
@@ -271,6 +276,7 @@ async function readBody(
     if (done + next.value.length > out.length) {
       if (bytes !== undefined || done + next.value.length > most) {
         await reader.cancel();
+        if (bytes === undefined && tooLarge !== undefined) throw new RgsError({ code: "limit_exceeded", text: tooLarge });
         throw failed("the server sends more than was asked for");
       }
       const larger = new Uint8Array(Math.min(most, Math.max(2 * out.length, done + next.value.length)));

@@ -5,9 +5,9 @@ import { type OpenOptions, openWith, type RgsFile, type Source } from "./reader.
 import type { Answer } from "./service.js";
 export * from "./index.js";
 
-function startWorker(): Port {
+function startWorker(make: OpenOptions["worker"]): Port {
   // In this form bundlers see it.
-  const worker = new Worker(new URL("./worker-web.js", import.meta.url), { type: "module" });
+  const worker = make?.() ?? new Worker(new URL("./worker-web.js", import.meta.url), { type: "module" });
   return {
     send: (request, transfer) => worker.postMessage(request, transfer),
     listen: (on) => {
@@ -22,5 +22,5 @@ function startWorker(): Port {
 
 /** Opens an .rgs file. Rejects with an RgsError, or with the reason of `options.signal`. */
 export function open(source: Source, options: OpenOptions = {}): Promise<RgsFile> {
-  return openWith(startWorker, source, options);
+  return openWith(() => startWorker(options.worker), source, options);
 }

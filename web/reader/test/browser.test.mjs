@@ -51,7 +51,25 @@ document.addEventListener("drop", async (event) => {
   event.preventDefault();
   window.dropped = await all(event.dataTransfer.files[0]);
 });
-window.reader = { all, page };
+function inWorker(url) {
+  return new Promise((resolve) => {
+    const worker = new Worker("worker.js", { type: "module" });
+    worker.onmessage = ({ data }) => resolve(data);
+    worker.postMessage(url);
+  });
+}
+window.reader = { all, page, inWorker };
+`;
+const kWorker = `
+import { open } from "./dist/web.js";
+onmessage = async ({ data: url }) => {
+  try {
+    const file = await open(url);
+    postMessage((await file.read()).n);
+  } catch (error) {
+    postMessage(String(error));
+  }
+};
 `;
 
 async function hashesOf(gaussians) {
@@ -74,7 +92,7 @@ test("in Chromium", async (t) => {
   if (!existsSync(kChromium)) return skip(t, "chromium is not installed");
   if (!hasNginx) return skip(t, "nginx is not installed");
   const server = await startNginx(`add_header Content-Security-Policy "${kPolicy}";`);
-  const other = await startNginx("add_header Access-Control-Allow-Origin *;");
+  const other = await startNginx("add_header Access-Control-Allow-Origin *; add_header Access-Control-Expose-Headers ETag;");
   const browser = await chromium.launch({ executablePath: kChromium, args: ["--no-sandbox", "--disable-dev-shm-usage"] });
   t.after(async () => {
     await browser.close();
@@ -84,6 +102,7 @@ test("in Chromium", async (t) => {
   cpSync(fileURLToPath(new URL("../dist", import.meta.url)), join(server.files, "dist"), { recursive: true });
   writeFileSync(join(server.files, "index.html"), kPage);
   writeFileSync(join(server.files, "page.js"), kScript);
+  writeFileSync(join(server.files, "worker.js"), kWorker);
   for (const name of ["packed_degree3.rgs", "levels_packed.rgs", "archive_degree3.rgs"]) {
     copyFileSync(join(golden, name), join(server.files, name));
     copyFileSync(join(golden, name), join(other.files, name));
@@ -143,6 +162,12 @@ test("in Chromium", async (t) => {
     const requests = server.log().split("\n").filter((line) => line.includes("GET /large.rgs"));
     // 304: the browser asks whether what it has kept of the beginning still holds.
     assert.ok(requests.length >= 2 && requests.every((line) => / (206|304) /.test(line)), requests.join("\n"));
+  });
+
+  await t.test("a worker of the page's own asks another origin no more leave than the page does", async () => {
+    copyFileSync(join(scenes(), "packed.rgs"), join(other.files, "large.rgs"));
+    assert.equal(await page.evaluate((url) => window.reader.inWorker(url), `${other.url}/large.rgs`), 60000);
+    assert.doesNotMatch(other.log(), /"OPTIONS /);
   });
 
   await t.test("damaged files give an error", async () => {

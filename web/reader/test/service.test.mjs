@@ -38,6 +38,8 @@ test("work on a large file lets messages in, and ends when it is cancelled", asy
     if (cancel) setImmediate(() => service.receive({ id: 0, name: "cancel", args: { id: answer.id } }));
   });
   await ask(1, "start", { limits: {}, wasm });
+  await ask(2, "part", { offset: 0, bytes });
+  assert.equal((await ask(3, "openParts", { fileBytes: bytes.length })).result?.unread, null);
   const read = async (first) => {
     await ask(first, "whole", { bytes: bytes.length });
     await ask(first + 1, "wholePart", { offset: 0, bytes });

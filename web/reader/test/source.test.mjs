@@ -164,6 +164,46 @@ test("a signal stops what is at work, with its reason", async () => {
   assert.equal((await failure(file.read())).code, "bad_argument");
 });
 
+test("a signal stops a read that waits for another", { timeout: 60_000 }, async () => {
+  const reason = new Error("enough");
+  let held = Promise.resolve();
+  const file = await open({
+    size: packed.length,
+    async read(offset, bytes) {
+      await held;
+      return packed.slice(offset, offset + bytes);
+    },
+  });
+  let goOn;
+  held = new Promise((resolve) => (goOn = resolve));
+  const first = file.read();
+  const stopped = new AbortController();
+  const second = failure(file.read({ signal: stopped.signal }));
+  stopped.abort(reason);
+  assert.equal(await second, reason);
+  assert.equal(await failure(file.read({ signal: AbortSignal.abort(reason) })), reason);
+  goOn();
+  assert.deepEqual((await first).means, expected);
+  assert.deepEqual((await file.read()).means, expected);
+  file.close();
+});
+
+test("a file that is another when it is read as a whole is refused", async () => {
+  let bytes = bytesOf("global");
+  assert.equal(bytes.length, bytesOf("origin").length);
+  const file = await open({ size: bytes.length, read: async (offset, n) => bytes.slice(offset, offset + n) });
+  const means = (await file.read()).means;
+  bytes = bytesOf("origin");
+  for (const read of [file.read(), file.readStored()]) {
+    const error = await failure(read);
+    assert.equal(error.code, "read_failed");
+    assert.match(error.message, /has changed/);
+  }
+  bytes = bytesOf("global");
+  assert.deepEqual((await file.read()).means, means);
+  file.close();
+});
+
 test("several things may be asked for at a time", async () => {
   const file = await open(levels);
   const one = await file.read();
@@ -280,6 +320,19 @@ test("a server that lies is found out, and one that stumbles is asked again", as
       assert.equal(error.code, outcome, `${path}: ${error}`);
     }
     assert.ok(server.requests(`GET ${address} `) <= (path === "/loop?" ? 63 : 3), path); // 20 redirects are followed
+  }
+});
+
+test("a server without ranges sends no more than is allowed", async (t) => {
+  const server = await startHostileServer();
+  t.after(() => server.end());
+  const file = join(golden, "packed_degree3.rgs");
+  for (const path of ["/no_ranges", "/no_ranges_chunked", "/no_ranges_unknown_length"]) {
+    const address = server.url(`${path}?file=${file}`);
+    const error = await failure(open(address, { limits: { maxFileBytes: packed.length - 1 } }));
+    assert.deepEqual([error.code, server.requests(`GET ${path}?`)], ["limit_exceeded", 1], `${path}: ${error}`);
+    assert.match(error.message, /no ranges/);
+    assert.deepEqual(await meansOf(address, { limits: { maxFileBytes: packed.length } }), expected, path);
   }
 });
 

@@ -30,6 +30,12 @@ RGS_HD inline std::uint32_t unorm8(float v) {
   return rgs::detail::bits_of(std::fma(clamp(v, 0.0F, 1.0F), 255.0F, 12582912.0F)) & 0xFFu;
 }
 
+/// The 8-bit code of a value in a file or an array of pictures: round(255 clamp(v, 0, 1)), halves up; 0 for NaN.
+RGS_HD inline std::uint8_t code8(float value) {
+  if (!(value > 0)) return 0;
+  return static_cast<std::uint8_t>(value >= 1 ? 255.0F : value * 255.0F + 0.5F);
+}
+
 RGS_HD inline std::uint32_t pack_rgba8(const Vec3<float>& color, float alpha) {
   return unorm8(color.x) | unorm8(color.y) << 8 | unorm8(color.z) << 16 | unorm8(alpha) << 24;
 }

@@ -1,0 +1,234 @@
+// picture_batch.cpp - pictures of several cameras, drawn by several renderers in turn.
+// SPDX-License-Identifier: Apache-2.0
+#include "cuda/picture_batch.hpp"
+
+#include <algorithm>
+#include <cstdint>
+#include <optional>
+#include <utility>
+
+#include "common/codes.hpp"
+
+namespace rgs::detail {
+namespace {
+
+constexpr std::size_t kLanes = 4;
+// Device memory of pictures that go to the host together.
+constexpr std::uint64_t kStagedBytes = std::uint64_t{64} << 20;
+
+std::uint64_t pixels_of(const Camera& camera) {
+  return static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
+}
+
+// The arrays from picture `first` on.
+PictureArrays from(PictureArrays p, std::uint64_t first, std::uint64_t n_pixels) {
+  const auto move = [&](auto*& data, std::uint64_t n) {
+    if (data != nullptr) data += first * n;
+  };
+  move(p.rgb, 3 * n_pixels);
+  move(p.codes, 3 * n_pixels);
+  move(p.alpha, n_pixels);
+  move(p.depth, n_pixels);
+  return p;
+}
+
+Status check_place(const void* data) {
+  if (data == nullptr) return {};
+  int device = 0;
+  cudaPointerAttributes attributes{};
+  Status ok = device_status(cudaGetDevice(&device), "the current device could not be read");
+  if (ok) ok = device_status(cudaPointerGetAttributes(&attributes, data), "an output's memory could not be looked at");
+  if (!ok) return ok;
+  const bool is_on_device = attributes.type == cudaMemoryTypeManaged ||
+                            (attributes.type == cudaMemoryTypeDevice && attributes.device == device);
+  if (is_on_device) return {};
+  return make_error(Errc::bad_argument, Error::kNone, "an output is not in the memory of the renderer's device");
+}
+
+}  // namespace
+
+Result<std::vector<FrameStats>> PictureBatch::render(const DeviceScene& scene, std::span<const Camera> cameras,
+                                                     const PictureArrays& pictures, const RenderOptions& options) {
+  if (cameras.empty()) return std::vector<FrameStats>();
+  return pictures.on_device ? render_on_device(scene, cameras, pictures, options)
+                            : render_to_host(scene, cameras, pictures, options);
+}
+
+Status PictureBatch::add_lane() {
+  auto lane = std::make_unique<Lane>();
+  if (Status ok = lane->stream.create(); !ok) return ok;
+  if (lanes_.empty()) {
+    lane->renderer = &first_;
+  } else {
+    auto renderer = CudaRenderer::create();
+    if (!renderer) return tl::unexpected(renderer.error());
+    lane->own = std::make_unique<CudaRenderer>(*std::move(renderer));
+    lane->renderer = lane->own.get();
+  }
+  lanes_.push_back(std::move(lane));
+  return {};
+}
+
+// How many more workspaces as large as the first fit into half of what is free.
+std::size_t PictureBatch::room_for_lanes() const {
+  std::size_t free = 0, all = 0;
+  if (cudaMemGetInfo(&free, &all) != cudaSuccess) {
+    cudaGetLastError();
+    return 0;
+  }
+  return free / 2 / std::max<std::size_t>(first_.bytes(), 1);
+}
+
+Result<std::vector<FrameStats>> PictureBatch::render_on_device(const DeviceScene& scene,
+                                                               std::span<const Camera> cameras,
+                                                               const PictureArrays& pictures,
+                                                               const RenderOptions& options) {
+  Status ok;
+  for (const void* data : {static_cast<const void*>(pictures.rgb), static_cast<const void*>(pictures.codes),
+                           static_cast<const void*>(pictures.alpha), static_cast<const void*>(pictures.depth)}) {
+    if (ok) ok = check_place(data);
+  }
+  Event begun;
+  if (ok) ok = begun.create();
+  if (ok) ok = begun.record(pictures.stream);
+  if (ok && lanes_.empty()) ok = add_lane();
+  if (!ok) return tl::unexpected(ok.error());
+
+  RenderOptions how = options;
+  how.measure.timings = true;
+  how.measure.stage_timings = cameras.size() == 1;
+  how.turbo.asynchronous = cameras.size() > 1;
+  const std::uint64_t n_pixels = pixels_of(cameras.front());
+  std::vector<FrameStats> stats(cameras.size());
+  const auto draw_by = [&](std::size_t n_lanes, std::size_t first) {
+    std::vector<Lane*> lanes;
+    for (std::size_t i = 0; i < n_lanes; ++i) lanes.push_back(lanes_[i].get());
+    Status done;
+    for (Lane* const lane : lanes) {
+      if (done) done = begun.hold(lane->stream.get());
+    }
+    std::vector<FrameStats> drawn;
+    if (done) done = draw(scene, cameras.subspan(first), from(pictures, first, n_pixels), how, lanes, drawn);
+    std::ranges::copy(drawn, stats.begin() + static_cast<std::ptrdiff_t>(first));
+    return done;
+  };
+  // The first one tells how much memory a renderer takes.
+  std::size_t n_drawn = 0;
+  if (cameras.size() > 1 && lanes_.size() == 1) {
+    const std::span<const Camera> all = std::exchange(cameras, cameras.first(1));
+    ok = draw_by(1, 0);
+    cameras = all;
+    if (!ok) return tl::unexpected(ok.error());
+    n_drawn = 1;
+    const std::size_t n_lanes = std::min(kLanes, 1 + room_for_lanes());
+    while (ok && lanes_.size() < n_lanes) ok = add_lane();
+    if (!ok) lanes_.resize(1);  // one is enough
+  }
+  ok = draw_by(std::min(lanes_.size(), cameras.size()), n_drawn);
+  if (!ok && ok.error().code == Errc::device_out_of_memory && lanes_.size() > 1) {
+    lanes_.resize(1);
+    ok = draw_by(1, n_drawn);
+  }
+  if (!ok) return tl::unexpected(ok.error());
+  return stats;
+}
+
+// Codes are made once a frame is known to be whole: one that has outgrown the workspace is made again. No lane is at work on return.
+Status PictureBatch::draw(const DeviceScene& scene, std::span<const Camera> cameras, const PictureArrays& pictures,
+                          const RenderOptions& options, std::span<Lane* const> lanes, std::vector<FrameStats>& stats) {
+  const std::uint64_t n_pixels = pixels_of(cameras.front());
+  const bool needs_rgb = pictures.codes != nullptr && pictures.rgb == nullptr;
+  Status ok;
+  const auto keep = [&ok](const Status& status) {
+    if (ok && !status) ok = status;
+  };
+  const auto place_of = [&](std::size_t i) {
+    PictureArrays place = from(pictures, i, n_pixels);
+    if (needs_rgb) place.rgb = lanes[i % lanes.size()]->rgb.as<float>();
+    return place;
+  };
+  stats.resize(cameras.size());
+  const auto finish = [&](std::size_t i) {
+    Lane& lane = *lanes[i % lanes.size()];
+    const auto drawn = lane.renderer->finish();
+    if (!drawn) return keep(tl::unexpected(drawn.error()));
+    stats[i] = *drawn;
+    const PictureArrays place = place_of(i);
+    if (place.codes != nullptr) keep(cuda::launch_codes(place.rgb, 3 * n_pixels, place.codes, lane.stream.get()));
+  };
+  if (needs_rgb) {
+    for (Lane* const lane : lanes) {
+      if (ok) keep(lane->rgb.reserve(3 * n_pixels * sizeof(float), memory_, lane->stream.get()));
+    }
+  }
+  std::size_t n_queued = 0;
+  for (; n_queued < cameras.size() && ok; ++n_queued) {
+    Lane& lane = *lanes[n_queued % lanes.size()];
+    if (n_queued >= lanes.size()) finish(n_queued - lanes.size());
+    if (!ok) break;
+    const PictureArrays place = place_of(n_queued);
+    DeviceTarget target;
+    target.rgb = place.rgb;
+    target.alpha = place.alpha;
+    target.depth = place.depth;
+    const auto queued = lane.renderer->render(scene, cameras[n_queued], target, options, lane.stream.get());
+    if (!queued) {
+      keep(tl::unexpected(queued.error()));
+      break;
+    }
+  }
+  for (std::size_t i = n_queued - std::min(n_queued, lanes.size()); i < n_queued; ++i) finish(i);
+  for (Lane* const lane : lanes)
+    keep(device_status(cudaStreamSynchronize(lane->stream.get()), "pictures could not be made"));
+  return ok;
+}
+
+Result<std::vector<FrameStats>> PictureBatch::render_to_host(const DeviceScene& scene, std::span<const Camera> cameras,
+                                                             const PictureArrays& pictures,
+                                                             const RenderOptions& options) {
+  const std::uint64_t n_pixels = pixels_of(cameras.front());
+  struct Way {
+    DeviceBuffer& buffer;
+    void* to;
+    std::uint64_t bytes;  // of a picture
+  };
+  const Way ways[] = {{rgb_, pictures.rgb, n_pixels * 12},
+                      {codes_, pictures.codes, n_pixels * 3},
+                      {alpha_, pictures.alpha, n_pixels * 4},
+                      {depth_, pictures.depth, n_pixels * 4}};
+  std::uint64_t picture_bytes = 1;
+  for (const Way& way : ways) picture_bytes += way.to == nullptr ? 0 : way.bytes;
+  const auto most = static_cast<std::size_t>(std::max<std::uint64_t>(kStagedBytes / picture_bytes, 1));
+  PictureArrays staged;
+  staged.on_device = true;
+  std::vector<FrameStats> stats;
+  for (std::size_t first = 0; first < cameras.size(); first += most) {
+    const auto part = cameras.subspan(first, std::min(most, cameras.size() - first));
+    Status ok;
+    for (const Way& way : ways) {
+      if (ok && way.to != nullptr) ok = way.buffer.reserve(part.size() * way.bytes, memory_, nullptr);
+    }
+    if (!ok) return tl::unexpected(ok.error());
+    const auto staged_in = [](const Way& way, auto*& data) {
+      if (way.to != nullptr) data = way.buffer.as<std::remove_reference_t<decltype(*data)>>();
+    };
+    staged_in(ways[0], staged.rgb);
+    staged_in(ways[1], staged.codes);
+    staged_in(ways[2], staged.alpha);
+    staged_in(ways[3], staged.depth);
+    const auto drawn = render_on_device(scene, part, staged, options);
+    if (!drawn) return drawn;
+    stats.insert(stats.end(), drawn->begin(), drawn->end());
+    for (const Way& way : ways) {
+      if (ok && way.to != nullptr) {
+        ok = device_status(cudaMemcpy(static_cast<std::byte*>(way.to) + first * way.bytes, way.buffer.as<void>(),
+                                      part.size() * way.bytes, cudaMemcpyDeviceToHost),
+                           "pictures could not be copied from the device");
+      }
+    }
+    if (!ok) return tl::unexpected(ok.error());
+  }
+  return stats;
+}
+
+}  // namespace rgs::detail

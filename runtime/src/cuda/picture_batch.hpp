@@ -1,0 +1,53 @@
+// picture_batch.hpp - pictures of several cameras, of which several are on their way at once.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "cuda/cuda_objects.hpp"
+#include "cuda/device_memory.hpp"
+#include "rgs/cuda_renderer.hpp"
+#include "rgs/renderer.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::detail {
+
+/// Small frames leave most of a device idle, and each waits for the host. So they are drawn by several renderers in turn, each
+/// with a workspace and a stream of its own.
+class PictureBatch {
+ public:
+  /// `first` is one of the renderers and outlives this.
+  PictureBatch(CudaRenderer& first, std::shared_ptr<const DeviceMemory> memory)
+      : first_(first), memory_(std::move(memory)) {}
+
+  /// Cameras are valid and of one size. Everything is done on return, also where it fails. Errors: those of CudaRenderer::render();
+  /// bad_argument (an array is not in the current device's memory).
+  Result<std::vector<FrameStats>> render(const DeviceScene& scene, std::span<const Camera> cameras,
+                                         const PictureArrays& pictures, const RenderOptions& options);
+
+ private:
+  struct Lane {
+    CudaRenderer* renderer = nullptr;
+    std::unique_ptr<CudaRenderer> own = {};  // of all lanes but the first
+    OwnedStream stream = {};
+    DeviceBuffer rgb = {};  // of a picture of which only codes are wanted
+  };
+
+  Result<std::vector<FrameStats>> render_on_device(const DeviceScene& scene, std::span<const Camera> cameras,
+                                                   const PictureArrays& pictures, const RenderOptions& options);
+  Result<std::vector<FrameStats>> render_to_host(const DeviceScene& scene, std::span<const Camera> cameras,
+                                                 const PictureArrays& pictures, const RenderOptions& options);
+  Status draw(const DeviceScene& scene, std::span<const Camera> cameras, const PictureArrays& pictures,
+              const RenderOptions& options, std::span<Lane* const> lanes, std::vector<FrameStats>& stats);
+  Status add_lane();
+  std::size_t room_for_lanes() const;
+
+  CudaRenderer& first_;
+  std::shared_ptr<const DeviceMemory> memory_;
+  std::vector<std::unique_ptr<Lane>> lanes_;
+  DeviceBuffer rgb_, codes_, alpha_, depth_;  // on their way to the host
+};
+
+}  // namespace rgs::detail

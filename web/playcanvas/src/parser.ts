@@ -1,0 +1,57 @@
+// parser.ts - lets the engine's gsplat assets be .rgs files.
+// SPDX-License-Identifier: Apache-2.0
+import { open, type OpenOptions, RgsError, type Source } from "@roofgs/reader";
+import type { AppBase, Asset } from "playcanvas";
+import { RgsResource } from "./resource.js";
+import { readStoredParts } from "./stored.js";
+
+/** Of every file: limits, headers, the compiled module. */
+export type RgsParserOptions = Omit<OpenOptions, "signal" | "onProgress">;
+
+// The engine's type says text or null; it hands on what it is given.
+type Callback = (error: any, resource?: RgsResource) => void;
+type Contents = ArrayBuffer | Blob | Response | undefined;
+
+/** `app.loader.getHandler("gsplat").addParser(new RgsParser(app))`, and assets whose URL ends in .rgs are read by it. */
+export class RgsParser {
+  constructor(
+    private readonly app: AppBase,
+    private readonly options: RgsParserOptions = {},
+  ) {}
+
+  canParse(context: { ext: string }): boolean {
+    return context.ext === "rgs";
+  }
+
+  /** Called by the engine. An error is an RgsError wherever the file is to blame. */
+  load(
+    url: string | { load: string; original: string },
+    callback: Callback,
+    asset?: Asset & { file?: { contents?: Contents | Promise<Contents> } },
+  ): void {
+    this.read(typeof url === "string" ? url : url.load, asset).then(
+      (resource) => callback(null, resource),
+      (error: unknown) => callback(error),
+    );
+  }
+
+  open(_url: string, data: unknown): unknown {
+    return data;
+  }
+
+  private async read(url: string, asset: Parameters<RgsParser["load"]>[2]): Promise<RgsResource> {
+    const contents = await asset?.file?.contents;
+    const source: Source = contents instanceof Response ? await contents.arrayBuffer() : (contents ?? new URL(url, document.baseURI));
+    const file = await open(source, this.options);
+    try {
+      const parts = await readStoredParts(file, {
+        onProgress: ({ done, total }) => asset?.fire("progress", done, total),
+      });
+      if (parts.length === 0) throw new RgsError({ code: "unsupported_feature", text: "the file holds no Gaussians" });
+      const prepareCenters = (this.app.scene as { gsplatCentersEnabled?: boolean }).gsplatCentersEnabled !== false;
+      return new RgsResource(this.app.graphicsDevice, parts, { prepareCenters });
+    } finally {
+      file.close();
+    }
+  }
+}

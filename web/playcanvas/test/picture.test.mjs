@@ -1,0 +1,118 @@
+// picture.test.mjs - what the engine draws beside what this project's CPU renderer draws: axes, activations, quaternions, colours.
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { copyFileSync, cpSync, existsSync, mkdirSync, mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { basename, join } from "node:path";
+import test from "node:test";
+import { fileURLToPath } from "node:url";
+import { chromium } from "playwright-core";
+import { build } from "vite";
+import { golden, scenes } from "../../reader/test/dump.mjs";
+import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
+import { psnr, readCameras, renderAll } from "./pictures.mjs";
+
+const kChromium = process.env.RGS_CHROMIUM ?? "/usr/bin/chromium";
+const kSize = [240, 180];
+const kLeastDb = 35;
+const kDevices = {
+  webgl2: ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"],
+  webgpu: ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader"],
+};
+
+const bytes = (base64) => Buffer.from(base64, "base64");
+
+for (const [device, args] of Object.entries(kDevices)) {
+  test(`pictures by ${device}`, async (t) => {
+    if (!existsSync(kChromium)) return skip(t, "chromium is not installed");
+    if (!hasNginx) return skip(t, "nginx is not installed");
+    const folder = mkdtempSync(join(tmpdir(), "rgs-web-pictures-"));
+    const server = await startNginx();
+    const browser = await chromium.launch({
+      executablePath: kChromium,
+      args: ["--no-sandbox", "--disable-dev-shm-usage", ...args],
+    });
+    t.after(async () => {
+      await browser.close();
+      await server.end();
+      rmSync(folder, { recursive: true });
+    });
+    await build({
+      configFile: false,
+      logLevel: "error",
+      root: fileURLToPath(new URL(".", import.meta.url)),
+      base: "./",
+      build: { outDir: join(server.files, "page"), target: "es2022", rollupOptions: { input: fileURLToPath(new URL("page.html", import.meta.url)) } },
+    });
+
+    const problems = [];
+    let lost = false;
+    const open = async (scene) => {
+      const page = await browser.newPage();
+      // The engine says on the console what it also gives to the callback.
+      if (scene) page.on("console", (message) => {
+        if (message.type() === "error") problems.push(message.text());
+        if (message.text().includes("valid external Instance reference")) lost = true;
+      });
+      page.on("pageerror", (error) => problems.push(String(error)));
+      await page.goto(`${server.url}/page/page.html`);
+      assert.equal(await page.evaluate((type) => window.engine.start(type), device), device);
+      if (scene) {
+        copyFileSync(scene, join(server.files, basename(scene)));
+        await page.evaluate((name) => window.engine.load(`/${name}`), basename(scene));
+      }
+      return page;
+    };
+    // Chromium's WebGPU in software (156) ends at the first frame, that of the engine's own PLY parser too.
+    const skipsLost = (t, error) => {
+      if (!lost) throw error;
+      assert.deepEqual(problems, [], "until the device was lost");
+      t.skip("Chromium's WebGPU in software lost its device");
+      return kLeastDb;
+    };
+    /** Least PSNR over some views. */
+    const compare = async (t, scene, cameras, views, more = []) => {
+      const page = await open(scene);
+      const list = readCameras(cameras);
+      const pictures = join(server.files, "pictures");
+      const paths = renderAll(scene, cameras, views, kSize, pictures, more);
+      const found = [];
+      for (const [i, path] of paths.entries()) {
+        const drawn = await page.evaluate(([camera, [w, h]]) => window.engine.picture(camera, w, h), [list[views[i]], kSize]);
+        const expected = await page.evaluate((url) => window.engine.decode(url), `/pictures/views/${basename(path)}`);
+        found.push(psnr(bytes(drawn), bytes(expected)));
+      }
+      await page.close();
+      t.diagnostic(`${basename(scene)}: ${found.map((db) => db.toFixed(1)).join(" ")} dB`);
+      return Math.min(...found);
+    };
+
+    for (const name of ["packed.rgs", "direct.rgs", "levels.rgs"]) {
+      await t.test(`a generated scene, ${name}`, async (t) => {
+        // Of a file with levels of detail the asset holds the finest.
+        const more = name === "levels.rgs" ? ["--detail", "0"] : [];
+        const least = await compare(t, join(scenes(), name), join(scenes(), "cameras.json"), [0, 2, 5], more).catch((error) => skipsLost(t, error));
+        assert.ok(least >= kLeastDb, `${least} dB`);
+      });
+    }
+    await t.test("12 views of a trained scene", async (t) => {
+      const data = process.env.RGS_DATA_DIR;
+      const scene = process.env.RGS_WEB_SOUTH;
+      if (!data || !scene) {
+        if ((process.env.RGS_REQUIRE_DATA ?? "0") !== "0") throw new Error("RGS_REQUIRE_DATA is set, but there is no south");
+        return t.skip("RGS_DATA_DIR is not set");
+      }
+      const views = Array.from({ length: 12 }, (_, i) => 10 * i);
+      const least = await compare(t, scene, join(data, "south", "cameras.json"), views).catch((error) => skipsLost(t, error));
+      assert.ok(least >= kLeastDb, `${least} dB`);
+    });
+    await t.test("a damaged file is an error", async () => {
+      const page = await open(undefined);
+      copyFileSync(join(golden, "reject", "checksum_GEOM.rgs"), join(server.files, "damaged.rgs"));
+      const found = await page.evaluate(() => window.engine.load("/damaged.rgs").then(String, (error) => String(error)));
+      assert.match(found, /checksum_mismatch/);
+      await page.close();
+    });
+    await t.test("the page has nothing to complain of", () => assert.deepEqual(problems, []));
+  });
+}
