@@ -177,6 +177,7 @@ struct AttributionRow {
 struct ViewPictures {
   std::size_t view = 0;  ///< index into RenderReport::views
   Image source, asset;
+  Image photo = {};  ///< empty without photographs
 };
 
 struct AlsoReport {
@@ -267,6 +268,8 @@ struct Condition {
 struct Report {
   std::string tool, source_name, source_format, asset_name, asset_format;
   std::uint64_t source_xxh3 = 0, asset_xxh3 = 0;
+  /// What a shell takes to look at both sides in rgs-view, of paths as they were given; empty where a path cannot be typed.
+  std::string view_command = {};
   std::string fingerprint;               ///< of tool, options and inputs: equal fingerprints give equal measurements
   std::optional<bool> made_from_source;  ///< whether the asset's provenance names this very source; absent: it has none
   std::optional<Declarations> declarations;  ///< the asset's, of whatever format

@@ -47,6 +47,8 @@ figcaption{margin-top:8px}
 .ab .over{position:absolute;inset:0;clip-path:inset(0 0 0 var(--cut))}
 .ab .map{visibility:hidden}
 .ab.mapped .map{visibility:visible}
+.ab .photo{position:absolute;inset:0;visibility:hidden}
+.ab.taken .photo{visibility:visible}
 .ab input{position:absolute;inset:0;width:100%;height:100%;margin:0;opacity:0;cursor:ew-resize;touch-action:pan-y}
 .ab input::-webkit-slider-thumb{width:2px}
 .ab input::-moz-range-thumb{width:2px;border:0}
@@ -58,6 +60,9 @@ background:#fff;color:#1b1f24;font:600 20px/38px system-ui,sans-serif;text-align
 .ab .tag{position:absolute;top:10px;background:#000a;color:#fff;font:600 .8rem/1 system-ui,sans-serif;padding:6px 10px;
 border-radius:6px;pointer-events:none}
 .ab .tag.a{left:10px}.ab .tag.b{right:10px}
+.switch+.switch{margin-left:24px}
+.copy{font:.8rem system-ui,sans-serif;color:var(--accent);background:none;border:1px solid var(--line);border-radius:6px;
+padding:1px 8px;margin-left:8px;cursor:pointer}
 .switch{display:inline-flex;gap:8px;align-items:center;margin-top:8px;cursor:pointer}
 .grid{display:grid;gap:16px;grid-template-columns:repeat(auto-fill,minmax(min(100%,320px),1fr));margin:14px 0}
 .grid.wide{grid-template-columns:repeat(auto-fill,minmax(min(100%,480px),1fr))}
@@ -106,7 +111,7 @@ ul.gate{list-style:none;padding:0;margin:14px 0}
 h2{margin-top:40px}th,td{padding:6px 9px}.meter{width:60px}dl.facts{grid-template-columns:1fr;gap:0}dl.facts dd{margin-bottom:8px}}
 @media print{:root{--paper:#fff;--card:#fff;--ink:#000;--soft:#444;--line:#bbb;--accent:#1c4f85;--bar:#8fb0d0;--good:#1d7a46;
 --fair:#8a6100;--bad:#b3261e;--tint:#f2f2f2;color-scheme:light}
-body{font-size:10.5pt}main{max-width:none;padding:0}nav,.switch,.ab input,.ab .bar,.ab .map,.screen{display:none!important}
+body{font-size:10.5pt}main{max-width:none;padding:0}nav,.switch,.copy,.ab input,.ab .bar,.ab .map,.ab .photo,.screen{display:none!important}
 h2{margin-top:20pt;break-after:avoid}figure,.panel,.card,tr{break-inside:avoid}
 .ab{display:flex;gap:6px;overflow:visible}.ab img{width:50%}.ab .over{position:static;width:50%;clip-path:none}
 .ab .tag.b{left:calc(50% + 13px);right:auto}.wrap{overflow:visible}table{font-size:8.5pt}
@@ -129,7 +134,18 @@ for (const box of document.querySelectorAll('.ab')) {
   follow();
   const mapped = box.parentElement.querySelector('.switch input');
   if (mapped) mapped.addEventListener('change', () => box.classList.toggle('mapped', mapped.checked));
+  const taken = box.parentElement.querySelector('.taken');
+  if (taken) taken.addEventListener('change', () => {
+    box.classList.toggle('taken', taken.checked);
+    box.querySelector('.tag.a').textContent = taken.checked ? 'Photograph' : 'Original';
+  });
 }
+const look = document.getElementById('look');
+for (const button of document.querySelectorAll('.copy')) button.addEventListener('click', () => {
+  look.textContent = look.dataset.command + button.dataset.view;
+  getSelection().selectAllChildren(look);
+  if (navigator.clipboard) navigator.clipboard.writeText(look.textContent).then(() => button.textContent = 'copied', () => {});
+});
 function selfTest() {
   for (const image of document.images)
     if (!image.complete || image.naturalWidth === 0) errors.push('image does not load: ' + image.alt);
@@ -154,7 +170,17 @@ function selfTest() {
       if (getComputedStyle(box.querySelector('.map')).visibility !== 'visible') errors.push('the map does not show');
       mapped.click();
     }
+    const taken = box.parentElement.querySelector('.taken');
+    if (taken) {
+      taken.click();
+      if (getComputedStyle(box.querySelector('.photo')).visibility !== 'visible') errors.push('the photograph does not show');
+      taken.click();
+    }
     ++sliders;
+  }
+  for (const button of document.querySelectorAll('.copy')) {
+    button.click();
+    if (!/^rgs-view .+ --view=./.test(look.textContent)) errors.push('no command but ' + look.textContent);
   }
   if (document.documentElement.scrollWidth > innerWidth + 1) errors.push('the page is wider than the window');
   const result = errors.length ? errors.join('; ') : 'ok';

@@ -332,27 +332,30 @@ class PictureAudit {
     if (!d || !s) return make_error("view " + camera.name, d ? s.error() : d.error());
     const auto pixel = static_cast<int>(d->largest_index / 3);
     result.score = {d->mse, d->psnr, *s, d->largest, pixel % camera.width, pixel / camera.width};
+    Image photo;
     if (!views_[view].photo.empty()) {
-      auto photo = compare_to_photo(views_[view], reference, image);
-      if (!photo) return tl::unexpected(photo.error());
-      result.photo = *photo;
+      auto read = read_photo(views_[view]);
+      if (!read) return tl::unexpected(read.error());
+      photo = *std::move(read);
+      const auto photo_score = compare_to_photo(views_[view], photo, reference, image);
+      if (!photo_score) return tl::unexpected(photo_score.error());
+      result.photo = *photo_score;
     }
     if (Series* conversion = find("conversion"))
       conversion->add(d->psnr, d->mse, result.photo ? result.photo->loss() : 0);
     report_.views.push_back(std::move(result));
-    keep({view, reference, std::move(image)});
+    keep({view, reference, std::move(image), std::move(photo)});
     return {};
   }
 
   // Against photographs as 3DGS evaluates: values beyond what a photograph can hold are clamped.
-  static Outcome<PhotoScore> compare_to_photo(const View& view, const Image& reference, const Image& image) {
-    const auto photo = read_photo(view);
-    if (!photo) return tl::unexpected(photo.error());
+  static Outcome<PhotoScore> compare_to_photo(const View& view, const Image& photo, const Image& reference,
+                                              const Image& image) {
     PhotoScore score;
     for (const bool of_source : {true, false}) {
       const Image shown = clamped(of_source ? reference : image);
-      const auto d = difference(*photo, shown);
-      const auto s = ssim(*photo, shown);
+      const auto d = difference(photo, shown);
+      const auto s = ssim(photo, shown);
       if (!d || !s) return make_error(view.photo, d ? s.error() : d.error());
       (of_source ? score.source_psnr : score.asset_psnr) = d->psnr;
       (of_source ? score.source_ssim : score.asset_ssim) = *s;
@@ -375,7 +378,8 @@ class PictureAudit {
     const auto psnr = [this](const ViewPictures& p) { return report_.views[p.view].score.psnr; };
     auto& kept = report_.pictures;
     const auto worse = [&](const ViewPictures& a, const ViewPictures& b) { return psnr(a) < psnr(b); };
-    const std::uint64_t bytes = 2 * picture_bytes(views_[pictures.view].camera);
+    const std::uint64_t n_pictures = pictures.photo.pixels.empty() ? 2 : 3;
+    const std::uint64_t bytes = n_pictures * picture_bytes(views_[pictures.view].camera);
     const std::size_t most = std::clamp<std::size_t>(kKeptBytes / bytes, 1, kKeptViews);
     kept.insert(std::upper_bound(kept.begin(), kept.end(), pictures, worse), std::move(pictures));
     if (kept.size() > most) kept.resize(most);

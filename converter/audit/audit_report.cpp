@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "audit_chart.hpp"
+#include "audit_command.hpp"
 #include "audit_gate.hpp"
 #include "audit_page.hpp"
 #include "audit_picture.hpp"
@@ -25,8 +26,9 @@ using tool::format_bytes;
 using tool::format_count;
 
 // Encoded bytes of pictures; base64 makes 4 of 3. Two pictures and a map on top, maps of two more views, six crops of
-// three pictures: 13.5 MB of text at most; strips of four from four distances: 1.3 MB.
+// three pictures: 13.5 MB of text at most, and with photographs, which share these, no more; strips of four from four distances: 1.3 MB.
 constexpr std::size_t kTopBytes = 3'000'000, kMapBytes = 700'000, kCropBytes = 70'000;
+constexpr std::size_t kTopBytesBesidePhoto = kTopBytes * 2 / 3, kCropBytesBesidePhoto = kCropBytes * 3 / 4;
 constexpr int kTopWidth = 1920, kMapWidth = 960;
 constexpr std::size_t kMaps = 3, kCrops = 6, kCropsPerView = 3;
 constexpr std::size_t kStripBytes = 60'000;  // of each of four pictures a distance
@@ -210,14 +212,19 @@ class Page {
     const RenderReport& r = *report_.render;
     const ViewPictures& p = r.pictures.front();
     const ViewResult& v = r.views[p.view];
+    const bool has_photo = !p.photo.pixels.empty();
+    const std::size_t most = has_photo ? kTopBytesBesidePhoto : kTopBytes;
     bool lossless_a = false, lossless_b = false;
-    const std::string a = picture_uri(shrunk(p.source, kTopWidth), kTopBytes, &lossless_a);
-    const std::string b = picture_uri(shrunk(p.asset, kTopWidth), kTopBytes, &lossless_b);
+    const std::string a = picture_uri(shrunk(p.source, kTopWidth), most, &lossless_a);
+    const std::string b = picture_uri(shrunk(p.asset, kTopWidth), most, &lossless_b);
     const std::string map =
         picture_uri(heat_map(shrunk_to_largest(maps_.front(), std::min(kTopWidth, p.source.width)), top_), kMapBytes);
     const std::string alt = html(v.name.empty() ? "view" : v.name);
     add("<figure>\n<div class=\"ab\"><img src=\"{}\" width=\"{}\" height=\"{}\" alt=\"{}, original\">", a, v.width,
         v.height, alt);
+    if (has_photo)
+      add("<img class=\"photo\" src=\"{}\" alt=\"{}, photograph\">", picture_uri(shrunk(p.photo, kTopWidth), most),
+          alt);
     add("<img class=\"over\" src=\"{}\" alt=\"{}, asset\"><img class=\"over map\" src=\"{}\" alt=\"{}, difference\">",
         b, alt, map, alt);
     add("<input type=\"range\" min=\"0\" max=\"100\" step=\"0.5\" value=\"50\" aria-label=\"Original to the left, "
@@ -226,6 +233,10 @@ class Page {
         "<span class=\"tag b\">Asset</span></div>\n");
     add("<label class=\"switch\"><input type=\"checkbox\"> Show the difference instead of the asset, "
         "amplified</label>\n");
+    if (has_photo) {
+      add("<label class=\"switch\"><input type=\"checkbox\" class=\"taken\"> Show the photograph instead of the "
+          "original</label>\n");
+    }
     add("<figcaption>The worst of {} views, {}: {} against the original, SSIM {:.5f}; the largest difference is {:.1f} "
         "of 255 "
         "levels, at pixel ({}, {}). <span class=\"screen\">Drag, or use the arrow "
@@ -285,13 +296,16 @@ class Page {
     const ViewPictures& p = report_.render->pictures[r.pictures];
     const std::string name = html(report_.render->views[p.view].name);
     const auto part = [&](const Image& image) { return cropped(image, r.x, r.y, r.width, r.height); };
-    add("<figure><div class=\"triple\">");
+    const bool has_photo = !p.photo.pixels.empty();
+    const std::size_t most = has_photo ? kCropBytesBesidePhoto : kCropBytes;
+    add("<figure><div class=\"{}\">", has_photo ? "quad" : "triple");
     const auto one = [&](const Image& image, const char* what) {
-      add("<div><img src=\"{}\" alt=\"{} of {} at {}, {}\"><span>{}</span></div>", picture_uri(image, kCropBytes), what,
-          name, r.x, r.y, what);
+      add("<div><img src=\"{}\" alt=\"{} of {} at {}, {}\"><span>{}</span></div>", picture_uri(image, most), what, name,
+          r.x, r.y, what);
     };
     one(part(p.source), "Original");
     one(part(p.asset), "Asset");
+    if (has_photo) one(part(p.photo), "Photograph");
     one(heat_map(part(maps_[r.pictures]), top_), "Difference");
     add("</div><figcaption>{}, {} x {} pixels at ({}, {}): {:.2g} levels RMS</figcaption></figure>\n", name, r.width,
         r.height, r.x, r.y, r.rms);
@@ -306,6 +320,7 @@ class Page {
             ? " No cameras were given: these views lie on a circle around the scene, where it may never have been "
               "photographed."
             : "");
+    look_at(r);
     const bool photos = r.photo.has_value();
     const bool one_size = std::all_of(r.views.begin(), r.views.end(), [&](const ViewResult& v) {
       return v.width == r.views.front().width && v.height == r.views.front().height;
@@ -335,6 +350,24 @@ class Page {
     end_section();
   }
 
+  // The script puts the arguments of a view behind the command.
+  void look_at(const RenderReport& r) {
+    if (report_.view_command.empty()) return;
+    const std::string command = html(report_.view_command);
+    add("<p>To look at both sides in a browser: <code id=\"look\" data-command=\"{0}\">{0}</code>{1}</p>\n", command,
+        r.automatic_views ? "" : ". A view's button puts it behind the command and copies both.");
+  }
+
+  std::string copy_button(const ViewResult& v) const {
+    const std::string argument =
+        report_.view_command.empty() || report_.render->automatic_views ? std::string() : view_argument(v.name);
+    if (argument.empty()) return {};
+    const std::string name = html(v.name);
+    return fmt::format(
+        " <button type=\"button\" class=\"copy\" data-view=\"{}\" aria-label=\"Copy the command for {}\">copy</button>",
+        html(argument), name);
+  }
+
   static std::string meter(double share) {
     return fmt::format("<svg class=\"meter\" aria-hidden=\"true\"><rect width=\"{:.0f}%\" height=\"100%\"/></svg>",
                        100 * std::clamp(share, 0.0, 1.0));
@@ -342,8 +375,8 @@ class Page {
 
   void view_row(const ViewResult& v, double highest, bool with_size, bool photos) {
     const double rms = levels(v.score.mse);
-    add("<tr><td>{}{}</td>", html(v.name),
-        with_size ? fmt::format(" <span class=\"soft\">{} x {}</span>", v.width, v.height) : "");
+    add("<tr><td>{}{}{}</td>", html(v.name),
+        with_size ? fmt::format(" <span class=\"soft\">{} x {}</span>", v.width, v.height) : "", copy_button(v));
     if (v.rated()) {
       add("<td>{}</td><td>{}<b>{:.3f}</b></td><td>{:.6f}</td><td>{:.1f}</td>", number(v.score.psnr, 2),
           meter(highest > 0 ? rms / highest : 0), rms, v.score.ssim, 255 * static_cast<double>(v.score.largest));

@@ -10,6 +10,7 @@
 
 #include "audit.hpp"
 #include "audit_attributes.hpp"
+#include "audit_command.hpp"
 #include "audit_distances.hpp"
 #include "audit_pairing.hpp"
 #include "audit_render.hpp"
@@ -192,6 +193,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.tool = kTool;
   report.source_name = file_name(options.source);
   report.asset_name = file_name(options.asset);
+  report.view_command = view_command(options);
   const bool rgs_asset = is_rgs(file->bytes());
   Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.limits) : Result<RgsAsset>();
   // What an asset names as its source: of a SOG's folder meta.json alone.

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "browser.hpp"
+#include "camera_choice.hpp"
 #include "command_line.hpp"
 #include "console.hpp"
 #include "frame_maker.hpp"
@@ -41,7 +42,7 @@ namespace tool = rgs::tool;
 namespace view = rgs::view;
 
 struct Options {
-  std::string scene, other, cameras, photos;
+  std::string scene, other, cameras, photos, view;
   int port = 0;
   bool no_browser = false;
   rgs::Backend backend = rgs::Backend::automatic;  // automatic: no frames
@@ -66,6 +67,7 @@ struct Shown {
   std::vector<File> files;
   view::ViewDocument document;
   std::vector<rgs::Camera> cameras;
+  std::string fragment;  // of the page's address: where it begins
 };
 
 int add_scene(const std::string& path, Shown& shown) {
@@ -107,9 +109,15 @@ int look_at(const Options& options, Shown& shown) {
     if (const int code = add_scene(*scene, shown); code != tool::kSuccess) return code;
   }
   if (options.cameras.empty()) return tool::kSuccess;
-  auto cameras = rgs::read_cameras(options.cameras);
-  if (!cameras) return tool::report(options.cameras, cameras.error());
-  shown.cameras = *std::move(cameras);
+  auto set = rgs::read_camera_set(options.cameras);
+  if (!set) return tool::report(options.cameras, set.error());
+  if (!options.view.empty()) {
+    const auto chosen = rgs::choose_cameras(*set, "", options.view);
+    if (!chosen) return tool::report_usage(chosen.error());
+    if (chosen->size() != 1) return tool::report_usage("--view takes one camera to begin at");
+    shown.fragment = "#" + view::view_link(chosen->front(), set->cameras, !options.other.empty());
+  }
+  shown.cameras = std::move(set->cameras);
   shown.document.cameras = "cameras.json";
   return options.photos.empty() ? tool::kSuccess : add_photos(options.photos, shown);
 }
@@ -227,9 +235,10 @@ int serve(const Options& options, Shown& shown) {
   }
   site.add_json("view.json", view::view_json(shown.document));
 
-  tool::print(site.address() + "\n");
+  const std::string address = site.address() + shown.fragment;
+  tool::print(address + "\n");
   tool::flush();
-  if (!options.no_browser && view::has_screen() && !view::open_browser(site.address()))
+  if (!options.no_browser && view::has_screen() && !view::open_browser(address))
     tool::print_error("rgs-view: xdg-open does not start: open the address in a browser\n");
   server->serve(site.handlers());
   return tool::report("", {rgs::Errc::internal, rgs::Error::kNone, "the server ended by itself"});
@@ -330,6 +339,8 @@ void add_options(CLI::App& app, Options& o) {
       ->group(frames);
   tool::add_max_expansion(app, o.limits)->group(frames);
 
+  app.add_option("--view", o.view, "camera to begin at, by name or index")->needs(cameras);
+
   const std::string server = "Server";
   app.add_option("--port", o.port, "port on 127.0.0.1, 0 for a free one")
       ->check(CLI::Range(0, 65535))
@@ -348,6 +359,7 @@ std::string contradiction(const Options& o) {
     return "--device-memory is of the GPU: --backend cuda, or --host-memory alone";
   if (o.backend == rgs::Backend::cuda && o.host_memory && !o.device_memory)
     return "a scene is streamed to the GPU within --device-memory; without it --backend cpu draws it";
+  if (!o.export_to.empty() && !o.view.empty()) return "--view is a part of a server's address: --export goes without";
   if (!o.export_to.empty() && has_frames(o))
     return "a page without a server has no frames of this machine: --export goes without --backend and memory";
   return {};

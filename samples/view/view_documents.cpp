@@ -5,6 +5,7 @@
 #include <fmt/format.h>
 
 #include <cstddef>
+#include <glm/geometric.hpp>
 #include <nlohmann/json.hpp>
 
 namespace rgs::view {
@@ -51,6 +52,20 @@ std::string cameras_json(std::span<const Camera> cameras) {
                     {"cy", camera.cy}});
   }
   return dumped(list);
+}
+
+std::string view_link(const Camera& camera, std::span<const Camera> all, bool two_scenes) {
+  const glm::dvec3 eye = camera_centre(camera), ahead = camera_axis(camera, 2);
+  glm::dvec3 middle{0};
+  for (const Camera& other : all) middle += camera_centre(other) / static_cast<double>(all.size());
+  const double distance = glm::dot(middle - eye, ahead);
+  const glm::dvec3 pivot = eye + (distance > 0 ? distance : 1) * ahead;
+  const glm::dmat4& m = camera.world_to_camera;  // its columns are the rows of the other direction
+  return fmt::format("at={},{},{}&axes={},{},{},{},{},{},{},{},{}&lens={},{},{},{}&pivot={},{},{}{}", eye.x, eye.y,
+                     eye.z, m[0][0], m[0][1], m[0][2], m[1][0], m[1][1], m[1][2], m[2][0], m[2][1], m[2][2],
+                     camera.fx / camera.width, camera.fy / camera.fx, (camera.cx - 0.5 * camera.width) / camera.width,
+                     (camera.cy - 0.5 * camera.height) / camera.width, pivot.x, pivot.y, pivot.z,
+                     two_scenes ? "&mode=slider" : "");
 }
 
 std::string view_json(const ViewDocument& document) {

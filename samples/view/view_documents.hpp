@@ -20,6 +20,10 @@ std::string percent_encoded(std::string_view name);
 /// fx, fy, cx, cy}]. parse_camera_json() gives them back.
 std::string cameras_json(std::span<const Camera> cameras);
 
+/// What stands behind the # of the page's address to begin at `camera`; with two scenes, by a slider between them. What is orbited is the point
+/// ahead of it that is nearest to the middle of all cameras, which stand around what they look at.
+std::string view_link(const Camera& camera, std::span<const Camera> all, bool two_scenes);
+
 struct ViewDocument {
   struct Scene {
     std::string name, url;

@@ -13,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "audit_command.hpp"
 #include "audit_program_fixture.hpp"
 #include "audit_report.hpp"
 #include "image_file.hpp"
@@ -143,7 +144,7 @@ TEST_CASE("the pages pass their own tests in a browser") {
   REQUIRE(run_audit({scene.ply, scene.ply, "--cameras", scene.cameras, "--report", same}).exit_code == 0);
   check_in_browser(scene, same, "ok, 0 images, 0 sliders");
   REQUIRE(full_report(scene, full).exit_code == 0);
-  check_in_browser(scene, full, "ok, 15 images, 1 sliders");
+  check_in_browser(scene, full, "ok, 19 images, 1 sliders");
   for (const char* name : {"ply", "rgs"}) fs::create_directory(scene.file(name));
   fs::copy(scene.ply, scene.file("ply/one.ply"));
   fs::copy(scene.rgs, scene.file("rgs/one.rgs"));
@@ -168,10 +169,54 @@ TEST_CASE("the report is one page, whatever the files are called") {
   CHECK(text.find("https://") == std::string::npos);
   for (const char* id : {"where", "views", "steps", "attributes", "worst", "size", "method"})
     CHECK_MESSAGE(text.find("<h2 id=\"" + std::string(id) + "\"") != std::string::npos, id);
-  check_in_browser(scene, page, "ok, 15 images, 1 sliders");
+  check_in_browser(scene, page, "ok, 19 images, 1 sliders");
 }
 
-TEST_CASE("large noisy pictures stay within the report's size") {
+TEST_CASE("photographs stand beside the pictures of a report, and each view has the command that shows it") {
+  const SceneFolder scene;
+  const std::string photos = scene.file("photos"), page = scene.file("report.html");
+  write_photos(photos, 3);
+  const ProgramResult run = run_audit({scene.ply, scene.rgs, "--cameras", scene.cameras, "--photos", photos,
+                                       "--no-attribution", "--report", page, "--quiet"});
+  REQUIRE(run.exit_code == 0);
+  const std::string text = read_text(page);
+  CHECK(text.find(", photograph\">") != std::string::npos);
+  CHECK(text.find("<span>Photograph</span>") != std::string::npos);
+  const std::string command =
+      "rgs-view " + scene.ply + " " + scene.rgs + " --cameras " + scene.cameras + " --photos " + photos;
+  CHECK(text.find("data-command=\"" + command + "\">" + command + "</code>") != std::string::npos);
+  for (const char* view : {"a.png", "b.png", "c.png"})
+    CHECK(text.find("data-view=\" --view=" + std::string(view) + "\"") != std::string::npos);
+  if (browser().empty()) return skip_without_tool("no browser");
+  check_in_browser(scene, page, "ok, 19 images, 1 sliders");
+}
+
+TEST_CASE("commands are what a shell takes, or none") {
+  using audit::shell_word, audit::view_command;
+  for (const std::string& text :
+       {std::string("a b"), std::string("it's $HOME `id`; \"x\" & | > * ? ~ # !"), std::string("-rf"),
+        std::string("\xc3\xa4/\xe2\x82\xac"), std::string("'"), std::string("plain/a-b_c.rgs")}) {
+    const ProgramResult said = run_shell("printf %s " + shell_word(text));
+    CHECK(said.out == text);
+  }
+  CHECK(shell_word("plain/a-b_c.rgs") == "plain/a-b_c.rgs");
+  for (const std::string& text :
+       {std::string(), std::string("two\nlines"), std::string("a\xE2\x80\xAEgnp"), std::string("byte\xff"),
+        std::string("\x1b[2J"), std::string("back\\slash"), std::string(5000, 'x')})
+    CHECK(shell_word(text).empty());
+  audit::Options options;
+  options.source = "-a.ply", options.asset = "b c.rgs";
+  CHECK(view_command(options) == "rgs-view ./-a.ply 'b c.rgs'");
+  options.cameras = "cameras.json";
+  CHECK(view_command(options) == "rgs-view ./-a.ply 'b c.rgs' --cameras cameras.json");
+  options.cameras = "two\nlines";
+  CHECK(view_command(options).empty());
+  options.cameras.clear(), options.source = "a\n.ply";
+  CHECK(view_command(options).empty());
+  CHECK(audit::view_argument("--export=x") == " --view='--export=x'");
+}
+
+TEST_CASE("large noisy pictures stay within the report's size, photographs too") {
   const TemporaryFolder folder;
   audit::Report report;
   report.render.emplace();
@@ -180,6 +225,7 @@ TEST_CASE("large noisy pictures stay within the report's size") {
     audit::ViewPictures p{i, Image::make(2400, 1600, 3), Image::make(2400, 1600, 3)};
     for (float& v : p.source.pixels) v = static_cast<float>(random.below(256)) / 255;
     for (float& v : p.asset.pixels) v = static_cast<float>(random.below(256)) / 255;
+    p.photo = p.asset;
     report.render->pictures.push_back(std::move(p));
     audit::ViewResult view;
     view.name = "noise";

@@ -113,6 +113,7 @@ TEST_CASE("values out of their range are refused") {
 TEST_CASE("cameras that are none are refused, and so are fields that nobody knows") {
   using rgs::Errc;
   CHECK(code_with("path", "/etc/passwd") == Errc::bad_syntax);
+  CHECK(code_with("camera/k1", 0.1) == Errc::bad_syntax);
   CHECK(code_with("camera/world_to_camera", json::array()) == Errc::bad_syntax);
   CHECK(code_with("camera", nullptr) == Errc::bad_syntax);
   CHECK(code_with("camera", json::array({camera()})) == Errc::bad_syntax);

@@ -4,6 +4,7 @@
 #include <arpa/inet.h>
 #include <doctest/doctest.h>
 #include <netinet/in.h>
+#include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -79,6 +80,11 @@ class Client {
       if (n <= 0) return;  // the server has closed
       text.remove_prefix(static_cast<std::size_t>(n));
     }
+  }
+  // Waits so long for the first byte of an answer.
+  bool has_answer(std::chrono::milliseconds most) const {
+    pollfd wanted{fd_, POLLIN, 0};
+    return ::poll(&wanted, 1, static_cast<int>(most.count())) > 0;
   }
   void end() const { ::shutdown(fd_, SHUT_WR); }
   // All until the server closes.
@@ -176,6 +182,14 @@ TEST_CASE("a client that never ends its request is sent away, and others are ser
   CHECK(slow.rest().starts_with("HTTP/1.1 408 "));
   CHECK(body.rest().starts_with("HTTP/1.1 4"));
   CHECK(silent.rest().empty());
+}
+
+TEST_CASE("a client that sends a byte now and then has no more time than others") {
+  const Running server(echo(), {.request_time = 300ms, .idle_time = 300ms});
+  const Client client(server.port());
+  client.send("GET /a HTTP/1.1\r\n");
+  while (!client.has_answer(5ms)) client.send("x");
+  CHECK(client.rest().starts_with("HTTP/1.1 408 "));
 }
 
 TEST_CASE("an exception becomes an answer and the server goes on") {

@@ -4,6 +4,7 @@
 #include <doctest/doctest.h>
 
 #include <nlohmann/json.hpp>
+#include <sstream>
 #include <string>
 #include <vector>
 
@@ -13,6 +14,24 @@ using nlohmann::json;
 using rgs::view::cameras_json;
 using rgs::view::percent_encoded;
 using rgs::view::view_json;
+
+namespace {
+
+// The numbers of "name=1,2,3" in a link.
+void check_field(const std::string& link, const std::string& name, const std::vector<double>& expected) {
+  const std::size_t at = ("&" + link).find("&" + name + "=");
+  REQUIRE(at != std::string::npos);
+  std::istringstream in(link.substr(at + name.size() + 1));
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    double value = 1e9;
+    in >> value;
+    CHECK(value == doctest::Approx(expected[i]));
+    const int next = in.get();
+    CHECK((next == ',') == (i + 1 < expected.size()));
+  }
+}
+
+}  // namespace
 
 TEST_CASE("cameras come back from cameras.json as they were") {
   std::vector<rgs::Camera> cameras;
@@ -48,6 +67,24 @@ TEST_CASE("a rotation is written as the matrix from the camera to the world") {
   CHECK(entry["rotation"][0][2].get<double>() == doctest::Approx(1));
   CHECK(entry["rotation"][1][1].get<double>() == doctest::Approx(1));
   CHECK(entry["rotation"][2][0].get<double>() == doctest::Approx(-1));
+}
+
+TEST_CASE("a link begins at its camera, and orbits what all cameras stand around") {
+  std::vector<rgs::Camera> cameras{rgs::look_at({0, 0, -4}, {0, 0, 0}, {0, -1, 0}, {200, 100, 90}),
+                                   rgs::look_at({0, 0, 4}, {0, 0, 0}, {0, -1, 0})};
+  cameras[0].cx += 20;
+  cameras[0].cy -= 10;
+  cameras[0].fy = 1.5 * cameras[0].fx;
+  check_field(rgs::view::view_link(cameras[0], cameras, false), "at", {0, 0, -4});
+  check_field(rgs::view::view_link(cameras[0], cameras, false), "axes", {1, 0, 0, 0, 1, 0, 0, 0, 1});
+  check_field(rgs::view::view_link(cameras[0], cameras, false), "lens", {0.5, 1.5, 0.1, -0.05});
+  check_field(rgs::view::view_link(cameras[0], cameras, false), "pivot", {0, 0, 0});
+  CHECK(rgs::view::view_link(cameras[0], cameras, true) ==
+        rgs::view::view_link(cameras[0], cameras, false) + "&mode=slider");
+  // None of the others ahead.
+  check_field(rgs::view::view_link(cameras[0], {cameras.data(), 1}, false), "pivot", {0, 0, -3});
+  const rgs::Camera turned = rgs::look_at({0, 0, 0}, {1, 0, 0}, {0, -1, 0});
+  check_field(rgs::view::view_link(turned, cameras, false), "axes", {0, 0, 1, 0, 1, 0, -1, 0, 0});
 }
 
 TEST_CASE("names in addresses are letters, digits and percent signs") {

@@ -27,10 +27,10 @@ class View:
                                         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                         preexec_fn=lambda: [signal.signal(s, signal.SIG_DFL) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)])
         line = self.process.stdout.readline()
-        found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/\n", line)
+        found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/([0-9a-f]{32})/(#.*)?\n", line)
         if not found:
             sys.exit(f"no address but {line!r}: {self.process.stderr.read()}")
-        self.port, self.token = int(found[1]), found[2]
+        self.port, self.token, self.fragment = int(found[1]), found[2], found[3]
 
     def ask(self, name, method="GET", body=None, headers=None, path=None):
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=120)
@@ -133,6 +133,7 @@ def case_files():
         assert [e["img_name"] for e in entries] == ["IMG 0", "IMG 1", "IMG 2"]
         assert entries[2]["position"] == [-2, 0, -4] and entries[2]["cx"] == 30 and entries[2]["cy"] == 24
         assert said["photos"] == [{"camera": "IMG 1", "url": "photos/0.jpg"}]
+        assert view.fragment is None
         assert view.ask("photos/0.jpg").content == b"photograph"
         assert view.ask("photos/1.jpg").status == 404
         for _ in range(200):
@@ -144,6 +145,23 @@ def case_files():
         assert view.ask("assets/data.bin").content == data
         assert view.ask("assets/data.bin", "HEAD").headers["Content-Length"] == str(len(data))
         view.end()
+
+
+def case_begin():
+    """--view puts a camera into the address that is printed."""
+    scene()
+    with View(folder / "a.rgs", folder / "a.ply", "--cameras", folder / "views.json", "--view=view1") as view:
+        entry = view.json("cameras.json")[1]
+        said = {k: v[0] for k, v in urllib.parse.parse_qs(view.fragment[1:]).items()}
+        assert [float(x) for x in said["at"].split(",")] == entry["position"]
+        assert [float(x) for x in said["axes"].split(",")] == sum(entry["rotation"], [])
+        assert float(said["lens"].split(",")[0]) == entry["fx"] / entry["width"]
+        assert said["mode"] == "slider"
+        view.end()
+    assert refused(folder / "a.rgs", "--view", "0")[0] == 2
+    for name in ("nobody", "all"):
+        got, said = refused(folder / "a.rgs", "--cameras", folder / "views.json", "--view", name)
+        assert got == 2 and "--view" in said, said
 
 
 def case_refusals():
