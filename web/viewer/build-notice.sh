@@ -1,0 +1,12 @@
+#!/bin/sh
+# build-notice.sh - the licences of what the built page holds, for the package: NOTICE beside this file.
+# SPDX-License-Identifier: Apache-2.0
+set -eu
+cd "$(dirname "$0")"
+{
+  cat ../reader/NOTICE
+  echo
+  echo "The PlayCanvas engine, https://playcanvas.com"
+  echo
+  cat ../node_modules/playcanvas/LICENSE
+} >NOTICE

@@ -1,0 +1,112 @@
+// cameras.ts - cameras of docs/CAMERAS.md, the page's own view, and a way through cameras.
+// SPDX-License-Identifier: Apache-2.0
+import type { Pinhole } from "@roofgs/playcanvas";
+
+/** An entry of the cameras.json of 3DGS training programs. */
+export interface CameraEntry extends Pinhole {
+  id: number;
+  img_name: string;
+}
+
+/** Where the page looks from, for a picture of any size. */
+export interface ViewState {
+  /** World. */
+  readonly position: readonly number[];
+  /** [3][3] camera to world, columns right, down, forward. */
+  readonly rotation: readonly (readonly number[])[];
+  /** Focal length by the picture's width, and the vertical one by the horizontal. */
+  readonly focal: number;
+  readonly aspect: number;
+  /** Principal point from the picture's centre, by its width. */
+  readonly offset: readonly [number, number];
+  /** What orbiting goes around, world. */
+  readonly pivot: readonly number[];
+}
+
+type Vector = readonly number[];
+const at = (v: Vector, i: number): number => v[i] as number;
+export const add = (a: Vector, b: Vector, scale = 1): number[] => [0, 1, 2].map((i) => at(a, i) + scale * at(b, i));
+export const dot = (a: Vector, b: Vector): number => at(a, 0) * at(b, 0) + at(a, 1) * at(b, 1) + at(a, 2) * at(b, 2);
+export const cross = (a: Vector, b: Vector): number[] => [
+  at(a, 1) * at(b, 2) - at(a, 2) * at(b, 1),
+  at(a, 2) * at(b, 0) - at(a, 0) * at(b, 2),
+  at(a, 0) * at(b, 1) - at(a, 1) * at(b, 0),
+];
+export const length = (a: Vector): number => Math.hypot(at(a, 0), at(a, 1), at(a, 2));
+export const normalised = (a: Vector): number[] => add([0, 0, 0], a, 1 / (length(a) || 1));
+/** Column 0 right, 1 down, 2 forward. */
+export const axisOf = (rotation: readonly Vector[], column: number): number[] => rotation.map((row) => at(row, column));
+export const fromAxes = (right: Vector, down: Vector, forward: Vector): number[][] =>
+  [0, 1, 2].map((row) => [at(right, row), at(down, row), at(forward, row)]);
+
+/** `v` turned around a unit axis by an angle in radians (Rodrigues). */
+export function turned(v: Vector, axis: Vector, angle: number): number[] {
+  const c = Math.cos(angle);
+  const along = add(add([0, 0, 0], v, c), cross(axis, v), Math.sin(angle));
+  return add(along, axis, dot(axis, v) * (1 - c));
+}
+
+/** The rotation that looks along `forward` with `up` as far up as can be. */
+export function looking(forward: Vector, up: Vector): number[][] {
+  const ahead = normalised(forward);
+  let right = cross(ahead, up);
+  if (length(right) < 1e-6) right = cross(ahead, Math.abs(at(ahead, 0)) < 0.9 ? [1, 0, 0] : [0, 1, 0]);
+  right = normalised(right);
+  return fromAxes(right, cross(ahead, right), ahead);
+}
+
+/** The project's own list, or that of 3DGS programs: docs/CAMERAS.md. */
+export function parseCameras(text: string): CameraEntry[] {
+  const found: unknown = JSON.parse(text);
+  if (!Array.isArray(found)) throw new Error("the camera file is no list of cameras");
+  return found.map((entry: Record<string, unknown>, id) => {
+    const numbers = ["width", "height", "fx", "fy"].map((name) => Number(entry[name]));
+    const [width, height, fx, fy] = numbers as [number, number, number, number];
+    let { rotation, position } = entry as { rotation?: number[][]; position?: number[] };
+    const world = entry["world_to_camera"] as number[][] | undefined;
+    if (world) {
+      rotation = [0, 1, 2].map((row) => [0, 1, 2].map((column) => at(world[column] as Vector, row)));
+      position = rotation.map((row) => -row.reduce((sum, value, k) => sum + value * at(world[k] as Vector, 3), 0));
+    }
+    const all = [...numbers, ...(position ?? []), ...(rotation ?? []).flat()];
+    if (all.length !== 16 || !all.every((value) => Number.isFinite(value)) || !numbers.every((value) => value > 0)) {
+      throw new Error(`camera ${id} of the camera file is not one`);
+    }
+    const { cx = width / 2, cy = height / 2 } = entry as { cx?: number; cy?: number };
+    const name = String(entry["img_name"] ?? entry["name"] ?? id);
+    return { id: Number(entry["id"] ?? id), img_name: name, width, height, fx, fy, cx, cy, position: position as number[], rotation: rotation as number[][] };
+  });
+}
+
+export function viewOf(camera: Pinhole, pivot: Vector): ViewState {
+  const { width, height, fx, fy, cx = width / 2, cy = height / 2, position, rotation } = camera;
+  return { position, rotation, focal: fx / width, aspect: fy / fx, offset: [(cx - width / 2) / width, (cy - height / 2) / width], pivot };
+}
+
+export function pinholeOf(view: ViewState, width: number, height: number): CameraEntry {
+  const { position, rotation, focal, aspect, offset } = view;
+  const fx = focal * width;
+  const [cx, cy] = [width / 2 + offset[0] * width, height / 2 + offset[1] * width];
+  return { id: 0, img_name: "view", width, height, fx, fy: fx * aspect, cx, cy, position, rotation };
+}
+
+/** Centripetal Catmull-Rom spline through positions, at `t` of 0 to 1; ends are doubled (docs/CAMERAS.md). */
+export function pathPosition(points: readonly Vector[], t: number): { position: number[]; segment: number; share: number } {
+  const last = points.length - 1;
+  const segment = Math.min(last - 1, Math.max(0, Math.floor(t * last)));
+  const share = Math.min(1, Math.max(0, t * last - segment));
+  const point = (i: number): Vector => points[Math.min(last, Math.max(0, i))] as Vector;
+  const p = [point(segment - 1), point(segment), point(segment + 1), point(segment + 2)] as const;
+  const knots = [0, 0, 0, 0];
+  for (let i = 1; i < 4; ++i) {
+    knots[i] = at(knots, i - 1) + Math.max(1e-6, Math.sqrt(length(add(p[i] as Vector, p[i - 1] as Vector, -1))));
+  }
+  const k = at(knots, 1) + share * (at(knots, 2) - at(knots, 1));
+  const mix = (a: Vector, b: Vector, from: number, to: number): number[] =>
+    add(add([0, 0, 0], a, (to - k) / (to - from)), b, (k - from) / (to - from));
+  const [k0, k1, k2, k3] = knots as [number, number, number, number];
+  const a1 = mix(p[0], p[1], k0, k1);
+  const a2 = mix(p[1], p[2], k1, k2);
+  const a3 = mix(p[2], p[3], k2, k3);
+  return { position: mix(mix(a1, a2, k0, k2), mix(a2, a3, k1, k3), k1, k2), segment, share };
+}

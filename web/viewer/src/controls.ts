@@ -1,0 +1,153 @@
+// controls.ts - mouse, touch and keys move the view: around a point, or through the air.
+// SPDX-License-Identifier: Apache-2.0
+import { add, axisOf, cross, dot, fromAxes, length, normalised, turned, type ViewState } from "./cameras.js";
+
+/** Radians a pixel of dragging, and a second of an arrow key. */
+const kDrag = 0.006;
+const kArrow = 1.2;
+const kPressSeconds = 1 / 30;
+/** No nearer to straight up or down than this, cosine. */
+const kUpright = 0.995;
+
+export interface World {
+  up: readonly number[];
+  /** World units that are crossed in a second. */
+  speed: number;
+}
+
+/** The view after turning around `pivot`, or around the camera itself, by angles to the right and downwards, radians. */
+export function orbited(view: ViewState, world: World, right: number, down: number, around: "pivot" | "camera"): ViewState {
+  const [x, y, z] = [axisOf(view.rotation, 0), axisOf(view.rotation, 1), axisOf(view.rotation, 2)] as const;
+  const turn = (v: readonly number[]): number[] => turned(v, world.up, -right);
+  let pitched = (v: readonly number[]): number[] => turned(v, x, -down);
+  if (Math.abs(dot(pitched(z), world.up)) > kUpright) pitched = (v) => [...v];
+  const all = (v: readonly number[]): number[] => turn(pitched(v));
+  const [newX, newZ] = [normalised(all(x)), normalised(all(z))];
+  const rotation = fromAxes(newX, length(y) > 0 ? cross(newZ, newX) : y, newZ);
+  const position = around === "pivot" ? add(view.pivot, all(add(view.position, view.pivot, -1))) : view.position;
+  return { ...view, position, rotation };
+}
+
+/** The view moved along its own axes, world units right, down, forward; the pivot comes along. */
+export function moved(view: ViewState, by: readonly number[]): ViewState {
+  const step = [0, 1, 2].reduce((sum, axis) => add(sum, axisOf(view.rotation, axis), by[axis] as number), [0, 0, 0]);
+  return { ...view, position: add(view.position, step), pivot: add(view.pivot, step) };
+}
+
+/** Nearer to the pivot by a factor; it is never reached. */
+export function approached(view: ViewState, factor: number): ViewState {
+  return { ...view, position: add(view.pivot, add(view.position, view.pivot, -1), factor) };
+}
+
+const kFlying: Record<string, readonly number[]> = {
+  KeyW: [0, 0, 1],
+  KeyS: [0, 0, -1],
+  KeyA: [-1, 0, 0],
+  KeyD: [1, 0, 0],
+  KeyQ: [0, 1, 0],
+  KeyE: [0, -1, 0],
+};
+const kArrows: Record<string, readonly [number, number]> = {
+  ArrowLeft: [-1, 0],
+  ArrowRight: [1, 0],
+  ArrowUp: [0, -1],
+  ArrowDown: [0, 1],
+};
+
+export class Controls {
+  private readonly held = new Set<string>();
+  private readonly fingers = new Map<number, { x: number; y: number }>();
+
+  constructor(
+    private readonly element: HTMLElement,
+    private readonly page: {
+      view(): ViewState | undefined;
+      world(): World;
+      setView(view: ViewState): void;
+      /** Double click, pixels of the element. */
+      focus(x: number, y: number): void;
+    },
+  ) {
+    element.addEventListener("pointerdown", (event) => {
+      element.setPointerCapture(event.pointerId);
+      this.fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    });
+    element.addEventListener("pointermove", (event) => this.drag(event));
+    for (const name of ["pointerup", "pointercancel"] as const) {
+      element.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
+    }
+    element.addEventListener("contextmenu", (event) => event.preventDefault());
+    element.addEventListener("dblclick", (event) => page.focus(event.offsetX, event.offsetY));
+    element.addEventListener(
+      "wheel",
+      (event) => {
+        event.preventDefault();
+        this.change((view) => approached(view, Math.exp(Math.max(-1, Math.min(1, event.deltaY * 0.0015)))));
+      },
+      { passive: false },
+    );
+    element.addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey) return;
+      if (event.code in kFlying || event.code in kArrows) {
+        // A press that is shorter than a frame counts too.
+        if (!event.repeat) this.press(event.code, kPressSeconds);
+        this.held.add(event.code);
+        event.preventDefault();
+      } else if (event.key === "+" || event.key === "-") {
+        this.change((view) => approached(view, event.key === "+" ? 0.85 : 1 / 0.85));
+      }
+    });
+    element.addEventListener("keyup", (event) => this.held.delete(event.code));
+    element.addEventListener("blur", () => this.held.clear());
+  }
+
+  /** Whether the view is being moved. */
+  get active(): boolean {
+    return this.held.size > 0 || this.fingers.size > 0;
+  }
+
+  /** Called before each frame. */
+  step(seconds: number): void {
+    for (const code of this.held) this.press(code, seconds);
+  }
+
+  private press(code: string, seconds: number): void {
+    const world = this.page.world();
+    const by = kFlying[code];
+    const turn = kArrows[code];
+    if (by) this.change((view) => moved(view, by.map((value) => value * world.speed * seconds)));
+    if (turn) this.change((view) => orbited(view, world, turn[0] * kArrow * seconds, turn[1] * kArrow * seconds, "pivot"));
+  }
+
+  private drag(event: PointerEvent): void {
+    const finger = this.fingers.get(event.pointerId);
+    if (!finger) return;
+    const by = { x: event.clientX - finger.x, y: event.clientY - finger.y };
+    const [first, second] = this.fingers.size > 1 ? [...this.fingers.values()] : [];
+    const apart = first && second ? Math.hypot(first.x - second.x, first.y - second.y) : 0;
+    finger.x = event.clientX;
+    finger.y = event.clientY;
+    if (first && second) {
+      // Two fingers: apart and together comes nearer and goes away, both along move sideways.
+      const now = Math.hypot(first.x - second.x, first.y - second.y);
+      this.change((view) => this.shifted(approached(view, apart / Math.max(1, now)), by, 0.5));
+    } else if (event.buttons & 4 || (event.buttons & 1 && event.shiftKey)) {
+      this.change((view) => this.shifted(view, by, 1));
+    } else if (event.buttons & 2) {
+      this.change((view) => orbited(view, this.page.world(), by.x * kDrag * 0.5, by.y * kDrag * 0.5, "camera"));
+    } else {
+      this.change((view) => orbited(view, this.page.world(), by.x * kDrag, by.y * kDrag, "pivot"));
+    }
+  }
+
+  /** Sideways, so that what is at the pivot follows the pointer. */
+  private shifted(view: ViewState, by: { x: number; y: number }, share: number): ViewState {
+    const perPixel = length(add(view.position, view.pivot, -1)) / (view.focal * this.element.clientWidth);
+    return moved(view, [-by.x * perPixel * share, -by.y * perPixel * share, 0]);
+  }
+
+  private change(how: (view: ViewState) => ViewState): void {
+    const view = this.page.view();
+    if (view) this.page.setView(how(view));
+  }
+}

@@ -1,0 +1,92 @@
+// frames.ts - pictures of the project's own renderer, which a server draws: one request at a time, small ones while moving.
+// SPDX-License-Identifier: Apache-2.0
+import type { CameraEntry } from "./cameras.js";
+
+export interface FrameRequest {
+  scene: number;
+  camera: CameraEntry;
+  width: number;
+  height: number;
+  background: readonly number[];
+  sh_degree: number;
+  detail: number;
+}
+
+export interface Frame {
+  bitmap: ImageBitmap;
+  /** Milliseconds of the renderer, and from request to picture. */
+  renderMs: number;
+  totalMs: number;
+  pagesMissing: number;
+  small: boolean;
+}
+
+/** Of a picture while the camera moves, by its side. */
+const kMovingScale = 0.25;
+
+export class Frames {
+  private waiting: { request: FrameRequest; moving: boolean } | undefined;
+  private busy = false;
+
+  constructor(
+    private readonly url: string,
+    private readonly on: { frame(frame: Frame): void; error(error: unknown): void },
+  ) {}
+
+  /** Draws this view when the server has time; a later view takes its place. */
+  ask(request: FrameRequest, moving: boolean): void {
+    this.waiting = { request, moving };
+    if (!this.busy) void this.work();
+  }
+
+  stop(): void {
+    this.waiting = undefined;
+  }
+
+  /** One picture as it is, for comparison. */
+  async exact(request: FrameRequest): Promise<ImageBitmap> {
+    return (await this.fetch(request, "png")).bitmap;
+  }
+
+  private async work(): Promise<void> {
+    this.busy = true;
+    try {
+      while (this.waiting) {
+        const { request, moving } = this.waiting;
+        this.waiting = undefined;
+        const scale = moving ? kMovingScale : 1;
+        const [width, height] = [Math.max(1, Math.round(request.width * scale)), Math.max(1, Math.round(request.height * scale))];
+        const camera = { ...request.camera };
+        const frame = await this.fetch({ ...request, camera, width, height }, moving ? "jpeg" : "png");
+        this.on.frame({ ...frame, small: moving });
+      }
+    } catch (error) {
+      this.waiting = undefined;
+      this.on.error(error);
+    } finally {
+      this.busy = false;
+    }
+  }
+
+  private async fetch(request: FrameRequest, format: "png" | "jpeg"): Promise<Omit<Frame, "small">> {
+    const began = performance.now();
+    const answer = await fetch(this.url, {
+      method: "POST",
+      headers: { "Content-Type": "application/json" },
+      body: JSON.stringify({ ...request, format, quality: 85 }),
+    }).catch((error: unknown) => {
+      throw Object.assign(new Error(String(error)), { code: "read_failed" });
+    });
+    if (!answer.ok) {
+      const said = (await answer.json().catch(() => ({}))) as { error?: object };
+      throw Object.assign(new Error(`HTTP ${answer.status}`), said.error ?? {});
+    }
+    const bitmap = await createImageBitmap(await answer.blob(), { colorSpaceConversion: "none" });
+    return {
+      bitmap,
+      renderMs: Number(answer.headers.get("X-Render-Ms") ?? 0),
+      totalMs: performance.now() - began,
+      pagesMissing: Number(answer.headers.get("X-Pages-Missing") ?? 0),
+    };
+  }
+}

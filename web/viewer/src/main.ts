@@ -1,0 +1,536 @@
+// main.ts - puts the page together.
+// SPDX-License-Identifier: Apache-2.0
+import "./style.css";
+import { add, axisOf, type CameraEntry, cross, dot, length, looking, normalised, parseCameras, pathPosition, pinholeOf, type ViewState, viewOf } from "./cameras.js";
+import { buildCameras } from "./cameras-panel.js";
+import { Compare } from "./compare.js";
+import { Controls, type World } from "./controls.js";
+import { type Frame, type FrameRequest, Frames } from "./frames.js";
+import { readLink, writeLink } from "./link.js";
+import { type Manifest, nameOf, readInside, readManifest, type SceneEntry } from "./manifest.js";
+import { bytesText, countText, kLost, kNoGraphics, sentence } from "./messages.js";
+import { element, say, showError } from "./page.js";
+import { extensionOf, openScene, type Scene, type Tint } from "./scene.js";
+import { type Side, Stage } from "./stage.js";
+
+/** Milliseconds without a change after which the view is at rest. */
+const kRestMs = 200;
+const kFieldOfView = Math.PI / 3;
+/** Seconds from one camera to the next. */
+const kPathSeconds = 2;
+
+const input = (id: string): HTMLInputElement => element(id, HTMLInputElement);
+
+class Page {
+  private readonly scenes: (Scene | undefined)[] = [undefined, undefined];
+  private readonly compare: Compare;
+  private readonly controls: Controls;
+  private readonly canvas = element("picture", HTMLCanvasElement);
+  private view: ViewState | undefined;
+  private cameras: CameraEntry[] = [];
+  private camera = -1;
+  private photos = new Map<string, string>();
+  private background: number[] = [0, 0, 0];
+  private playing: number | undefined;
+  private restTimer = 0;
+  private frames: Frames | undefined;
+  private frame: Frame | undefined;
+  private speed: { at: number; frames: number; rate: number } = { at: 0, frames: 0, rate: 0 };
+  /** Captures come one after the other. */
+  private capturing: Promise<unknown> = Promise.resolve();
+
+  constructor(
+    private readonly stage: Stage,
+    private readonly manifest: Manifest,
+  ) {
+    const page = this;
+    this.compare = new Compare(
+      stage,
+      {
+        get right() {
+          return page.trueShown ? "truth" : page.scenes[1] ? "scene" : "none";
+        },
+        capture: (side, width, height) => this.captureSide(side, width, height),
+      },
+      { changed: () => this.changed(), error: (error) => this.fail("The difference", error) },
+    );
+    this.controls = new Controls(this.canvas, {
+      view: () => this.view,
+      world: () => this.world,
+      setView: (view) => this.setView(view),
+      focus: (x, y) => this.focus(x, y),
+    });
+    const { frames } = manifest;
+    if (frames) {
+      this.frames = new Frames(frames.url, {
+        frame: (frame) => this.showTrue(frame),
+        error: (error) => this.fail("The true picture", error),
+      });
+      element("true-label", HTMLLabelElement).hidden = false;
+    }
+    this.connect();
+  }
+
+  // Opening ------------------------------------------------------------------------------------------------------------
+
+  async begin(): Promise<void> {
+    const { settings, photos, cameras, scenes } = this.manifest;
+    this.photos = new Map(photos.map(({ camera, url }) => [camera, url]));
+    if (settings?.background) this.setBackground(settings.background);
+    if (settings?.sh_degree !== undefined) input("sh").value = String(settings.sh_degree);
+    if (cameras !== null) {
+      await this.readCameras(cameras).catch((error: unknown) => this.fail("The camera file", error));
+    }
+    const link = readLink(location.hash);
+    if (link.background) this.setBackground(link.background);
+    if (link.shDegree !== undefined) input("sh").value = String(link.shDegree);
+    if (link.detailPx !== undefined) input("detail").value = String(link.detailPx);
+    if (link.budget !== undefined) input("budget").value = String(Math.log10(link.budget));
+    if (link.split !== undefined) this.compare.split = link.split;
+    this.view = link.view;
+    this.showValues();
+    for (const [side, entry] of scenes.entries()) await this.open({ entry, side: side as Side });
+    this.compare.setMode(link.mode ?? (this.scenes[1] ? "slider" : "single"));
+  }
+
+  /** Files of a drop or a choice: cameras, and scenes for the first free side, the right one if none is. */
+  async openFiles(files: readonly File[]): Promise<void> {
+    for (const file of files) {
+      if (extensionOf(file.name) === "json") {
+        await file
+          .text()
+          .then((text) => this.setCameras(parseCameras(text)))
+          .catch((error: unknown) => this.fail(file.name, error));
+        continue;
+      }
+      const side = this.scenes[0] ? 1 : 0;
+      if (!(await this.open({ entry: { name: file.name, url: "" }, file, side }))) continue;
+      this.compare.setMode(side === 1 ? "slider" : this.compare.mode);
+    }
+  }
+
+  private async open({ entry, file, side }: { entry: SceneEntry; file?: File; side: Side }): Promise<boolean> {
+    const progress = element("progress", HTMLProgressElement);
+    const text = element("progress-text", HTMLElement);
+    element("welcome", HTMLElement).hidden = true;
+    element("loading", HTMLElement).hidden = false;
+    text.textContent = `Opening ${entry.name}`;
+    try {
+      const scene = await openScene(this.stage, {
+        entry,
+        ...(file ? { file } : {}),
+        side,
+        onProgress: (phase, done, total) => {
+          const share = total > 0 ? done / total : 0;
+          if (total > 0) progress.value = share;
+          else progress.removeAttribute("value");
+          text.textContent =
+            phase === "read" ? `Reading ${bytesText(done)}${total > 0 ? ` of ${bytesText(total)}` : ""}` : `Decoding, ${Math.round(100 * share)}%`;
+        },
+        onError: (error) => this.fail(entry.name, error),
+      });
+      this.scenes[side]?.destroy();
+      this.scenes[side] = scene;
+      if (side === 0) this.stage.setOrigin(scene.origin);
+      for (const each of this.scenes) each?.place(this.scenes[0]?.origin ?? scene.origin);
+      scene.setShDegree(Number(input("sh").value));
+      this.setView(this.view ?? this.firstView(scene));
+      this.nameScenes();
+      return true;
+    } catch (error) {
+      this.fail(entry.name, error);
+      element("welcome", HTMLElement).hidden = this.scenes[0] !== undefined;
+      return false;
+    } finally {
+      element("loading", HTMLElement).hidden = true;
+    }
+  }
+
+  private nameScenes(): void {
+    const [left, right] = this.scenes;
+    const names = [left?.name, this.trueShown ? `${left?.name ?? ""}, true picture` : right?.name].filter((name) => name !== undefined);
+    element("title", HTMLElement).textContent = names.join(" | ") || "RoofGS viewer";
+    element("left", HTMLElement).textContent = names[0] ?? "";
+    element("right", HTMLElement).textContent = names[1] ?? "";
+    const what = left ? `${left.name}, ${countText(left.nGaussians)} Gaussians${names[1] ? `, beside ${names[1]}` : ""}` : "No scene yet";
+    this.canvas.setAttribute("aria-label", what);
+    say(what);
+    element("tint", HTMLSelectElement).disabled = !this.scenes.some((scene) => scene?.hasPages);
+  }
+
+  // Looking ------------------------------------------------------------------------------------------------------------
+
+  private get world(): World {
+    const up = this.cameras.length > 0 ? this.cameras.reduce((sum, { rotation }) => add(sum, axisOf(rotation, 1), -1), [0, 0, 0]) : null;
+    const box = this.scenes[0]?.box;
+    const size = box ? length(add(box.max, box.min, -1)) : 1;
+    return { up: normalised(up && length(up) > 0.1 ? up : (this.scenes[0]?.up ?? [0, -1, 0])), speed: 0.15 * size };
+  }
+
+  /** From the first camera, else from the front and 20 degrees above (docs/CAMERAS.md). */
+  private firstView(scene: Scene): ViewState {
+    const { min, max } = scene.box;
+    const middle = min.map((value, i) => (value + (max[i] as number)) / 2);
+    const first = this.cameras[0];
+    if (first) return viewOf(first, this.ahead(first.position, axisOf(first.rotation, 2), middle));
+    const { up } = this.world;
+    let front = cross(up, [1, 0, 0]);
+    if (length(front) < 0.1) front = cross(up, [0, 1, 0]);
+    front = normalised(front);
+    const away = normalised(add(front, up, Math.tan(Math.PI / 9)));
+    const radius = length(add(max, min, -1)) / 2;
+    const position = add(middle, away, radius / Math.sin(kFieldOfView / 2));
+    const rotation = looking(add(middle, position, -1), up);
+    return { position, rotation, focal: 0.5 / Math.tan(kFieldOfView / 2), aspect: 1, offset: [0, 0], pivot: middle };
+  }
+
+  /** A point to go around, straight ahead and as far away as the scene's middle. */
+  private ahead(position: readonly number[], forward: readonly number[], middle: readonly number[]): number[] {
+    return add(position, forward, Math.max(0.1, dot(add(middle, position, -1), forward)));
+  }
+
+  private setView(view: ViewState): void {
+    this.view = view;
+    this.stage.setView(view);
+    this.compare.moving();
+    this.changed();
+    if (this.trueShown) this.askTrue(true);
+  }
+
+  private jump(index: number): void {
+    const camera = this.cameras[index];
+    const box = this.scenes[0]?.box;
+    if (!camera || !box) return;
+    this.camera = index;
+    const middle = box.min.map((value, i) => (value + (box.max[i] as number)) / 2);
+    this.setView(viewOf(camera, this.ahead(camera.position, axisOf(camera.rotation, 2), middle)));
+    say(`Camera ${camera.img_name}`);
+  }
+
+  /** Goes around what is under the pointer: of the Gaussians near its ray the nearest. */
+  private focus(x: number, y: number): void {
+    const { view, canvas } = this;
+    const scene = this.scenes[0];
+    if (!view || !scene) return;
+    const { fx, fy, cx = 0, cy = 0 } = pinholeOf(view, canvas.clientWidth, canvas.clientHeight);
+    const direction = [(x - cx) / fx, (y - cy) / fy, 1];
+    const ray = normalised([0, 1, 2].map((row) => dot(view.rotation[row] as number[], direction)));
+    const eye = add(view.position, scene.origin, -1);
+    let best = Infinity;
+    let depth = 0;
+    for (const means of scene.centres()) {
+      for (let i = 0; i < means.length; i += 3) {
+        const to = [0, 1, 2].map((c) => (means[i + c] as number) - (eye[c] as number));
+        const along = dot(to, ray);
+        if (along <= 0.2) continue;
+        const aside = Math.sqrt(Math.max(0, dot(to, to) - along * along)) / along;
+        // Half a degree aside counts as much as a third of the way.
+        const cost = along * (1 + (aside / 0.009) ** 2 / 3);
+        if (aside < 0.03 && cost < best) {
+          best = cost;
+          depth = along;
+        }
+      }
+    }
+    if (depth > 0) this.setView({ ...view, pivot: add(view.position, ray, depth), rotation: looking(ray, this.world.up) });
+  }
+
+  private play(): void {
+    this.playing = this.playing === undefined && this.cameras.length > 1 ? 0 : undefined;
+    element("play", HTMLButtonElement).setAttribute("aria-pressed", String(this.playing !== undefined));
+    this.stage.request();
+  }
+
+  private async readCameras(url: string): Promise<void> {
+    const answer = url.startsWith("#") ? new Response(await readInside(url)) : await fetch(url);
+    if (!answer.ok) throw Object.assign(new Error(`HTTP ${answer.status}`), { code: "open_failed" });
+    this.setCameras(parseCameras(await answer.text()));
+  }
+
+  private setCameras(cameras: CameraEntry[]): void {
+    this.cameras = cameras;
+    buildCameras({
+      list: cameras,
+      photos: this.photos,
+      jump: (index) => this.jump(index),
+      draw: async (camera, width, height) => this.capture(0, viewOf(camera, camera.position), width, height),
+    });
+  }
+
+  // Before each frame --------------------------------------------------------------------------------------------------
+
+  step(seconds: number): void {
+    this.controls.step(seconds);
+    const { view } = this;
+    if (!view) return;
+    if (this.playing !== undefined) {
+      this.playing = (this.playing + seconds / (kPathSeconds * (this.cameras.length - 1))) % 1;
+      const { position, segment, share } = pathPosition(this.cameras.map((camera) => camera.position), this.playing);
+      const [from, to] = [this.cameras[segment], this.cameras[segment + 1]] as [CameraEntry, CameraEntry];
+      const forward = add(add([0, 0, 0], axisOf(from.rotation, 2), 1 - share), axisOf(to.rotation, 2), share);
+      const up = add(add([0, 0, 0], axisOf(from.rotation, 1), share - 1), axisOf(to.rotation, 1), -share);
+      const rotation = looking(forward, up);
+      this.setView({ ...viewOf(from, view.pivot), position, rotation, pivot: add(position, normalised(forward), this.world.speed) });
+    }
+    const { width } = this.stage.size;
+    const budget = this.budget;
+    for (const scene of this.scenes) {
+      if (!scene?.hasPages) continue;
+      const position = add(view.position, scene.origin, -1);
+      scene.look({ position, focalPx: view.focal * width, detailPx: Number(input("detail").value), budget }, performance.now());
+    }
+    if (input("boxes").checked) this.drawBoxes();
+    this.showNumbers();
+  }
+
+  private drawBoxes(): void {
+    for (const scene of this.scenes) {
+      if (!scene) continue;
+      const shift = add(scene.origin, this.scenes[0]?.origin ?? [0, 0, 0], -1);
+      for (const { min, max } of scene.boxes()) this.stage.drawBox(add(min, shift), add(max, shift), [1, 0.8, 0.1]);
+    }
+    this.stage.request();
+  }
+
+  private showNumbers(): void {
+    const overlay = element("overlay", HTMLOutputElement);
+    overlay.hidden = !input("stats").checked;
+    const now = performance.now();
+    if (now - this.speed.at > 500) {
+      const { frames } = this.stage;
+      this.speed = { at: now, frames, rate: (1000 * (frames - this.speed.frames)) / (now - this.speed.at) };
+    }
+    if (overlay.hidden) return;
+    const lines = this.scenes
+      .filter((scene) => scene !== undefined)
+      .map((scene) => {
+        const { drawn, wanted } = scene.pages;
+        const pages = scene.hasPages ? `, ${drawn} pages${wanted > 0 ? `, ${wanted} to come` : ""}` : "";
+        return `${countText(scene.nDrawn)} of ${countText(scene.nGaussians)} Gaussians, ${bytesText(scene.bytesRead)} of ${bytesText(scene.bytes)}${pages}`;
+      });
+    lines.push(`${this.speed.rate.toFixed(0)} frames a second`);
+    if (this.frame && this.trueShown) {
+      const { renderMs, totalMs, pagesMissing } = this.frame;
+      lines.push(`true picture ${renderMs.toFixed(0)} ms, here after ${totalMs.toFixed(0)} ms${pagesMissing > 0 ? `, ${pagesMissing} pages to come` : ""}`);
+    }
+    overlay.textContent = lines.join("\n");
+  }
+
+  // Settings -----------------------------------------------------------------------------------------------------------
+
+  private get budget(): number {
+    return Math.round(10 ** Number(input("budget").value));
+  }
+
+  private setBackground(rgb: readonly number[]): void {
+    this.background = [...rgb];
+    const hex = rgb.map((value) => Math.round(255 * value).toString(16).padStart(2, "0")).join("");
+    input("background").value = `#${hex}`;
+    this.stage.setBackground(rgb);
+  }
+
+  private showValues(): void {
+    element("sh-value", HTMLOutputElement).textContent = input("sh").value;
+    element("detail-value", HTMLOutputElement).textContent = input("detail").value;
+    element("budget-value", HTMLOutputElement).textContent = countText(this.budget);
+  }
+
+  private connect(): void {
+    const click = (id: string, action: () => void): void => element(id, HTMLButtonElement).addEventListener("click", action);
+    click("open", () => input("file").click());
+    click("screenshot", () => void this.screenshot().catch((error: unknown) => this.fail("The screenshot", error)));
+    click("link", () => void this.copyLink());
+    click("play", () => this.play());
+    click("menu", () => {
+      const shown = element("panel", HTMLElement).classList.toggle("shown");
+      element("menu", HTMLButtonElement).setAttribute("aria-expanded", String(shown));
+    });
+    click("theme", () => {
+      const dark = document.documentElement.dataset["theme"] !== "dark";
+      document.documentElement.dataset["theme"] = dark ? "dark" : "light";
+      element("theme", HTMLButtonElement).setAttribute("aria-pressed", String(dark));
+    });
+    input("file").addEventListener("change", () => {
+      void this.openFiles([...(input("file").files ?? [])]);
+      input("file").value = "";
+    });
+    input("background").addEventListener("input", () => {
+      this.setBackground([1, 3, 5].map((at) => parseInt(input("background").value.slice(at, at + 2), 16) / 255));
+      this.changed();
+    });
+    for (const id of ["sh", "detail", "budget"]) {
+      input(id).addEventListener("input", () => {
+        this.showValues();
+        if (id === "sh") for (const scene of this.scenes) scene?.setShDegree(Number(input("sh").value));
+        this.stage.request();
+        this.changed();
+      });
+    }
+    for (const id of ["stats", "boxes"]) input(id).addEventListener("change", () => this.stage.request());
+    element("tint", HTMLSelectElement).addEventListener("change", () => {
+      for (const scene of this.scenes) scene?.setTint(element("tint", HTMLSelectElement).value as Tint);
+    });
+    input("true").addEventListener("change", () => {
+      this.nameScenes();
+      if (!this.trueShown) this.frames?.stop();
+      else this.askTrue(false);
+      this.compare.setMode(this.trueShown ? this.compare.mode : this.scenes[1] ? "slider" : "single");
+    });
+    document.addEventListener("keydown", (event) => this.key(event));
+    document.addEventListener("dragover", (event) => event.preventDefault());
+    document.addEventListener("drop", (event) => {
+      event.preventDefault();
+      void this.openFiles([...(event.dataTransfer?.files ?? [])]);
+    });
+  }
+
+  private key(event: KeyboardEvent): void {
+    const typing = event.target instanceof HTMLInputElement && event.target.type !== "checkbox" && event.target.type !== "range";
+    if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+    const toggle = (id: string): void => input(id).click();
+    const mode = (name: "flicker" | "difference" | "slider"): void => this.compare.setMode(this.compare.mode === name ? "single" : name);
+    const n = this.cameras.length;
+    const actions: Record<string, () => void> = {
+      KeyN: () => this.jump((this.camera + 1) % n),
+      KeyB: () => this.jump((this.camera - 1 + n) % n),
+      KeyP: () => this.play(),
+      KeyF: () => mode("flicker"),
+      KeyX: () => mode("difference"),
+      KeyC: () => mode("slider"),
+      KeyT: () => this.frames && toggle("true"),
+      KeyI: () => toggle("stats"),
+      KeyO: () => input("file").click(),
+    };
+    actions[event.code]?.();
+  }
+
+  /** Anything that a link holds. */
+  private changed(): void {
+    clearTimeout(this.restTimer);
+    this.restTimer = window.setTimeout(() => {
+      if (this.controls.active || this.playing !== undefined) {
+        this.changed();
+        return;
+      }
+      const hash = this.link;
+      if (hash) history.replaceState(null, "", `#${hash}`);
+      if (this.trueShown) this.askTrue(false);
+      if (this.compare.mode === "difference" && element("map", HTMLCanvasElement).hidden) this.compare.rest();
+    }, kRestMs);
+    if (this.controls.active) this.stage.request();
+  }
+
+  private get link(): string | null {
+    if (!this.view) return null;
+    const { mode, split } = this.compare;
+    const { view, background, budget } = this;
+    return writeLink({ view, mode, split, background, shDegree: Number(input("sh").value), detailPx: Number(input("detail").value), budget });
+  }
+
+  private async copyLink(): Promise<void> {
+    const hash = this.link;
+    if (hash) history.replaceState(null, "", `#${hash}`);
+    try {
+      await navigator.clipboard.writeText(location.href);
+      say("Link copied");
+    } catch {
+      showError("The browser does not let this page copy; the link is in the address bar.");
+    }
+  }
+
+  // Pictures -----------------------------------------------------------------------------------------------------------
+
+  private get trueShown(): boolean {
+    return this.frames !== undefined && input("true").checked;
+  }
+
+  private frameRequest(width: number, height: number): FrameRequest | undefined {
+    if (!this.view) return undefined;
+    const detail = Number(input("detail").value);
+    return { scene: 0, camera: pinholeOf(this.view, width, height), width, height, background: this.background, sh_degree: Number(input("sh").value), detail };
+  }
+
+  private askTrue(moving: boolean): void {
+    const { width, height } = this.stage.size;
+    const request = this.frameRequest(width, height);
+    if (request && this.scenes[0]) this.frames?.ask(request, moving);
+  }
+
+  private showTrue(frame: Frame): void {
+    this.frame = frame;
+    const canvas = element("truth", HTMLCanvasElement);
+    canvas.width = frame.bitmap.width;
+    canvas.height = frame.bitmap.height;
+    canvas.getContext("2d")?.drawImage(frame.bitmap, 0, 0);
+    frame.bitmap.close();
+    this.stage.request();
+  }
+
+  private capture(side: Side, view: ViewState, width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
+    const result = this.capturing.then(() => this.stage.capture(side, view, width, height));
+    this.capturing = result.catch(() => undefined);
+    return result;
+  }
+
+  private async captureSide(side: "left" | "right", width: number, height: number): Promise<Uint8ClampedArray> {
+    const request = this.frameRequest(width, height);
+    if (!this.view || !request) throw new Error("there is no scene");
+    if (side === "left" || !this.trueShown) return this.capture(side === "left" ? 0 : 1, this.view, width, height);
+    const bitmap = await (this.frames as Frames).exact(request);
+    const context = new OffscreenCanvas(width, height).getContext("2d") as OffscreenCanvasRenderingContext2D;
+    context.drawImage(bitmap, 0, 0);
+    bitmap.close();
+    return context.getImageData(0, 0, width, height).data;
+  }
+
+  private async screenshot(): Promise<void> {
+    const { width, height } = this.stage.size;
+    const right = this.compare.mode === "slider" && this.scenes[1] !== undefined;
+    if (!this.view) return;
+    const pixels = await this.capture(0, this.view, width, height);
+    const canvas = new OffscreenCanvas(width, height);
+    const context = canvas.getContext("2d") as OffscreenCanvasRenderingContext2D;
+    context.putImageData(new ImageData(pixels, width, height), 0, 0);
+    if (right) {
+      const border = Math.round(this.compare.split * width);
+      const other = new ImageData(await this.capture(1, this.view, width, height), width, height);
+      context.putImageData(other, 0, 0, border, 0, width - border, height);
+    }
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(await canvas.convertToBlob({ type: "image/png" }));
+    link.download = `${nameOf(this.scenes[0]?.name ?? "scene")}.png`;
+    link.click();
+    URL.revokeObjectURL(link.href);
+  }
+
+  private fail(name: string, error: unknown): void {
+    if ((error as { name?: string } | null)?.name === "AbortError") return;
+    showError(sentence(name, error));
+  }
+}
+
+async function main(): Promise<void> {
+  let page: Page | undefined;
+  let stage: Stage;
+  try {
+    const device = new URLSearchParams(location.search).get("device");
+    // WebGPU on demand alone: nobody has seen this page draw with it.
+    stage = await Stage.start(element("picture", HTMLCanvasElement), device === "webgpu" ? ["webgpu", "webgl2"] : ["webgl2"], {
+      frame: (seconds) => page?.step(seconds),
+      lost: () => showError(kLost),
+      restored: () => say("The graphics device is back"),
+    });
+  } catch {
+    showError(kNoGraphics);
+    return;
+  }
+  try {
+    page = new Page(stage, await readManifest());
+    await page.begin();
+    document.documentElement.dataset["ready"] = "true";
+  } catch (error) {
+    showError(sentence("The page", error));
+  }
+}
+
+void main();

@@ -1,0 +1,67 @@
+// manifest.ts - what the page is given: view.json beside it, or inside it, or in its own address.
+// SPDX-License-Identifier: Apache-2.0
+
+export interface SceneEntry {
+  name: string;
+  /** Relative to the page, or `#rgs-file-0`, an element of it. */
+  url: string;
+  bytes?: number;
+}
+
+export interface Manifest {
+  version: 1;
+  /** One or two; two are compared. */
+  scenes: SceneEntry[];
+  cameras: string | null;
+  photos: { camera: string; url: string }[];
+  /** Where pictures of the project's own renderer come from. */
+  frames: { url: string; backend: "cpu" | "cuda" } | null;
+  settings?: { background?: number[]; sh_degree?: number };
+}
+
+const kEmpty: Manifest = { version: 1, scenes: [], cameras: null, photos: [], frames: null };
+
+/** Fields that are missing are empty; another version is refused. */
+export function parseManifest(text: string): Manifest {
+  const found = JSON.parse(text) as Partial<Manifest>;
+  if (found.version !== 1) throw new Error("view.json is of another version than this page");
+  const manifest = { ...kEmpty, ...found };
+  if (!Array.isArray(manifest.scenes) || manifest.scenes.length > 2) throw new Error("view.json names more than two scenes");
+  return manifest;
+}
+
+/** Last part of an address, to be shown. */
+export function nameOf(url: string): string {
+  const path = url.split(/[?#]/)[0] ?? "";
+  const last = path.slice(path.lastIndexOf("/") + 1);
+  try {
+    return decodeURIComponent(last);
+  } catch {
+    return last;
+  }
+}
+
+/** `?scene=URL&other=URL&cameras=URL` of the page's address. */
+export function manifestOfAddress(search: string): Manifest | null {
+  const parameters = new URLSearchParams(search);
+  const urls = [parameters.get("scene"), parameters.get("other")].filter((url) => url !== null);
+  if (urls.length === 0) return null;
+  return { ...kEmpty, scenes: urls.map((url) => ({ name: nameOf(url), url })), cameras: parameters.get("cameras") };
+}
+
+export async function readManifest(): Promise<Manifest> {
+  const inside = document.getElementById("rgs-view");
+  if (inside) return parseManifest(inside.textContent ?? "");
+  const address = manifestOfAddress(location.search);
+  if (address) return address;
+  if (location.protocol === "file:") return kEmpty;
+  const answer = await fetch("view.json", { cache: "no-store" }).catch(() => null);
+  return answer?.ok ? parseManifest(await answer.text()) : kEmpty;
+}
+
+/** Bytes of an element `#id` of this page, which a program put there as base64. */
+export async function readInside(url: string): Promise<Blob> {
+  const text = document.getElementById(url.slice(1))?.textContent;
+  if (text === null || text === undefined) throw new Error(`this page has no part ${url}`);
+  return (await fetch(`data:application/octet-stream;base64,${text.replace(/\s+/g, "")}`)).blob();
+}

@@ -1,0 +1,28 @@
+// page.ts - parts of the page by their ids, and what is said to whoever looks at it.
+// SPDX-License-Identifier: Apache-2.0
+
+export function element<T extends HTMLElement>(id: string, type: abstract new () => T): T {
+  const found = document.getElementById(id);
+  if (!(found instanceof type)) throw new Error(`the page has no ${id}`);
+  return found;
+}
+
+/** A sentence that stays until it is closed; said once while it stands there. */
+export function showError(sentence: string): void {
+  const list = element("errors", HTMLElement);
+  if ([...list.children].some(({ firstChild }) => firstChild?.textContent === sentence)) return;
+  const line = document.createElement("p");
+  const close = document.createElement("button");
+  Object.assign(close, { type: "button", textContent: "×" });
+  close.setAttribute("aria-label", "Close");
+  close.addEventListener("click", () => line.remove());
+  line.append(sentence, close);
+  list.append(line);
+  // A person can read four.
+  while (list.children.length > 4) list.firstElementChild?.remove();
+}
+
+/** For screen readers. */
+export function say(text: string): void {
+  element("status", HTMLElement).textContent = text;
+}

@@ -1,0 +1,5 @@
+// reader-worker-inline.ts - the reader's worker in a page that is one file.
+// SPDX-License-Identifier: Apache-2.0
+import ReaderWorker from "@roofgs/reader/worker?worker&inline";
+
+export const worker: (() => Worker) | undefined = () => new ReaderWorker();

@@ -1,0 +1,221 @@
+// stage.ts - the engine: two cameras at one place, each with a scene of its own, frames only where something has changed.
+// SPDX-License-Identifier: Apache-2.0
+import { drawAsDefined, RgsParser, setPinhole } from "@roofgs/playcanvas";
+import {
+  AppBase,
+  AppOptions,
+  CameraComponentSystem,
+  Color,
+  createGraphicsDevice,
+  Entity,
+  GSplatComponentSystem,
+  GSplatHandler,
+  type GSplatHandler as Handler,
+  Layer,
+  LAYERID_IMMEDIATE,
+  PIXELFORMAT_RGBA8,
+  RenderTarget,
+  Texture,
+  Vec3,
+  Vec4,
+} from "playcanvas";
+import { pinholeOf, type ViewState } from "./cameras.js";
+import { worker } from "./reader-worker.js";
+
+export type Side = 0 | 1;
+
+/** Which sides are drawn: one, or both beside each other with the border at `split` of the width. */
+export type Show = { only: Side } | { split: number };
+
+export class Stage {
+  readonly layers: readonly [number, number];
+  /** Frames drawn. */
+  frames = 0;
+  private readonly cameras: readonly [Entity, Entity];
+  private view: ViewState | undefined;
+  private origin: readonly number[] = [0, 0, 0];
+  private show: Show = { only: 0 };
+  /** Frames that are needed after this one. */
+  private more = 0;
+
+  private constructor(
+    readonly app: AppBase,
+    private readonly canvas: HTMLCanvasElement,
+    private readonly beforeFrame: (seconds: number) => void,
+  ) {
+    const layers = ["left", "right"].map((name) => {
+      const layer = new Layer({ name });
+      app.scene.layers.insert(layer, 0);
+      return layer.id;
+    });
+    this.layers = layers as [number, number];
+    this.cameras = this.layers.map((layer, side) => {
+      const entity = new Entity(`camera ${side}`);
+      entity.addComponent("camera", { layers: [layer, LAYERID_IMMEDIATE], priority: side, farClip: 1e5, clearColor: new Color(0, 0, 0, 1) });
+      app.root.addChild(entity);
+      return entity;
+    }) as unknown as [Entity, Entity];
+    for (const { camera } of this.cameras) if (camera) drawAsDefined(app, camera);
+    app.scene.on("gsplat:sorted", () => {
+      // One takes the order, and one shows what was drawn in it.
+      this.more = 2;
+      this.request();
+    });
+    app.systems.gsplat?.on("frame:request", () => (this.more = Math.max(this.more, 1)));
+    app.on("update", (seconds: number) => {
+      this.beforeFrame(seconds);
+      if (this.more > 0) {
+        this.more -= 1;
+        this.request();
+      }
+    });
+    app.on("postrender", () => (this.frames += 1));
+    app.autoRender = false;
+    new ResizeObserver(() => this.resize()).observe(canvas);
+  }
+
+  /** `deviceTypes`: what the engine may take, the best first. Rejects where there is none. */
+  static async start(
+    canvas: HTMLCanvasElement,
+    deviceTypes: string[],
+    on: { frame(seconds: number): void; lost(): void; restored(): void },
+  ): Promise<Stage> {
+    const device = await createGraphicsDevice(canvas, { deviceTypes, antialias: false });
+    const options = new AppOptions();
+    options.graphicsDevice = device;
+    options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
+    options.resourceHandlers = [GSplatHandler];
+    const app = new AppBase(canvas);
+    app.init(options);
+    (app.loader.getHandler("gsplat") as Handler).addParser(new RgsParser(app, worker ? { worker } : {}));
+    const stage = new Stage(app, canvas, on.frame);
+    device.on("devicelost", on.lost);
+    device.on("devicerestored", () => {
+      on.restored();
+      stage.request();
+    });
+    app.start();
+    stage.resize();
+    return stage;
+  }
+
+  /** Another frame is needed. */
+  request(): void {
+    this.app.renderNextFrame = true;
+  }
+
+  get size(): { width: number; height: number } {
+    const { width, height } = this.canvas;
+    return { width, height };
+  }
+
+  /** Where the engine's coordinates begin in the world: cameras are in FP64, what is drawn is near 0. */
+  setOrigin(origin: readonly number[]): void {
+    this.origin = origin;
+  }
+
+  setView(view: ViewState): void {
+    this.view = view;
+    for (const entity of this.cameras) setPinhole(entity, pinholeOf(view, this.size.width, this.size.height), this.origin);
+    this.request();
+  }
+
+  setShow(show: Show): void {
+    this.show = show;
+    const split = "split" in show ? show.split : show.only === 0 ? 1 : 0;
+    this.cameras.forEach(({ camera }, side) => {
+      if (!camera) return;
+      camera.enabled = side === 0 ? split > 0 : split < 1;
+      camera.scissorRect = side === 0 ? new Vec4(0, 0, split, 1) : new Vec4(split, 0, 1 - split, 1);
+    });
+    this.request();
+  }
+
+  setBackground(rgb: readonly number[]): void {
+    const [r, g, b] = rgb as [number, number, number];
+    for (const { camera } of this.cameras) if (camera) camera.clearColor = new Color(r, g, b, 1);
+    this.request();
+  }
+
+  /** A box's edges, in the coordinates of what is drawn, for one frame. */
+  drawBox(min: readonly number[], max: readonly number[], colour: readonly number[]): void {
+    const [r, g, b] = colour as [number, number, number];
+    // Its declared type has no parameters.
+    const draw = this.app.drawWireAlignedBox as (min: Vec3, max: Vec3, color: Color, depthTest: boolean) => void;
+    draw.call(this.app, new Vec3([...min]), new Vec3([...max]), new Color(r, g, b), false);
+  }
+
+  /** RGBA, upper row first, of one side alone in a size of its own. */
+  async capture(side: Side, view: ViewState, width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
+    const { camera } = this.cameras[side];
+    if (!camera) throw new Error("no camera");
+    const colorBuffer = new Texture(this.app.graphicsDevice, { width, height, format: PIXELFORMAT_RGBA8, mipmaps: false });
+    const target = new RenderTarget({ colorBuffer, depth: true });
+    const { show, view: before } = this;
+    try {
+      const other = this.cameras[side === 0 ? 1 : 0].camera;
+      if (other) other.enabled = false;
+      camera.enabled = true;
+      camera.scissorRect = new Vec4(0, 0, 1, 1);
+      camera.renderTarget = target;
+      setPinhole(this.cameras[side], pinholeOf(view, width, height), this.origin);
+      await this.settled();
+      const read = await colorBuffer.read(0, 0, width, height, { renderTarget: target, immediate: true });
+      const pixels = new Uint8ClampedArray(read as Uint8Array);
+      if (this.app.graphicsDevice.isWebGL2) flipRows(pixels, width);
+      return pixels;
+    } finally {
+      camera.renderTarget = null as unknown as RenderTarget;
+      target.destroy();
+      colorBuffer.destroy();
+      if (before) this.setView(before);
+      this.setShow(show);
+    }
+  }
+
+  /** Resolves after a frame whose Gaussians are in the order of its camera. */
+  async settled(): Promise<void> {
+    for (let before = -1, i = 0; i < 20; ++i) {
+      await this.nextFrame();
+      const busy = this.sorter();
+      if (before === 0 && busy === 0) return;
+      if (busy > 0) await new Promise<void>((resolve) => this.app.scene.once("gsplat:sorted", () => resolve()));
+      before = busy;
+    }
+  }
+
+  /** Sorts that are under way. The engine does not tell; without its director there is nothing to wait for. */
+  private sorter(): number {
+    interface Managers {
+      camerasMap?: Map<unknown, { layersMap: Map<unknown, { gsplatManager?: { cpuSorter?: { jobsInFlight: number; pendingSorted: unknown } } }> }>;
+    }
+    const { gsplatDirector } = this.app.renderer as unknown as { gsplatDirector?: Managers };
+    let jobs = 0;
+    for (const { layersMap } of gsplatDirector?.camerasMap?.values() ?? []) {
+      for (const { gsplatManager } of layersMap.values()) jobs += gsplatManager?.cpuSorter?.jobsInFlight ?? 0;
+    }
+    return jobs;
+  }
+
+  private nextFrame(): Promise<void> {
+    return new Promise((resolve) => {
+      this.app.once("postrender", () => resolve());
+      this.request();
+    });
+  }
+
+  private resize(): void {
+    const scale = Math.min(devicePixelRatio, 2);
+    const { clientWidth, clientHeight } = this.canvas;
+    const [width, height] = [Math.max(1, Math.round(clientWidth * scale)), Math.max(1, Math.round(clientHeight * scale))];
+    this.app.graphicsDevice.setResolution(width, height);
+    if (this.view) this.setView(this.view);
+    this.request();
+  }
+}
+
+function flipRows(pixels: Uint8ClampedArray, width: number): void {
+  const rows = pixels.slice();
+  const bytes = 4 * width;
+  for (let at = 0; at < rows.length; at += bytes) pixels.set(rows.subarray(at, at + bytes), rows.length - bytes - at);
+}

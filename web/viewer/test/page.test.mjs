@@ -1,0 +1,445 @@
+// page.test.mjs - the page in a real browser, by what a person sees and does.
+// SPDX-License-Identifier: Apache-2.0
+import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { existsSync, mkdtempSync, readdirSync, readFileSync, rmSync, statSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { dirname, join } from "node:path";
+import test, { after, before } from "node:test";
+import { pathToFileURL } from "node:url";
+import { open } from "@roofgs/reader";
+import { chromium } from "playwright-core";
+import { program, readCameras } from "../../playcanvas/test/pictures.mjs";
+import { golden, scenes } from "../../reader/test/dump.mjs";
+import { skip } from "../../reader/test/servers.mjs";
+import { dist, single, startServer } from "./server.mjs";
+
+const kChromium = process.env.RGS_CHROMIUM ?? "/usr/bin/chromium";
+const kSize = { width: 800, height: 360 };
+// Software rendering on a busy machine.
+const kPatienceMs = 90_000;
+
+let browser;
+let folder;
+before(async () => {
+  if (!existsSync(kChromium)) return;
+  folder = mkdtempSync(join(tmpdir(), "rgs-web-viewer-"));
+  const args = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
+  browser = await chromium.launch({ executablePath: kChromium, args });
+});
+after(async () => {
+  await browser?.close();
+  if (folder) rmSync(folder, { recursive: true });
+});
+
+const scene = (name) => ({ name, url: `scenes/0/${name}`, bytes: 1 });
+
+/** One test with a page of its own; `problems` are what the console complains of. */
+function inBrowser(name, { view = null, files = {}, frame = null, hold, size = kSize, address = "", allowed = [] }, body) {
+  test(name, async (t) => {
+    if (!browser) return skip(t, "chromium is not installed");
+    if (!existsSync(dist)) throw new Error("web/viewer is not built: sh scripts/test_web.sh");
+    const server = await startServer({ view, files, frame, hold });
+    const context = await browser.newContext({ viewport: size, acceptDownloads: true });
+    const page = await context.newPage();
+    page.setDefaultTimeout(kPatienceMs);
+    const problems = [];
+    page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
+    page.on("pageerror", (error) => problems.push(String(error)));
+    t.after(async () => {
+      await context.close();
+      await server.end();
+    });
+    await page.goto(`${server.url}${address}`);
+    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await body({ t, page, server, context });
+    const bad = problems.filter((text) => !allowed.some((pattern) => pattern.test(text)));
+    assert.deepEqual(bad, []);
+  });
+}
+
+const k404 = /Failed to load resource.*404/;
+const two = {
+  view: { version: 1, scenes: [scene("packed.rgs"), { ...scene("low.rgs"), url: "scenes/1/low.rgs" }], cameras: "cameras.json", photos: [], frames: null },
+  files: () => ({ "scenes/0/packed.rgs": join(scenes(), "packed.rgs"), "scenes/1/low.rgs": join(scenes(), "low.rgs"), "cameras.json": join(scenes(), "cameras.json") }),
+};
+const one = {
+  view: { ...two.view, scenes: [scene("packed.rgs")] },
+  files: two.files,
+};
+
+const text = (page, selector) => page.locator(selector).textContent();
+const errors = (page) => page.locator("#errors p").allTextContents();
+/** The picture is not one colour. */
+async function assertDrawn(page) {
+  const colours = async () => {
+    const shot = (await page.locator("#stage").screenshot()).toString("base64");
+    return page.evaluate(async (base64) => {
+      const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+      const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+      context.drawImage(bitmap, 0, 0);
+      const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
+      const found = new Set();
+      for (let i = 0; i < data.length; i += 4) found.add((data[i] << 16) | (data[i + 1] << 8) | data[i + 2]);
+      return found.size;
+    }, shot);
+  };
+  const began = Date.now();
+  let found = await colours();
+  while (found < 500 && Date.now() - began < kPatienceMs) found = await colours();
+  assert.ok(found >= 500, `${found} colours`);
+}
+
+inBrowser("a scene with its cameras", { ...one, files: one.files() }, async ({ t, page, server }) => {
+  assert.equal(await text(page, "#title"), "packed.rgs");
+  assert.match(await page.getAttribute("#picture", "aria-label"), /packed\.rgs, 60k Gaussians/);
+  await assertDrawn(page);
+  await page.locator("#stats").check();
+  await page.waitForFunction(() => /60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  // Nothing but what it was given.
+  const beyond = server.requests.filter((line) => !/^GET (|assets\/[\w-]+\.(js|css|wasm)|view\.json|cameras\.json|scenes\/0\/packed\.rgs)$/.test(line));
+  assert.deepEqual(beyond, []);
+  assert.ok(server.bytes["scenes/0/packed.rgs"] < 1.1 * readFileSync(join(scenes(), "packed.rgs")).length, "read once");
+  assert.equal(await page.locator("#cameras button").count(), 8);
+  t.diagnostic(await text(page, "#overlay"));
+});
+
+inBrowser("the slider moves by keys and pointer", { ...two, files: two.files() }, async ({ page }) => {
+  assert.equal(await text(page, "#title"), "packed.rgs | low.rgs");
+  const split = page.locator("#split");
+  await split.waitFor();
+  assert.equal(await split.inputValue(), "500");
+  await split.focus();
+  await page.keyboard.press("End");
+  assert.equal(await split.inputValue(), "1000");
+  assert.ok(await page.locator("#right").isHidden());
+  await page.keyboard.press("Home");
+  assert.ok(await page.locator("#left").isHidden());
+  const box = await split.boundingBox();
+  await page.mouse.click(box.x + box.width / 4, box.y + box.height / 2);
+  assert.ok(Math.abs(Number(await split.inputValue()) - 250) < 30, await split.inputValue());
+  await page.waitForFunction(() => /mode=slider&split=0\.2/.test(location.hash));
+});
+
+inBrowser("the difference says how many dB", { ...two, files: two.files() }, async ({ page }) => {
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#map").waitFor();
+  const db = Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
+  assert.ok(db > 25 && db < 60, await text(page, "#psnr"));
+  // Of another view it is another map.
+  await page.locator("#picture").focus();
+  await page.keyboard.press("x");
+  await page.locator("#map").waitFor({ state: "hidden" });
+});
+
+inBrowser("flicker shows one after the other", { ...two, files: two.files() }, async ({ page }) => {
+  await page.locator("#picture").focus();
+  await page.keyboard.press("f");
+  const shown = () => page.locator("#left").isVisible();
+  const first = await shown();
+  await page.waitForFunction((was) => document.getElementById("left").hidden === was, first);
+  await page.waitForFunction((was) => document.getElementById("left").hidden !== was, first);
+  await page.keyboard.press("f");
+  assert.equal(await page.getByRole("radio", { name: "One" }).getAttribute("aria-checked"), "true");
+});
+
+inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ page, server, context }) => {
+  await page.locator("#picture").focus();
+  await page.keyboard.press("n");
+  await page.keyboard.press("n");
+  await page.locator("#sh").fill("1");
+  await page.locator("#background").fill("#336699");
+  await page.waitForFunction(() => /sh=1/.test(location.hash) && /background=0\.2/.test(location.hash));
+  const hash = new URL(page.url()).hash;
+  const [, camera] = readCameras(join(scenes(), "cameras.json"));
+  const at = new URLSearchParams(hash.slice(1)).get("at").split(",").map(Number);
+  camera.position.forEach((value, i) => assert.ok(Math.abs(value - at[i]) < 1e-5, `${at}`));
+  const other = await context.newPage();
+  await other.goto(`${server.url}${hash}`);
+  await other.waitForSelector("html[data-ready]", { state: "attached", timeout: kPatienceMs });
+  assert.equal(await other.locator("#sh").inputValue(), "1");
+  assert.equal(await other.locator("#background").inputValue(), "#336699");
+  await other.waitForFunction((expected) => location.hash === expected, hash);
+});
+
+inBrowser("keys and pointer move the view, and only then is drawn", { ...one, files: one.files() }, async ({ page }) => {
+  await page.waitForFunction(() => location.hash !== "");
+  const before = page.url();
+  const changed = async (action) => {
+    const was = page.url();
+    await action();
+    await page.waitForFunction((url) => location.href !== url, was);
+  };
+  await page.locator("#picture").focus();
+  await changed(() => page.keyboard.press("ArrowLeft", { delay: 100 }));
+  await changed(() => page.keyboard.press("w", { delay: 100 }));
+  await changed(() => page.keyboard.press("+"));
+  await changed(async () => {
+    await page.mouse.move(150, 200);
+    await page.mouse.down();
+    await page.mouse.move(190, 220, { steps: 3 });
+    await page.mouse.up();
+  });
+  await changed(() => page.mouse.wheel(0, 100));
+  await changed(() => page.mouse.dblclick(150, 250));
+  assert.notEqual(page.url(), before);
+  // Turned all the way the camera is still upright: right is across the world's up.
+  const axes = new URLSearchParams(new URL(page.url()).hash.slice(1)).get("axes").split(",").map(Number);
+  for (const value of axes) assert.ok(Number.isFinite(value));
+});
+
+inBrowser("a scene is dropped, and a second one beside it", { allowed: [k404] }, async ({ page }) => {
+  assert.ok(await page.locator("#welcome").isVisible());
+  const drop = (name, path) =>
+    page.evaluate(
+      ([name, base64]) => {
+        const data = new DataTransfer();
+        data.items.add(new File([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], name));
+        document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
+      },
+      [name, readFileSync(path).toString("base64")],
+    );
+  await drop("<img src=x onerror=alert(1)>.rgs", join(golden, "degree3.rgs"));
+  await page.waitForFunction(() => /onerror/.test(document.getElementById("title").textContent));
+  assert.equal(await page.locator("img").count(), 0, "names are text");
+  await drop("levels.rgs", join(golden, "levels_packed.rgs"));
+  await page.waitForFunction(() => / \| levels\.rgs/.test(document.getElementById("title").textContent));
+  assert.ok(await page.locator("#split").isVisible());
+});
+
+inBrowser("a phone has the picture above its settings", { ...one, files: one.files(), size: { width: 360, height: 640 } }, async ({ page }) => {
+  const box = await page.locator("#stage").boundingBox();
+  assert.equal(box.width, 360);
+  assert.ok(await page.locator("#panel").isHidden());
+  await page.locator("#menu").click();
+  assert.equal(await page.getAttribute("#menu", "aria-expanded"), "true");
+  assert.ok((await page.locator("#panel").boundingBox()).width === 360);
+  assert.equal(await page.evaluate(() => document.documentElement.scrollWidth), 360, "nothing sticks out");
+});
+
+inBrowser("everything has a name for screen readers, and dark is not light", { ...two, files: two.files() }, async ({ page }) => {
+  const nameless = await page.evaluate(() =>
+    [...document.querySelectorAll("button, input:not([hidden]), select, canvas:not([aria-hidden])")]
+      .filter((e) => !e.closest("#cameras") && !(e.getAttribute("aria-label") || e.textContent.trim() || e.labels?.length))
+      .map((e) => e.id),
+  );
+  assert.deepEqual(nameless, []);
+  const colour = () => page.evaluate(() => getComputedStyle(document.body).backgroundColor);
+  await page.locator("#theme").click();
+  const dark = await colour();
+  await page.locator("#theme").click();
+  assert.notEqual(await colour(), dark);
+});
+
+const levelsFile = () => join(scenes(), "levels.rgs");
+const levelsOnly = { view: { ...one.view, scenes: [scene("levels.rgs")] }, files: { ...one.files(), "scenes/0/levels.rgs": levelsFile() } };
+
+/** Holds what lies behind the first page until `open()` is called. */
+async function gate() {
+  const file = await open(readFileSync(levelsFile()));
+  const { offset } = file.levels.page(1);
+  file.close();
+  let release;
+  const opened = new Promise((resolve) => (release = resolve));
+  return { hold: async (url, begin) => url.endsWith("levels.rgs") && begin >= offset && opened, open: () => release() };
+}
+const held = await gate();
+const heldForEver = await gate();
+
+inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly, hold: held.hold }, async ({ t, page, server }) => {
+  await page.locator("#stats").check();
+  await page.waitForFunction(() => /, [1-9] pages, \d+ to come/.test(document.getElementById("overlay").textContent));
+  await assertDrawn(page);
+  const whole = readFileSync(levelsFile()).length;
+  const first = server.bytes["scenes/0/levels.rgs"];
+  t.diagnostic(`first picture from ${first} of ${whole} bytes`);
+  assert.ok(first < whole / 4, `${first} of ${whole} bytes`);
+  held.open();
+  await page.locator("#detail").fill("0");
+  // Leaves alone: all Gaussians.
+  await page.waitForFunction(() => /^60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  // A budget holds.
+  await page.locator("#budget").fill("4");
+  await page.waitForFunction(() => /^(\d{4}|10k) of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  const shot = async () => (await page.locator("#stage").screenshot()).toString("base64");
+  const plain = await shot();
+  await page.locator("#tint").selectOption("level");
+  await page.locator("#boxes").check();
+  assert.notEqual(await shot(), plain);
+});
+
+inBrowser("a server that goes away is said, and what is there stays", { ...levelsOnly, hold: heldForEver.hold, allowed: [/ERR_(CONNECTION|EMPTY)/] }, async ({ page, server }) => {
+  await server.end();
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  const [said] = await errors(page);
+  assert.match(said, /^levels\.rgs stopped coming\. .*Start rgs-view again/);
+  await assertDrawn(page);
+});
+
+inBrowser("damaged files are said, with code and byte", { allowed: [k404] }, async ({ t, page }) => {
+  const reject = join(golden, "reject");
+  const names = readdirSync(reject).filter((name) => name.endsWith(".rgs"));
+  assert.ok(names.length > 200);
+  const opened = [];
+  for (const name of names) {
+    // An error, or a scene: damage in a page is seen when that page is needed.
+    const refused = await page.evaluate(
+      async ([name, base64]) => {
+        const data = new DataTransfer();
+        data.items.add(new File([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], name));
+        const list = document.getElementById("errors");
+        const loading = document.getElementById("loading");
+        list.replaceChildren();
+        document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
+        await new Promise((resolve) => {
+          const look = () => loading.hidden && (observer.disconnect(), resolve());
+          const observer = new MutationObserver(look);
+          observer.observe(loading, { attributes: true });
+        });
+        return list.textContent;
+      },
+      [name, readFileSync(join(reject, name)).toString("base64")],
+    );
+    if (refused === "") {
+      opened.push(name);
+      continue;
+    }
+    assert.ok(refused.startsWith(name), `${name}: ${refused}`);
+    assert.match(refused, /\([a-z_]+( at byte \d+)?[:)]/, name);
+  }
+  t.diagnostic(`${names.length} files, ${opened.length} of them with pages that the first view did not need`);
+  for (const name of opened) {
+    const file = await open(readFileSync(join(reject, name)));
+    assert.ok(file.levels, name);
+    file.close();
+  }
+  // The page still does what it is told.
+  await page.locator("#theme").click();
+});
+
+/** Draws what the page asks for with rgs-render, as rgs-view does with the same library. */
+function renderer() {
+  let n = 0;
+  return async (request) => {
+    const { camera, width, height, background, sh_degree } = request;
+    const cameras = join(folder, `camera-${(n += 1)}.json`);
+    const out = join(folder, `frame-${n}.png`);
+    writeFileSync(cameras, JSON.stringify([{ ...camera, world_to_camera: undefined }]));
+    const settings = ["--size", `${width}x${height}`, "--background", background.join(","), "--sh-degree", String(sh_degree)];
+    execFileSync(program("rgs-render"), [join(scenes(), "packed.rgs"), "--cameras", cameras, "--backend", "cpu", "--quiet", ...settings, "--out", out]);
+    return out;
+  };
+}
+const framed = { ...one.view, frames: { url: "frame", backend: "cpu" } };
+
+inBrowser("the true picture beside the engine's", { ...one, view: framed, files: one.files(), frame: renderer() }, async ({ t, page, server }) => {
+  await page.locator("#picture").focus();
+  await page.keyboard.press("n");
+  await page.keyboard.press("t");
+  await page.locator("#truth").waitFor();
+  await page.waitForFunction(() => document.getElementById("truth").width === document.getElementById("picture").width);
+  assert.ok(server.requests.includes("POST frame"));
+  await page.keyboard.press("x");
+  await page.locator("#map").waitFor();
+  const db = Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
+  t.diagnostic(`${db} dB`);
+  assert.ok(db >= 35, `${db} dB`);
+});
+
+const refusing = async () => ({ status: 500, error: { code: "host_out_of_memory", message: "it is too large", offset: null } });
+inBrowser("a picture that the server refuses is said", { ...one, view: framed, files: one.files(), frame: refusing, allowed: [/500/] }, async ({ page }) => {
+  await page.locator("#picture").focus();
+  await page.keyboard.press("t");
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^The true picture .*host_out_of_memory: it is too large/);
+});
+
+inBrowser("a lost device is said, and comes back", { ...one, files: one.files(), allowed: [/context/i] }, async ({ page }) => {
+  await page.evaluate(() => {
+    window.lose = document.getElementById("picture").getContext("webgl2").getExtension("WEBGL_lose_context");
+    window.lose.loseContext();
+  });
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^The graphics device was lost/);
+  await page.evaluate(() => window.lose.restoreContext());
+  await page.waitForFunction(() => document.getElementById("status").textContent === "The graphics device is back");
+  await assertDrawn(page);
+});
+
+test("a browser without WebGL 2 is told so", async (t) => {
+  if (!browser) return skip(t, "chromium is not installed");
+  const server = await startServer();
+  const page = await browser.newPage();
+  t.after(() => Promise.all([page.close(), server.end()]));
+  await page.addInitScript(() => (HTMLCanvasElement.prototype.getContext = () => null));
+  await page.goto(server.url);
+  await page.waitForSelector("#errors p");
+  assert.match((await errors(page))[0], /^This browser has no WebGL 2/);
+});
+
+inBrowser("a screenshot has the picture's size", { ...one, files: one.files() }, async ({ page }) => {
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
+  assert.equal(download.suggestedFilename(), "packed.rgs.png");
+  const png = readFileSync(await download.path());
+  const { width, height } = await page.evaluate(() => document.getElementById("picture"  ).getBoundingClientRect().toJSON());
+  assert.deepEqual([png.readUInt32BE(16), png.readUInt32BE(20)], [Math.round(width), Math.round(height)]);
+});
+
+inBrowser("a PLY comes through the engine", { view: { ...one.view, scenes: [scene("scene.ply")] }, files: { ...one.files(), "scenes/0/scene.ply": join(scenes(), "scene.ply") } }, async ({ page }) => {
+  assert.match(await page.getAttribute("#picture", "aria-label"), /scene\.ply, 60k Gaussians/);
+  await assertDrawn(page);
+});
+
+test("one file without a server, with scene and cameras inside", async (t) => {
+  if (!browser) return skip(t, "chromium is not installed");
+  const path = join(folder, "export.html");
+  const insert = (id, type, body) => `<script type="${type}" id="${id}">${body}</script>`;
+  const inside = (i, file) => insert(`rgs-file-${i}`, "application/octet-stream;base64", readFileSync(file).toString("base64"));
+  const view = { ...one.view, scenes: [{ name: "packed.rgs", url: "#rgs-file-0", bytes: 1 }], cameras: "#rgs-file-1" };
+  const parts = insert("rgs-view", "application/json", JSON.stringify(view)) + inside(0, join(scenes(), "packed.rgs")) + inside(1, join(scenes(), "cameras.json"));
+  const html = readFileSync(single, "utf8");
+  assert.equal(html.split("<!-- rgs-view:insert -->").length, 2, "one place to insert at");
+  writeFileSync(path, html.replace("<!-- rgs-view:insert -->", () => parts));
+  const page = await browser.newPage({ viewport: kSize });
+  t.after(() => page.close());
+  const problems = [];
+  page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
+  page.on("request", (request) => /^(file|data|blob):/.test(request.url()) || problems.push(request.url()));
+  await page.goto(pathToFileURL(path).href);
+  await page.waitForSelector("html[data-ready]", { state: "attached", timeout: kPatienceMs });
+  assert.deepEqual(await errors(page), []);
+  assert.equal(await text(page, "#title"), "packed.rgs");
+  assert.equal(await page.locator("#cameras button").count(), 8);
+  await assertDrawn(page);
+  assert.deepEqual(problems, []);
+});
+
+for (const name of ["south.rgs", "south-levels.rgs"]) {
+  test(`40 MB from the loopback address, ${name}`, async (t) => {
+    if (!browser) return skip(t, "chromium is not installed");
+    const folderOfSouth = process.env.RGS_WEB_SOUTH ? dirname(process.env.RGS_WEB_SOUTH) : "";
+    if (!folderOfSouth || !process.env.RGS_DATA_DIR) {
+      if ((process.env.RGS_REQUIRE_DATA ?? "0") !== "0") throw new Error("RGS_REQUIRE_DATA is set, but there is no south");
+      return t.skip("RGS_DATA_DIR is not set");
+    }
+    const path = join(folderOfSouth, name);
+    const { size } = statSync(path);
+    const view = { ...one.view, scenes: [scene(name)], cameras: null };
+    const server = await startServer({ view, files: { [`scenes/0/${name}`]: path } });
+    const page = await browser.newPage({ viewport: { width: 320, height: 240 } });
+    page.setDefaultTimeout(kPatienceMs);
+    t.after(async () => {
+      await page.close();
+      await server.end();
+    });
+    await page.goto(server.url);
+    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    const ms = await page.evaluate(() => performance.now());
+    const bytes = server.bytes[`scenes/0/${name}`];
+    t.diagnostic(`opened after ${Math.round(ms)} ms, with the page itself; ${bytes} of ${size} bytes read by then`);
+    await assertDrawn(page);
+    // The beginning is read first, and where all is read once more with the rest.
+    if (name === "south.rgs") assert.ok(bytes <= size + (1 << 17), `${bytes} bytes`);
+    else assert.ok(bytes < size / 10, `${bytes} of ${size} bytes before the first picture`);
+  });
+}

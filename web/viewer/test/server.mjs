@@ -1,0 +1,67 @@
+// server.mjs - what rgs-view does, as far as the page sees it: the page, files by ranges, view.json and frames.
+// SPDX-License-Identifier: Apache-2.0
+import { createReadStream, existsSync, statSync } from "node:fs";
+import { createServer } from "node:http";
+import { extname, join, normalize } from "node:path";
+import { fileURLToPath } from "node:url";
+
+export const dist = fileURLToPath(new URL("../dist/", import.meta.url));
+export const single = fileURLToPath(new URL("../dist-single/page.html", import.meta.url));
+
+const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".wasm": "application/wasm", ".json": "application/json", ".png": "image/png" };
+
+/**
+ * `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error }.
+ * `hold(url, begin)`: answers once this resolves. Returns the page's address, requests as they came and bytes by URL.
+ */
+export async function startServer({ files = {}, view = null, frame = null, hold } = {}) {
+  const requests = [];
+  const bytes = {};
+  const server = createServer(async (request, answer) => {
+    const url = decodeURIComponent(new URL(request.url, "http://x").pathname).replace(/^\/token\//, "");
+    requests.push(`${request.method} ${url}`);
+    if (request.method === "POST" && url === "frame" && frame) {
+      let body = "";
+      for await (const part of request) body += part;
+      const found = await frame(JSON.parse(body));
+      if (typeof found !== "string") {
+        answer.writeHead(found.status, { "Content-Type": "application/json" }).end(JSON.stringify({ error: found.error }));
+        return;
+      }
+      answer.writeHead(200, { "Content-Type": "image/png", "X-Render-Ms": "12.5" });
+      createReadStream(found).pipe(answer);
+      return;
+    }
+    if (url === "view.json" && view) {
+      answer.writeHead(200, { "Content-Type": "application/json" }).end(JSON.stringify(view));
+      return;
+    }
+    const path = files[url] ?? join(dist, normalize(url === "" ? "index.html" : url));
+    if (!existsSync(path) || url.includes("..")) {
+      answer.writeHead(404).end();
+      return;
+    }
+    const { size } = statSync(path);
+    const [, from, to] = /^bytes=(\d+)-(\d*)$/.exec(request.headers.range ?? "") ?? [];
+    const begin = Number(from ?? 0);
+    const end = Math.min(size - 1, to ? Number(to) : size - 1);
+    const headers = { "Content-Type": kTypes[extname(path)] ?? "application/octet-stream", "Content-Length": size === 0 ? 0 : end - begin + 1, "Accept-Ranges": "bytes", "Cache-Control": "no-store" };
+    if (from !== undefined) headers["Content-Range"] = `bytes ${begin}-${end}/${size}`;
+    await hold?.(url, begin);
+    if (answer.destroyed) return;
+    bytes[url] = (bytes[url] ?? 0) + headers["Content-Length"];
+    answer.writeHead(from === undefined ? 200 : 206, headers);
+    if (request.method === "HEAD" || size === 0) answer.end();
+    else createReadStream(path, { start: begin, end }).pipe(answer);
+  });
+  await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
+  return {
+    url: `http://127.0.0.1:${server.address().port}/token/`,
+    requests,
+    bytes,
+    async end() {
+      server.closeAllConnections();
+      await new Promise((resolve) => server.close(resolve));
+    },
+  };
+}

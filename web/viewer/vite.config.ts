@@ -1,0 +1,83 @@
+// vite.config.ts - the page as a folder that a server serves, and with `--mode single` as one file that needs none.
+// SPDX-License-Identifier: Apache-2.0
+import { fileURLToPath } from "node:url";
+import { defineConfig, type Plugin } from "vite";
+
+const kMarker = "<!-- rgs-view:insert -->";
+const kFolderPolicy = [
+  "default-src 'none'",
+  "script-src 'self' 'wasm-unsafe-eval'",
+  "style-src 'self'",
+  // The engine sorts in a worker that it makes of a text, and hands pictures of SOG files to itself.
+  "worker-src 'self' blob:",
+  "connect-src 'self' blob:",
+  "img-src 'self' blob: data:",
+];
+
+/** What a text hashes to, as a policy names it. */
+async function hashOf(text: string): Promise<string> {
+  const digest = await crypto.subtle.digest("SHA-256", new TextEncoder().encode(text));
+  return `'sha256-${btoa(String.fromCharCode(...new Uint8Array(digest)))}'`;
+}
+
+const meta = (policy: string[]): string => `<meta http-equiv="Content-Security-Policy" content="${policy.join("; ")}">`;
+
+const folderPolicy: Plugin = {
+  name: "policy",
+  transformIndexHtml: (html) => html.replace("<!-- policy -->", meta(kFolderPolicy)),
+};
+
+/** Puts the script and the style into the page; the policy names them by their hashes. */
+const single: Plugin = {
+  name: "single",
+  enforce: "post",
+  async generateBundle(_options, bundle) {
+    let script = "";
+    let style = "";
+    for (const [name, file] of Object.entries(bundle)) {
+      if (name.endsWith(".html")) continue;
+      if (file.type === "chunk") script += file.code;
+      else if (name.endsWith(".css")) style += String(file.source);
+      delete bundle[name];
+    }
+    // Nothing in the script may end its element.
+    script = script.replaceAll("</script", "<\\/script").replaceAll("<!--", "<\\!--");
+    const policy = [
+      "default-src 'none'",
+      `script-src ${await hashOf(script)} 'wasm-unsafe-eval'`,
+      `style-src ${await hashOf(style)}`,
+      "worker-src blob:",
+      "connect-src blob: data:",
+      "img-src blob: data:",
+    ];
+    for (const file of Object.values(bundle)) {
+      if (file.type !== "asset") continue;
+      file.fileName = "page.html";
+      file.source = String(file.source)
+        .replace(/<script[^>]*src=[^>]*><\/script>\s*/g, "")
+        .replace(/<link[^>]*rel="(stylesheet|modulepreload)"[^>]*>\s*/g, "")
+        .replace("<!-- policy -->", () => meta(policy))
+        .replace("</head>", () => `<style>${style}</style>\n</head>`)
+        .replace(kMarker, () => `${kMarker}\n<script type="module">${script}</script>`);
+    }
+  },
+};
+
+export default defineConfig(({ mode }) => ({
+  base: "./",
+  plugins: mode === "single" ? [single] : [folderPolicy],
+  // A page from a disk runs no worker that is a module.
+  worker: { format: mode === "single" ? "iife" : "es" },
+  resolve:
+    mode === "single"
+      ? { alias: { "./reader-worker.js": fileURLToPath(new URL("src/reader-worker-inline.ts", import.meta.url)) } }
+      : {},
+  build: {
+    target: "es2022",
+    outDir: mode === "single" ? "dist-single" : "dist",
+    modulePreload: false,
+    assetsInlineLimit: mode === "single" ? Number.MAX_SAFE_INTEGER : 0,
+    chunkSizeWarningLimit: 4000,
+    ...(mode === "single" ? { rollupOptions: { output: { codeSplitting: false } } } : {}),
+  },
+}));
