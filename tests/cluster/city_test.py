@@ -209,7 +209,7 @@ def kill_in_job(folder, n_jobs, seconds):
                 os.killpg(run.pid, signal.SIGKILL)  # it, and the programs that it began
 
 
-@case("killed ten times, at any moment, it ends with the same bytes")
+@case("killed twenty times, at any moment, it ends with the same bytes")
 def killed(folder):
     make_tiles(folder)
     wanted = by_hand(folder)
@@ -220,7 +220,7 @@ def killed(folder):
     shutil.rmtree(f"{folder}/city.work")
     os.remove(f"{folder}/city.rgs")
     n_at_work = 0
-    for _ in range(10):
+    for _ in range(20):
         n_at_work += kill_in_job(folder, chance.randint(1, 4), chance.uniform(0, a_job))
         subprocess.run([*command("local"), "--unlock"], cwd=folder, env=environment(), check=True, capture_output=True)
         if os.path.exists(f"{folder}/city.rgs"):  # once more, from somewhere on
@@ -229,7 +229,7 @@ def killed(folder):
             for name in chance.sample(["plan", "rows.0", "range.1", "range.3"], 2):
                 os.remove(f"{folder}/city.work/{name}")
     assert n_at_work > 3, f"only {n_at_work} kills"
-    print(f"{n_at_work} of 10 runs were killed at work; what killed programs left: {left_over(folder)}")
+    print(f"{n_at_work} of 20 runs were killed at work; what killed programs left: {left_over(folder)}")
     same(Run(folder).code, 0)
     check_city(folder, wanted)
     same(left_over(folder), [])

@@ -119,7 +119,8 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
   CHECK(n_stretches == 1);
   CHECK(program({"--lod-assemble", work, folder.file("early.rgs")}).exit_code == 3);
   REQUIRE(program({"--lod-build", work, "--lod-input", "0-4", "--threads", "1"}).exit_code == 0);
-  for (const auto& range : listed()["ranges"]) CHECK(range["built"] == true);
+  state = listed();
+  for (const auto& range : state["ranges"]) CHECK(range["built"] == true);
   const std::string out = folder.file("out.rgs");
   const ProgramResult json = program({"--lod-assemble", work, out, "--json"});
   REQUIRE(json.exit_code == 0);

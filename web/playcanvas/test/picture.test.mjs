@@ -23,7 +23,7 @@ const kDevices = {
 const bytes = (base64) => Buffer.from(base64, "base64");
 
 for (const [device, args] of Object.entries(kDevices)) {
-  test(`pictures by ${device}`, async (t) => {
+  test(`pictures by ${device}`, { timeout: 900_000 }, async (t) => {
     if (!existsSync(kChromium)) return skip(t, "chromium is not installed");
     if (!hasNginx) return skip(t, "nginx is not installed");
     const folder = mkdtempSync(join(tmpdir(), "rgs-web-pictures-"));
@@ -47,12 +47,18 @@ for (const [device, args] of Object.entries(kDevices)) {
 
     const problems = [];
     let lost = false;
+    // A picture of a device that is lost may never come: the console says it first.
+    let lose;
+    const loss = new Promise((_, reject) => (lose = reject));
+    loss.catch(() => undefined);
     const open = async (scene) => {
       const page = await browser.newPage();
       // The engine says on the console what it also gives to the callback.
       if (scene) page.on("console", (message) => {
         if (message.type() === "error") problems.push(message.text());
-        if (message.text().includes("valid external Instance reference")) lost = true;
+        if (!message.text().includes("valid external Instance reference")) return;
+        lost = true;
+        lose(new Error("the device is lost"));
       });
       page.on("pageerror", (error) => problems.push(String(error)));
       await page.goto(`${server.url}/page/page.html`);
@@ -78,7 +84,9 @@ for (const [device, args] of Object.entries(kDevices)) {
       const paths = renderAll(scene, cameras, views, kSize, pictures, more);
       const found = [];
       for (const [i, path] of paths.entries()) {
-        const drawn = await page.evaluate(([camera, [w, h]]) => window.engine.picture(camera, w, h), [list[views[i]], kSize]);
+        const drawing = page.evaluate(([camera, [w, h]]) => window.engine.picture(camera, w, h), [list[views[i]], kSize]);
+        drawing.catch(() => undefined);
+        const drawn = await Promise.race([drawing, loss]);
         const expected = await page.evaluate((url) => window.engine.decode(url), `/pictures/views/${basename(path)}`);
         found.push(psnr(bytes(drawn), bytes(expected)));
       }
