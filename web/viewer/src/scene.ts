@@ -147,7 +147,7 @@ class RgsScene extends Scene {
     side: 0 | 1,
     private readonly onError: (error: unknown) => void,
   ) {
-    super(entry.name, entry.bytes || file.fileBytes, stage, side);
+    super(entry.name, file.fileBytes, stage, side);
     const { robust, full, origin } = file.declarations;
     const box = robust.max.some((value, i) => value > (robust.min[i] as number)) ? robust : full;
     this.box = { min: box.min.map((v, i) => v + (origin[i] as number)), max: box.max.map((v, i) => v + (origin[i] as number)) };

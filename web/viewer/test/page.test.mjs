@@ -95,7 +95,7 @@ inBrowser("a scene with its cameras", { ...one, files: one.files() }, async ({ t
   assert.match(await page.getAttribute("#picture", "aria-label"), /packed\.rgs, 60k Gaussians/);
   await assertDrawn(page);
   await page.locator("#stats").check();
-  await page.waitForFunction(() => /60k of 60k Gaussians/.test(document.getElementById("overlay").textContent));
+  await page.waitForFunction(() => /60k of 60k Gaussians, 3\.1 MB of 3\.1 MB/.test(document.getElementById("overlay").textContent));
   // Nothing but what it was given.
   const beyond = server.requests.filter((line) => !/^GET (|assets\/[\w-]+\.(js|css|wasm)|view\.json|cameras\.json|scenes\/0\/packed\.rgs)$/.test(line));
   assert.deepEqual(beyond, []);
