@@ -17,6 +17,8 @@ namespace {
 
 using json = nlohmann::json;
 
+constexpr int kMostLevels = 8;  // a camera's rotation is at the fourth
+
 // The fields of an object, each looked at once; the first that is wrong decides.
 class Fields {
  public:
@@ -108,13 +110,20 @@ void read_options(Fields& fields, RenderOptions& options) {
 
 Result<FrameRequest> parse_frame_request(std::string_view body, std::size_t n_scenes) {
   json object;
+  bool is_too_deep = false;
   try {
-    object = json::parse(body);
+    // What is nested deeper is left out while it is parsed: to write a value back as text takes stack for each level.
+    object = json::parse(body, [&](int depth, json::parse_event_t event, const json&) {
+      const bool begins = event == json::parse_event_t::object_start || event == json::parse_event_t::array_start;
+      if (begins && depth >= kMostLevels) is_too_deep = true;
+      return !is_too_deep;
+    });
   } catch (const json::parse_error& error) {
     return make_error(Errc::bad_syntax, error.byte > 0 ? error.byte - 1 : 0, "the JSON text cannot be parsed here");
   } catch (const json::exception&) {
     return make_error(Errc::bad_argument, Error::kNone, "the JSON text has a number that is too large");
   }
+  if (is_too_deep) return make_error(Errc::bad_syntax, Error::kNone, "the JSON text is nested too deeply");
   if (!object.is_object()) return make_error(Errc::bad_syntax, 0, "a frame is asked for by a JSON object");
   if (!has_only(object, kFields))
     return make_error(Errc::bad_syntax, Error::kNone,

@@ -213,9 +213,10 @@ class Server final : public httplib::Server {
       const HttpRequest head = request_of(request);
       if (const auto refusal = handlers_.refuse(head)) {
         fill(*refusal, response);
-        if (stated_body(request) > 0) response.set_header("Connection", "close");  // the body stays unread
+        response.set_header("Connection", "close");
         return HandlerResponse::Handled;
       }
+      is_accepted_ = true;
       if (request.method == "POST") return HandlerResponse::Unhandled;
       fill(handlers_.answer(head), response);
       return HandlerResponse::Handled;
@@ -267,7 +268,9 @@ class Server final : public httplib::Server {
         body_bytes = stated_body(request);
         request.headers.erase("Accept-Encoding");  // compressing takes longer than the loopback device
       };
-      if (!process_request(connection, is_last, is_last, look) || is_last || !connection.is_consumed(body_bytes))
+      is_accepted_ = false;
+      if (!process_request(connection, is_last, is_last, look) || is_last || !is_accepted_ ||
+          !connection.is_consumed(body_bytes))
         return;
       connection.forget_request();
     }
@@ -282,6 +285,10 @@ class Server final : public httplib::Server {
       rest = rest.subspan(static_cast<std::size_t>(n));
     }
   }
+
+  // Of the request that this thread is at, for httplib hands its handlers no connection. What is not accepted is the last: where
+  // its body ends nobody has checked, and a stranger keeps no thread.
+  static inline thread_local bool is_accepted_ = false;
 
   HttpLimits limits_;
   HttpHandlers handlers_;

@@ -22,7 +22,7 @@ namespace rgs::view {
 
 struct HttpLimits {
   std::size_t head_bytes = 8192, body_bytes = 65536;
-  std::chrono::milliseconds request_time{10'000};  ///< from a request's first byte to its last
+  std::chrono::milliseconds request_time{10'000};  ///< for a head from its first byte, and again for its body
   std::chrono::milliseconds idle_time{5'000};      ///< for a connection's next request
   std::chrono::milliseconds stall_time{30'000};    ///< without a byte that a client takes
 };
@@ -48,7 +48,7 @@ struct HttpAnswer {
 };
 
 struct HttpHandlers {
-  /// From the head alone: what is answered without reading the body, if it is refused.
+  /// From the head alone: what is answered without reading the body, if it is refused. The connection ends with it.
   std::function<std::optional<HttpAnswer>(const HttpRequest&)> refuse;
   /// Called by several threads at once. What it throws becomes an answer of 500.
   std::function<HttpAnswer(const HttpRequest&)> answer;

@@ -5,11 +5,13 @@
 #include <unistd.h>
 
 #include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <cstdlib>
 #include <filesystem>
 #include <map>
 #include <optional>
+#include <span>
 #include <string>
 #include <system_error>
 #include <thread>
@@ -70,17 +72,31 @@ struct Shown {
   std::string fragment;  // of the page's address: where it begins
 };
 
+// What the page's own readers take.
+#define RGS_PAGE_FORMATS ".rgs, .ply, .compressed.ply and .sog"
+
+bool is_shown(rgs::SplatFormat format, std::span<const std::byte> bytes) {
+  switch (format) {
+    case rgs::SplatFormat::rgs:
+    case rgs::SplatFormat::ply:
+    case rgs::SplatFormat::compressed_ply: return true;
+    case rgs::SplatFormat::sog: return bytes.front() == std::byte{'P'};  // zipped, and no meta.json beside its pictures
+    default: return false;
+  }
+}
+
 int add_scene(const std::string& path, Shown& shown) {
   const auto file = rgs::MappedFile::open(path);
   if (!file) return tool::report(path, file.error());
-  if (rgs::detect_format(file->bytes()) == rgs::SplatFormat::unknown)
-    return tool::report(path, {rgs::Errc::bad_magic, 0, "no splat file: rgs-view shows " RGS_SCENE_FORMATS});
+  const rgs::SplatFormat format = rgs::detect_format(file->bytes());
+  if (format == rgs::SplatFormat::unknown)
+    return tool::report(path, {rgs::Errc::bad_magic, 0, "no splat file: rgs-view shows " RGS_PAGE_FORMATS});
+  if (!is_shown(format, file->bytes()))
+    return tool::report(path, {rgs::Errc::unsupported_feature, rgs::Error::kNone,
+                               "the page shows " RGS_PAGE_FORMATS ": rgs-convert makes .rgs of this"});
   const std::string folder = fmt::format("scenes/{}/", shown.document.scenes.size());
-  tool::InputFiles files;  // of a SOG's meta.json also the pictures
-  files.add_scene(path);
-  for (const std::string& part : files.paths())
-    shown.files.push_back({folder + fs::path(part).filename().string(), part});
   const std::string name = fs::path(path).filename().string();
+  shown.files.push_back({folder + name, path});
   shown.scenes.push_back(path);
   shown.document.scenes.push_back({name, folder + view::percent_encoded(name), file->bytes().size()});
   return tool::kSuccess;
@@ -270,9 +286,6 @@ int export_page(const Options& options, Shown& shown) {
   }
   for (std::size_t i = 0; i < shown.document.scenes.size(); ++i) {
     auto& scene = shown.document.scenes[i];
-    if (scene.name == "meta.json")
-      return tool::report_usage(
-          "a SOG of several files does not fit into one: zip it to a .sog, or convert it to .rgs");
     scene.url = address_of.at(fmt::format("scenes/{}/{}", i, scene.name));
   }
   for (auto& photo : shown.document.photos) photo.url = address_of.at(photo.url);
@@ -301,7 +314,7 @@ int export_page(const Options& options, Shown& shown) {
 }
 
 void add_options(CLI::App& app, Options& o) {
-  app.add_option("scene", o.scene, "scene to look at, " RGS_SCENE_FORMATS)->required();
+  app.add_option("scene", o.scene, "scene to look at: " RGS_PAGE_FORMATS)->required();
   app.add_option("other", o.other, "a second one, to compare it with");
   auto* const cameras =
       app.add_option("--cameras,-c", o.cameras, "cameras to jump to: camera file or COLMAP folder (docs/CAMERAS.md)");

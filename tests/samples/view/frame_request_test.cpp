@@ -142,6 +142,28 @@ TEST_CASE("what is no JSON object is refused, where it goes wrong") {
   CHECK(!parse_frame_request(deep, 1));
 }
 
+TEST_CASE("what is nested deeper than any frame is refused as such") {
+  // `levels` of them, the request's own object included.
+  const auto nested = [](std::size_t levels) {
+    const std::size_t n = levels - 1;
+    return parse_frame_request(R"({"camera": )" + std::string(n, '[') + std::string(n, ']') + "}", 1).error();
+  };
+  constexpr const char* kTooDeep = "the JSON text is nested too deeply";
+  CHECK(std::string(nested(8).what) != kTooDeep);
+  for (const std::size_t levels : {9U, 10U, 30'000U}) {
+    CAPTURE(levels);
+    CHECK(nested(levels).code == rgs::Errc::bad_syntax);
+    CHECK(std::string(nested(levels).what) == kTooDeep);
+  }
+  std::string objects;
+  for (int i = 0; i < 24'000 / 5; ++i) objects += R"({"a":)";
+  CHECK(parse_frame_request(objects + "1" + std::string(24'000 / 5, '}'), 1).error().what == std::string(kTooDeep));
+  // Whole after what is too deep, and with fields of one name.
+  CHECK(parse_frame_request(R"({"camera": [[[[[[[[0]]]]]]]], "camera": {"a": [1, {"b": 2}]}, "scene": 0})", 1)
+            .error()
+            .what == std::string(kTooDeep));
+}
+
 TEST_CASE("a JPEG is the picture, at every size") {
   const rgs::test::TemporaryFolder folder;
   for (const auto& [width, height] : {std::pair(1, 1), std::pair(2, 3), std::pair(17, 16), std::pair(97, 61)}) {

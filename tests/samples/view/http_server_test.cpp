@@ -8,6 +8,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <algorithm>
 #include <array>
 #include <chrono>
 #include <filesystem>
@@ -46,7 +47,7 @@ HttpHandlers echo() {
 
 class Running {
  public:
-  explicit Running(const HttpHandlers& handlers, const HttpLimits& limits = {.idle_time = 200ms})
+  explicit Running(const HttpHandlers& handlers, const HttpLimits& limits = {.idle_time = 10s})
       : server_(HttpServer::listen(0, limits).value()), thread_([this, handlers] { server_.serve(handlers); }) {}
   ~Running() {
     server_.stop();
@@ -87,12 +88,16 @@ class Client {
     return ::poll(&wanted, 1, static_cast<int>(most.count())) > 0;
   }
   void end() const { ::shutdown(fd_, SHUT_WR); }
+  // What is there, once there is something; empty when the server has closed.
+  std::string next() const {
+    std::array<char, 4096> bytes;
+    const ssize_t n = ::recv(fd_, bytes.data(), bytes.size(), 0);
+    return std::string(bytes.data(), static_cast<std::size_t>(std::max<ssize_t>(n, 0)));
+  }
   // All until the server closes.
   std::string rest() const {
     std::string text;
-    std::array<char, 4096> bytes;
-    for (ssize_t n = 0; (n = ::recv(fd_, bytes.data(), bytes.size(), 0)) > 0;)
-      text.append(bytes.data(), static_cast<std::size_t>(n));
+    for (std::string part; !(part = next()).empty();) text += part;
     return text;
   }
 
@@ -156,7 +161,7 @@ TEST_CASE("a head that is too large, or no head, is refused and ends the connect
 }
 
 TEST_CASE("bodies end at their limit, and those of refused requests are not read as requests") {
-  const Running server(echo(), {.body_bytes = 1000, .idle_time = 200ms});
+  const Running server(echo(), {.body_bytes = 1000, .idle_time = 10s});
   const auto post = [&](const std::string& path, std::size_t stated, std::size_t sent) {
     return ask(server.port(), "POST " + path + " HTTP/1.1\r\nContent-Length: " + std::to_string(stated) + "\r\n\r\n" +
                                   std::string(sent, 'x'));
@@ -166,16 +171,23 @@ TEST_CASE("bodies end at their limit, and those of refused requests are not read
   CHECK(post("/a", 1'000'000'000'000, 100).starts_with("HTTP/1.1 4"));
   CHECK(post("/a", 10, 5).starts_with("HTTP/1.1 4"));  // ends early
   const std::string inner = "GET /inner HTTP/1.1\r\n\r\n";
-  const std::string said =
-      ask(server.port(), "POST /no HTTP/1.1\r\nContent-Length: " + std::to_string(inner.size()) + "\r\n\r\n" + inner);
-  CHECK(said.starts_with("HTTP/1.1 403 "));
-  CHECK(has(said, "Connection: close"));
-  CHECK(!has(said, "/inner"));
+  // As sizes that nobody takes: where such a body ends is not known. Without one the connection ends too.
+  for (const std::string& fields :
+       {"Content-Length: " + std::to_string(inner.size()) + "\r\n", std::string("Transfer-Encoding: chunked\r\n"),
+        std::string("Content-Length: 0\r\nContent-Length: 24\r\n"), std::string("Content-Length: 0x18\r\n"),
+        std::string()}) {
+    CAPTURE(fields);
+    const std::string said = ask(server.port(), "POST /no HTTP/1.1\r\n" + fields + "\r\n" + inner);
+    CHECK(said.starts_with("HTTP/1.1 403 "));
+    CHECK(has(said, "Connection: close"));
+    CHECK(!has(said, "/inner"));
+  }
 }
 
 TEST_CASE("a client that never ends its request is sent away, and others are served meanwhile") {
-  const Running server(echo(), {.request_time = 300ms, .idle_time = 300ms});
-  const Client slow(server.port()), silent(server.port()), body(server.port());
+  const Running server(echo(), {.request_time = 300ms, .idle_time = 10s});
+  const Running impatient(echo(), {.idle_time = 300ms});
+  const Client slow(server.port()), silent(impatient.port()), body(server.port());
   slow.send("GET /slow HTT");
   body.send("POST /body HTTP/1.1\r\nContent-Length: 100\r\n\r\nhalf");
   CHECK(has(ask(server.port(), "GET /quick HTTP/1.1\r\n\r\n"), "GET /quick"));
@@ -185,7 +197,7 @@ TEST_CASE("a client that never ends its request is sent away, and others are ser
 }
 
 TEST_CASE("a client that sends a byte now and then has no more time than others") {
-  const Running server(echo(), {.request_time = 300ms, .idle_time = 300ms});
+  const Running server(echo(), {.request_time = 300ms, .idle_time = 10s});
   const Client client(server.port());
   client.send("GET /a HTTP/1.1\r\n");
   while (!client.has_answer(5ms)) client.send("x");
@@ -216,9 +228,10 @@ TEST_CASE("a file that changes while it is sent ends the connection before its l
   const Running server(handlers);
   const Client client(server.port());
   client.send("GET /f HTTP/1.1\r\n\r\n");
+  const std::string begin = client.next();  // it has opened the file
   // The server waits for room once the socket is full; what it has not read by then is of the other file.
   rgs::test::write_text(path, std::string(kBytes, 'b'));
-  const std::string text = client.rest();
+  const std::string text = begin + client.rest();
   const std::size_t head = text.find("\r\n\r\n");
   REQUIRE(head != text.npos);
   CHECK(has(text.substr(0, head), "Content-Length: " + std::to_string(kBytes)));
