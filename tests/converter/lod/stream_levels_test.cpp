@@ -70,8 +70,9 @@ SplatCloud scene(std::uint64_t side = 120) {
 TEST_CASE("the bytes of a streamed file depend neither on memory nor on threads, and are those of levels in memory") {
   const SplatCloud cloud = scene();
   const test::TemporaryFolder folder;
-  for (const auto& [order, stretch_pages] :
-       {std::pair(Order::morton, 1024U), {Order::input, 1024U}, {Order::morton, 7U}}) {
+  for (const auto& way : {std::pair(Order::morton, 1024U), {Order::input, 1024U}, {Order::morton, 7U}}) {
+    const Order order = way.first;
+    const unsigned stretch_pages = way.second;
     CAPTURE(stretch_pages);
     EncodeOptions encode;
     encode.profile = Profile::packed;
