@@ -38,7 +38,7 @@ export RGS_DUMP_FILE="$PWD/build/release/bin/rgs_dump_file" RGS_WEB_SCENES="$PWD
 report=build/web/test.tap
 status=0
 # One file at a time: browsers draw in software, on all cores.
-(cd web && exec node --test --test-concurrency=1 --test-reporter=tap "$@" */test/*.test.mjs) >"$report" 2>&1 </dev/null || status=$?
+(cd web && exec node --test --test-concurrency=1 --test-timeout=900000 --test-reporter=tap "$@" */test/*.test.mjs) >"$report" 2>&1 </dev/null || status=$?
 # In the words of ctest, which .ci/run counts.
 awk '
   /^ *# Subtest: /  { next }

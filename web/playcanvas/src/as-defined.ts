@@ -58,6 +58,9 @@ const kWgsl: readonly Change[] = [
   ["gsplatPS", "normExp(A) * gaussianColor.a", "min(half(0.99), normExp(A) * gaussianColor.a)"],
 ];
 
+/** Chunks of devices whose shaders are changed already. */
+const changedChunks = new WeakSet<object>();
+
 /**
  * Before anything is drawn: tells engine and camera to show colours as they are in the file, Gaussians of any size, SH seen from
  * where the camera is, and Gaussians that fall off as they were trained. False if this engine's shaders are not those that this
@@ -76,6 +79,7 @@ export function drawAsDefined(app: AppBase, camera: CameraComponent): boolean {
   camera.nearClip = 0.2;
   const webgpu = app.graphicsDevice.isWebGPU;
   const chunks = ShaderChunks.get(app.graphicsDevice, webgpu ? SHADERLANGUAGE_WGSL : SHADERLANGUAGE_GLSL);
+  if (changedChunks.has(chunks)) return true;
   const changes = webgpu ? kWgsl : kGlsl;
   const changed = new Map<string, string>();
   for (const [chunk, from, to] of changes) {
@@ -84,5 +88,6 @@ export function drawAsDefined(app: AppBase, camera: CameraComponent): boolean {
     changed.set(chunk, code.replace(from, to));
   }
   for (const [chunk, code] of changed) chunks.set(chunk, code);
+  changedChunks.add(chunks);
   return true;
 }

@@ -1,6 +1,7 @@
 // frames.ts - pictures of the project's own renderer, which a server draws: one request at a time, small ones while moving.
 // SPDX-License-Identifier: Apache-2.0
 import type { CameraEntry } from "./cameras.js";
+import { ServerError } from "./messages.js";
 
 export interface FrameRequest {
   scene: number;
@@ -23,6 +24,10 @@ export interface Frame {
 
 /** Of a picture while the camera moves, by its side. */
 const kMovingScale = 0.25;
+/** Of a server that is busy, and the seconds between if it does not say. */
+const kTries = 10;
+const kPauseSeconds = 1;
+const kMostPauseSeconds = 10;
 
 export class Frames {
   private waiting: { request: FrameRequest; moving: boolean } | undefined;
@@ -70,16 +75,16 @@ export class Frames {
 
   private async fetch(request: FrameRequest, format: "png" | "jpeg"): Promise<Omit<Frame, "small">> {
     const began = performance.now();
-    const answer = await fetch(this.url, {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify({ ...request, format, quality: 85 }),
-    }).catch((error: unknown) => {
-      throw Object.assign(new Error(String(error)), { code: "read_failed" });
-    });
+    let answer = await this.post(request, format);
+    for (let i = 1; answer.status === 503 && i < kTries; ++i) {
+      const said = Number(answer.headers.get("Retry-After") ?? kPauseSeconds);
+      const seconds = said >= 0 ? Math.min(said, kMostPauseSeconds) : kPauseSeconds;
+      await new Promise((resolve) => setTimeout(resolve, 1000 * seconds));
+      answer = await this.post(request, format);
+    }
     if (!answer.ok) {
-      const said = (await answer.json().catch(() => ({}))) as { error?: object };
-      throw Object.assign(new Error(`HTTP ${answer.status}`), said.error ?? {});
+      const said = (await answer.json().catch(() => ({}))) as { error?: { code?: string; message?: string } };
+      throw new ServerError(said.error?.code ?? `HTTP ${answer.status}`, said.error?.message ?? answer.statusText);
     }
     const bitmap = await createImageBitmap(await answer.blob(), { colorSpaceConversion: "none" });
     return {
@@ -88,5 +93,12 @@ export class Frames {
       totalMs: performance.now() - began,
       pagesMissing: Number(answer.headers.get("X-Pages-Missing") ?? 0),
     };
+  }
+
+  private post(request: FrameRequest, format: "png" | "jpeg"): Promise<Response> {
+    const body = JSON.stringify({ ...request, format, quality: 85 });
+    return fetch(this.url, { method: "POST", headers: { "Content-Type": "application/json" }, body }).catch((error: unknown) => {
+      throw Object.assign(new Error(String(error)), { code: "read_failed" });
+    });
   }
 }

@@ -8,7 +8,7 @@ import { Controls, type World } from "./controls.js";
 import { type Frame, type FrameRequest, Frames } from "./frames.js";
 import { readLink, writeLink } from "./link.js";
 import { type Manifest, nameOf, readInside, readManifest, type SceneEntry } from "./manifest.js";
-import { bytesText, countText, kLost, kNoGraphics, sentence } from "./messages.js";
+import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence } from "./messages.js";
 import { element, say, showError } from "./page.js";
 import { extensionOf, openScene, type Scene, type Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
@@ -130,12 +130,14 @@ class Page {
         onError: (error) => this.fail(entry.name, error),
       });
       this.scenes[side]?.destroy();
+      const isFirst = side === 0 && !this.scenes[0];
       this.scenes[side] = scene;
       if (side === 0) this.stage.setOrigin(scene.origin);
       for (const each of this.scenes) each?.place(this.scenes[0]?.origin ?? scene.origin);
       scene.setShDegree(Number(input("sh").value));
       this.setView(this.view ?? this.firstView(scene));
       this.nameScenes();
+      if (isFirst) this.setCameras(this.cameras);
       return true;
     } catch (error) {
       this.fail(entry.name, error);
@@ -197,6 +199,11 @@ class Page {
     if (this.trueShown) this.askTrue(true);
   }
 
+  /** The picture has another size. */
+  refreshView(): void {
+    if (this.view) this.setView(this.view);
+  }
+
   private jump(index: number): void {
     const camera = this.cameras[index];
     const box = this.scenes[0]?.box;
@@ -249,11 +256,15 @@ class Page {
 
   private setCameras(cameras: CameraEntry[]): void {
     this.cameras = cameras;
+    if (this.playing !== undefined && cameras.length < 2) this.play();
     buildCameras({
       list: cameras,
       photos: this.photos,
       jump: (index) => this.jump(index),
-      draw: async (camera, width, height) => this.capture(0, viewOf(camera, camera.position), width, height),
+      draw: async (camera, width, height) => {
+        if (!this.scenes[0]) throw new Error("there is no scene");
+        return this.capture(0, viewOf(camera, camera.position), width, height);
+      },
     });
   }
 
@@ -472,7 +483,7 @@ class Page {
     return result;
   }
 
-  private async captureSide(side: "left" | "right", width: number, height: number): Promise<Uint8ClampedArray> {
+  private async captureSide(side: "left" | "right", width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
     const request = this.frameRequest(width, height);
     if (!this.view || !request) throw new Error("there is no scene");
     if (side === "left" || !this.trueShown) return this.capture(side === "left" ? 0 : 1, this.view, width, height);
@@ -485,17 +496,18 @@ class Page {
 
   private async screenshot(): Promise<void> {
     const { width, height } = this.stage.size;
-    const right = this.compare.mode === "slider" && this.scenes[1] !== undefined;
+    const { mode, split } = this.compare;
+    const two = this.trueShown || this.scenes[1] !== undefined;
+    const border = mode === "slider" && two ? Math.round(split * width) : this.trueShown && mode === "single" ? 0 : width;
     if (!this.view) return;
-    const pixels = await this.capture(0, this.view, width, height);
     const canvas = new OffscreenCanvas(width, height);
     const context = canvas.getContext("2d") as OffscreenCanvasRenderingContext2D;
-    context.putImageData(new ImageData(pixels, width, height), 0, 0);
-    if (right) {
-      const border = Math.round(this.compare.split * width);
-      const other = new ImageData(await this.capture(1, this.view, width, height), width, height);
-      context.putImageData(other, 0, 0, border, 0, width - border, height);
-    }
+    const put = async (side: "left" | "right", from: number, to: number): Promise<void> => {
+      if (from === to) return;
+      const pixels = new ImageData(await this.captureSide(side, width, height), width, height);
+      context.putImageData(pixels, 0, 0, from, 0, to - from, height);
+    };
+    await Promise.all([put("left", 0, border), put("right", border, width)]);
     const link = document.createElement("a");
     link.href = URL.createObjectURL(await canvas.convertToBlob({ type: "image/png" }));
     link.download = `${nameOf(this.scenes[0]?.name ?? "scene")}.png`;
@@ -517,6 +529,7 @@ async function main(): Promise<void> {
     // WebGPU on demand alone: nobody has seen this page draw with it.
     stage = await Stage.start(element("picture", HTMLCanvasElement), device === "webgpu" ? ["webgpu", "webgl2"] : ["webgl2"], {
       frame: (seconds) => page?.step(seconds),
+      resized: () => page?.refreshView(),
       lost: () => showError(kLost),
       restored: () => say("The graphics device is back"),
     });
@@ -525,6 +538,7 @@ async function main(): Promise<void> {
     return;
   }
   try {
+    if (!stage.isAsDefined) showError(kNotAsDefined);
     page = new Page(stage, await readManifest());
     await page.begin();
     document.documentElement.dataset["ready"] = "true";

@@ -21,8 +21,19 @@ const kAdvice: Record<string, string> = {
   pages_missing: "has lost its end. What is there is drawn; copy the file again for the rest",
 };
 
+/** What the server of true pictures refuses; its codes are not of a file's bytes. */
+export class ServerError extends Error {
+  constructor(
+    readonly code: string,
+    message: string,
+  ) {
+    super(message);
+  }
+}
+
 /** One sentence about what happened to `name`, with code and byte where the file is to blame. */
 export function sentence(name: string, error: unknown): string {
+  if (error instanceof ServerError) return `${name} could not be made: ${error.code}: ${error.message}.`;
   const { code, text, message, offset } = (error ?? {}) as CodedError;
   const where = offset === undefined || offset === null ? "" : ` at byte ${offset}`;
   if (code === undefined) return `${name} could not be opened: ${message ?? String(error)}.`;
@@ -33,6 +44,7 @@ export function sentence(name: string, error: unknown): string {
 
 export const kNoGraphics =
   "This browser has no WebGL 2, which drawing needs. Update it, or switch on hardware acceleration in its settings.";
+export const kNotAsDefined = "The picture is not quite what the files mean: this page does not know the shaders of its engine.";
 export const kLost = "The graphics device was lost, for instance because its driver restarted. If the picture does not come back, reload the page.";
 
 export function bytesText(bytes: number): string {

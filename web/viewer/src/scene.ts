@@ -319,14 +319,23 @@ class RgsScene extends Scene {
   }
 }
 
+/** Assets of the engine so far. */
+let nAssets = 0;
+
 /** PLY, compressed PLY and SOG, by the engine. */
 class EngineScene extends Scene {
   readonly nGaussians: number;
   readonly shDegree: number;
   readonly box: Box;
 
-  constructor(entry: { name: string; bytes: number }, resource: GSplatResourceBase, stage: Stage, side: 0 | 1) {
+  constructor(
+    entry: { name: string; bytes: number },
+    private readonly asset: Asset,
+    stage: Stage,
+    side: 0 | 1,
+  ) {
     super(entry.name, entry.bytes, stage, side);
+    const resource = asset.resource as GSplatResourceBase;
     const { center, halfExtents } = resource.aabb;
     const [c, h] = [[center.x, center.y, center.z], [halfExtents.x, halfExtents.y, halfExtents.z]];
     this.box = robustBox(resource.centers) ?? { min: c.map((v, i) => v - (h[i] as number)), max: c.map((v, i) => v + (h[i] as number)) };
@@ -343,6 +352,12 @@ class EngineScene extends Scene {
   }
   /** The engine's own formats are drawn with all that they hold. */
   setShDegree(): void {}
+
+  override destroy(): void {
+    super.destroy();
+    this.stage.app.assets.remove(this.asset);
+    this.asset.unload();
+  }
 }
 
 /** 2nd to 98th percentile of some thousand means. */
@@ -389,13 +404,20 @@ export async function openScene(stage: Stage, { entry, file, side, onProgress, o
   const answer = blob ? new Response(blob, { headers: { "content-length": String(blob.size) } }) : await fetch(entry.url);
   if (!answer.ok) throw Object.assign(new Error(`HTTP ${answer.status}`), { code: "open_failed" });
   const contents = extension === "ply" ? answer : await answer.arrayBuffer();
-  const asset = new Asset(entry.name, "gsplat", { url: `scene.${extension}`, filename: `scene.${extension}`, contents } as object);
-  const resource = await new Promise<GSplatResourceBase>((resolve, reject) => {
-    asset.on("progress", (done: number, total: number) => onProgress("read", done, total));
-    asset.on("load", () => resolve(asset.resource as GSplatResourceBase));
-    asset.on("error", (error: unknown) => reject(error instanceof Error ? error : new Error(String(error))));
-    stage.app.assets.add(asset);
-    stage.app.assets.load(asset);
-  });
-  return new EngineScene({ name: entry.name, bytes }, resource, stage, side);
+  // The engine takes what has the same address for the same scene.
+  const filename = `scene${(nAssets += 1)}.${extension}`;
+  const asset = new Asset(entry.name, "gsplat", { url: filename, filename, contents } as object);
+  try {
+    await new Promise<void>((resolve, reject) => {
+      asset.on("progress", (done: number, total: number) => onProgress("read", done, total));
+      asset.on("load", () => resolve());
+      asset.on("error", (error: unknown) => reject(error instanceof Error ? error : new Error(String(error))));
+      stage.app.assets.add(asset);
+      stage.app.assets.load(asset);
+    });
+  } catch (error) {
+    stage.app.assets.remove(asset);
+    throw error;
+  }
+  return new EngineScene({ name: entry.name, bytes }, asset, stage, side);
 }

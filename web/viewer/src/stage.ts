@@ -35,13 +35,18 @@ export class Stage {
   private view: ViewState | undefined;
   private origin: readonly number[] = [0, 0, 0];
   private show: Show = { only: 0 };
+  /** Cameras are lent: what is to be shown is kept until they are back. */
+  private isCapturing = false;
   /** Frames that are needed after this one. */
   private more = 0;
+
+  /** Whether the engine draws what files mean. */
+  readonly isAsDefined: boolean;
 
   private constructor(
     readonly app: AppBase,
     private readonly canvas: HTMLCanvasElement,
-    private readonly beforeFrame: (seconds: number) => void,
+    private readonly on: { frame(seconds: number): void; resized(): void },
   ) {
     const layers = ["left", "right"].map((name) => {
       const layer = new Layer({ name });
@@ -55,7 +60,7 @@ export class Stage {
       app.root.addChild(entity);
       return entity;
     }) as unknown as [Entity, Entity];
-    for (const { camera } of this.cameras) if (camera) drawAsDefined(app, camera);
+    this.isAsDefined = this.cameras.map(({ camera }) => camera !== undefined && drawAsDefined(app, camera)).every((done) => done);
     app.scene.on("gsplat:sorted", () => {
       // One takes the order, and one shows what was drawn in it.
       this.more = 2;
@@ -63,7 +68,7 @@ export class Stage {
     });
     app.systems.gsplat?.on("frame:request", () => (this.more = Math.max(this.more, 1)));
     app.on("update", (seconds: number) => {
-      this.beforeFrame(seconds);
+      this.on.frame(seconds);
       if (this.more > 0) {
         this.more -= 1;
         this.request();
@@ -78,7 +83,7 @@ export class Stage {
   static async start(
     canvas: HTMLCanvasElement,
     deviceTypes: string[],
-    on: { frame(seconds: number): void; lost(): void; restored(): void },
+    on: { frame(seconds: number): void; resized(): void; lost(): void; restored(): void },
   ): Promise<Stage> {
     const device = await createGraphicsDevice(canvas, { deviceTypes, antialias: false });
     const options = new AppOptions();
@@ -88,7 +93,7 @@ export class Stage {
     const app = new AppBase(canvas);
     app.init(options);
     (app.loader.getHandler("gsplat") as Handler).addParser(new RgsParser(app, worker ? { worker } : {}));
-    const stage = new Stage(app, canvas, on.frame);
+    const stage = new Stage(app, canvas, on);
     device.on("devicelost", on.lost);
     device.on("devicerestored", () => {
       on.restored();
@@ -116,12 +121,14 @@ export class Stage {
 
   setView(view: ViewState): void {
     this.view = view;
+    if (this.isCapturing) return;
     for (const entity of this.cameras) setPinhole(entity, pinholeOf(view, this.size.width, this.size.height), this.origin);
     this.request();
   }
 
   setShow(show: Show): void {
     this.show = show;
+    if (this.isCapturing) return;
     const split = "split" in show ? show.split : show.only === 0 ? 1 : 0;
     this.cameras.forEach(({ camera }, side) => {
       if (!camera) return;
@@ -145,13 +152,13 @@ export class Stage {
     draw.call(this.app, new Vec3([...min]), new Vec3([...max]), new Color(r, g, b), false);
   }
 
-  /** RGBA, upper row first, of one side alone in a size of its own. */
+  /** RGBA, upper row first, of one side alone in a size of its own; one at a time. */
   async capture(side: Side, view: ViewState, width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
     const { camera } = this.cameras[side];
     if (!camera) throw new Error("no camera");
     const colorBuffer = new Texture(this.app.graphicsDevice, { width, height, format: PIXELFORMAT_RGBA8, mipmaps: false });
     const target = new RenderTarget({ colorBuffer, depth: true });
-    const { show, view: before } = this;
+    this.isCapturing = true;
     try {
       const other = this.cameras[side === 0 ? 1 : 0].camera;
       if (other) other.enabled = false;
@@ -168,8 +175,9 @@ export class Stage {
       camera.renderTarget = null as unknown as RenderTarget;
       target.destroy();
       colorBuffer.destroy();
-      if (before) this.setView(before);
-      this.setShow(show);
+      this.isCapturing = false;
+      if (this.view) this.setView(this.view);
+      this.setShow(this.show);
     }
   }
 
@@ -208,8 +216,9 @@ export class Stage {
     const scale = Math.min(devicePixelRatio, 2);
     const { clientWidth, clientHeight } = this.canvas;
     const [width, height] = [Math.max(1, Math.round(clientWidth * scale)), Math.max(1, Math.round(clientHeight * scale))];
+    if (width === this.size.width && height === this.size.height) return;
     this.app.graphicsDevice.setResolution(width, height);
-    if (this.view) this.setView(this.view);
+    this.on.resized();
     this.request();
   }
 }

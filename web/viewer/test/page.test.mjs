@@ -90,7 +90,8 @@ async function assertDrawn(page) {
   assert.ok(found >= 500, `${found} colours`);
 }
 
-inBrowser("a scene with its cameras", { ...one, files: one.files() }, async ({ t, page, server }) => {
+// So high that cameras are in sight before there is a scene.
+inBrowser("a scene with its cameras", { ...one, files: one.files(), size: { width: 800, height: 1000 } }, async ({ t, page, server }) => {
   assert.equal(await text(page, "#title"), "packed.rgs");
   assert.match(await page.getAttribute("#picture", "aria-label"), /packed\.rgs, 60k Gaussians/);
   await assertDrawn(page);
@@ -101,6 +102,11 @@ inBrowser("a scene with its cameras", { ...one, files: one.files() }, async ({ t
   assert.deepEqual(beyond, []);
   assert.ok(server.bytes["scenes/0/packed.rgs"] < 1.1 * readFileSync(join(scenes(), "packed.rgs")).length, "read once");
   assert.equal(await page.locator("#cameras button").count(), 8);
+  await page.waitForFunction(() => {
+    const canvas = document.querySelector("#cameras canvas");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    return new Set(new Uint32Array(data.buffer)).size > 100;
+  });
   t.diagnostic(await text(page, "#overlay"));
 });
 
@@ -155,8 +161,9 @@ inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ p
   const at = new URLSearchParams(hash.slice(1)).get("at").split(",").map(Number);
   camera.position.forEach((value, i) => assert.ok(Math.abs(value - at[i]) < 1e-5, `${at}`));
   const other = await context.newPage();
+  other.setDefaultTimeout(kPatienceMs);
   await other.goto(`${server.url}${hash}`);
-  await other.waitForSelector("html[data-ready]", { state: "attached", timeout: kPatienceMs });
+  await other.waitForSelector("html[data-ready]", { state: "attached" });
   assert.equal(await other.locator("#sh").inputValue(), "1");
   assert.equal(await other.locator("#background").inputValue(), "#336699");
   await other.waitForFunction((expected) => location.hash === expected, hash);
@@ -188,21 +195,84 @@ inBrowser("keys and pointer move the view, and only then is drawn", { ...one, fi
   for (const value of axes) assert.ok(Number.isFinite(value));
 });
 
+/** Drops bytes as a file. */
+const drop = (page, name, bytes) =>
+  page.evaluate(
+    ([name, base64]) => {
+      const data = new DataTransfer();
+      data.items.add(new File([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], name));
+      document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
+    },
+    [name, Buffer.from(bytes).toString("base64")],
+  );
+
+/** The first `n` Gaussians of a PLY. */
+function firstOf(path, n) {
+  const ply = readFileSync(path);
+  const begin = ply.indexOf("end_header\n") + "end_header\n".length;
+  const header = ply.toString("latin1", 0, begin);
+  const nAll = Number(/element vertex (\d+)/.exec(header)[1]);
+  const rows = ply.subarray(begin, begin + ((ply.length - begin) / nAll) * n);
+  return Buffer.concat([Buffer.from(header.replace(`vertex ${nAll}`, `vertex ${n}`)), rows]);
+}
+
+inBrowser("two PLY are two", { allowed: [k404] }, async ({ page }) => {
+  const path = join(scenes(), "scene.ply");
+  await drop(page, "a.ply", firstOf(path, 2000));
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply");
+  await drop(page, "b.ply", firstOf(path, 1000));
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply | b.ply");
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#map").waitFor();
+  assert.match(await text(page, "#psnr"), /^[\d.]+ dB$/);
+  // A third takes the place of the second, which goes.
+  await drop(page, "c.ply", firstOf(path, 500));
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply | c.ply");
+});
+
+inBrowser("flying ends where one camera is left", { ...one, files: one.files() }, async ({ page }) => {
+  await page.locator("#picture").focus();
+  await page.keyboard.press("p");
+  assert.equal(await page.getAttribute("#play", "aria-pressed"), "true");
+  const [camera] = readCameras(join(scenes(), "cameras.json"));
+  await drop(page, "cameras.json", JSON.stringify([camera]));
+  await page.waitForFunction(() => document.querySelectorAll("#cameras button").length === 1);
+  assert.equal(await page.getAttribute("#play", "aria-pressed"), "false");
+});
+
+inBrowser("what is asked for while a picture is taken is shown after it", { ...one, files: one.files() }, async ({ page }) => {
+  const shot = async () => (await page.locator("#picture").screenshot()).toString("base64");
+  /** The picture when it no longer changes. */
+  const still = async () => {
+    let last = "";
+    for (let now = await shot(); now !== last; now = await shot()) last = now;
+    return last;
+  };
+  await page.locator("#picture").focus();
+  await page.keyboard.press("n");
+  const first = await still();
+  await page.keyboard.press("n");
+  const second = await still();
+  assert.notEqual(first, second);
+  await page.keyboard.press("b");
+  assert.equal(await still(), first);
+  await Promise.all([
+    page.waitForEvent("download"),
+    page.evaluate(async () => {
+      document.getElementById("screenshot").click();
+      for (let i = 0; i < 5; ++i) await Promise.resolve();
+      document.dispatchEvent(new KeyboardEvent("keydown", { code: "KeyN" }));
+    }),
+  ]);
+  assert.equal(await still(), second);
+});
+
 inBrowser("a scene is dropped, and a second one beside it", { allowed: [k404] }, async ({ page }) => {
   assert.ok(await page.locator("#welcome").isVisible());
-  const drop = (name, path) =>
-    page.evaluate(
-      ([name, base64]) => {
-        const data = new DataTransfer();
-        data.items.add(new File([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))], name));
-        document.body.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
-      },
-      [name, readFileSync(path).toString("base64")],
-    );
-  await drop("<img src=x onerror=alert(1)>.rgs", join(golden, "degree3.rgs"));
+  await drop(page, "<img src=x onerror=alert(1)>.rgs", readFileSync(join(golden, "degree3.rgs")));
   await page.waitForFunction(() => /onerror/.test(document.getElementById("title").textContent));
   assert.equal(await page.locator("img").count(), 0, "names are text");
-  await drop("levels.rgs", join(golden, "levels_packed.rgs"));
+  await drop(page, "levels.rgs", readFileSync(join(golden, "levels_packed.rgs")));
   await page.waitForFunction(() => / \| levels\.rgs/.test(document.getElementById("title").textContent));
   assert.ok(await page.locator("#split").isVisible());
 });
@@ -339,6 +409,9 @@ inBrowser("the true picture beside the engine's", { ...one, view: framed, files:
   await page.locator("#truth").waitFor();
   await page.waitForFunction(() => document.getElementById("truth").width === document.getElementById("picture").width);
   assert.ok(server.requests.includes("POST frame"));
+  // Of another size it is another picture.
+  await page.setViewportSize({ width: 640, height: 360 });
+  await page.waitForFunction(() => document.getElementById("picture").width !== 800 && document.getElementById("truth").width === document.getElementById("picture").width);
   await page.keyboard.press("x");
   await page.locator("#map").waitFor();
   const db = Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
@@ -351,7 +424,36 @@ inBrowser("a picture that the server refuses is said", { ...one, view: framed, f
   await page.locator("#picture").focus();
   await page.keyboard.press("t");
   await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
-  assert.match((await errors(page))[0], /^The true picture .*host_out_of_memory: it is too large/);
+  assert.match((await errors(page))[0], /^The true picture could not be made: host_out_of_memory: it is too large\./);
+});
+
+let red;
+let nBusy = 0;
+const busyFirst = async () => ((nBusy += 1) <= 2 ? { status: 503, error: { code: "busy", message: "later" }, headers: { "Retry-After": "0" } } : red);
+inBrowser("a busy server is asked again, and a screenshot has the true picture", { ...one, view: framed, files: one.files(), frame: busyFirst, allowed: [/503/] }, async ({ page }) => {
+  const base64 = await page.evaluate(async () => {
+    const canvas = new OffscreenCanvas(1000, 1000);
+    const context = canvas.getContext("2d");
+    context.fillStyle = "red";
+    context.fillRect(0, 0, 1000, 1000);
+    return btoa(String.fromCharCode(...new Uint8Array(await (await canvas.convertToBlob()).arrayBuffer())));
+  });
+  red = join(folder, "red.png");
+  writeFileSync(red, Buffer.from(base64, "base64"));
+  await page.locator("#picture").focus();
+  await page.keyboard.press("t");
+  await page.waitForFunction(() => document.getElementById("truth").width === 1000);
+  assert.ok(nBusy > 2);
+  assert.deepEqual(await errors(page), []);
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
+  const png = readFileSync(await download.path()).toString("base64");
+  const colour = await page.evaluate(async (base64) => {
+    const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+    const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+    context.drawImage(bitmap, 0, 0);
+    return [...context.getImageData(bitmap.width / 2, bitmap.height / 2, 1, 1).data];
+  }, png);
+  assert.deepEqual(colour, [255, 0, 0, 255]);
 });
 
 inBrowser("a lost device is said, and comes back", { ...one, files: one.files(), allowed: [/context/i] }, async ({ page }) => {
@@ -370,6 +472,7 @@ test("a browser without WebGL 2 is told so", async (t) => {
   if (!browser) return skip(t, "chromium is not installed");
   const server = await startServer();
   const page = await browser.newPage();
+  page.setDefaultTimeout(kPatienceMs);
   t.after(() => Promise.all([page.close(), server.end()]));
   await page.addInitScript(() => (HTMLCanvasElement.prototype.getContext = () => null));
   await page.goto(server.url);
@@ -401,12 +504,13 @@ test("one file without a server, with scene and cameras inside", async (t) => {
   assert.equal(html.split("<!-- rgs-view:insert -->").length, 2, "one place to insert at");
   writeFileSync(path, html.replace("<!-- rgs-view:insert -->", () => parts));
   const page = await browser.newPage({ viewport: kSize });
+  page.setDefaultTimeout(kPatienceMs);
   t.after(() => page.close());
   const problems = [];
   page.on("console", (message) => message.type() === "error" && problems.push(message.text()));
   page.on("request", (request) => /^(file|data|blob):/.test(request.url()) || problems.push(request.url()));
   await page.goto(pathToFileURL(path).href);
-  await page.waitForSelector("html[data-ready]", { state: "attached", timeout: kPatienceMs });
+  await page.waitForSelector("html[data-ready]", { state: "attached" });
   assert.deepEqual(await errors(page), []);
   assert.equal(await text(page, "#title"), "packed.rgs");
   assert.equal(await page.locator("#cameras button").count(), 8);

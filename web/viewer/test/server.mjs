@@ -11,7 +11,7 @@ export const single = fileURLToPath(new URL("../dist-single/page.html", import.m
 const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/css", ".wasm": "application/wasm", ".json": "application/json", ".png": "image/png" };
 
 /**
- * `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error }.
+ * `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error, headers }.
  * `hold(url, begin)`: answers once this resolves. Returns the page's address, requests as they came and bytes by URL.
  */
 export async function startServer({ files = {}, view = null, frame = null, hold } = {}) {
@@ -25,7 +25,7 @@ export async function startServer({ files = {}, view = null, frame = null, hold 
       for await (const part of request) body += part;
       const found = await frame(JSON.parse(body));
       if (typeof found !== "string") {
-        answer.writeHead(found.status, { "Content-Type": "application/json" }).end(JSON.stringify({ error: found.error }));
+        answer.writeHead(found.status, { "Content-Type": "application/json", ...found.headers }).end(JSON.stringify({ error: found.error }));
         return;
       }
       answer.writeHead(200, { "Content-Type": "image/png", "X-Render-Ms": "12.5" });

@@ -126,10 +126,11 @@ test("view.json, and what an address says", () => {
 });
 
 test("sentences say what to do", () => {
-  const { sentence } = modules.messages;
+  const { sentence, ServerError } = modules.messages;
   const damaged = sentence("a.rgs", { code: "checksum_mismatch", text: "the section's bytes have changed", offset: 512 });
   assert.equal(damaged, "a.rgs is damaged: the section's bytes have changed (checksum_mismatch at byte 512). Copy the file again, or convert the scene again.");
   assert.match(sentence("a.rgs", { code: "read_failed", text: "x" }), /Start rgs-view again/);
   assert.match(sentence("a.rgs", { code: "bad_magic", text: "x", offset: 0 }), /is not an \.rgs file.*at byte 0/);
+  assert.equal(sentence("The true picture", new ServerError("internal", "x")), "The true picture could not be made: internal: x.");
   assert.equal(sentence("a.ply", new Error("no")), "a.ply could not be opened: no.");
 });
