@@ -92,7 +92,7 @@ std::uint64_t choose_bin_rows(const EncodeOptions& encode, int sh_degree, std::u
 /// Writes the job, in a folder that is made if need be. The same job again changes nothing, another one is refused
 /// (output_exists). With `overwrite` all begins again: what the steps made of whatever job is removed, and nothing else. An input
 /// that has the name of a file of the work is refused (bad_argument).
-Outcome<PartsJob> begin_parts(const PartsRun& run, PartsJob job, bool overwrite);
+Outcome<PartsJob> begin_parts(const PartsRun& run, const PartsJob& job, bool overwrite);
 /// Errors: WorkFile's.
 Outcome<PartsJob> open_job(const PartsRun& run);
 /// The plan, if this version made it of the scans that are there; none if a scan is missing or newer.

@@ -115,7 +115,7 @@ class Assembler {
     std::uint64_t n_rows = 0;
     for (OpenRange& range : ranges_) {
       for (const BuiltStretch& stretch : range.built) {
-        if (const auto s = add_stretch(range, stretch, rows, n_rows); !s) return s;
+        if (auto s = add_stretch(range, stretch, rows, n_rows); !s) return s;
       }
       range.file.rest();
     }

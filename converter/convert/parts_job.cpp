@@ -278,6 +278,7 @@ std::string input_of_work(const std::vector<fs::path>& of_work, const PartsJob& 
   for (const PartsInput& input : job.inputs) inputs.add_scene(input.path);
   inputs.add_cameras(job.cameras);
   std::vector<std::string> paths;
+  paths.reserve(of_work.size());
   for (const fs::path& path : of_work) paths.push_back(path.string());
   if (inputs.clash(paths).empty()) return {};
   const auto taken = std::ranges::find_if(
@@ -314,7 +315,7 @@ std::uint64_t hash_of_beginning(std::span<const std::byte> input) {
   return xxh3(input.first(std::min<std::size_t>(input.size(), std::size_t{64} << 10)));
 }
 
-Outcome<PartsJob> begin_parts(const PartsRun& run, PartsJob job, bool overwrite) {
+Outcome<PartsJob> begin_parts(const PartsRun& run, const PartsJob& job, bool overwrite) {
   const std::string path = run.job_path();
   const json about = job_json(job);
   const std::vector<fs::path> of_work = files_of_work(run.folder);

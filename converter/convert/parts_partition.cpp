@@ -167,7 +167,7 @@ std::uint64_t basis_of_plan(const PartsJob& job, std::span<const ScannedInput> s
 Outcome<std::optional<std::uint64_t>> find_basis_of_plan(const PartsRun& run, const PartsJob& job) {
   std::vector<ScannedInput> scans;
   for (std::size_t i = 0; i < job.inputs.size(); ++i) {
-    const auto scanned = find_scan(run, job, i);
+    auto scanned = find_scan(run, job, i);
     if (!scanned) return tl::unexpected(scanned.error());
     if (!*scanned) return std::nullopt;
     scans.push_back(std::move(**scanned));

@@ -24,6 +24,7 @@ struct SlotWriter::Impl {};
 SlotWriter::SlotWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 SlotWriter::SlotWriter(SlotWriter&&) noexcept = default;
 SlotWriter::~SlotWriter() = default;
+// NOLINTNEXTLINE(performance-unnecessary-value-param): as where there is a device
 Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots>) {
   return not_built();
 }
