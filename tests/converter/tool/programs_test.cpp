@@ -157,9 +157,11 @@ TEST_CASE("every --help lists the exit codes and what the program reads") {
     CHECK((help.out.find(" 4 ", codes) != help.out.npos) == (name != "rgs-make-scene"));
     if (name == "rgs-convert" || name == "rgs-audit" || name == "rgs-prune" || name == "rgs-render" ||
         name == "rgs-view") {
-      for (const char* format : {".rgs", " .ply", ".compressed.ply", ".spz", ".splat", ".ksplat", ".sog", ".glb"}) {
+      for (const std::string format :
+           {".rgs", " .ply", ".compressed.ply", ".sog", ".spz", ".splat", ".ksplat", ".glb"}) {
         CAPTURE(format);
-        CHECK(help.out.find(format) != help.out.npos);
+        const bool is_shown = format == ".rgs" || format == " .ply" || format == ".compressed.ply" || format == ".sog";
+        CHECK((help.out.find(format) != help.out.npos) == (is_shown || name != "rgs-view"));  // what its page shows
       }
     }
     const ProgramResult version = run_program({path, "--version"});
