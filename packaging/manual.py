@@ -32,7 +32,7 @@ class Option:
     choices: list = field(default_factory=list)  # the words that the value may be; empty where it is something else
 
     @property
-    def placeholder(self):
+    def value_name(self):
         """The value in a man page."""
         return re.sub(r"^([A-Z]+):(.*)", lambda m: m[2] if m[2].startswith(m[1] + " in ") else m[1], self.value)
 
@@ -137,7 +137,7 @@ def man_page(h, version, others):
         out += [".SH OPTIONS"] if title == "Options" else [f".SS {roff(title)}"]
         for option in options:
             names = ", ".join(f"\\fB{roff(name)}\\fR" for name in option.names)
-            value = f" \\fI{roff(option.placeholder)}\\fR" if option.value else ""
+            value = f" \\fI{roff(option.value_name)}\\fR" if option.value else ""
             stated = [option.text] if option.text else []
             if option.default:
                 stated.append(f"[{option.default.strip('[]')}]")

@@ -278,11 +278,12 @@ def page_parallel(folder):
     wanted = by_hand(folder)
     same(shell(page_block("city-parallel"), folder).returncode, 0)
     check_city(folder, wanted)
-    before = os.stat(f"{folder}/work/rows.0").st_mtime_ns
+    placed = os.path.join(folder, "work", "rows.0")
+    before = os.stat(placed).st_mtime_ns
     os.remove(f"{folder}/city.rgs")
     same(shell(page_block("city-parallel"), folder).returncode, 0)
     check_city(folder, wanted)
-    same(os.stat(f"{folder}/work/rows.0").st_mtime_ns, before)
+    same(os.stat(placed).st_mtime_ns, before)
 
 
 @case("the page's run on Slurm")

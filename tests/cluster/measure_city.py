@@ -35,22 +35,22 @@ def run(arguments, folder):
 
 
 def bytes_of(folder, prefix):
-    return sum(os.path.getsize(f"{folder}/work/{name}") for name in os.listdir(f"{folder}/work") if name.startswith(prefix))
+    return sum(os.path.getsize(f"{folder}/city.work/{name}") for name in os.listdir(f"{folder}/city.work") if name.startswith(prefix))
 
 
 def convert(folder, tiles, arguments, workers):
     """The steps; of each what its processes took, and the wall time of all."""
-    shutil.rmtree(f"{folder}/work", ignore_errors=True)
+    shutil.rmtree(f"{folder}/city.work", ignore_errors=True)
     memory = ["--memory", arguments.memory]
     moves = [word for i in range(len(tiles)) for word in ("--translate", f"{40 * (i % 8)},0,{40 * (i // 8)}")]
     each = [[str(i)] for i in range(len(tiles))]
     steps = [
-        ("begin", "job", [["--lod-partition", "work", "--ranges", str(arguments.ranges), "--lod-input", "none", *moves, *tiles]]),
-        ("scan", "scan.", [["--lod-partition", "work", "--lod-input", *i] for i in each]),
-        ("plan", "plan", [["--lod-partition", "work", "--lod-input", "none"]]),
-        ("place", "rows.", [["--lod-partition", "work", "--lod-input", *i] for i in each]),
-        ("build", "range.", [["--lod-build", "work", "--lod-input", str(i)] for i in range(arguments.ranges)]),
-        ("assemble", "", [["--lod-assemble", "work", "city.rgs", "--overwrite"]]),
+        ("begin", "job", [["--lod-partition", "city.work", "--ranges", str(arguments.ranges), "--lod-input", "none", *moves, *tiles]]),
+        ("scan", "scan.", [["--lod-partition", "city.work", "--lod-input", *i] for i in each]),
+        ("plan", "plan", [["--lod-partition", "city.work", "--lod-input", "none"]]),
+        ("place", "rows.", [["--lod-partition", "city.work", "--lod-input", *i] for i in each]),
+        ("build", "range.", [["--lod-build", "city.work", "--lod-input", str(i)] for i in range(arguments.ranges)]),
+        ("assemble", "", [["--lod-assemble", "city.work", "city.rgs", "--overwrite"]]),
     ]
     out = {}
     with concurrent.futures.ThreadPoolExecutor(workers) as pool:
