@@ -24,12 +24,14 @@ quiet modules sh -c 'cd web && { [ node_modules/.package-lock.json -nt package-l
 quiet build sh -c 'cd web && npm run --silent build'
 
 # A trained scene, where the data are.
-south="${RGS_DATA_DIR:+$RGS_DATA_DIR/south/south.ply.zst}"
+RGS_DATA_DIR=$(realpath -m "${RGS_DATA_DIR:-../shared/data}")
+export RGS_DATA_DIR
+south=$RGS_DATA_DIR/south/south.ply.zst
 trained() {
   zstd -q -d -f "$south" -o build/web/south.ply && build/release/bin/rgs-convert --overwrite build/web/south.ply build/web/south.rgs &&
     build/release/bin/rgs-convert --overwrite --lod build/web/south.ply build/web/south-levels.rgs && rm build/web/south.ply
 }
-if [ -n "$south" ] && [ -f "$south" ]; then
+if [ -f "$south" ]; then
   export RGS_WEB_SOUTH="$PWD/build/web/south.rgs"
   [ build/web/south-levels.rgs -nt build/release/bin/rgs-convert ] || quiet trained trained
 fi

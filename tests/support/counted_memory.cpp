@@ -67,33 +67,34 @@ void reset_peak_bytes() {
 
 #ifndef RGS_TEST_SANITIZED
 extern "C" {
-void* __libc_malloc(std::size_t size);
-void* __libc_calloc(std::size_t n, std::size_t size);
-void* __libc_realloc(void* memory, std::size_t size);
-void* __libc_memalign(std::size_t alignment, std::size_t size);
-void __libc_free(void* memory);
+// By other names, since clang refuses declarations of reserved ones.
+void* libc_malloc(std::size_t size) __asm__("__libc_malloc");
+void* libc_calloc(std::size_t n, std::size_t size) __asm__("__libc_calloc");
+void* libc_realloc(void* memory, std::size_t size) __asm__("__libc_realloc");
+void* libc_memalign(std::size_t alignment, std::size_t size) __asm__("__libc_memalign");
+void libc_free(void* memory) __asm__("__libc_free");
 
 void* malloc(std::size_t size) {
-  return counted(__libc_malloc(size));
+  return counted(libc_malloc(size));
 }
 void* calloc(std::size_t n, std::size_t size) {
-  return counted(__libc_calloc(n, size));
+  return counted(libc_calloc(n, size));
 }
 void* realloc(void* memory, std::size_t size) {
   const std::size_t before = memory == nullptr ? 0 : ::malloc_usable_size(memory);
-  void* const moved = __libc_realloc(memory, size);
+  void* const moved = libc_realloc(memory, size);
   if (moved == nullptr && size > 0) return moved;
   if (memory != nullptr) g_live.fetch_sub(static_cast<std::int64_t>(before) + kHeader, std::memory_order_relaxed);
   return counted(moved);
 }
 void* memalign(std::size_t alignment, std::size_t size) {
-  return counted(__libc_memalign(alignment, size));
+  return counted(libc_memalign(alignment, size));
 }
 void* aligned_alloc(std::size_t alignment, std::size_t size) {
-  return counted(__libc_memalign(alignment, size));
+  return counted(libc_memalign(alignment, size));
 }
 int posix_memalign(void** memory, std::size_t alignment, std::size_t size) {
-  void* const made = __libc_memalign(alignment, size);
+  void* const made = libc_memalign(alignment, size);
   if (made == nullptr) return ENOMEM;
   *memory = counted(made);
   return 0;
@@ -101,7 +102,7 @@ int posix_memalign(void** memory, std::size_t alignment, std::size_t size) {
 void free(void* memory) {
   const int error = errno;
   uncounted(memory);
-  __libc_free(memory);
+  libc_free(memory);
   errno = error;
 }
 }

@@ -106,9 +106,9 @@ for (const [device, args] of Object.entries(kDevices)) {
     await t.test("12 views of a trained scene", async (t) => {
       const data = process.env.RGS_DATA_DIR;
       const scene = process.env.RGS_WEB_SOUTH;
-      if (!data || !scene) {
+      if (!scene) {
         if ((process.env.RGS_REQUIRE_DATA ?? "0") !== "0") throw new Error("RGS_REQUIRE_DATA is set, but there is no south");
-        return t.skip("RGS_DATA_DIR is not set");
+        return t.skip("there is no south in RGS_DATA_DIR");
       }
       const views = Array.from({ length: 12 }, (_, i) => 10 * i);
       const least = await compare(t, scene, join(data, "south", "cameras.json"), views).catch((error) => skipsLost(t, error));

@@ -522,9 +522,9 @@ for (const name of ["south.rgs", "south-levels.rgs"]) {
   test(`40 MB from the loopback address, ${name}`, async (t) => {
     if (!browser) return skip(t, "chromium is not installed");
     const folderOfSouth = process.env.RGS_WEB_SOUTH ? dirname(process.env.RGS_WEB_SOUTH) : "";
-    if (!folderOfSouth || !process.env.RGS_DATA_DIR) {
+    if (!folderOfSouth) {
       if ((process.env.RGS_REQUIRE_DATA ?? "0") !== "0") throw new Error("RGS_REQUIRE_DATA is set, but there is no south");
-      return t.skip("RGS_DATA_DIR is not set");
+      return t.skip("there is no south in RGS_DATA_DIR");
     }
     const path = join(folderOfSouth, name);
     const { size } = statSync(path);
