@@ -169,7 +169,8 @@ std::uint32_t StreamedState::share(bool now) const {
   for (const auto& view : views) {
     if (view->is_live) n += (now ? view->wants : view->soon_wants).wants().size();
   }
-  const std::size_t n_idle = readers.size() - static_cast<std::size_t>(n_at_work);
+  const auto n_others = static_cast<std::size_t>(n_at_work);
+  const std::size_t n_idle = readers.size() > n_others ? readers.size() - n_others : 1;
   return static_cast<std::uint32_t>(std::min<std::size_t>((n + n_idle - 1) / n_idle, kMostGroups));
 }
 

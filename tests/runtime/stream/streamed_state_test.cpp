@@ -384,6 +384,41 @@ TEST_CASE("lists of wants are what a new look at the view finds, whatever comes,
   opened.pool->held -= taken;
 }
 
+TEST_CASE("what was put off comes after all else, until its pause is over") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 1);
+  StreamedState& s = *opened.state;
+  float coarse = 4096;
+  for (; opened.frame(over(), coarse).n_pages() < 60; coarse /= 1.5F) REQUIRE(opened.refine(over(), coarse) == true);
+  opened.script->is_shut = true;
+  opened.frame(over(), 0);
+  CHECK(opened.comes([&] { return opened.script->n_at_once == 1; }));
+  {
+    const std::scoped_lock lock(opened.pool->mutex);
+    detail::WantList& wants = s.views.front()->wants;
+    REQUIRE(wants.wants().size() > 10);
+    const auto [px, group] = wants.wants()[2];
+    const auto fail = [&, group = group](std::chrono::seconds ago) {
+      const auto at =
+          std::chrono::duration_cast<std::chrono::milliseconds>((detail::StreamClock::now() - ago).time_since_epoch());
+      s.residency->request(group);
+      s.residency->fail(group, static_cast<std::uint32_t>(at.count()));
+    };
+    fail(0s);
+    wants.erase(group, px);
+    wants.insert(group, s.rank(group, px));
+    s.find_wants(true);
+    CHECK(wants.wants().back().group == group);
+    CHECK(wants.wants().back().rank < 0);
+    fail(60s);
+    s.find_wants(true);
+    CHECK(wants.wants()[2].group == group);
+    CHECK(wants.wants()[2].rank == px);
+  }
+  opened.script->open_gate();
+  CHECK(opened.refine(over(), 0) == true);
+}
+
 TEST_CASE("threads decode on while a frame chooses its pages") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 1, 1);
