@@ -86,7 +86,7 @@ void WantList::order() {
 }
 
 std::vector<WantList::Want>::iterator WantList::find(const Want& want) {
-  const auto [begin, end] = std::ranges::equal_range(wants_, want, is_more);
+  const auto [begin, end] = std::equal_range(wants_.begin(), wants_.end(), want, is_more);
   const auto at = std::find_if(begin, end, [&](const Want& other) { return other.group == want.group; });
   return at == end ? wants_.end() : at;
 }

@@ -16,6 +16,7 @@ using namespace rgs::test;
 using namespace std::chrono_literals;
 using detail::StreamedState;
 using detail::StreamFrame;
+using detail::StreamPoolState;
 
 TEST_CASE("while a frame is held open its view is looked at again, and afterwards nothing stays pinned") {
   const Bytes bytes = town({.n = 200000, .sh_degree = 0, .page_chunks = 1});
@@ -382,6 +383,27 @@ TEST_CASE("lists of wants are what a new look at the view finds, whatever comes,
   CHECK(s.stats.bytes_evicted > 0);
   CHECK(s.n_failed > 0);
   opened.pool->held -= taken;
+}
+
+TEST_CASE("what has no room is looked at again once another scene's pages are there, and may go") {
+  const Bytes bytes = town({.n = 5000, .sh_degree = 0, .page_chunks = 1});
+  Opened one(bytes, false, 1);
+  StreamPoolState& pool = *one.pool;
+  one.script->is_shut = true;
+  one.frame(camera_at({0, 400, 800}, {0, 0, 0}), 0);
+  CHECK(one.comes([&] { return one.script->n_at_once == 1; }));
+  Opened two(bytes, false, 1, 64 << 10, 0, one.pool);
+  {
+    const std::scoped_lock lock(pool.mutex);
+    pool.held += pool.left() - two.state->least_view_bytes();
+  }
+  CHECK(two.frame(over(), 0).n_pages() == 1);
+  // What is on its way cannot go.
+  CHECK(two.comes([&] { return two.state->settled_at >= pool.changes && two.state->n_at_work == 0; }));
+  CHECK(two.frame(over(), 0).n_pages() == 1);
+  one.script->open_gate();
+  CHECK(two.comes([&] { return two.state->residency->n_resident() > 1; }));
+  CHECK(one.state->stats.bytes_evicted > 0);
 }
 
 TEST_CASE("what was put off comes after all else, until its pause is over") {
