@@ -176,7 +176,7 @@ std::uint32_t StreamedState::share(bool now) const {
 
 bool StreamedState::has_wants() const {
   return std::ranges::any_of(views, [](const auto& view) {
-    return view->is_live && !(view->wants.wants().empty() && view->soon_wants.wants().empty());
+    return view->is_live && !(view->wants.wants().empty() && (!view->soon || view->soon_wants.wants().empty()));
   });
 }
 
