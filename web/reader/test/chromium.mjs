@@ -14,7 +14,7 @@ const kDevices = {
 };
 export const kDeviceNames = Object.keys(kDevices);
 
-/** A browser that can draw by a device. */
+/** A browser that can draw by a device, or need not draw. */
 export function launch(device) {
-  return chromium.launch({ executablePath: kChromium, args: ["--no-sandbox", "--disable-dev-shm-usage", ...kDevices[device]] });
+  return chromium.launch({ executablePath: kChromium, args: ["--no-sandbox", "--disable-dev-shm-usage", ...(device ? kDevices[device] : [])] });
 }
