@@ -81,10 +81,10 @@ void Residency::place(std::uint32_t group) {
 
 void Residency::evict(std::uint32_t group) {
   assert(can_evict(group));
+  if (state(group) == State::resident) n_resident_ -= pages_[group].n_children;
   groups_[group].state = State::absent;
   set_there(group, false);
   add_below(group, -1);
-  n_resident_ -= pages_[group].n_children;
 }
 
 void Residency::pin(std::span<const std::uint32_t> pages) {

@@ -86,7 +86,7 @@ class Residency {
   void refuse(std::uint32_t group);   ///< requested -> refused
   void arrive(std::uint32_t group);   ///< requested -> arrived; waits_for_above()
   void place(std::uint32_t group);    ///< requested or arrived -> resident, as old as what is above, which is
-  void evict(std::uint32_t group);    ///< resident -> absent; can_evict()
+  void evict(std::uint32_t group);    ///< resident or arrived -> absent; can_evict()
 
   /// requested -> absent: it could not be read at this time, of a clock of the caller's.
   void fail(std::uint32_t group, std::uint32_t time);
@@ -97,14 +97,14 @@ class Residency {
   /// Pages that a frame draws stay.
   void pin(std::span<const std::uint32_t> pages);
   void unpin(std::span<const std::uint32_t> pages);
-  /// Resident, nothing of it pinned, and nothing below it there or on its way.
+  /// All of it there, drawable or not, nothing of it pinned, and nothing below it there or on its way.
   bool can_evict(std::uint32_t group) const {
     const Group& g = groups_[group];
-    return g.state == State::resident && g.pins == 0 && g.n_below == 0;
+    return is_whole(g) && g.pins == 0 && g.n_below == 0;
   }
 
   /// Calls f(group) of all groups that could be evicted one after the other, those below first, as far as may_go(group) allows, which is
-  /// asked of every resident one.
+  /// asked of every one that is resident or has arrived.
   template <class MayGo, class F>
   void for_each_evictable(const MayGo& may_go, const F& f);
 
@@ -137,6 +137,7 @@ class Residency {
     bool blocked = false;  // by something below, during for_each_evictable()
   };
   static constexpr std::uint32_t kNoGroup = lod::kNoPage;
+  static bool is_whole(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
 
   /// Of a group that a view wants and has not, with such an error: calls want(), or looks at what is below. Adds to cut.coming.
   template <class Want>
@@ -162,7 +163,7 @@ float error_px(const lod::Page& page, double footprint);
 
 template <class MayGo, class F>
 void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
-  // Pages below have larger numbers. What is above a resident group is resident, too.
+  // Pages below have larger numbers. What is above a group that is there is there, or on its way.
   for (std::size_t w = 0; w < there_.size(); ++w) {
     for (std::uint64_t left = there_[w]; left != 0; left &= left - 1)
       groups_[64 * w + static_cast<std::size_t>(std::countr_zero(left))].blocked = false;
@@ -173,7 +174,7 @@ void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
       left &= ~(std::uint64_t{1} << bit);
       const auto i = static_cast<std::uint32_t>(64 * w + static_cast<std::size_t>(bit));
       const Group& g = groups_[i];
-      if (g.state == State::resident && may_go(i) && g.pins == 0 && !g.blocked) {
+      if (is_whole(g) && may_go(i) && g.pins == 0 && !g.blocked) {
         f(i);
         continue;
       }

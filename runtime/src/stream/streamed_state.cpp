@@ -195,16 +195,23 @@ void StreamedState::give_room(std::uint32_t group) {
   pool->give_pages(group_bytes(group));
 }
 
-void StreamedState::evict(std::uint32_t group) {
-  residency->evict(group);
+void StreamedState::count_evicted(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
     stats.bytes_evicted += file->decoded_bytes(child);
   }
+}
+
+void StreamedState::evict(std::uint32_t group) {
+  if (residency->state(group) == Residency::State::arrived) no_longer_coming(group);
+  residency->evict(group);
+  count_evicted(group);
   give_room(group);
   drop_below(group);
+  // Not if the page above has failed meanwhile.
   for (const auto& view : views) {
-    if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, px);
+    if (!residency->is_open(group)) break;
+    if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, rank(group, px));
   }
   pool->changed();
 }
@@ -220,15 +227,13 @@ void StreamedState::arrived(std::uint32_t group) {
   }
   if (residency->has(group)) {
     placed(group);
-    // A page that is drawn may give room to another.
-    if (std::exchange(pool->lacks_room, false)) pool->changed();
   } else if (residency->waits_for_above(group)) {
     residency->arrive(group);
   } else {
-    give_up(group);
-    residency->drop(group);
-    drop_below(group);
+    drop(group);
   }
+  // What is there may give room to another, and what is dropped does.
+  if (std::exchange(pool->lacks_room, false)) pool->changed();
   if (n_waiting > 0 &&
       std::ranges::any_of(views, [](const auto& view) { return view->n_busy > 0 && view->has_come(); }))
     pool->news.notify_all();
@@ -255,11 +260,15 @@ void StreamedState::drop_below(std::uint32_t group) {
   const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
   for (std::uint32_t child = above.first_child; child < end; ++child) {
     forget_want(child);
-    if (residency->state(child) != Residency::State::arrived) continue;
-    give_up(child);
-    residency->drop(child);
-    drop_below(child);
+    if (residency->state(child) == Residency::State::arrived) drop(child);
   }
+}
+
+void StreamedState::drop(std::uint32_t group) {
+  give_up(group);
+  count_evicted(group);
+  residency->drop(group);
+  drop_below(group);
 }
 
 void StreamedState::look_at_clock(StreamClock::time_point now) {

@@ -202,6 +202,7 @@ struct StreamedState {
   void give_up(std::uint32_t group);  // on its way until now, and its room others'
   Worth worth(std::uint32_t group) const;
   void evict(std::uint32_t group);  // and gives its memory back
+  void count_evicted(std::uint32_t group);
   /// Views that count are those of frames at work and of the last second, and the pool's last.
   void look_at_clock(StreamClock::time_point now);
   void forget_old_views();
@@ -240,6 +241,7 @@ struct StreamedState {
   bool has_wants() const;
   void arrived(std::uint32_t group);     // all of it is there: draws it, or waits for the page above
   void placed(std::uint32_t group);      // the page above is there, too
+  void drop(std::uint32_t group);        // all of it is there, in vain
   void drop_below(std::uint32_t group);  // does not come: nor does what waits for it
   void fetch(PageReader& reader, const Run& run, std::uint64_t begun);
   void extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun);

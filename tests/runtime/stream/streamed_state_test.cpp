@@ -406,6 +406,65 @@ TEST_CASE("what has no room is looked at again once another scene's pages are th
   CHECK(one.state->stats.bytes_evicted > 0);
 }
 
+TEST_CASE("what waits for a page above gives room to what is worth more, of another scene") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  Opened one(bytes, false, 4);
+  StreamPoolState& pool = *one.pool;
+  StreamedState& s = *one.state;
+  read_by_group(one);
+  Opened two(bytes, false, 2, 64 << 10, 0, one.pool);
+  for (Opened* each : {&one, &two}) {
+    each->frame(over(), 1e9F);  // the rest of the table
+    CHECK(each->comes([&] { return each->state->file->is_verified() && each->state->n_at_work == 0; }));
+  }
+  const FileRange top = range_of(s, 0);
+  one.script->shut_from = top.offset, one.script->shut_to = top.offset + top.bytes;
+  one.script->is_shut = true;
+  const Camera far = camera_at({0, 300, 600}, {0, 0, 0});
+  one.frame(far, 0);
+  CHECK(one.comes([&] { return count(s, State::arrived) + 1 == s.residency->n_groups() && s.n_at_work == 1; }));
+  std::uint64_t taken = 0;
+  {
+    const std::scoped_lock lock(pool.mutex);
+    taken = pool.left() - two.state->least_view_bytes() - two.state->list_bytes(4096);
+    pool.held += taken;
+  }
+  CHECK(two.refine(over(), 0.05F, 2) == true);
+  CHECK(s.stats.bytes_evicted > 0);
+  CHECK(count(s, State::arrived) + 1 < s.residency->n_groups());
+  {
+    const std::scoped_lock lock(pool.mutex);
+    pool.held -= taken;
+  }
+  // It comes again.
+  one.script->open_gate();
+  CHECK(one.refine(far, 0) == true);
+  CHECK(one.frame(far, 0).cut().coming == 0);
+}
+
+TEST_CASE("room that is given back by what came in vain is found") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 1);
+  StreamedState& s = *opened.state;
+  opened.frame(over(), 1e9F);
+  CHECK(
+      opened.comes([&] { return s.file->is_verified() && s.settled_at >= opened.pool->changes && s.n_at_work == 0; }));
+  const std::scoped_lock lock(opened.pool->mutex);
+  REQUIRE(!s.residency->has(1));
+  s.residency->request(0), s.residency->request(1);
+  for (const std::uint32_t group : {0U, 1U})
+    REQUIRE(opened.pool->take_pages(s.group_bytes(group), {true, 1}) == StreamPoolState::Room::taken);
+  s.give_up(0);
+  s.residency->refuse(0);
+  opened.pool->lacks_room = true;
+  const std::uint64_t changes = opened.pool->changes, held = opened.pool->held;
+  s.arrived(1);
+  CHECK(s.residency->state(1) == State::absent);
+  CHECK(opened.pool->held + s.group_bytes(1) == held);
+  CHECK(opened.pool->changes > changes);
+  CHECK(s.stats.bytes_evicted > 0);
+}
+
 TEST_CASE("what was put off comes after all else, until its pause is over") {
   const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
   Opened opened(bytes, false, 1);
