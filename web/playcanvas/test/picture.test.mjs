@@ -1,6 +1,7 @@
 // picture.test.mjs - what the engine draws beside what this project's CPU renderer draws: axes, activations, quaternions, colours.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
 import { copyFileSync, cpSync, existsSync, mkdirSync, mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
@@ -10,7 +11,7 @@ import { chromium } from "playwright-core";
 import { build } from "vite";
 import { golden, scenes } from "../../reader/test/dump.mjs";
 import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
-import { psnr, readCameras, renderAll } from "./pictures.mjs";
+import { program, psnr, readCameras, renderAll } from "./pictures.mjs";
 
 const kChromium = process.env.RGS_CHROMIUM ?? "/usr/bin/chromium";
 const kSize = [240, 180];
@@ -100,6 +101,15 @@ for (const [device, args] of Object.entries(kDevices)) {
         // Of a file with levels of detail the asset holds the finest.
         const more = name === "levels.rgs" ? ["--detail", "0"] : [];
         const least = await compare(t, join(scenes(), name), join(scenes(), "cameras.json"), [0, 2, 5], more).catch((error) => skipsLost(t, error));
+        assert.ok(least >= kLeastDb, `${least} dB`);
+      });
+    }
+    // Wider and narrower than the usual one, and opacity for it.
+    for (const [name, declared] of [["wide.rgs", ["--aa", "classic", "--low-pass", "1.5"]], ["mip.rgs", ["--aa", "mip"]]]) {
+      await t.test(`what a file declares of its low-pass, ${name}`, async (t) => {
+        const path = join(folder, name);
+        execFileSync(program("rgs-convert"), [...declared, "--quiet", join(scenes(), "scene.ply"), path]);
+        const least = await compare(t, path, join(scenes(), "cameras.json"), [0, 2]).catch((error) => skipsLost(t, error));
         assert.ok(least >= kLeastDb, `${least} dB`);
       });
     }
