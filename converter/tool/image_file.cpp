@@ -79,7 +79,10 @@ OIIO::ImageSpec specification(const Image& image, ImageFormat format, const Imag
     spec.attribute("ImageDescription", kDescription);
   }
   switch (format) {
-    case ImageFormat::png: spec.attribute("oiio:UnassociatedAlpha", 1); break;
+    case ImageFormat::png:
+      spec.attribute("oiio:UnassociatedAlpha", 1);
+      spec.attribute("png:compressionLevel", options.png_level);
+      break;
     case ImageFormat::jpeg:
       spec.attribute("Compression", "jpeg:" + std::to_string(options.jpeg_quality));
       spec.attribute("jpeg:subsampling", "4:4:4");

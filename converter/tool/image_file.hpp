@@ -25,6 +25,7 @@ struct ImageFileOptions {
   AtomicFile::Options file{.overwrite = false, .sync = false};
   bool depth = false;      ///< the image [height, width, 1] is camera-space depth in world units, not colour
   int jpeg_quality = 95;   ///< 1..100; chroma is not subsampled
+  int png_level = 6;       ///< of deflate, 0..9; the pixels are the same
   std::string software{};  ///< written as the picture's software tag if not empty
 };
 

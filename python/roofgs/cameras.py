@@ -35,7 +35,8 @@ class CameraList(List[Camera]):
     source : str
         ``"list"``, ``"training"`` (cameras.json of 3DGS), ``"transforms"`` (NeRF) or ``"colmap"``.
     split_declared : bool
-        Whether the file says which cameras are for tests. If not, every eighth in the order of names is.
+        Whether the file says of any camera whether it is for tests; the others are then for training. If it does not, every eighth in
+        the order of names is for tests.
     train, test : list of Camera
         The two parts.
     """

@@ -101,6 +101,11 @@ def test_a_declared_split_is_kept(examples, tmp_path):
     rows = json.loads((tmp_path / "declared.json").read_text())
     assert [(row["name"], row.get("split")) for row in rows] == \
         [("a", "test"), ("c", "train"), ("b", "test"), ("a", "train"), ("of neither part", None)]
+    del rows[0]["split"], rows[1]["split"]  # of some cameras alone
+    (tmp_path / "partly.json").write_text(json.dumps(rows))
+    partly = cameras.load(tmp_path / "partly.json")
+    cameras.save(tmp_path / "again.json", partly)
+    assert [camera.name for camera in partly.test] == ["b"] == [camera.name for camera in cameras.load(tmp_path / "again.json").test]
     cameras.save(tmp_path / "undeclared.json", cameras.load(examples / "cameras.json"))
     assert "split" not in (tmp_path / "undeclared.json").read_text()
 

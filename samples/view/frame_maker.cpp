@@ -18,6 +18,7 @@ namespace rgs::view {
 namespace {
 
 using Clock = std::chrono::steady_clock;
+constexpr int kPngLevel = 1;  // a picture is looked at and forgotten: time counts, not bytes
 using AnyScene = std::variant<Scene, StreamedScene>;
 
 double ms_since(Clock::time_point start) {
@@ -30,9 +31,8 @@ Result<std::string> encode(const Image& image, const FrameRequest& request) {
     std::ranges::transform(image.pixels, codes.begin(), to_8bit);
     return encode_jpeg(codes, image.width, image.height, request.quality);
   }
-  return encode_image(image, request.format, {.software = "rgs-view " RGS_VERSION}).map([](const auto& bytes) {
-    return std::string(reinterpret_cast<const char*>(bytes.data()), bytes.size());
-  });
+  return encode_image(image, request.format, {.png_level = kPngLevel, .software = "rgs-view " RGS_VERSION})
+      .map([](const auto& bytes) { return std::string(reinterpret_cast<const char*>(bytes.data()), bytes.size()); });
 }
 
 // What a file without levels of detail is told by.

@@ -1,7 +1,8 @@
 #!/usr/bin/python3
 # fit_cost_model.py - from measure_city.py's JSON to the cost of each step in Gaussians, and what it says of many nodes.
 # usage: python3 tests/cluster/fit_cost_model.py measured.json [--disk-gb-s 1.0] [--shared-gb-s 10] [--cores 16] [--without-moves]
-# CPU of a step is fixed (a job) plus linear (a million Gaussians), by least squares of relative errors. A run takes, one after
+# CPU of a step is fixed (a job) plus linear (a million Gaussians), by least squares with
+# weights of one over CPU: the largest scene counts most, since what is predicted is larger still. A run takes, one after
 # the other: what one process does (begin, plan, assemble), and what all do side by side (scan, place, build), each the longer
 # of its CPU and of its bytes by the disk. Assumptions are printed with the tables.
 # SPDX-License-Identifier: Apache-2.0
@@ -16,10 +17,10 @@ def fit(points):
     """[(millions, jobs, seconds)] to seconds a job and a million, neither negative."""
     best = None
     for weights in ((1, 1), (0, 1), (1, 0)):
-        # Weighted normal equations of y = a * jobs + b * millions, in relative errors.
+        # Weighted normal equations of y = a * jobs + b * millions.
         aa = ab = bb = ay = by = 0.0
         for millions, jobs, y in points:
-            w = 1 / max(y, 1e-3) ** 2
+            w = 1 / max(y, 1e-3)
             j, m = jobs * weights[0], millions * weights[1]
             aa, ab, bb, ay, by = aa + w * j * j, ab + w * j * m, bb + w * m * m, ay + w * j * y, by + w * m * y
         if weights == (1, 1):
@@ -31,10 +32,17 @@ def fit(points):
             a, b = (ay / aa if aa else 0), (by / bb if bb else 0)
         if a < 0 or b < 0:
             continue
-        error = max(abs(a * j + b * m - y) / max(y, 1e-3) for m, j, y in points)
+        error = sum((a * j + b * m - y) ** 2 / max(y, 1e-3) for m, j, y in points)
         if best is None or error < best[2]:
             best = (a, b, error)
-    return best
+    millions, jobs, y = points[-1]
+    return best[0], best[1], abs(best[0] * jobs + best[1] * millions - y) / max(y, 1e-3)
+
+
+def jobs_of(step, run):
+    """Those that have something to do: a range has one stretch at least."""
+    jobs = run["steps"][step]["jobs"]
+    return min(jobs, -(-run["gaussians"] // STRETCH)) if step == "build" else jobs
 
 
 def main():
@@ -53,9 +61,9 @@ def main():
     print(f"{measured['processor']}, commit {measured['commit']}, {len(runs)} runs of "
           f"{', '.join(str(run['gaussians'] / 1e6) for run in runs)} M, degree {runs[0]['degree']}")
     model, written = {}, {}
-    print("\n| step | jobs | s of CPU a job | s of CPU a million | bytes a Gaussian | worst error |\n|---|---|---|---|---|---|")
+    print("\n| step | jobs | s of CPU a job | s of CPU a million | bytes a Gaussian | error at the largest |\n|---|---|---|---|---|---|")
     for step in runs[0]["steps"]:
-        points = [(run["gaussians"] / 1e6, run["steps"][step]["jobs"], run["steps"][step]["cpu_s"]) for run in runs]
+        points = [(run["gaussians"] / 1e6, jobs_of(step, run), run["steps"][step]["cpu_s"]) for run in runs]
         a, b, error = fit(points)
         if step == "begin" and arguments.without_moves:
             b = 0.0

@@ -27,8 +27,8 @@ struct CameraSet {
   Source source = Source::list;
   std::vector<Camera> cameras;  ///< in file order; a COLMAP model's are sorted by name
   std::vector<Split> split;     ///< one per camera
-  /// False if the file does not say: every eighth camera in name order, the first included, is then a test camera,
-  /// which is the habit of the 3DGS and Mip-NeRF 360 evaluations.
+  /// Whether the file says it of any camera; the others are then for training. If it does not, every eighth camera in name order, the
+  /// first included, is a test camera, which is the habit of the 3DGS and Mip-NeRF 360 evaluations.
   bool split_declared = false;
 };
 

@@ -265,7 +265,7 @@ Result<CameraSet> read_all(std::string_view text, const json& root) {
     set.split.push_back(split.value_or(Split::train));
     set.cameras.push_back(std::move(camera));
   }
-  set.split_declared = n_declared == set.cameras.size();
+  set.split_declared = n_declared > 0;
   if (n_declared == 0) detail::split_by_name(set);
   return set;
 }

@@ -198,6 +198,9 @@ TEST_CASE("a picture in memory is the file that would be written") {
   check(ImageFormat::jpeg, "a.jpg");
   CHECK(encode_image(image, ImageFormat::jpeg, {.jpeg_quality = 30})->size() <
         encode_image(image, ImageFormat::jpeg)->size());
+  REQUIRE(write_image(folder.file("quick.png"), image, {.png_level = 0}));
+  CHECK(contents(folder.file("quick.png")).size() > contents(folder.file("a.png")).size());
+  CHECK(read_image(folder.file("quick.png")).value().pixels == read_image(folder.file("a.png")).value().pixels);
   CHECK(encode_image(image, ImageFormat::tiff).error().code == Errc::bad_argument);
   CHECK(encode_image(image, ImageFormat::exr).error().code == Errc::bad_argument);
   CHECK(encode_image(picture(8, 8, 4), ImageFormat::jpeg).error().code == Errc::bad_argument);

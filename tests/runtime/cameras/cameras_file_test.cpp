@@ -279,6 +279,17 @@ TEST_CASE("without a declared split every eighth camera in name order is a test 
   for (std::size_t i = 0; i < 17; ++i) CHECK((set->split[i] == Split::test) == ((16 - i) % 8 == 0));
 }
 
+TEST_CASE("a split that is declared of some cameras is one, and the others are for training") {
+  std::string text = camera_list();
+  const std::string declared = "\"split\":\"train\",";
+  REQUIRE(text.find(declared) != std::string::npos);
+  text.erase(text.find(declared), declared.size());
+  const auto set = parse_camera_json(text);
+  REQUIRE(set);
+  CHECK(set->split_declared);
+  CHECK(set->split == std::vector{Split::test, Split::train});
+}
+
 TEST_CASE("read_cameras finds out what it was given") {
   const TemporaryFolder folder;
   write(folder.file("anything.txt"), "\xef\xbb\xbf \n" + camera_list());
