@@ -19,11 +19,20 @@ import {
 let app: AppBase;
 let camera: Entity;
 let ready = false;
+/** Rejects when it happens: a lost device ends no frame. */
+let lost: Promise<never>;
 
 async function start(type: string): Promise<string> {
   const canvas = document.createElement("canvas");
   document.body.append(canvas);
   const device = await createGraphicsDevice(canvas, { deviceTypes: [type], antialias: false });
+  // The engine says nothing of a device that the browser has destroyed.
+  const { wgpu } = device as { wgpu?: { lost: Promise<{ message: string }> } };
+  lost = new Promise((_, reject) => {
+    device.once("devicelost", () => reject(new Error("the device is lost")));
+    wgpu?.lost.then(({ message }) => reject(new Error(`the device is lost: ${message}`)));
+  });
+  lost.catch(() => undefined);
   const options = new AppOptions();
   options.graphicsDevice = device;
   options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
@@ -96,10 +105,8 @@ async function picture(pinhole: Pinhole, width: number, height: number): Promise
   setPinhole(camera, resizePinhole(pinhole, width, height));
   if (!camera.camera) throw new Error("no camera");
   camera.camera.renderTarget = target;
-  const pixels = await drawn(async () => {
-    const found = await colorBuffer.read(0, 0, width, height, { renderTarget: target, immediate: true });
-    return found as Uint8Array;
-  });
+  const read = async () => (await colorBuffer.read(0, 0, width, height, { renderTarget: target, immediate: true })) as Uint8Array;
+  const pixels = await Promise.race([drawn(read), lost]);
   if (app.graphicsDevice.isWebGL2) flipRows(pixels, width);
   camera.camera.renderTarget = null as unknown as RenderTarget;
   target.destroy();

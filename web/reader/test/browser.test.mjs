@@ -2,16 +2,15 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { createHash } from "node:crypto";
-import { copyFileSync, cpSync, existsSync, readFileSync, writeFileSync } from "node:fs";
+import { copyFileSync, cpSync, readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import test from "node:test";
 import { fileURLToPath } from "node:url";
 import { open } from "@roofgs/reader";
-import { chromium } from "playwright-core";
+import { hasChromium, launch } from "./chromium.mjs";
 import { golden, scenes } from "./dump.mjs";
 import { hasNginx, skip, startNginx } from "./servers.mjs";
 
-const kChromium = process.env.RGS_CHROMIUM ?? "/usr/bin/chromium";
 // What a page must allow: its own scripts and workers, WebAssembly, and the file's server.
 const kPolicy = "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; connect-src 'self' http://127.0.0.1:*";
 
@@ -89,11 +88,11 @@ async function expectedOf(name) {
 }
 
 test("in Chromium", async (t) => {
-  if (!existsSync(kChromium)) return skip(t, "chromium is not installed");
+  if (!hasChromium) return skip(t, "chromium is not installed");
   if (!hasNginx) return skip(t, "nginx is not installed");
   const server = await startNginx(`add_header Content-Security-Policy "${kPolicy}";`);
   const other = await startNginx("add_header Access-Control-Allow-Origin *; add_header Access-Control-Expose-Headers ETag;");
-  const browser = await chromium.launch({ executablePath: kChromium, args: ["--no-sandbox", "--disable-dev-shm-usage"] });
+  const browser = await launch();
   t.after(async () => {
     await browser.close();
     await server.end();

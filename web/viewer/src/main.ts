@@ -555,7 +555,7 @@ async function main(): Promise<void> {
   void reading.then((all) => all.forEach((each) => each.catch(() => undefined))).catch(() => undefined);
   try {
     const device = new URLSearchParams(location.search).get("device");
-    // WebGPU on demand alone: nobody has seen this page draw with it.
+    // WebGPU on demand alone: not every browser that has it draws with it.
     stage = await Stage.start(element("picture", HTMLCanvasElement), device === "webgpu" ? ["webgpu", "webgl2"] : ["webgl2"], {
       frame: (seconds) => page?.step(seconds),
       resized: () => page?.refreshView(),

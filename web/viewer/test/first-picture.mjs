@@ -3,7 +3,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { statSync } from "node:fs";
 import { basename } from "node:path";
-import { chromium } from "playwright-core";
+import { launch } from "../../reader/test/chromium.mjs";
 import { startServer } from "./server.mjs";
 
 const kRuns = 5;
@@ -46,12 +46,11 @@ async function measure(browser, path, chosen) {
   }
 }
 
-const args = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
 for (const path of process.argv.slice(2)) {
   for (const chosen of [false, true]) {
     const found = [];
     for (let i = 0; i < kRuns; ++i) {
-      const browser = await chromium.launch({ executablePath: process.env.RGS_CHROMIUM ?? "/usr/bin/chromium", args });
+      const browser = await launch("webgl2");
       found.push(await measure(browser, path, chosen));
       await browser.close();
     }

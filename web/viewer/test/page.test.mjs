@@ -8,13 +8,12 @@ import { dirname, join } from "node:path";
 import test, { after, before } from "node:test";
 import { pathToFileURL } from "node:url";
 import { open } from "@roofgs/reader";
-import { chromium } from "playwright-core";
 import { program, readCameras } from "../../playcanvas/test/pictures.mjs";
+import { hasChromium, launch } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";
 import { skip } from "../../reader/test/servers.mjs";
 import { dist, single, startServer } from "./server.mjs";
 
-const kChromium = process.env.RGS_CHROMIUM ?? "/usr/bin/chromium";
 const kSize = { width: 800, height: 360 };
 // Software rendering on a busy machine.
 const kPatienceMs = 90_000;
@@ -22,10 +21,9 @@ const kPatienceMs = 90_000;
 let browser;
 let folder;
 before(async () => {
-  if (!existsSync(kChromium)) return;
+  if (!hasChromium) return;
   folder = mkdtempSync(join(tmpdir(), "rgs-web-viewer-"));
-  const args = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
-  browser = await chromium.launch({ executablePath: kChromium, args });
+  browser = await launch("webgl2");
 });
 after(async () => {
   await browser?.close();

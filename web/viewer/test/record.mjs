@@ -7,7 +7,7 @@ import { execFileSync } from "node:child_process";
 import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, join } from "node:path";
-import { chromium } from "playwright-core";
+import { launch } from "../../reader/test/chromium.mjs";
 import { startServer } from "./server.mjs";
 
 const kSize = { width: 760, height: 428 };
@@ -20,8 +20,7 @@ const scene = (side, path) => ({ name: basename(path), url: `scenes/${side}/${ba
 const view = { version: 1, scenes: [scene(0, left), scene(1, right)], cameras: "cameras.json", photos: [], frames: null };
 const files = { [view.scenes[0].url]: left, [view.scenes[1].url]: right, "cameras.json": cameras };
 const server = await startServer({ view, files });
-const args = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
-const browser = await chromium.launch({ executablePath: process.env.RGS_CHROMIUM ?? "/usr/bin/chromium", args });
+const browser = await launch("webgl2");
 try {
   const page = await browser.newPage({ viewport: kSize, colorScheme: "dark" });
   page.setDefaultTimeout(600_000);
