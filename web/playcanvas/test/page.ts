@@ -1,6 +1,6 @@
 // page.ts - what the picture test drives: an engine, a scene and pictures of it.
 // SPDX-License-Identifier: Apache-2.0
-import { drawAsDefined, type Pinhole, resizePinhole, RgsParser, setPinhole } from "@roofgs/playcanvas";
+import { drawAsDefined, type Pinhole, resizePinhole, RgsParser, type RgsResource, setPinhole } from "@roofgs/playcanvas";
 import {
   AppBase,
   AppOptions,
@@ -61,7 +61,9 @@ function load(url: string): Promise<number> {
       const entity = new Entity("scene");
       entity.addComponent("gsplat", { asset });
       app.root.addChild(entity);
-      resolve((asset.resource as { numSplats: number }).numSplats);
+      const { antiAliasing, numSplats } = asset.resource as RgsResource;
+      if (camera.camera) drawAsDefined(app, camera.camera, antiAliasing);
+      resolve(numSplats);
     });
     asset.on("error", (error: unknown) => reject(error));
     app.assets.add(asset);

@@ -1,7 +1,8 @@
 // picture.test.mjs - what the engine draws beside what this project's CPU renderer draws: axes, activations, quaternions, colours.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { copyFileSync } from "node:fs";
+import { execFileSync } from "node:child_process";
+import { copyFileSync, mkdirSync } from "node:fs";
 import { basename, join } from "node:path";
 import test from "node:test";
 import { fileURLToPath } from "node:url";
@@ -9,7 +10,7 @@ import { build } from "vite";
 import { hasChromium, kDeviceNames, launch } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";
 import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
-import { psnr, readCameras, renderAll } from "./pictures.mjs";
+import { program, psnr, readCameras, renderAll } from "./pictures.mjs";
 
 const kSize = [240, 180];
 const kLeastDb = 35;
@@ -74,6 +75,16 @@ for (const device of kDeviceNames) {
         // Of a file with levels of detail the asset holds the finest.
         const more = name === "levels.rgs" ? ["--detail", "0"] : [];
         const least = await compare(t, join(scenes(), name), join(scenes(), "cameras.json"), [0, 2, 5], more);
+        assert.ok(least >= kLeastDb, `${least} dB`);
+      });
+    }
+    // Wider and narrower than the usual one, and opacity for it.
+    for (const [name, declared] of [["wide.rgs", ["--aa", "classic", "--low-pass", "1.5"]], ["mip.rgs", ["--aa", "mip"]]]) {
+      await t.test(`what a file declares of its low-pass, ${name}`, async (t) => {
+        const made = join(server.files, "made");
+        mkdirSync(made, { recursive: true });
+        execFileSync(program("rgs-convert"), [...declared, "--quiet", join(scenes(), "scene.ply"), join(made, name)]);
+        const least = await compare(t, join(made, name), join(scenes(), "cameras.json"), [0, 2]);
         assert.ok(least >= kLeastDb, `${least} dB`);
       });
     }
