@@ -111,7 +111,9 @@ export class RgsFile {
     signal?.addEventListener("abort", abort, { once: true });
     const before = this.last;
     let end = (): void => undefined;
-    this.last = new Promise<void>((resolve) => (end = resolve));
+    const over = new Promise<void>((resolve) => (end = resolve));
+    this.last = before.then(() => over);
+    let hasBegun = false;
     const call = { signal: stop.signal };
     const unread = new Unread(total);
     let read = 0;
@@ -133,6 +135,7 @@ export class RgsFile {
     try {
       await untilAborted(before, signal);
       signal?.throwIfAborted();
+      hasBegun = true;
       await this.client.call("whole", { bytes: total }, call);
       await load(beforeGaussians(this.sections, total));
       const groups = await this.client.call("openEarly", {}, call);
@@ -157,7 +160,8 @@ export class RgsFile {
     } finally {
       stop.abort(new RgsError({ code: "cancelled", text: "nobody reads on" }));
       signal?.removeEventListener("abort", abort);
-      await this.client.call("endWhole", {}).catch(() => undefined);
+      // Until then the memory is another's.
+      if (hasBegun) await this.client.call("endWhole", {}).catch(() => undefined);
       end();
     }
   }

@@ -155,3 +155,22 @@ test("who stops reading leaves the file as it was, and a signal stops it", async
   await assert.rejects(levels.storedParts().next(), { code: "bad_argument" });
   levels.close();
 });
+
+test("who stops waiting for another's read leaves it alone", async () => {
+  const bytes = readFileSync(join(scenes(), "direct.rgs"));
+  let goOn;
+  const going = new Promise((resolve) => (goOn = resolve));
+  let isOpen = false;
+  const file = await open(counted(bytes, async () => isOpen && going));
+  isOpen = true;
+  const read = file.readStored();
+  const stop = new AbortController();
+  const parts = file.storedParts({ signal: stop.signal }).next();
+  stop.abort(new Error("enough"));
+  await assert.rejects(parts, { message: "enough" });
+  const third = all(file);
+  goOn();
+  assert.equal((await read).n, 60000);
+  assert.equal((await third).reduce((sum, { n }) => sum + n, 0), 60000);
+  file.close();
+});

@@ -129,7 +129,7 @@ export class Controls {
 
   /** Left stick: sideways and ahead; right stick: look around; triggers: down and up. */
   private fly({ axes, buttons }: Gamepad, seconds: number): void {
-    const past = (value = 0): number => (Math.abs(value) < kDeadZone ? 0 : value);
+    const past = (value = 0): number => (Math.abs(value) >= kDeadZone ? value : 0);
     const by = [past(axes[0]), past(buttons[6]?.value) - past(buttons[7]?.value), -past(axes[1])];
     const [right, down] = [past(axes[2]), past(axes[3])];
     if ([...by, right, down].every((value) => value === 0)) return;

@@ -37,6 +37,8 @@ class Page {
   private frames: Frames | undefined;
   private frame: Frame | undefined;
   private speed: { at: number; frames: number; rate: number } = { at: 0, frames: 0, rate: 0 };
+  /** Scenes that are being opened. It never rejects. */
+  private opening: Promise<void> = Promise.resolve();
   /** Captures come one after the other. */
   private capturing: Promise<unknown> = Promise.resolve();
 
@@ -94,27 +96,33 @@ class Page {
     this.view = link.view;
     this.showValues();
     for (const [side, { name }] of scenes.entries()) {
-      await this.open({ name, reading: reading[side] as Promise<Read>, side: side as Side, mode: link.mode ?? "slider" });
+      void this.inTurn(() => this.open({ name, reading: reading[side] as Promise<Read>, side: side as Side, mode: link.mode ?? "slider" }));
     }
-    this.compare.setMode(link.mode ?? (this.scenes[1] ? "slider" : "single"));
+    await this.opening;
+    if (!this.scenes[1]) this.compare.setMode(link.mode ?? "single");
   }
 
   /** Files of a drop or a choice: cameras, and scenes for the first free side, the right one if none is. */
   async openFiles(files: readonly File[]): Promise<void> {
-    for (const file of files) {
-      const { name } = file;
-      performance.mark(`open ${name}`);
-      showLoading(`Opening ${name}`);
-      const reading = readFile({ entry: { name, url: "" }, file, onProgress: showProgress });
-      const read = await reading.catch(() => undefined);
-      if (read?.kind === "cameras") {
-        await this.readCameras(read.answer).catch((error: unknown) => this.fail(name, error));
-        hideLoading();
-        this.showWelcome();
-        continue;
-      }
-      await this.open({ name, reading, side: this.scenes[0] ? 1 : 0, mode: "slider" });
-    }
+    for (const file of files) performance.mark(`open ${file.name}`);
+    for (const file of files) void this.inTurn(() => this.openFile(file));
+    await this.opening;
+  }
+
+  /** One scene after the other: which side is free shows when the one before is there. */
+  private inTurn(work: () => Promise<void>): Promise<void> {
+    this.opening = this.opening.then(work);
+    return this.opening;
+  }
+
+  private async openFile(file: File): Promise<void> {
+    const { name } = file;
+    showLoading(`Opening ${name}`);
+    const reading = readFile({ entry: { name, url: "" }, file, onProgress: showProgress });
+    const read = await reading.catch(() => undefined);
+    if (read?.kind !== "cameras") return this.open({ name, reading, side: this.scenes[0] ? 1 : 0, mode: "slider" });
+    await this.readCameras(read.answer).catch((error: unknown) => this.fail(name, error));
+    hideLoading();
   }
 
   /** If it cannot be opened, which is said, the side has what it had. `mode`: of two scenes. */
@@ -122,6 +130,7 @@ class Page {
     this.showWelcome(false);
     showLoading(`Opening ${name}`);
     const before = this.scenes[side];
+    const viewBefore = this.view;
     let scene: Scene | undefined;
     try {
       const read = await reading;
@@ -135,15 +144,21 @@ class Page {
       if (side === 0 && !before) this.setCameras(this.cameras);
     } catch (error) {
       scene?.destroy();
-      if (scene) this.show(before, side);
       if (before) before.hidden = false;
+      if (scene) this.show(before, side);
+      if (!this.scenes.some((each) => each)) this.forgetView(viewBefore);
       this.fail(name, error);
       this.showWelcome();
+      this.compare.setMode(this.compare.mode);
     } finally {
       hideLoading();
-      // A map of differences is of all that is drawn.
-      this.compare.setMode(this.compare.mode);
     }
+  }
+
+  /** There is nothing to look at any more: the next scene is seen as the first one would have been. */
+  private forgetView(view: ViewState | undefined): void {
+    this.view = view;
+    if (!view) history.replaceState(null, "", location.pathname + location.search);
   }
 
   /** In the browser's timeline: from `open NAME`, or the page's beginning, to the first picture. */
@@ -179,8 +194,8 @@ class Page {
     const [left, right] = this.scenes;
     const names = [left?.name, this.trueShown ? `${left?.name ?? ""}, true picture` : right?.name].filter((name) => name !== undefined);
     element("title", HTMLElement).textContent = names.join(" | ") || "RoofGS viewer";
-    element("left", HTMLElement).textContent = names[0] ?? "";
-    element("right", HTMLElement).textContent = names[1] ?? "";
+    element("left", HTMLElement).textContent = left?.name ?? "";
+    element("right", HTMLElement).textContent = this.trueShown ? (names.at(-1) ?? "") : (right?.name ?? "");
     const what = left ? `${left.name}, ${countText(left.nGaussians)} Gaussians${names[1] ? `, beside ${names[1]}` : ""}` : "No scene yet";
     this.canvas.setAttribute("aria-label", what);
     say(what);
@@ -511,6 +526,8 @@ class Page {
   }
 
   private async captureSide(side: "left" | "right", width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
+    // What is compared or saved is all of it.
+    await this.opening;
     const request = this.frameRequest(width, height);
     if (!this.view || !request) throw new Error("there is no scene");
     if (side === "left" || !this.trueShown) return this.capture(side === "left" ? 0 : 1, this.view, width, height);

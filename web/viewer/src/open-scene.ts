@@ -28,21 +28,29 @@ async function beginningOf(answer: Response): Promise<Uint8Array> {
 /** A file of the page's server, of the page itself, or one that was dropped. Rejects if it is nothing that this page opens. */
 export async function readFile({ entry, file, onProgress }: { entry: SceneEntry; file?: File | undefined; onProgress: OnProgress }): Promise<Read> {
   const blob = file ?? (entry.url.startsWith("#") ? await readInside(entry.url) : undefined);
+  const ofOthers = async (): Promise<Read | null> => {
+    const range = { range: `bytes=0-${kBeginningBytes - 1}` };
+    const kind = kindOf(await beginningOf(blob ? new Response(blob.slice(0, kBeginningBytes)) : await fetch(entry.url, { headers: range })));
+    if (kind === null || kind === "rgs") return null;
+    const answer = blob ? new Response(blob, { headers: { "content-length": String(blob.size) } }) : await fetch(entry.url);
+    if (!answer.ok) throw Object.assign(new Error(`HTTP ${answer.status}`), { code: "open_failed" });
+    return { kind, answer };
+  };
+  // A name says what to ask first, so that as a rule nothing is read twice, and no more.
+  const isNamedRgs = /\.rgs$/i.test(entry.name);
+  const other = isNamedRgs ? null : await ofOthers();
+  if (other) return other;
   try {
-    const options = worker ? { worker } : {};
     const rgs = await open(blob ?? new URL(entry.url, document.baseURI), {
-      ...options,
+      ...(worker ? { worker } : {}),
       onProgress: ({ done, total }) => onProgress(done, total ?? 0),
     });
     return { kind: "rgs", opened: beginFile(rgs, onProgress) };
   } catch (error) {
-    if ((error as { code?: string }).code !== "bad_magic") throw error;
-    const range = { range: `bytes=0-${kBeginningBytes - 1}` };
-    const kind = kindOf(await beginningOf(blob ? new Response(blob.slice(0, kBeginningBytes)) : await fetch(entry.url, { headers: range })));
-    if (kind === null || kind === "rgs") throw error;
-    const answer = blob ? new Response(blob, { headers: { "content-length": String(blob.size) } }) : await fetch(entry.url);
-    if (!answer.ok) throw Object.assign(new Error(`HTTP ${answer.status}`), { code: "open_failed" });
-    return { kind, answer };
+    if (!isNamedRgs || (error as { code?: string }).code !== "bad_magic") throw error;
+    const found = await ofOthers();
+    if (!found) throw error;
+    return found;
   }
 }
 

@@ -1,6 +1,6 @@
 // spz.ts - the streams of Niantic's .spz, unfolded. What lies where: converter/formats/spz.cpp.
 // SPDX-License-Identifier: Apache-2.0
-import { decompress } from "fzstd";
+import { Decompress } from "fzstd";
 
 const kMagic = 0x5053474e;
 const kHeaderBytes = 16;
@@ -100,6 +100,53 @@ async function readFolded(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint
   return [header, sizesOf(header).map((size) => content.subarray(at, (at += size)))];
 }
 
+const kZstd = 0xfd2fb528;
+/** Of what a frame looks back to, as libzstd has it unless told otherwise. */
+const kMostWindow = 2 ** 27;
+
+/** Whether bytes are one frame of Zstandard and nothing else, RFC 8878, of `size` bytes where it says so. */
+function isOneFrame(bytes: Uint8Array, size: number): boolean {
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  if (bytes.length < 6 || view.getUint32(0, true) !== kZstd) return false;
+  const descriptor = bytes[4] as number;
+  const [sizeFlag, isSingle, hasChecksum] = [descriptor >> 6, (descriptor & 0x20) !== 0, (descriptor & 4) !== 0];
+  if ((descriptor & 0x0b) !== 0) return false;  // a dictionary, a reserved bit
+  const sizeAt = isSingle ? 5 : 6;
+  const sizeBytes = sizeFlag > 0 ? 1 << sizeFlag : isSingle ? 1 : 0;
+  const window = 2 ** (10 + ((bytes[5] as number) >> 3)) * (1 + ((bytes[5] as number) & 7) / 8);
+  if (!isSingle && window > kMostWindow) return false;
+  let at = sizeAt + sizeBytes;
+  if (at > bytes.length) return false;
+  let stated = 0;
+  for (let i = sizeBytes - 1; i >= 0; --i) stated = 256 * stated + (bytes[sizeAt + i] as number);
+  if (sizeBytes > 0 && stated + (sizeBytes === 2 ? 256 : 0) !== size) return false;
+  for (let isLast = false; !isLast; ) {
+    if (at + 3 > bytes.length) return false;
+    const head = (bytes[at] as number) | ((bytes[at + 1] as number) << 8) | ((bytes[at + 2] as number) << 16);
+    isLast = (head & 1) !== 0;
+    at += 3 + (((head >> 1) & 3) === 1 ? 1 : head >> 3);
+  }
+  return at + (hasChecksum ? 4 : 0) === bytes.length;
+}
+
+/** Null if it is not what unfolds to `size` bytes. */
+function unfoldFrame(bytes: Uint8Array, size: number): Uint8Array | null {
+  if (!isOneFrame(bytes, size)) return null;
+  const out = new Uint8Array(size);
+  let at = 0;
+  const stream = new Decompress((piece) => {
+    if (piece.length > size - at) throw new RangeError("more than was promised");
+    out.set(piece, at);
+    at += piece.length;
+  });
+  try {
+    stream.push(bytes, true);
+  } catch {
+    return null;
+  }
+  return at === size ? out : null;
+}
+
 /** Version 4: a table of streams, each of them one of Zstandard; streams without bytes are not there. */
 function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
   const header = parseHeader(bytes, bytes.length);
@@ -120,15 +167,12 @@ function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
     if (stored > bytes.length - at) throw refuse("truncated", "a stream reaches beyond the end of the file", entry);
     const begin = at;
     at += stored;
-    let stream: Uint8Array;
-    try {
-      stream = size === 0 ? new Uint8Array(0) : decompress(bytes.subarray(begin, at), new Uint8Array(size));
-    } catch {
-      throw refuse("corrupt_data", "a stream cannot be unfolded", begin);
-    }
-    if (stream.length !== size) throw refuse("corrupt_data", "a stream unfolds to another size than it must have", begin);
+    if (size === 0) return new Uint8Array(0);
+    const stream = unfoldFrame(bytes.subarray(begin, at), size);
+    if (!stream) throw refuse("corrupt_data", "a stream is not what unfolds to its size", begin);
     return stream;
   });
+  if (at !== bytes.length) throw refuse("trailing_bytes", "there are bytes after the last stream", at);
   return [header, streams];
 }
 

@@ -167,6 +167,49 @@ test("an SPZ is unfolded to its streams", async () => {
   assert.deepEqual([streams.alphas, streams.colors, streams.scales, streams.rotations, streams.sh].map((stream) => [...stream]), [[9], [10, 11, 12], [13, 14, 15], [16, 17, 18, 19], []]);
 });
 
+/** One frame of Zstandard, a raw block: RFC 8878. `size`: what it says that it holds, in 4 bytes; null: nothing, but a window. */
+const frameOf = (bytes, { size = bytes.length, window = 0, checksum = false } = {}) => {
+  const head = Buffer.from(size === null ? [checksum ? 4 : 0, window] : [checksum ? 0xa4 : 0xa0, 0, 0, 0, 0]);
+  if (size !== null) head.writeUInt32LE(size, 1);
+  const block = Buffer.alloc(3);
+  block.writeUIntLE((bytes.length << 3) | 1, 0, 3);
+  return Buffer.concat([Buffer.from([0x28, 0xb5, 0x2f, 0xfd]), head, block, bytes, Buffer.alloc(checksum ? 4 : 0)]);
+};
+/** Of one Gaussian; `edit` may put another frame in place of that of its positions. */
+const versionFour = (edit = (bytes) => frameOf(bytes)) => {
+  const sizes = [9, 1, 3, 3, 4];
+  const frames = sizes.map((size, i) => (i === 0 ? edit : frameOf)(Buffer.alloc(size, i + 1)));
+  const table = Buffer.alloc(80);
+  sizes.forEach((size, i) => {
+    table.writeBigUInt64LE(BigInt(frames[i].length), 16 * i);
+    table.writeBigUInt64LE(BigInt(size), 16 * i + 8);
+  });
+  return Buffer.concat([kSpzHeader(4, 1, { streams: 5 }), table, ...frames]);
+};
+
+test("a stream of an SPZ is one frame that unfolds to its size, and nothing else", async () => {
+  for (const edit of [frameOf, (bytes) => frameOf(bytes, { size: null }), (bytes) => frameOf(bytes, { checksum: true })]) {
+    const { streams } = await unfold(versionFour((bytes) => edit(bytes)));
+    assert.deepEqual([...streams.positions], Array(9).fill(1));
+    assert.deepEqual([...streams.rotations], Array(4).fill(5));
+  }
+  const bad = {
+    "too few": (bytes) => frameOf(bytes.subarray(1)),
+    "too few, unsaid": (bytes) => frameOf(bytes.subarray(1), { size: null }),
+    "too many": () => frameOf(Buffer.alloc(10)),
+    "too many, unsaid": () => frameOf(Buffer.alloc(10), { size: null }),
+    "another size than it says": (bytes) => frameOf(bytes, { size: 10 }),
+    "two frames": (bytes) => Buffer.concat([frameOf(bytes.subarray(0, 4)), frameOf(bytes.subarray(4))]),
+    "bytes behind it": (bytes) => Buffer.concat([frameOf(bytes), Buffer.alloc(1)]),
+    "a window of 2 TB": (bytes) => frameOf(bytes, { size: null, window: 0xf8 }),
+    "half of it": (bytes) => frameOf(bytes).subarray(0, 12),
+    "no frame": () => Buffer.alloc(20),
+  };
+  for (const [what, edit] of Object.entries(bad)) await assert.rejects(unfold(versionFour(edit)), { code: "corrupt_data", offset: 112 }, what);
+  const sound = versionFour();
+  await assert.rejects(unfold(Buffer.concat([sound, Buffer.alloc(1)])), { code: "trailing_bytes", offset: sound.length });
+});
+
 test("a rotation of three bytes is the one of four", () => {
   const three = [[0.1, -0.2, 0.3], [-0.9, 0.1, 0.2], [0, 0, 0]];
   const codes = Uint8Array.from(three.flat().map((value) => Math.round((value + 1) * 127.5)));
