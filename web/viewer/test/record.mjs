@@ -1,6 +1,6 @@
 // record.mjs - the recording of the project's README: node record.mjs LEFT RIGHT CAMERAS OUT.webp. Orbits two files of a scene, moves the
 // border between them and shows their difference; ten seconds, by screenshots of Chromium and img2webp of Debian's package webp.
-// Files: rgs-make-scene --town --gaussians 150k --cameras cameras.json town.ply; rgs-convert town.ply packed.rgs;
+// Files: rgs-make-scene --town --gaussians 100k --blocks 2 --degree 1 --cameras cameras.json town.ply; rgs-convert town.ply packed.rgs;
 // rgs-convert --profile archive:small town.ply archive.rgs
 // SPDX-License-Identifier: Apache-2.0
 import { execFileSync } from "node:child_process";
@@ -11,7 +11,7 @@ import { launch } from "../../reader/test/chromium.mjs";
 import { startServer } from "./server.mjs";
 
 const kSize = { width: 760, height: 428 };
-const kFrameMs = 130;
+const kFrameMs = 190;
 const kQuality = "45";
 
 const [left, right, cameras, out] = process.argv.slice(2);
@@ -52,20 +52,20 @@ try {
   const [x, y] = [box.x + box.width / 3, box.y + box.height / 2];
   await page.mouse.move(x, y);
   await page.mouse.down();
-  for (let i = 0; i < 30; ++i) {
-    await page.mouse.move(x + 6 * i, y);
+  for (let i = 0; i < 20; ++i) {
+    await page.mouse.move(x + 8 * i, y);
     await shoot();
   }
   await page.mouse.up();
-  for (let i = 0; i <= 20; ++i) {
-    await slide(500 + Math.round(380 * Math.sin((2 * Math.PI * i) / 20)));
+  for (let i = 0; i <= 14; ++i) {
+    await slide(500 + Math.round(380 * Math.sin((2 * Math.PI * i) / 14)));
     await shoot();
   }
   await page.getByRole("radio", { name: "Difference" }).click();
   await page.locator("#map").waitFor();
-  await shoot(17);
+  await shoot(12);
   await page.getByRole("radio", { name: "Slider" }).click();
-  await shoot(10);
+  await shoot(6);
   execFileSync("img2webp", ["-loop", "0", "-lossy", "-q", kQuality, "-m", "6", ...shots, "-o", out], { stdio: "inherit" });
 } finally {
   await browser.close();
