@@ -1,6 +1,7 @@
 // picture.test.mjs - what the engine draws beside what this project's CPU renderer draws: axes, activations, quaternions, colours.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
 import { copyFileSync } from "node:fs";
 import { basename, join } from "node:path";
 import test from "node:test";
@@ -9,10 +10,12 @@ import { build } from "vite";
 import { hasChromium, kDeviceNames, launch } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";
 import { hasNginx, skip, startNginx } from "../../reader/test/servers.mjs";
-import { psnr, readCameras, renderAll } from "./pictures.mjs";
+import { program, psnr, readCameras, renderAll } from "./pictures.mjs";
 
 const kSize = [240, 180];
 const kLeastDb = 35;
+// The engine's steps of depth are parts of a box, which is not the same of a PLY and of a file.
+const kLeastDbOfPly = 40;
 // One shader in two languages: what is left are the roundings of two compilers.
 const kLeastDbBetween = 60;
 const bytes = (base64) => Buffer.from(base64, "base64");
@@ -38,15 +41,16 @@ for (const device of kDeviceNames) {
     });
 
     const problems = [];
-    const open = async (scene) => {
+    const open = async (scene, asDefined = true) => {
       const page = await browser.newPage();
       // The engine says on the console what it also gives to the callback.
       if (scene) page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(message.text()));
       page.on("pageerror", (error) => problems.push(String(error)));
       await page.goto(`${server.url}/page/page.html`);
-      assert.equal(await page.evaluate((type) => window.engine.start(type), device), device);
+      assert.equal(await page.evaluate(([type, asDefined]) => window.engine.start(type, asDefined), [device, asDefined]), device);
       if (scene) {
-        copyFileSync(scene, join(server.files, basename(scene)));
+        const served = join(server.files, basename(scene));
+        if (scene !== served) copyFileSync(scene, served);
         await page.evaluate((name) => window.engine.load(`/${name}`), basename(scene));
       }
       return page;
@@ -87,6 +91,21 @@ for (const device of kDeviceNames) {
       const views = Array.from({ length: 12 }, (_, i) => 10 * i);
       const least = await compare(t, scene, join(data, "south", "cameras.json"), views);
       assert.ok(least >= kLeastDb, `${least} dB`);
+    });
+    await t.test("by itself the engine draws a file as it draws its PLY", async (t) => {
+      const [camera] = readCameras(join(scenes(), "cameras.json"));
+      const ply = join(server.files, "direct.ply");
+      execFileSync(program("rgs-convert"), [join(scenes(), "direct.rgs"), ply, "--quiet"]);
+      const found = [];
+      for (const scene of [ply, join(scenes(), "direct.rgs")]) {
+        const page = await open(scene, false);
+        found.push(bytes(await page.evaluate(([camera, [w, h]]) => window.engine.picture(camera, w, h), [camera, kSize])));
+        await page.close();
+      }
+      const db = psnr(...found);
+      assert.ok(new Set(new Uint32Array(found[0].buffer.slice(0))).size > 500, "a picture");
+      t.diagnostic(`${db.toFixed(1)} dB`);
+      assert.ok(db >= kLeastDbOfPly, `${db} dB`);
     });
     await t.test("a damaged file is an error", async () => {
       const page = await open(undefined);
