@@ -9,6 +9,7 @@ import {
   Color,
   createGraphicsDevice,
   Entity,
+  type GraphicsDevice,
   GSplatComponentSystem,
   GSplatHandler,
   PIXELFORMAT_RGBA8,
@@ -20,13 +21,12 @@ let app: AppBase;
 let camera: Entity;
 let ready = false;
 let sortsOnCpu = true;
-/** Rejects when it happens: a lost device ends no frame. */
+/** Rejects when the device is lost, which ends no frame. */
 let lost: Promise<never>;
+/** Resolves when a device that was lost is back. */
+let restored: Promise<void>;
 
-async function start(type: string, asDefined: boolean): Promise<string> {
-  const canvas = document.createElement("canvas");
-  document.body.append(canvas);
-  const device = await createGraphicsDevice(canvas, { deviceTypes: [type], antialias: false });
+function watch(device: GraphicsDevice): void {
   // The engine says nothing of a device that the browser has destroyed.
   const { wgpu } = device as { wgpu?: { lost: Promise<{ message: string }> } };
   lost = new Promise((_, reject) => {
@@ -34,6 +34,19 @@ async function start(type: string, asDefined: boolean): Promise<string> {
     wgpu?.lost.then(({ message }) => reject(new Error(`the device is lost: ${message}`)));
   });
   lost.catch(() => undefined);
+}
+
+async function start(type: string, asDefined: boolean): Promise<string> {
+  const canvas = document.createElement("canvas");
+  document.body.append(canvas);
+  const device = await createGraphicsDevice(canvas, { deviceTypes: [type], antialias: false });
+  watch(device);
+  restored = new Promise((resolve) => {
+    device.on("devicerestored", () => {
+      watch(device);
+      resolve();
+    });
+  });
   const options = new AppOptions();
   options.graphicsDevice = device;
   options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
@@ -126,4 +139,4 @@ async function decode(url: string): Promise<string> {
   return base64(pixels);
 }
 
-Object.assign(window, { engine: { start, load, picture, decode } });
+Object.assign(window, { engine: { start, load, picture, decode, restored: () => restored } });

@@ -114,6 +114,20 @@ for (const device of kDeviceNames) {
       assert.match(found, /checksum_mismatch/);
       await page.close();
     });
+    await t.test("a device that was lost comes back with the scene", async () => {
+      const page = await open(join(scenes(), "packed.rgs"));
+      const cameras = readCameras(join(scenes(), "cameras.json"));
+      const draw = (view) => page.evaluate(([camera, [w, h]]) => window.engine.picture(camera, w, h), [cameras[view], kSize]);
+      const before = await draw(0);
+      const nProblems = problems.length;
+      await (await browser.newBrowserCDPSession()).send("Browser.crashGpuProcess");
+      await page.evaluate(() => window.engine.restored());
+      // The engine sorts where a camera has moved.
+      await draw(2);
+      assert.ok((await draw(0)) === before, "another picture");
+      for (const problem of problems.splice(nProblems)) assert.match(problem, /CONTEXT_LOST|valid external Instance reference/);
+      await page.close();
+    });
     await t.test("the page has nothing to complain of", () => assert.deepEqual(problems, []));
   });
 }
