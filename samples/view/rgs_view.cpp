@@ -73,13 +73,14 @@ struct Shown {
 };
 
 // What the page's own readers take.
-#define RGS_PAGE_FORMATS ".rgs, .ply, .compressed.ply and .sog"
+#define RGS_PAGE_FORMATS ".rgs, .ply, .compressed.ply, .spz and .sog"
 
 bool is_shown(rgs::SplatFormat format, std::span<const std::byte> bytes) {
   switch (format) {
     case rgs::SplatFormat::rgs:
     case rgs::SplatFormat::ply:
-    case rgs::SplatFormat::compressed_ply: return true;
+    case rgs::SplatFormat::compressed_ply:
+    case rgs::SplatFormat::spz: return true;
     case rgs::SplatFormat::sog: return bytes.front() == std::byte{'P'};  // zipped, and no meta.json beside its pictures
     default: return false;
   }

@@ -224,6 +224,10 @@ struct ValueTotals;
 class Validation {
  public:
   static Result<Validation> begin(const FileView& view);
+  /// For who decodes a file while it comes: of the large sections FileView::open() and begin_early() need the frame tables, and
+  /// check() the frames or rows of its chunks. finish(), by when all is there, compares the hashes of sections. The same checks,
+  /// but of several defects another one may be found first.
+  static Result<Validation> begin_early(const FileView& view);
   Status check(const DirectData& next);
   Status finish() const;
   /// Chunks to read at a time, so that what is coded is never in memory as a whole.
@@ -237,6 +241,7 @@ class Validation {
   explicit Validation(const FileView& view);
   const FileView* view_;
   std::unique_ptr<detail::ValueTotals> totals_;
+  bool hashes_last_ = false;
 };
 
 /// FileView::open(), validate() and all Gaussians in memory; of a file with levels of detail PagedFile::open(), validate()

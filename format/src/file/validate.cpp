@@ -260,12 +260,24 @@ Result<Validation> Validation::begin(const FileView& view) {
   });
 }
 
+Result<Validation> Validation::begin_early(const FileView& view) {
+  return detail::guard_memory([&]() -> Result<Validation> {
+    if (const Status s = check_step_sets(view); !s) return tl::unexpected(s.error());
+    Validation validation(view);
+    validation.hashes_last_ = true;
+    return validation;
+  });
+}
+
 Status Validation::check(const DirectData& next) {
   return detail::guard_memory([&] { return check_chunks(next, 0, *totals_); });
 }
 
 Status Validation::finish() const {
-  return detail::guard_memory([&] {
+  return detail::guard_memory([&]() -> Status {
+    if (hashes_last_) {
+      if (Status s = check_sections(*view_, 0, true); !s) return s;
+    }
     if (Status s = detail::check_declarations(*view_, *totals_); !s) return s;
     return detail::check_permutation(*view_);
   });

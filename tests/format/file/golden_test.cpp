@@ -367,8 +367,7 @@ TEST_CASE("validation in steps finds what validation at once finds") {
       const Bytes bytes = read_bytes(entry.path());
       const auto view = FileView::open(bytes);
       if (!view) continue;
-      const auto in_steps = [&]() -> Status {
-        auto validation = Validation::begin(*view);
+      const auto in_steps = [&](Result<Validation> validation) -> Status {
         if (!validation) return tl::unexpected(validation.error());
         for (std::uint64_t chunk = 0; chunk < view->header().n_chunks; ++chunk) {
           const auto data = read_chunks(*view, chunk, 1, {.validate = false});
@@ -377,13 +376,49 @@ TEST_CASE("validation in steps finds what validation at once finds") {
         }
         return validation->finish();
       };
-      const Status at_once = validate(*view), steps = in_steps();
+      const Status at_once = validate(*view), steps = in_steps(Validation::begin(*view)),
+                   early = in_steps(Validation::begin_early(*view));
       REQUIRE(steps.has_value() == at_once.has_value());
+      REQUIRE(early.has_value() == at_once.has_value());
       if (at_once) continue;
       ++n_refused;
       CHECK(steps.error().code == at_once.error().code);
       CHECK(steps.error().offset == at_once.error().offset);
+      // Values are looked at before the hash of their section.
+      if (at_once.error().code != Errc::checksum_mismatch) CHECK(early.error().code == at_once.error().code);
     }
   }
   CHECK(n_refused > 40);
+}
+
+TEST_CASE("a file is decoded while its large sections are still coming") {
+  for (const char* name : {"degree3.rgs", "packed_degree2.rgs", "archive_degree1.rgs"}) {
+    CAPTURE(name);
+    const Bytes whole = read_bytes(kGolden / name);
+    const auto complete = FileView::open(whole);
+    REQUIRE(complete);
+    Bytes coming = whole;
+    for (const SectionType type : {SectionType::means, SectionType::geometry, SectionType::sh}) {
+      const SectionEntry& entry = *complete->find(type);
+      const auto& frames = complete->frames(type).frames;
+      const std::uint64_t begin = frames.empty() ? entry.offset : frames.front().offset;
+      std::fill(coming.begin() + static_cast<std::ptrdiff_t>(begin),
+                coming.begin() + static_cast<std::ptrdiff_t>(entry.offset + entry.stored_bytes), std::byte{0});
+    }
+    REQUIRE(coming != whole);
+    CHECK_FALSE(validate(*FileView::open(coming)));
+    const auto view = FileView::open(coming);
+    REQUIRE(view);
+    auto validation = Validation::begin_early(*view);
+    REQUIRE(validation);
+    std::ranges::copy(whole, coming.begin());
+    const auto data = read_chunks(*view, 0, view->header().n_chunks, {.validate = false});
+    REQUIRE(data);
+    CHECK(std::ranges::equal(data->means(), load_direct(*complete)->means()));
+    CHECK(validation->check(*data));
+    CHECK(validation->finish());
+    // What no frame and no value shows, the hash of its section does.
+    coming.back() ^= std::byte{1};
+    CHECK_FALSE(validation->finish());
+  }
 }

@@ -218,7 +218,7 @@ def case_refusals():
 
 
 def case_sog():
-    """A SOG is given out as it is zipped; as a folder the page cannot show it."""
+    """A SOG is given out as it is zipped, and an SPZ; as a folder the page cannot show a SOG."""
     meta = json.dumps({"version": 2, "count": 0, "means": {}})
     (folder / "meta.json").write_text(meta)
     with zipfile.ZipFile(folder / "a.sog", "w") as zipped:
@@ -226,6 +226,12 @@ def case_sog():
     with View(folder / "a.sog") as view:
         url = view.json("view.json")["scenes"][0]["url"]
         assert view.ask(url).content == (folder / "a.sog").read_bytes()
+        view.end()
+    scene("100")
+    run("rgs-convert", "--quiet", folder / "a.ply", folder / "a.spz")
+    with View(folder / "a.spz", folder / "a.ply") as view:  # the page reads it itself
+        url = view.json("view.json")["scenes"][0]["url"]
+        assert view.ask(url).content == (folder / "a.spz").read_bytes()
         view.end()
     got, said = refused(folder / "meta.json")
     assert got == 4 and "meta.json" in said and "rgs-convert" in said, (got, said)
@@ -282,7 +288,7 @@ def case_usage():
         got, said = refused(*arguments)
         assert got == code and word in said, (arguments, got, said)
     scene("100")
-    for extension in ("spz", "splat", "glb"):  # formats of this project that the page does not read
+    for extension in ("splat", "glb"):  # formats of this project that the page does not read
         other = folder / f"a.{extension}"
         run("rgs-convert", "--quiet", folder / "a.ply", other)
         for arguments in ([other], [two, other], [other, "--backend", "cpu"], [other, "--export", folder / "out.html"]):

@@ -1,5 +1,6 @@
 // as-defined.ts - what the engine must be told to draw the image that docs/RENDERING.md defines.
 // SPDX-License-Identifier: Apache-2.0
+import type { Declarations } from "@roofgs/reader";
 import {
   type AppBase,
   type CameraComponent,
@@ -8,15 +9,37 @@ import {
   GSPLATDATA_LARGE,
   SHADERLANGUAGE_GLSL,
   SHADERLANGUAGE_WGSL,
+  type Scene,
   ShaderChunks,
   TONEMAP_NONE,
 } from "playcanvas";
 
+/** What keeps Gaussians from being smaller than pixels: docs/RENDERING.md, "Low-pass". */
+export interface AntiAliasing {
+  /** Added to the diagonal of the screen-space covariance, square pixels. */
+  readonly lowPassPx2: number;
+  /** Whether opacity becomes less for it, as in Mip-Splatting. */
+  readonly compensated: boolean;
+}
+
+const kClassic: AntiAliasing = { lowPassPx2: 0.3, compensated: false };
+const kMipSplatting: AntiAliasing = { lowPassPx2: 0.1, compensated: true };
+
+/** What a file declares; a low-pass that it states counts in its own mode alone. `coarser`: pages are drawn that stand for others. */
+export function antiAliasingOf(declared: Pick<Declarations, "aaMode" | "lowPassPx2">, coarser = false): AntiAliasing {
+  if (coarser) return kMipSplatting;
+  const { aaMode, lowPassPx2 } = declared;
+  if (aaMode === "undeclared") return kClassic;
+  return { lowPassPx2, compensated: aaMode === "mip_splatting" };
+}
+
 /** In a chunk of the engine's shaders one text instead of another. */
 type Change = readonly [chunk: string, from: string, to: string];
 
-// The engine's low pass is 0.3 square half pixels, that of the definition 0.3 square pixels.
-const kLowPassPx2 = 0.3;
+// The engine's low pass is 0.3 square half pixels. Here it is a uniform: square half pixels, and 1 where opacity is compensated.
+const kUniform = "rgsLowPass";
+// Yu et al. 2024, "Mip-Splatting", eq. 10.
+const kLeastDetRatio = 0.000025;
 
 // The definition projects Gaussians beyond the picture's edge as if they stood there, the engine does not.
 const kFovClamp = 1.3;
@@ -33,8 +56,11 @@ const kGlsl: readonly Change[] = [
     vp.xy = clamp(vp.xy / vp.z, -edge, edge) * vp.z;`,
   ],
   ["gsplatCornerVS", "min(1024.0, min(viewport_size.x, viewport_size.y))", "65536.0"],
-  ["gsplatCornerVS", "diagonal1 = cov[0][0] + 0.3", `diagonal1 = cov[0][0] + ${4 * kLowPassPx2}`],
-  ["gsplatCornerVS", "diagonal2 = cov[1][1] + 0.3", `diagonal2 = cov[1][1] + ${4 * kLowPassPx2}`],
+  ["gsplatCornerVS", "uniform float minPixelSize;", `uniform float minPixelSize; uniform vec2 ${kUniform};`],
+  ["gsplatCornerVS", "diagonal1 = cov[0][0] + 0.3", `diagonal1 = cov[0][0] + ${kUniform}.x`],
+  ["gsplatCornerVS", "diagonal2 = cov[1][1] + 0.3", `diagonal2 = cov[1][1] + ${kUniform}.x`],
+  ["gsplatCornerVS", "(cov[0][0] + 0.3) * (cov[1][1] + 0.3)", `(cov[0][0] + ${kUniform}.x) * (cov[1][1] + ${kUniform}.x)`],
+  ["gsplatCornerVS", "sqrt(max(detOrig / detBlur, 0.0))", `${kUniform}.y > 0.0 ? sqrt(max(detOrig / detBlur, ${kLeastDetRatio})) : 1.0`],
   ["gsplatCommonVS", "min(1.0, sqrt(", "min(1.2, sqrt("],
   ["gsplatPS", "if (A > 1.0)", "if (A > 1.44)"],
   ["gsplatPS", "(exp(x * -4.0) - EXP4) * INV_EXP4", "exp(x * -4.0)"],
@@ -50,8 +76,15 @@ const kWgsl: readonly Change[] = [
     let vp = vec3f(clamp(seen.xy / seen.z, -edge, edge) * seen.z, seen.z);`,
   ],
   ["gsplatCornerVS", "min(1024.0, min(uniform.viewport_size.x, uniform.viewport_size.y))", "65536.0"],
-  ["gsplatCornerVS", "diagonal1 = cov[0][0] + 0.3", `diagonal1 = cov[0][0] + ${4 * kLowPassPx2}`],
-  ["gsplatCornerVS", "diagonal2 = cov[1][1] + 0.3", `diagonal2 = cov[1][1] + ${4 * kLowPassPx2}`],
+  ["gsplatCornerVS", "uniform minPixelSize: f32;", `uniform minPixelSize: f32; uniform ${kUniform}: vec2f;`],
+  ["gsplatCornerVS", "diagonal1 = cov[0][0] + 0.3", `diagonal1 = cov[0][0] + uniform.${kUniform}.x`],
+  ["gsplatCornerVS", "diagonal2 = cov[1][1] + 0.3", `diagonal2 = cov[1][1] + uniform.${kUniform}.x`],
+  ["gsplatCornerVS", "(cov[0][0] + 0.3) * (cov[1][1] + 0.3)", `(cov[0][0] + uniform.${kUniform}.x) * (cov[1][1] + uniform.${kUniform}.x)`],
+  [
+    "gsplatCornerVS",
+    "half(sqrt(max(detOrig / detBlur, 0.0)))",
+    `half(select(1.0, sqrt(max(detOrig / detBlur, ${kLeastDetRatio})), uniform.${kUniform}.y > 0.0))`,
+  ],
   ["gsplatCommonVS", "min(half(1.0), sqrt(", "min(half(1.2), sqrt("],
   ["gsplatPS", "if (A > half(1.0))", "if (A > half(1.44))"],
   ["gsplatPS", "(exp(x * half(-4.0)) - EXP4) * INV_EXP4", "exp(x * half(-4.0))"],
@@ -60,20 +93,37 @@ const kWgsl: readonly Change[] = [
 
 /** Chunks of devices whose shaders are changed already. */
 const changedChunks = new WeakSet<object>();
+/** Scenes whose cameras say before they draw how they do. */
+const watched = new WeakSet<Scene>();
+const antiAliasings = new WeakMap<CameraComponent, AntiAliasing>();
+
+function watch({ scene, graphicsDevice }: AppBase): void {
+  if (watched.has(scene)) return;
+  watched.add(scene);
+  const uniform = graphicsDevice.scope.resolve(kUniform);
+  scene.on("prerender:layer", (camera: CameraComponent | null) => {
+    const { lowPassPx2, compensated } = (camera && antiAliasings.get(camera)) ?? kClassic;
+    uniform.setValue(new Float32Array([4 * lowPassPx2, compensated ? 1 : 0]));
+  });
+}
 
 /**
  * Before anything is drawn: tells engine and camera to show colours as they are in the file, Gaussians of any size, SH seen from
- * where the camera is, and Gaussians that fall off as they were trained. False if this engine's shaders are not those that this
- * package knows; then its own falloff stays, some dB away from the definition.
+ * where the camera is, and Gaussians that fall off as they were trained. `antiAliasing` is of all that this camera draws: files
+ * that declare others want cameras and layers of their own. It may be called again with another. False if this engine's shaders
+ * are not those that this package knows; then its own falloff stays, some dB away from the definition.
  */
-export function drawAsDefined(app: AppBase, camera: CameraComponent): boolean {
+export function drawAsDefined(app: AppBase, camera: CameraComponent, antiAliasing: AntiAliasing = kClassic): boolean {
   const { gsplat } = app.scene;
+  antiAliasings.set(camera, antiAliasing);
+  watch(app);
   // What sorts on the GPU projects by shaders that cannot be changed.
   gsplat.renderer = GSPLAT_RENDERER_RASTER_CPU_SORT;
   gsplat.dataFormat = GSPLATDATA_LARGE;
   gsplat.minPixelSize = 0;
   gsplat.minContribution = 0;
   gsplat.colorUpdateAngle = 0;
+  gsplat.antiAlias = true;
   camera.gammaCorrection = GAMMA_SRGB;
   camera.toneMapping = TONEMAP_NONE;
   camera.nearClip = 0.2;

@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import { open, type OpenOptions, RgsError, type Source } from "@roofgs/reader";
 import type { AppBase, Asset } from "playcanvas";
+import { antiAliasingOf } from "./as-defined.js";
 import { RgsResource } from "./resource.js";
 import { readStoredParts } from "./stored.js";
 
@@ -49,7 +50,7 @@ export class RgsParser {
       });
       if (parts.length === 0) throw new RgsError({ code: "unsupported_feature", text: "the file holds no Gaussians" });
       const prepareCenters = (this.app.scene as { gsplatCentersEnabled?: boolean }).gsplatCentersEnabled !== false;
-      return new RgsResource(this.app.graphicsDevice, parts, { prepareCenters });
+      return new RgsResource(this.app.graphicsDevice, parts, { prepareCenters, antiAliasing: antiAliasingOf(file.declarations) });
     } finally {
       file.close();
     }

@@ -12,6 +12,7 @@ import {
   Texture,
   Vec3,
 } from "playcanvas";
+import type { AntiAliasing } from "./as-defined.js";
 import { kReadGlsl } from "./shader-glsl.js";
 import { kReadWgsl } from "./shader-wgsl.js";
 import { type Colour, kRowTexels, kShTextures, kTableColumns, pack, type Packed, shTextureWords } from "./stored.js";
@@ -19,6 +20,8 @@ import { type Colour, kRowTexels, kShTextures, kTableColumns, pack, type Packed,
 export interface RgsResourceOptions {
   /** Whether the engine sorts on the CPU, and so needs the means there; true unless told otherwise. */
   prepareCenters?: boolean;
+  /** What the file declares, for drawAsDefined(). */
+  antiAliasing?: AntiAliasing;
 }
 
 /** What the engine asks of the data behind a resource. */
@@ -61,10 +64,13 @@ class Data {
  * Gaussians, all of one SH degree. Give it to a gsplat component: `entity.addComponent("gsplat", { resource })`.
  */
 export class RgsResource extends GSplatResourceBase {
+  /** What the file declares, where that was told. */
+  readonly antiAliasing: AntiAliasing | undefined;
   private readonly packed: Packed;
 
   constructor(device: GraphicsDevice, parts: readonly StoredGaussians[], options: RgsResourceOptions = {}) {
     super(device, new Data(parts), options);
+    this.antiAliasing = options.antiAliasing;
     this.packed = pack(parts);
     const { n, shDegree, nRows } = this.packed;
     const shFormat = shTextureWords(shDegree) === 1 ? PIXELFORMAT_R32U : PIXELFORMAT_RGBA32U;

@@ -1,6 +1,6 @@
 // page.ts - what the picture test drives: an engine, a scene and pictures of it.
 // SPDX-License-Identifier: Apache-2.0
-import { drawAsDefined, type Pinhole, resizePinhole, RgsParser, setPinhole } from "@roofgs/playcanvas";
+import { drawAsDefined, type Pinhole, resizePinhole, RgsParser, type RgsResource, setPinhole } from "@roofgs/playcanvas";
 import {
   AppBase,
   AppOptions,
@@ -20,7 +20,8 @@ import {
 let app: AppBase;
 let camera: Entity;
 let ready = false;
-let sortsOnCpu = true;
+/** Or as the engine draws by itself. */
+let isAsDefined = true;
 /** Rejects when the device is lost, which ends no frame. */
 let lost: Promise<never>;
 /** Resolves when a device that was lost is back. */
@@ -59,8 +60,7 @@ async function start(type: string, asDefined: boolean): Promise<string> {
   app.root.addChild(camera);
   // Of a second camera the shaders are changed already.
   for (let i = 0; asDefined && i < 2; ++i) if (!camera.camera || !drawAsDefined(app, camera.camera)) throw new Error("the engine has other shaders");
-  // By itself the engine sorts on a GPU that computes.
-  sortsOnCpu = asDefined || !device.isWebGPU;
+  isAsDefined = asDefined;
   app.systems.gsplat?.on("frame:ready", (_camera: unknown, _layer: unknown, isReady: boolean, loading: number) => {
     ready = isReady && loading === 0;
   });
@@ -77,7 +77,9 @@ function load(url: string): Promise<number> {
       const entity = new Entity("scene");
       entity.addComponent("gsplat", { asset });
       app.root.addChild(entity);
-      resolve((asset.resource as { numSplats: number }).numSplats);
+      const { antiAliasing, numSplats } = asset.resource as RgsResource;
+      if (isAsDefined && camera.camera) drawAsDefined(app, camera.camera, antiAliasing);
+      resolve(numSplats);
     });
     asset.on("error", (error: unknown) => reject(error));
     app.assets.add(asset);
@@ -104,6 +106,8 @@ function base64(pixels: Uint8Array | Uint8ClampedArray): string {
 
 /** Where the engine sorts in a worker, a frame is right when it is drawn after the sorting that its camera asked for. */
 async function drawn<T>(read: () => Promise<T>): Promise<T> {
+  // By itself it sorts on a GPU that computes.
+  const sortsOnCpu = isAsDefined || !app.graphicsDevice.isWebGPU;
   const sorted = sortsOnCpu ? new Promise<void>((resolve) => app.scene.once("gsplat:sorted", () => resolve())) : undefined;
   await frame();
   await sorted;

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
-import { copyFileSync } from "node:fs";
+import { copyFileSync, mkdirSync } from "node:fs";
 import { basename, join } from "node:path";
 import test from "node:test";
 import { fileURLToPath } from "node:url";
@@ -78,6 +78,16 @@ for (const device of kDeviceNames) {
         // Of a file with levels of detail the asset holds the finest.
         const more = name === "levels.rgs" ? ["--detail", "0"] : [];
         const least = await compare(t, join(scenes(), name), join(scenes(), "cameras.json"), [0, 2, 5], more);
+        assert.ok(least >= kLeastDb, `${least} dB`);
+      });
+    }
+    // Wider and narrower than the usual one, and opacity for it.
+    for (const [name, declared] of [["wide.rgs", ["--aa", "classic", "--low-pass", "1.5"]], ["mip.rgs", ["--aa", "mip"]]]) {
+      await t.test(`what a file declares of its low-pass, ${name}`, async (t) => {
+        const made = join(server.files, "made");
+        mkdirSync(made, { recursive: true });
+        execFileSync(program("rgs-convert"), [...declared, "--quiet", join(scenes(), "scene.ply"), join(made, name)]);
+        const least = await compare(t, join(made, name), join(scenes(), "cameras.json"), [0, 2]);
         assert.ok(least >= kLeastDb, `${least} dB`);
       });
     }

@@ -79,6 +79,9 @@ interface Exports {
   rgs_open_whole(file: number, address: number, bytes: number): number;
   rgs_next(file: number, asStored: number): number;
   rgs_tables(file: number): void;
+  rgs_open_early(file: number, address: number, bytes: number): number;
+  rgs_next_early(file: number, nChunks: number): number;
+  rgs_finish_early(file: number): number;
   rgs_source_index(file: number): number;
 }
 
@@ -98,6 +101,14 @@ const enum Row {
   steps,
   nChunks,
   nStepSets,
+}
+
+/** What is decoded at a time of a file that is still coming, and where in the file it is. */
+export interface Groups {
+  /** Chunks of a group; fewer in the last. */
+  readonly nChunks: number;
+  /** By group what it has in MEAN, GEOM and SHI8. */
+  readonly ranges: readonly (readonly Range[])[];
 }
 
 const kNone = 0xffffffffffffffffn;
@@ -287,6 +298,35 @@ export class Decoder {
     return { ...out, ...this.tables() };
   }
 
+  /** Of a file without levels of which the large sections are still coming: reader.cpp says what must be there. */
+  openEarly(address: number, bytes: number): Groups {
+    this.check(() => this.wasm.rgs_open_early(this.file, address, bytes));
+    const [nChunks, ...values] = this.numbers();
+    const range = (i: number): Range => ({ offset: values[2 * i] as number, bytes: values[2 * i + 1] as number });
+    const ranges = Array.from({ length: values.length / 6 }, (_, i) => [range(3 * i), range(3 * i + 1), range(3 * i + 2)]);
+    return { nChunks: nChunks as number, ranges };
+  }
+
+  /** The next chunks of such a file, whose bytes have come, `firstChunk` being the first of them. */
+  nextEarly(firstChunk: number, nChunks: number, shape: { shDegree: number; chunkSize: number; scaleExponent: number }): StoredGaussians {
+    this.check(() => this.wasm.rgs_next_early(this.file, nChunks));
+    const n = this.rows()(Row.n);
+    const out = allocate(() => ({
+      n,
+      ...shape,
+      means: new Float32Array(3 * n),
+      geometry: new Uint16Array(8 * n),
+      sh: new Int8Array(shBytes(shape.shDegree) * n),
+    }));
+    this.copyStored(out, 0);
+    return { ...out, ...this.tables(firstChunk, Math.ceil(n / shape.chunkSize)) };
+  }
+
+  /** All has come and all chunks were given: whether nothing is wrong with the file. */
+  finishEarly(): void {
+    this.check(() => this.wasm.rgs_finish_early(this.file));
+  }
+
   /** Positions in the source, of a whole file that keeps them. */
   sourceIndex(): Float64Array | null {
     return this.run(() => this.wasm.rgs_source_index(this.file)) === 1 ? this.numbers() : null;
@@ -329,20 +369,25 @@ export class Decoder {
     copy(Row.storedSh, out.sh, shBytes(out.shDegree));
   }
 
-  private tables(): Pick<StoredGaussians, "chunkBounds" | "chunkSteps" | "steps"> {
+  /** Of `nChunks` chunks from `first` on, with the steps that they have; of all, if not told otherwise. */
+  private tables(first = 0, nChunks = this.rows()(Row.nChunks)): Pick<StoredGaussians, "chunkBounds" | "chunkSteps" | "steps"> {
     const row = this.rows();
-    const nChunks = row(Row.nChunks);
-    const nStepSets = row(Row.nStepSets);
     const buffer = this.wasm.memory.buffer;
-    const entries = new DataView(buffer, row(Row.chunks), 48 * nChunks);
+    const entries = new DataView(buffer, row(Row.chunks) + 48 * first, 48 * nChunks);
     const chunkBounds = new Float32Array(8 * nChunks);
     const chunkSteps = new Uint32Array(nChunks);
+    let [least, most] = nChunks === row(Row.nChunks) ? [0, row(Row.nStepSets) - 1] : [Infinity, -1];
     for (let i = 0; i < nChunks; ++i) {
       for (let k = 0; k < 8; ++k) chunkBounds[8 * i + k] = entries.getFloat32(48 * i + 4 * k, true);
-      chunkSteps[i] = entries.getUint32(48 * i + 32, true);
+      const set = entries.getUint32(48 * i + 32, true);
+      chunkSteps[i] = set;
+      least = Math.min(least, set);
+      most = Math.max(most, set);
     }
-    const steps = new Float32Array(12 * nStepSets);
-    new Uint8Array(steps.buffer).set(new Uint8Array(buffer, row(Row.steps), 48 * nStepSets));
+    if (most < least) least = 0;
+    for (let i = 0; i < nChunks; ++i) (chunkSteps[i] as number) -= least;
+    const steps = new Float32Array(12 * (most + 1 - least));
+    new Uint8Array(steps.buffer).set(new Uint8Array(buffer, row(Row.steps) + 48 * least, 4 * steps.length));
     return { chunkBounds, chunkSteps, steps };
   }
 

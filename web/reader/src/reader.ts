@@ -1,7 +1,7 @@
 // reader.ts - an opened file, and how one is opened.
 // SPDX-License-Identifier: Apache-2.0
 import { Client, type Port } from "./client.js";
-import type { Gaussians, Limits, Range, StoredGaussians } from "./decoder.js";
+import type { Gaussians, Groups, Limits, Range, StoredGaussians } from "./decoder.js";
 import { RgsError } from "./errors.js";
 import { type Declarations, type Head, type Header, Levels, parseHead, type Provenance, type Section } from "./head.js";
 import { BlobSource, MemorySource, type RangeSource, UrlSource, type UrlOptions } from "./source.js";
@@ -36,6 +36,10 @@ const kFirstBytes = 1 << 16;
 const kPieceBytes = 1 << 22;
 /** Requests at a time. */
 const kPieces = 3;
+/** Sections that grow with the scene. */
+const kLarge = new Set(["MEAN", "GEOM", "SHI8", "PERM"]);
+/** Groups of a part, so that memory for parts is bounded. */
+const kMostGroups = 16;
 
 /** An opened file. A worker of its own decodes it until close(). */
 export class RgsFile {
@@ -88,6 +92,72 @@ export class RgsFile {
     }
     const { nGaussians: n, ...shape } = this.shape;
     return (await this.whole(options, (call) => this.client.call("wholeStored", { n, shape }, call))).gaussians;
+  }
+
+  /**
+   * The same part by part while the file is read, from the first Gaussian to the last: the first part has some ten thousand and
+   * comes early, each other one doubles what has come. Parts have been checked, but the file as a whole is only when the last one
+   * has come and the generator ends. No other read() begins before that.
+   */
+  async *storedParts({ signal, onProgress }: ReadOptions = {}): AsyncGenerator<StoredGaussians, void, undefined> {
+    if (this.levels) {
+      throw new RgsError({ code: "bad_argument", text: "a file with levels of detail is read as stored page by page" });
+    }
+    const { nGaussians: n, ...shape } = this.shape;
+    const total = this.fileBytes;
+    const all = [{ offset: 0, bytes: total }];
+    const stop = new AbortController();
+    const abort = (): void => stop.abort(signal?.reason);
+    signal?.addEventListener("abort", abort, { once: true });
+    const before = this.last;
+    let end = (): void => undefined;
+    this.last = new Promise<void>((resolve) => (end = resolve));
+    const call = { signal: stop.signal };
+    const unread = new Unread(total);
+    let read = 0;
+    const load = async (ranges: readonly Range[]): Promise<void> =>
+      inLanes(ranges.flatMap((range) => unread.take(range)), async (range) => {
+        await this.wholePart(range, stop.signal);
+        read += range.bytes;
+        onProgress?.({ phase: "read", done: read, total });
+      });
+    // What is wrong with a file is said as read() says it: of several defects the same.
+    const asRead = async (error: unknown): Promise<never> => {
+      if (stop.signal.aborted) throw error;
+      await load(all);
+      await this.client.call("wholeStored", { n, shape }, call);
+      throw error;
+    };
+    try {
+      await untilAborted(before, signal);
+      signal?.throwIfAborted();
+      await this.client.call("whole", { bytes: total }, call);
+      await load(beforeGaussians(this.sections, total));
+      const groups = await this.client.call("openEarly", {}, call);
+      if (!groups) {
+        await load(all);
+        yield (await this.client.call("wholeStored", { n, shape }, call)).gaussians;
+        return;
+      }
+      const parts = partsOf(groups);
+      let coming = load(parts[0]?.ranges ?? []);
+      for (const [i, { ranges: _, ...chunks }] of parts.entries()) {
+        await coming;
+        // One part ahead of what is decoded.
+        coming = load(parts[i + 1]?.ranges ?? all);
+        coming.catch(() => undefined);
+        yield await this.client.call("nextEarly", { ...chunks, shape }, call).catch(asRead);
+      }
+      await coming;
+      await load(all);
+      await this.client.call("finishEarly", {}, call).catch(asRead);
+      onProgress?.({ phase: "decode", done: n, total: n });
+    } finally {
+      stop.abort(new RgsError({ code: "cancelled", text: "nobody reads on" }));
+      signal?.removeEventListener("abort", abort);
+      await this.client.call("endWhole", {}).catch(() => undefined);
+      end();
+    }
   }
 
   /** Pages 0 .. nPresent - 1 lie within the file as it is. */
@@ -143,6 +213,11 @@ export class RgsFile {
     return readExactly(this.source, { offset, bytes: storedBytes }, options.signal);
   }
 
+  private async wholePart(range: Range, signal: AbortSignal): Promise<void> {
+    const bytes = await readExactly(this.source, range, signal);
+    await this.client.call("wholePart", { offset: range.offset, bytes }, { signal, transfer: [own(bytes)] });
+  }
+
   /** One at a time: each takes memory for the whole file. */
   private whole<T>(...args: Parameters<typeof this.wholeNow<T>>): Promise<T> {
     const result = this.last.then(() => this.wholeNow(...args));
@@ -159,8 +234,7 @@ export class RgsFile {
       await this.client.call("whole", { bytes: total }, { signal });
       let read = 0;
       await inPieces(total, signal, async (range, stop) => {
-        const bytes = await readExactly(this.source, range, stop);
-        await this.client.call("wholePart", { offset: range.offset, bytes }, { signal: stop, transfer: [own(bytes)] });
+        await this.wholePart(range, stop);
         read += range.bytes;
         onProgress?.({ phase: "read", done: read, total });
       });
@@ -208,6 +282,72 @@ async function readExactly(source: RangeSource, range: Range, signal: AbortSigna
     });
   }
   return bytes;
+}
+
+/** Of a file's bytes those that nobody has asked for yet. */
+class Unread {
+  private gaps: Range[];
+  constructor(bytes: number) {
+    this.gaps = [{ offset: 0, bytes }];
+  }
+
+  /** Takes what a range has of them, in pieces. */
+  take({ offset, bytes }: Range): Range[] {
+    const end = offset + bytes;
+    const taken: Range[] = [];
+    const left: Range[] = [];
+    for (const gap of this.gaps) {
+      const gapEnd = gap.offset + gap.bytes;
+      const [from, to] = [Math.max(gap.offset, offset), Math.min(gapEnd, end)];
+      if (from >= to) {
+        left.push(gap);
+        continue;
+      }
+      for (let at = from; at < to; at += kPieceBytes) taken.push({ offset: at, bytes: Math.min(kPieceBytes, to - at) });
+      if (gap.offset < from) left.push({ offset: gap.offset, bytes: from - gap.offset });
+      if (to < gapEnd) left.push({ offset: to, bytes: gapEnd - to });
+    }
+    this.gaps = left;
+    return taken;
+  }
+}
+
+/** What openEarly needs: all but the large sections, and of these the beginning, which has their frame tables. */
+function beforeGaussians(sections: readonly Section[], total: number): Range[] {
+  const ranges: Range[] = [];
+  let at = 0;
+  for (const { type, offset, storedBytes } of [...sections].sort((a, b) => a.offset - b.offset)) {
+    if (!kLarge.has(type)) continue;
+    ranges.push({ offset: at, bytes: offset + Math.min(storedBytes, kFirstBytes) - at });
+    at = offset + storedBytes;
+  }
+  return [...ranges, { offset: at, bytes: total - at }];
+}
+
+/** Groups together, so that there are few requests and few parts: each part as much as all before it, up to kMostGroups. */
+function partsOf({ nChunks, ranges }: Groups): { firstChunk: number; nChunks: number; ranges: Range[] }[] {
+  const parts = [];
+  for (let first = 0; first < ranges.length; ) {
+    const count = Math.min(Math.max(1, first), kMostGroups, ranges.length - first);
+    const last = ranges[first + count - 1] as readonly Range[];
+    // Groups lie one behind the other in each section.
+    const together = (ranges[first] as readonly Range[]).map(({ offset }, i) => {
+      const end = last[i] as Range;
+      return { offset, bytes: end.offset + end.bytes - offset };
+    });
+    parts.push({ firstChunk: first * nChunks, nChunks: count * nChunks, ranges: together });
+    first += count;
+  }
+  return parts;
+}
+
+/** Some at a time, in order. */
+async function inLanes<T>(items: readonly T[], work: (item: T) => Promise<void>): Promise<void> {
+  const queue = items.values();
+  const lane = async (): Promise<void> => {
+    for (const item of queue) await work(item);
+  };
+  await Promise.all(Array.from({ length: kPieces }, lane));
 }
 
 /** All of a file, some pieces at a time; the first failure stops the others. */

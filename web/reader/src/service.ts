@@ -1,6 +1,6 @@
 // service.ts - what the worker does: requests of one RgsFile, one after the other, each with one answer.
 // SPDX-License-Identifier: Apache-2.0
-import { buffersOf, Decoder, type Gaussians, type Limits, type Range, type StoredGaussians } from "./decoder.js";
+import { buffersOf, Decoder, type Gaussians, type Groups, type Limits, type Range, type StoredGaussians } from "./decoder.js";
 import { RgsError, type RgsErrorFields } from "./errors.js";
 import { parseHead } from "./head.js";
 
@@ -26,6 +26,10 @@ export interface Requests {
   wholePart: [{ offset: number; bytes: Uint8Array }, void];
   wholeGaussians: [{ n: number; shDegree: number }, { gaussians: Gaussians; sourceIndex: Float64Array | null }];
   wholeStored: [{ n: number; shape: Shape }, { gaussians: StoredGaussians; sourceIndex: Float64Array | null }];
+  /** Null of a file that cannot be decoded while it comes, damaged ones among them. */
+  openEarly: [Record<string, never>, Groups | null];
+  nextEarly: [{ firstChunk: number; nChunks: number; shape: Shape }, StoredGaussians];
+  finishEarly: [Record<string, never>, void];
   /** The memory of a whole file goes. */
   endWhole: [Record<string, never>, void];
   /** The request of that number ends with `cancelled` if it is at work. */
@@ -146,6 +150,22 @@ export class Service {
         const gaussians = await this.finish(request.id, decoder.storedGaussians(request.args.n, request.args.shape));
         return { gaussians, sourceIndex: decoder.sourceIndex() };
       }
+      case "openEarly": {
+        const { decoder, address, bytes } = this.wholeFile;
+        try {
+          const groups = decoder.openEarly(address, bytes);
+          return identityOf(decoder) === identityOf(this.opened) ? groups : null;
+        } catch (error) {
+          if (error instanceof RgsError) return null;
+          throw error;
+        }
+      }
+      case "nextEarly": {
+        const { firstChunk, nChunks, shape } = request.args;
+        return this.wholeFile.decoder.nextEarly(firstChunk, nChunks, shape);
+      }
+      case "finishEarly":
+        return this.wholeFile.decoder.finishEarly();
       case "endWhole":
         this.whole = undefined;
         return undefined;

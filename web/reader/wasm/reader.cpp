@@ -172,17 +172,14 @@ Result<PageRows> decode_page(File& file, std::uint32_t page, std::span<const std
   return file.decoder->decode(page, stored, file.page);
 }
 
-// Some chunks of the file that is there as a whole; 0 rows at its end.
-Status next_chunks(File& file, bool as_stored) {
-  const Header& h = file.view->header();
+// What our writers make one coded frame of, so that none is decoded twice.
+std::uint64_t chunks_at_a_time(const Header& h) {
+  return std::max<std::uint64_t>(1, 16384 / h.chunk_size);
+}
+
+// The next `n` chunks, whose bytes are there.
+Status decode_chunks(File& file, std::uint64_t n, bool as_stored) {
   const FileView& view = *file.view;
-  if (file.next == h.n_chunks) {
-    rows = {};
-    return file.validation->finish();
-  }
-  // What our writers make one coded frame of, so that none is decoded twice.
-  const std::uint64_t n =
-      std::min<std::uint64_t>(std::max<std::uint64_t>(1, 16384 / h.chunk_size), h.n_chunks - file.next);
   auto data = read_chunks(view, file.next, n, {.validate = false, .threads = 1});
   if (!data) return tl::unexpected(data.error());
   if (const Status s = file.validation->check(*data); !s) return s;
@@ -199,6 +196,39 @@ Status next_chunks(File& file, bool as_stored) {
   return read_floats(file, size, [&](std::uint32_t first, std::span<ActivatedSplat> out) {
     return file.data->read(file.data->first() + first, out);
   });
+}
+
+// Some chunks of the file that is there as a whole; 0 rows at its end.
+Status next_chunks(File& file, bool as_stored) {
+  const Header& h = file.view->header();
+  if (file.next == h.n_chunks) {
+    rows = {};
+    return file.validation->finish();
+  }
+  return decode_chunks(file, std::min(chunks_at_a_time(h), h.n_chunks - file.next), as_stored);
+}
+
+constexpr std::array kOfGaussians = {SectionType::means, SectionType::geometry, SectionType::sh};
+
+// Chunks of a group: at least one frame of each section, so that few are decoded twice.
+std::uint64_t group_chunks(const FileView& view) {
+  std::uint64_t n = chunks_at_a_time(view.header());
+  for (const SectionType type : kOfGaussians) {
+    n = std::max<std::uint64_t>(n, view.frames(type).rows / view.header().chunk_size);
+  }
+  return n;
+}
+
+// Where in the file what rows first .. end - 1 of a section decode from is.
+FileRange range_of(const FileView& view, SectionType type, std::uint64_t first, std::uint64_t end) {
+  const FrameTable& table = view.frames(type);
+  if (table.frames.empty()) {
+    const std::uint64_t begin = view.place(type, first);
+    return {begin, view.place(type, end) - begin};
+  }
+  const CodedFrame& last = table.frames[(end - 1) / table.rows];
+  const std::uint64_t begin = table.frames[first / table.rows].offset;
+  return {begin, last.offset + last.stored_bytes - begin};
 }
 
 Status next_leaf(File& file) {
@@ -389,7 +419,56 @@ RGS_EXPORT(rgs_open_whole) int rgs_open_whole(File* file, std::byte* bytes, std:
   auto validation = Validation::begin(*file->view);
   if (!validation) return fail(validation.error());
   file->validation = *std::move(validation);
+  file->next = 0;
   return 0;
+}
+
+/// A file without levels that is still coming, in memory of rgs_allocate() that stays the caller's: there is all but sections
+/// MEAN, GEOM, SHI8 and PERM, and the frame tables of these. In rgs_numbers() chunks a group, then of each group of chunks offset
+/// and bytes of what it has in MEAN, in GEOM and in SHI8.
+RGS_EXPORT(rgs_open_early) int rgs_open_early(File* file, const std::byte* bytes, std::uint32_t size) {
+  auto opened = FileView::open({bytes, size}, file->limits);
+  if (!opened) return fail(opened.error());
+  file->view = *std::move(opened);
+  const FileView& view = *file->view;
+  auto validation = Validation::begin_early(view);
+  if (!validation) return fail(validation.error());
+  file->validation = *std::move(validation);
+  file->next = 0;
+  const Header& h = view.header();
+  const std::uint64_t group = group_chunks(view);
+  numbers.clear();
+  put(group);
+  for (std::uint64_t chunk = 0; chunk < h.n_chunks; chunk += group) {
+    const std::uint64_t end = std::min((chunk + group) * h.chunk_size, h.n_gaussians);
+    for (const SectionType type : kOfGaussians) {
+      const FileRange range = range_of(view, type, chunk * h.chunk_size, end);
+      put(range.offset, range.bytes);
+    }
+  }
+  return 0;
+}
+
+/// The next `n_chunks` of such a file as stored to rgs_rows(), with chunk table and SH steps of the whole file.
+RGS_EXPORT(rgs_next_early) int rgs_next_early(File* file, std::uint32_t n_chunks) {
+  const Header& h = file->view->header();
+  const Status s = decode_chunks(*file, std::min<std::uint64_t>(n_chunks, h.n_chunks - file->next), true);
+  if (!s) return fail(s.error());
+  const FileView& view = *file->view;
+  rows.chunks = view.chunk_table().data();
+  rows.steps = view.step_table().data();
+  rows.n_chunks = static_cast<std::uint32_t>(h.n_chunks);
+  rows.n_step_sets = static_cast<std::uint32_t>(h.n_step_sets);
+  return 0;
+}
+
+/// All of such a file is there and all its chunks were given: whether nothing is wrong with it.
+RGS_EXPORT(rgs_finish_early) int rgs_finish_early(File* file) {
+  // Once more, for what is between the sections.
+  const auto whole = FileView::open(file->view->bytes(), file->limits);
+  if (!whole) return fail(whole.error());
+  const Status s = file->validation->finish();
+  return s ? 0 : fail(s.error());
 }
 
 /// The next Gaussians of such a file to rgs_rows(), those of the finest level if it has levels; no rows: that was all, and

@@ -1,4 +1,4 @@
-// controls.ts - mouse, touch and keys move the view: around a point, or through the air.
+// controls.ts - mouse, touch, keys and gamepads move the view: around a point, or through the air.
 // SPDX-License-Identifier: Apache-2.0
 import { add, axisOf, cross, dot, fromAxes, length, normalised, turned, type ViewState } from "./cameras.js";
 
@@ -6,6 +6,9 @@ import { add, axisOf, cross, dot, fromAxes, length, normalised, turned, type Vie
 const kDrag = 0.006;
 const kArrow = 1.2;
 const kPressSeconds = 1 / 30;
+/** Radians a second of a gamepad's stick, and how far a stick at rest may be off. */
+const kLook = 1.5;
+const kDeadZone = 0.15;
 /** No nearer to straight up or down than this, cosine. */
 const kUpright = 0.995;
 
@@ -54,8 +57,19 @@ const kArrows: Record<string, readonly [number, number]> = {
   ArrowDown: [0, 1],
 };
 
+/** Those whose buttons are where the standard says: https://w3c.github.io/gamepad/#remapping. */
+function gamepads(): Gamepad[] {
+  try {
+    return navigator.getGamepads().filter((pad) => pad !== null && pad.connected && pad.mapping === "standard") as Gamepad[];
+  } catch {
+    // A page around this one may forbid it.
+    return [];
+  }
+}
+
 export class Controls {
   private readonly held = new Set<string>();
+  private isPadHeld = false;
   private readonly fingers = new Map<number, { x: number; y: number }>();
 
   constructor(
@@ -103,12 +117,28 @@ export class Controls {
 
   /** Whether the view is being moved. */
   get active(): boolean {
-    return this.held.size > 0 || this.fingers.size > 0;
+    return this.held.size > 0 || this.fingers.size > 0 || this.isPadHeld;
   }
 
   /** Called before each frame. */
   step(seconds: number): void {
     for (const code of this.held) this.press(code, seconds);
+    this.isPadHeld = false;
+    for (const pad of gamepads()) this.fly(pad, seconds);
+  }
+
+  /** Left stick: sideways and ahead; right stick: look around; triggers: down and up. */
+  private fly({ axes, buttons }: Gamepad, seconds: number): void {
+    const past = (value = 0): number => (Math.abs(value) < kDeadZone ? 0 : value);
+    const by = [past(axes[0]), past(buttons[6]?.value) - past(buttons[7]?.value), -past(axes[1])];
+    const [right, down] = [past(axes[2]), past(axes[3])];
+    if ([...by, right, down].every((value) => value === 0)) return;
+    this.isPadHeld = true;
+    const world = this.page.world();
+    this.change((view) => {
+      const flown = moved(view, by.map((value) => value * world.speed * seconds));
+      return orbited(flown, world, right * kLook * seconds, down * kLook * seconds, "camera");
+    });
   }
 
   private press(code: string, seconds: number): void {

@@ -7,10 +7,11 @@ import { Compare } from "./compare.js";
 import { Controls, type World } from "./controls.js";
 import { type Frame, type FrameRequest, Frames } from "./frames.js";
 import { readLink, writeLink } from "./link.js";
-import { type Manifest, nameOf, readInside, readManifest, type SceneEntry } from "./manifest.js";
+import { type Manifest, nameOf, readInside, readManifest } from "./manifest.js";
 import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence } from "./messages.js";
-import { element, say, showError } from "./page.js";
-import { extensionOf, openScene, type Scene, type Tint } from "./scene.js";
+import { element, hideLoading, say, showError, showLoading, showProgress } from "./page.js";
+import { openScene, type Read, readFile } from "./open-scene.js";
+import type { Scene, Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
 
 /** Milliseconds without a change after which the view is at rest. */
@@ -73,13 +74,16 @@ class Page {
 
   // Opening ------------------------------------------------------------------------------------------------------------
 
-  async begin(): Promise<void> {
+  /** `reading`: scenes of the manifest, which were begun before there was a stage. */
+  async begin(reading: readonly Promise<Read>[]): Promise<void> {
     const { settings, photos, cameras, scenes } = this.manifest;
     this.photos = new Map(photos.map(({ camera, url }) => [camera, url]));
     if (settings?.background) this.setBackground(settings.background);
     if (settings?.sh_degree !== undefined) input("sh").value = String(settings.sh_degree);
     if (cameras !== null) {
-      await this.readCameras(cameras).catch((error: unknown) => this.fail("The camera file", error));
+      await (cameras.startsWith("#") ? readInside(cameras).then((blob) => new Response(blob)) : fetch(cameras))
+        .then((answer) => this.readCameras(answer))
+        .catch((error: unknown) => this.fail("The camera file", error));
     }
     const link = readLink(location.hash);
     if (link.background) this.setBackground(link.background);
@@ -89,63 +93,84 @@ class Page {
     if (link.split !== undefined) this.compare.split = link.split;
     this.view = link.view;
     this.showValues();
-    for (const [side, entry] of scenes.entries()) await this.open({ entry, side: side as Side });
+    for (const [side, { name }] of scenes.entries()) await this.open(name, reading[side] as Promise<Read>, side as Side);
     this.compare.setMode(link.mode ?? (this.scenes[1] ? "slider" : "single"));
   }
 
   /** Files of a drop or a choice: cameras, and scenes for the first free side, the right one if none is. */
   async openFiles(files: readonly File[]): Promise<void> {
     for (const file of files) {
-      if (extensionOf(file.name) === "json") {
-        await file
-          .text()
-          .then((text) => this.setCameras(parseCameras(text)))
-          .catch((error: unknown) => this.fail(file.name, error));
+      const { name } = file;
+      performance.mark(`open ${name}`);
+      showLoading(`Opening ${name}`);
+      const reading = readFile({ entry: { name, url: "" }, file, onProgress: showProgress });
+      const read = await reading.catch(() => undefined);
+      if (read?.kind === "cameras") {
+        await this.readCameras(read.answer).catch((error: unknown) => this.fail(name, error));
+        hideLoading();
+        this.showWelcome();
         continue;
       }
       const side = this.scenes[0] ? 1 : 0;
-      if (!(await this.open({ entry: { name: file.name, url: "" }, file, side }))) continue;
-      this.compare.setMode(side === 1 ? "slider" : this.compare.mode);
+      if (await this.open(name, reading, side)) this.compare.setMode(side === 1 ? "slider" : this.compare.mode);
     }
   }
 
-  private async open({ entry, file, side }: { entry: SceneEntry; file?: File; side: Side }): Promise<boolean> {
-    const progress = element("progress", HTMLProgressElement);
-    const text = element("progress-text", HTMLElement);
-    element("welcome", HTMLElement).hidden = true;
-    element("loading", HTMLElement).hidden = false;
-    text.textContent = `Opening ${entry.name}`;
+  /** False if it cannot be opened, which is said; then the side has what it had. */
+  private async open(name: string, reading: Promise<Read>, side: Side): Promise<boolean> {
+    this.showWelcome(false);
+    showLoading(`Opening ${name}`);
+    const before = this.scenes[side];
+    let scene: Scene | undefined;
     try {
-      const scene = await openScene(this.stage, {
-        entry,
-        ...(file ? { file } : {}),
-        side,
-        onProgress: (phase, done, total) => {
-          const share = total > 0 ? done / total : 0;
-          if (total > 0) progress.value = share;
-          else progress.removeAttribute("value");
-          text.textContent =
-            phase === "read" ? `Reading ${bytesText(done)}${total > 0 ? ` of ${bytesText(total)}` : ""}` : `Decoding, ${Math.round(100 * share)}%`;
-        },
-        onError: (error) => this.fail(entry.name, error),
-      });
-      this.scenes[side]?.destroy();
-      const isFirst = side === 0 && !this.scenes[0];
-      this.scenes[side] = scene;
-      if (side === 0) this.stage.setOrigin(scene.origin);
-      for (const each of this.scenes) each?.place(this.scenes[0]?.origin ?? scene.origin);
-      scene.setShDegree(Number(input("sh").value));
-      this.setView(this.view ?? this.firstView(scene));
-      this.nameScenes();
-      if (isFirst) this.setCameras(this.cameras);
+      const read = await reading;
+      scene = await openScene(this.stage, { name, read, side, onProgress: showProgress, onError: (error) => this.fail(name, error) });
+      if (before) before.hidden = true;
+      this.show(scene, side);
+      this.markPicture(name);
+      await scene.complete();
+      before?.destroy();
+      if (side === 0 && !before) this.setCameras(this.cameras);
       return true;
     } catch (error) {
-      this.fail(entry.name, error);
-      element("welcome", HTMLElement).hidden = this.scenes[0] !== undefined;
+      scene?.destroy();
+      if (scene) this.show(before, side);
+      if (before) before.hidden = false;
+      this.fail(name, error);
+      this.showWelcome();
       return false;
     } finally {
-      element("loading", HTMLElement).hidden = true;
+      hideLoading();
     }
+  }
+
+  /** In the browser's timeline: from `open NAME`, or the page's beginning, to the first picture. */
+  private markPicture(name: string): void {
+    const begin = performance.getEntriesByName(`open ${name}`, "mark").at(-1)?.startTime ?? 0;
+    void this.stage.drawn().then(() => performance.measure(`first picture of ${name}`, { start: begin }));
+  }
+
+  private show(scene: Scene | undefined, side: Side): void {
+    this.scenes[side] = scene;
+    const [left] = this.scenes;
+    if (left) this.stage.setOrigin(left.origin);
+    for (const each of this.scenes) each?.place(left?.origin ?? each.origin);
+    if (scene) {
+      scene.setShDegree(Number(input("sh").value));
+      this.setAntiAliasing();
+      this.setView(this.view ?? this.firstView(scene));
+    }
+    this.nameScenes();
+  }
+
+  private setAntiAliasing(): void {
+    for (const [side, scene] of this.scenes.entries()) {
+      if (scene) this.stage.setAntiAliasing(side as Side, scene.antiAliasing(Number(input("detail").value)));
+    }
+  }
+
+  private showWelcome(shown = this.scenes[0] === undefined): void {
+    element("welcome", HTMLElement).hidden = !shown;
   }
 
   private nameScenes(): void {
@@ -248,8 +273,7 @@ class Page {
     this.stage.request();
   }
 
-  private async readCameras(url: string): Promise<void> {
-    const answer = url.startsWith("#") ? new Response(await readInside(url)) : await fetch(url);
+  private async readCameras(answer: Response): Promise<void> {
     if (!answer.ok) throw Object.assign(new Error(`HTTP ${answer.status}`), { code: "open_failed" });
     this.setCameras(parseCameras(await answer.text()));
   }
@@ -372,6 +396,7 @@ class Page {
     for (const id of ["sh", "detail", "budget"]) {
       input(id).addEventListener("input", () => {
         this.showValues();
+        if (id === "detail") this.setAntiAliasing();
         if (id === "sh") for (const scene of this.scenes) scene?.setShDegree(Number(input("sh").value));
         this.stage.request();
         this.changed();
@@ -524,9 +549,13 @@ class Page {
 async function main(): Promise<void> {
   let page: Page | undefined;
   let stage: Stage;
+  // What scenes take and what the engine takes does not wait for each other.
+  const manifest = readManifest();
+  const reading = manifest.then(({ scenes }) => scenes.map((entry) => readFile({ entry, onProgress: showProgress })));
+  void reading.then((all) => all.forEach((each) => each.catch(() => undefined))).catch(() => undefined);
   try {
     const device = new URLSearchParams(location.search).get("device");
-    // WebGPU on demand alone: nobody has seen this page draw with it.
+    // WebGPU on demand alone: not every browser that has it draws with it.
     stage = await Stage.start(element("picture", HTMLCanvasElement), device === "webgpu" ? ["webgpu", "webgl2"] : ["webgl2"], {
       frame: (seconds) => page?.step(seconds),
       resized: () => page?.refreshView(),
@@ -539,8 +568,8 @@ async function main(): Promise<void> {
   }
   try {
     if (!stage.isAsDefined) showError(kNotAsDefined);
-    page = new Page(stage, await readManifest());
-    await page.begin();
+    page = new Page(stage, await manifest);
+    await page.begin(await reading);
     document.documentElement.dataset["ready"] = "true";
   } catch (error) {
     showError(sentence("The page", error));

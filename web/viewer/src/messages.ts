@@ -12,7 +12,7 @@ interface CodedError {
 const kAdvice: Record<string, string> = {
   open_failed: "could not be fetched. Is the server still running, and may this page read from it? Then reload the page",
   read_failed: "stopped coming. Is the server still running? Start rgs-view again if not, then reload the page",
-  bad_magic: "is not an .rgs file. This page opens .rgs, .ply and .sog; rgs-convert makes .rgs of others",
+  bad_magic: "is no scene that this page knows. It opens .rgs, .ply, .spz and .sog; rgs-convert makes .rgs of others",
   unsupported_version: "was made by a newer program than this page knows. Take the page of that version",
   unsupported_feature: "holds what this page cannot draw",
   limit_exceeded: "asks for more than this page allows",

@@ -1,5 +1,6 @@
 // page.ts - parts of the page by their ids, and what is said to whoever looks at it.
 // SPDX-License-Identifier: Apache-2.0
+import { bytesText } from "./messages.js";
 
 export function element<T extends HTMLElement>(id: string, type: abstract new () => T): T {
   const found = document.getElementById(id);
@@ -25,4 +26,20 @@ export function showError(sentence: string): void {
 /** For screen readers. */
 export function say(text: string): void {
   element("status", HTMLElement).textContent = text;
+}
+
+export function showLoading(text: string): void {
+  element("progress", HTMLProgressElement).removeAttribute("value");
+  element("progress-text", HTMLElement).textContent = text;
+  element("loading", HTMLElement).hidden = false;
+}
+
+export function hideLoading(): void {
+  element("loading", HTMLElement).hidden = true;
+}
+
+/** Bytes read; `total` 0: nobody knows. */
+export function showProgress(done: number, total: number): void {
+  if (total > 0) element("progress", HTMLProgressElement).value = done / total;
+  element("progress-text", HTMLElement).textContent = `Reading ${bytesText(done)}${total > 0 ? ` of ${bytesText(total)}` : ""}`;
 }

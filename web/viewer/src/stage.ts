@@ -1,6 +1,6 @@
 // stage.ts - the engine: two cameras at one place, each with a scene of its own, frames only where something has changed.
 // SPDX-License-Identifier: Apache-2.0
-import { drawAsDefined, RgsParser, setPinhole } from "@roofgs/playcanvas";
+import { type AntiAliasing, drawAsDefined, setPinhole } from "@roofgs/playcanvas";
 import {
   AppBase,
   AppOptions,
@@ -10,7 +10,6 @@ import {
   Entity,
   GSplatComponentSystem,
   GSplatHandler,
-  type GSplatHandler as Handler,
   Layer,
   LAYERID_IMMEDIATE,
   PIXELFORMAT_RGBA8,
@@ -20,7 +19,6 @@ import {
   Vec4,
 } from "playcanvas";
 import { pinholeOf, type ViewState } from "./cameras.js";
-import { worker } from "./reader-worker.js";
 
 export type Side = 0 | 1;
 
@@ -92,7 +90,6 @@ export class Stage {
     options.resourceHandlers = [GSplatHandler];
     const app = new AppBase(canvas);
     app.init(options);
-    (app.loader.getHandler("gsplat") as Handler).addParser(new RgsParser(app, worker ? { worker } : {}));
     const stage = new Stage(app, canvas, on);
     device.on("devicelost", on.lost);
     device.on("devicerestored", () => {
@@ -102,6 +99,13 @@ export class Stage {
     app.start();
     stage.resize();
     return stage;
+  }
+
+  /** Of what is drawn on a side. */
+  setAntiAliasing(side: Side, antiAliasing: AntiAliasing | undefined): void {
+    const { camera } = this.cameras[side];
+    if (camera) drawAsDefined(this.app, camera, antiAliasing);
+    this.request();
   }
 
   /** Another frame is needed. */
@@ -179,6 +183,12 @@ export class Stage {
       if (this.view) this.setView(this.view);
       this.setShow(this.show);
     }
+  }
+
+  /** Resolves when what has been added last is in a picture. */
+  async drawn(): Promise<void> {
+    await new Promise<void>((resolve) => this.app.scene.once("gsplat:sorted", () => resolve()));
+    for (let i = 0; i < 2; ++i) await new Promise<void>((resolve) => this.app.once("postrender", () => resolve()));
   }
 
   /** Resolves after a frame whose Gaussians are in the order of its camera. */

@@ -8,13 +8,12 @@ import { dirname, join } from "node:path";
 import test, { after, before } from "node:test";
 import { pathToFileURL } from "node:url";
 import { open } from "@roofgs/reader";
-import { chromium } from "playwright-core";
 import { program, readCameras } from "../../playcanvas/test/pictures.mjs";
+import { hasChromium, launch } from "../../reader/test/chromium.mjs";
 import { golden, scenes } from "../../reader/test/dump.mjs";
 import { skip } from "../../reader/test/servers.mjs";
 import { dist, single, startServer } from "./server.mjs";
 
-const kChromium = process.env.RGS_CHROMIUM ?? "/usr/bin/chromium";
 const kSize = { width: 800, height: 360 };
 // Software rendering on a busy machine.
 const kPatienceMs = 90_000;
@@ -22,10 +21,9 @@ const kPatienceMs = 90_000;
 let browser;
 let folder;
 before(async () => {
-  if (!existsSync(kChromium)) return;
+  if (!hasChromium) return;
   folder = mkdtempSync(join(tmpdir(), "rgs-web-viewer-"));
-  const args = ["--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
-  browser = await chromium.launch({ executablePath: kChromium, args });
+  browser = await launch("webgl2");
 });
 after(async () => {
   await browser?.close();
@@ -70,8 +68,8 @@ const one = {
 
 const text = (page, selector) => page.locator(selector).textContent();
 const errors = (page) => page.locator("#errors p").allTextContents();
-/** The picture is not one colour. */
-async function assertDrawn(page) {
+/** The picture is not one colour; a part of a scene may have few. */
+async function assertDrawn(page, least = 500) {
   const colours = async () => {
     const shot = (await page.locator("#stage").screenshot()).toString("base64");
     return page.evaluate(async (base64) => {
@@ -86,8 +84,8 @@ async function assertDrawn(page) {
   };
   const began = Date.now();
   let found = await colours();
-  while (found < 500 && Date.now() - began < kPatienceMs) found = await colours();
-  assert.ok(found >= 500, `${found} colours`);
+  while (found < least && Date.now() - began < kPatienceMs) found = await colours();
+  assert.ok(found >= least, `${found} colours`);
 }
 
 // So high that cameras are in sight before there is a scene.
@@ -206,6 +204,100 @@ const drop = (page, name, bytes) =>
     [name, Buffer.from(bytes).toString("base64")],
   );
 
+inBrowser("what is in a file counts, not its name", { allowed: [k404] }, async ({ page }) => {
+  await drop(page, "a.rgs", firstOf(join(scenes(), "scene.ply"), 1000));
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs");
+  await drop(page, "b.ply", readFileSync(join(golden, "degree3.rgs")));
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs | b.ply");
+  await drop(page, "c.sog", readFileSync(join(scenes(), "cameras.json")));
+  await page.waitForFunction(() => document.querySelectorAll("#cameras button").length === 8);
+  assert.deepEqual(await errors(page), []);
+  await drop(page, "d.rgs", "nothing of that");
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^d\.rgs is no scene that this page knows\..*bad_magic at byte 0/);
+});
+
+for (const version of [2, 3, 4]) {
+  inBrowser(`an SPZ of version ${version} shows what the PLY shows`, { allowed: [k404] }, async ({ t, page }) => {
+    const path = join(folder, `v${version}.spz`);
+    const ply = join(scenes(), "scene.ply");
+    execFileSync(program("rgs-convert"), ["--quiet", "--spz-version", String(version), ply, path]);
+    // Turned by the conversion as by the page.
+    const same = join(folder, `v${version}.rgs`);
+    execFileSync(program("rgs-convert"), ["--quiet", path, same]);
+    await drop(page, "a.spz", readFileSync(path));
+    await page.waitForFunction(() => document.getElementById("title").textContent === "a.spz");
+    assert.match(await page.getAttribute("#picture", "aria-label"), /60k Gaussians/);
+    await drop(page, "b.rgs", readFileSync(same));
+    await page.waitForFunction(() => document.getElementById("title").textContent === "a.spz | b.rgs");
+    await page.getByRole("radio", { name: "Difference" }).click();
+    await page.locator("#map").waitFor();
+    const db = Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
+    t.diagnostic(`${db} dB`);
+    assert.ok(db > 35, `${db} dB`);
+  });
+}
+
+inBrowser("a gamepad flies", { ...one, files: one.files() }, async ({ page }) => {
+  await page.waitForFunction(() => location.hash !== "");
+  const number = async (field, i) => Number(new URLSearchParams(new URL(page.url()).hash.slice(1)).get(field).split(",")[i]);
+  const at = () => Promise.all([0, 1, 2].map((i) => number("at", i)));
+  const press = async (...axes) => {
+    const was = await page.evaluate(() => location.hash);
+    const pad = (axes) =>
+      page.evaluate((axes) => {
+        navigator.getGamepads = () => [null, { connected: true, mapping: "standard", axes, buttons: [] }];
+      }, axes);
+    await pad(axes);
+    await page.evaluate(async () => {
+      for (let i = 0; i < 5; ++i) await new Promise((resolve) => requestAnimationFrame(resolve));
+    });
+    // At rest, as sticks are.
+    await pad([0.1, -0.1, 0.05, 0]);
+    await page.waitForFunction((was) => location.hash !== was, was);
+  };
+  const before = await at();
+  const forward = await Promise.all([2, 5, 8].map((i) => number("axes", i)));
+  await press(0, -1, 0, 0);
+  const ahead = (await at()).map((value, i) => value - before[i]);
+  const along = ahead.reduce((sum, value, i) => sum + value * forward[i], 0);
+  assert.ok(along > 0 && Math.abs(along - Math.hypot(...ahead)) < 1e-3 * along, `${ahead} along ${forward}`);
+  // Looking around does not move.
+  const stood = await at();
+  await press(0, 0, 1, 0);
+  (await at()).forEach((value, i) => assert.ok(Math.abs(value - stood[i]) < 1e-4 * Math.hypot(...stood), `${value}`));
+  // A stick at rest does nothing.
+  const hash = new URL(page.url()).hash;
+  const frames = () => page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(() => resolve(location.hash)))));
+  assert.equal(await frames(), hash);
+});
+
+inBrowser("what turns out damaged goes again, and what was there stays", { allowed: [k404] }, async ({ page }) => {
+  const sound = readFileSync(join(scenes(), "packed.rgs"));
+  const damaged = Buffer.from(sound);
+  const file = await open(sound);
+  const { offset, storedBytes } = file.sections.find(({ type }) => type === "SHI8");
+  file.close();
+  damaged[offset + storedBytes - 1] ^= 1;
+  await drop(page, "bad.rgs", damaged);
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], new RegExp(`^bad\\.rgs is damaged: .*checksum_mismatch at byte ${offset}\\)`));
+  assert.equal(await text(page, "#title"), "RoofGS viewer");
+  assert.ok(await page.locator("#welcome").isVisible());
+  await drop(page, "a.rgs", sound);
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs");
+  await drop(page, "b.rgs", sound);
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.rgs | b.rgs" && document.getElementById("loading").hidden);
+  await page.evaluate(() => document.getElementById("errors").replaceChildren());
+  await drop(page, "bad.rgs", damaged);
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.equal(await text(page, "#title"), "a.rgs | b.rgs");
+  // It is drawn again: both sides are of one file.
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#map").waitFor();
+  assert.equal(await text(page, "#psnr"), "equal");
+});
+
 /** The first `n` Gaussians of a PLY. */
 function firstOf(path, n) {
   const ply = readFileSync(path);
@@ -304,17 +396,27 @@ inBrowser("everything has a name for screen readers, and dark is not light", { .
 const levelsFile = () => join(scenes(), "levels.rgs");
 const levelsOnly = { view: { ...one.view, scenes: [scene("levels.rgs")] }, files: { ...one.files(), "scenes/0/levels.rgs": levelsFile() } };
 
-/** Holds what lies behind the first page until `open()` is called. */
-async function gate() {
+async function secondPage() {
   const file = await open(readFileSync(levelsFile()));
   const { offset } = file.levels.page(1);
   file.close();
-  let release;
-  const opened = new Promise((resolve) => (release = resolve));
-  return { hold: async (url, begin) => url.endsWith("levels.rgs") && begin >= offset && opened, open: () => release() };
+  return offset;
 }
-const held = await gate();
-const heldForEver = await gate();
+
+/** Holds what lies behind the first page until `open()` is called. */
+function gate() {
+  let release;
+  let offset;
+  const opened = new Promise((resolve) => (release = resolve));
+  const hold = async (url, begin) => {
+    if (!url.endsWith("levels.rgs")) return;
+    offset ??= secondPage();
+    if (begin >= (await offset)) await opened;
+  };
+  return { hold, open: release };
+}
+const held = gate();
+const heldForEver = gate();
 
 inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly, hold: held.hold }, async ({ t, page, server }) => {
   await page.locator("#stats").check();
@@ -518,7 +620,8 @@ test("one file without a server, with scene and cameras inside", async (t) => {
   assert.deepEqual(problems, []);
 });
 
-for (const name of ["south.rgs", "south-levels.rgs"]) {
+const kMeasured = { "south.rgs": 0.25, "south-levels.rgs": 0.1 };
+for (const [name, share] of Object.entries(kMeasured)) {
   test(`40 MB from the loopback address, ${name}`, async (t) => {
     if (!browser) return skip(t, "chromium is not installed");
     const folderOfSouth = process.env.RGS_WEB_SOUTH ? dirname(process.env.RGS_WEB_SOUTH) : "";
@@ -528,22 +631,40 @@ for (const name of ["south.rgs", "south-levels.rgs"]) {
     }
     const path = join(folderOfSouth, name);
     const { size } = statSync(path);
+    const url = `scenes/0/${name}`;
+    // From a part of the file, the rest being held back.
+    let goOn;
+    const going = new Promise((resolve) => (goOn = resolve));
+    const hold = async (asked) => asked === url && (server.bytes[url] ?? 0) > share * size && going;
     const view = { ...one.view, scenes: [scene(name)], cameras: null };
-    const server = await startServer({ view, files: { [`scenes/0/${name}`]: path } });
+    const server = await startServer({ view, files: { [url]: path }, hold });
     const page = await browser.newPage({ viewport: { width: 320, height: 240 } });
     page.setDefaultTimeout(kPatienceMs);
     t.after(async () => {
       await page.close();
       await server.end();
     });
+    const picture = (page) => page.waitForFunction((what) => performance.getEntriesByName(what, "measure")[0]?.duration, `first picture of ${name}`);
     await page.goto(server.url);
+    const first = await (await picture(page)).jsonValue();
+    await assertDrawn(page, 100);
+    const bytes = server.bytes[url];
+    // What was under way when the share was reached comes too.
+    assert.ok(bytes < share * size + 3 * (1 << 22), `${bytes} of ${size} bytes`);
+    if (name === "south.rgs") assert.ok(await page.locator("#loading").isVisible());
+    goOn();
     await page.waitForSelector("html[data-ready]", { state: "attached" });
     const ms = await page.evaluate(() => performance.now());
-    const bytes = server.bytes[`scenes/0/${name}`];
-    t.diagnostic(`opened after ${Math.round(ms)} ms, with the page itself; ${bytes} of ${size} bytes read by then`);
-    await assertDrawn(page);
     // The beginning is read first, and where all is read once more with the rest.
-    if (name === "south.rgs") assert.ok(bytes <= size + (1 << 17), `${bytes} bytes`);
-    else assert.ok(bytes < size / 10, `${bytes} of ${size} bytes before the first picture`);
+    if (name === "south.rgs") assert.ok(server.bytes[url] <= size + (1 << 17), `${server.bytes[url]} bytes`);
+    assert.ok(await page.locator("#loading").isHidden());
+    // A page that is there already.
+    const other = await browser.newPage({ viewport: { width: 320, height: 240 } });
+    other.setDefaultTimeout(kPatienceMs);
+    await other.goto(`${server.url}index.html?scene=`);
+    await other.setInputFiles("#file", path);
+    const chosen = await (await picture(other)).jsonValue();
+    await other.close();
+    t.diagnostic(`first picture after ${Math.round(first)} ms with the page itself, all of it after ${Math.round(ms)} ms; chosen in a page that is there after ${Math.round(chosen)} ms`);
   });
 }

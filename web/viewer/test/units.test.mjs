@@ -6,13 +6,14 @@ import { tmpdir } from "node:os";
 import { join } from "node:path";
 import test, { after, before } from "node:test";
 import { fileURLToPath } from "node:url";
+import { gzipSync } from "node:zlib";
 import { build } from "vite";
 
 let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "controls", "difference", "levels", "link", "manifest", "messages"];
+  const names = ["cameras", "controls", "difference", "kind", "levels", "link", "manifest", "messages", "spz"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -130,7 +131,88 @@ test("sentences say what to do", () => {
   const damaged = sentence("a.rgs", { code: "checksum_mismatch", text: "the section's bytes have changed", offset: 512 });
   assert.equal(damaged, "a.rgs is damaged: the section's bytes have changed (checksum_mismatch at byte 512). Copy the file again, or convert the scene again.");
   assert.match(sentence("a.rgs", { code: "read_failed", text: "x" }), /Start rgs-view again/);
-  assert.match(sentence("a.rgs", { code: "bad_magic", text: "x", offset: 0 }), /is not an \.rgs file.*at byte 0/);
+  assert.match(sentence("a.rgs", { code: "bad_magic", text: "x", offset: 0 }), /is no scene that this page knows.*at byte 0/);
   assert.equal(sentence("The true picture", new ServerError("internal", "x")), "The true picture could not be made: internal: x.");
   assert.equal(sentence("a.ply", new Error("no")), "a.ply could not be opened: no.");
+});
+
+test("what is in a file is told by its first bytes", () => {
+  const { kindOf } = modules.kind;
+  const of = (bytes) => kindOf(new Uint8Array(Buffer.from(bytes)));
+  assert.equal(of([0x89, 0x52, 0x47, 0x53, 13, 10]), "rgs");
+  assert.equal(of("ply\nformat"), "ply");
+  assert.equal(of("PK\x03\x04"), "sog");
+  assert.equal(of([0x1f, 0x8b, 8]), "spz");
+  assert.equal(of("NGSP"), "spz");
+  for (const text of ["[", "  \r\n[{", "\uFEFF{\"a\""]) assert.equal(of(text), "cameras");
+  for (const text of ["", "pl", "RGS", "<html>", "PK", "a["]) assert.equal(of(text), null);
+});
+
+const kSpzHeader = (version, n, { degree = 0, bits = 12, flags = 0, streams = 0, table = 32 } = {}) => {
+  const bytes = Buffer.alloc(version === 4 ? 32 : 16);
+  bytes.write("NGSP", 0, "latin1");
+  bytes.writeUInt32LE(version, 4);
+  bytes.writeUInt32LE(n, 8);
+  bytes.set([degree, bits, flags, streams], 12);
+  if (version === 4) bytes.writeUInt32LE(table, 16);
+  return bytes;
+};
+const unfold = (bytes) => modules.spz.unfoldSpz(Uint8Array.from(bytes).buffer);
+
+test("an SPZ is unfolded to its streams", async () => {
+  const body = Buffer.from(Array.from({ length: 20 }, (_, i) => i));
+  const { header, streams } = await unfold(gzipSync(Buffer.concat([kSpzHeader(3, 1), body])));
+  assert.deepEqual([header.version, header.n, header.shDegree, header.fractionalBits, header.antialiased], [3, 1, 0, 12, false]);
+  assert.deepEqual([...streams.positions], [0, 1, 2, 3, 4, 5, 6, 7, 8]);
+  assert.deepEqual([streams.alphas, streams.colors, streams.scales, streams.rotations, streams.sh].map((stream) => [...stream]), [[9], [10, 11, 12], [13, 14, 15], [16, 17, 18, 19], []]);
+});
+
+test("a rotation of three bytes is the one of four", () => {
+  const three = [[0.1, -0.2, 0.3], [-0.9, 0.1, 0.2], [0, 0, 0]];
+  const codes = Uint8Array.from(three.flat().map((value) => Math.round((value + 1) * 127.5)));
+  const words = new Uint32Array(modules.spz.smallestThree(codes).buffer);
+  three.forEach((xyz, i) => {
+    const found = [0, 0, 0, 0];
+    const largest = words[i] >>> 30;
+    let rest = words[i];
+    let sum = 0;
+    for (let c = 3; c >= 0; --c) {
+      if (c === largest) continue;
+      found[c] = ((rest & 0x1ff) / 511) * Math.SQRT1_2 * (rest & 0x200 ? -1 : 1);
+      sum += found[c] ** 2;
+      rest >>>= 10;
+    }
+    found[largest] = Math.sqrt(1 - sum);
+    const expected = [...xyz, Math.sqrt(1 - xyz.reduce((total, value) => total + value * value, 0))];
+    const dot = expected.reduce((total, value, c) => total + value * found[c], 0);
+    assert.ok(Math.abs(dot) > 0.999, `${found} for ${expected}`);
+  });
+});
+
+test("a damaged SPZ is an error with code and byte, and makes no large allocation", async () => {
+  const fails = async (bytes, code, offset) => assert.rejects(unfold(bytes), { code, offset });
+  await fails(Buffer.from("NGSP"), "truncated", 4);
+  await fails(kSpzHeader(5, 1), "unsupported_version", 4);
+  await fails(kSpzHeader(4, 0xffffffff), "limit_exceeded", 8);
+  await fails(kSpzHeader(4, 1, { degree: 4 }), "unsupported_feature", 12);
+  await fails(kSpzHeader(4, 1, { bits: 25 }), "bad_header", 13);
+  await fails(kSpzHeader(4, 1, { flags: 4 }), "reserved_bits", 14);
+  await fails(kSpzHeader(4, 1, { flags: 2 }), "unsupported_feature", 14);
+  await fails(kSpzHeader(4, 1, { streams: 6 }), "bad_header", 15);
+  await fails(kSpzHeader(4, 1, { streams: 5 }), "bad_header", 16);
+  await fails(kSpzHeader(4, 1, { streams: 5, table: 0xfffffff0 }), "bad_header", 16);
+  const table = Buffer.alloc(80);
+  [9, 1, 3, 3, 4].forEach((size, i) => table.writeBigUInt64LE(BigInt(size), 16 * i + 8));
+  await fails(Buffer.concat([kSpzHeader(4, 2, { streams: 5 }), table]), "size_mismatch", 40);
+  await fails(Buffer.concat([kSpzHeader(4, 1, { streams: 5 }), table]), "corrupt_data", 112);
+  table.writeBigUInt64LE(0xffffffffffffffffn, 0);
+  await fails(Buffer.concat([kSpzHeader(4, 1, { streams: 5 }), table]), "truncated", 32);
+  const gzip = (bytes) => gzipSync(bytes);
+  await fails(gzip(Buffer.concat([kSpzHeader(3, 1), Buffer.alloc(19)])), "truncated", 35);
+  await fails(gzip(Buffer.concat([kSpzHeader(3, 1), Buffer.alloc(21)])), "trailing_bytes", 36);
+  // Unfolds to 100 MB, of which 36 bytes are read.
+  await fails(gzip(Buffer.concat([kSpzHeader(3, 1), Buffer.alloc(1e8)])), "trailing_bytes", 36);
+  await fails(gzip(kSpzHeader(3, 1)).subarray(0, 20), "corrupt_data", 0);
+  await fails(gzip(kSpzHeader(4, 1)), "unsupported_version", 4);
+  await fails(gzip(Buffer.from("no SPZ at all, but text")), "bad_magic", 0);
 });

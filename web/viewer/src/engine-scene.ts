@@ -1,0 +1,129 @@
+// engine-scene.ts - PLY, compressed PLY, SOG and SPZ, by the engine.
+// SPDX-License-Identifier: Apache-2.0
+import type { AntiAliasing } from "@roofgs/playcanvas";
+import { Asset, type GSplatResourceBase } from "playcanvas";
+import { type Box, Scene } from "./scene.js";
+import { readSpz } from "./spz-resource.js";
+import type { Side, Stage } from "./stage.js";
+
+export type EngineKind = "ply" | "sog" | "spz";
+
+export interface OpenEngineScene {
+  name: string;
+  kind: EngineKind;
+  answer: Response;
+  side: Side;
+  onProgress(done: number, total: number): void;
+}
+
+/** What the engine made of a file, and how it goes again. */
+interface Made {
+  resource: GSplatResourceBase;
+  end(): void;
+  /** Right, up, backward instead of right, down, forward: it is turned, so that it stands as it does in other files. */
+  isYUp?: boolean;
+  antiAliasing?: AntiAliasing | undefined;
+}
+
+/** Assets of the engine so far. */
+let nAssets = 0;
+
+async function makeSpz(stage: Stage, answer: Response): Promise<Made> {
+  const { resource, antialiased } = await readSpz(stage.app.graphicsDevice, await answer.arrayBuffer());
+  const antiAliasing = antialiased ? { lowPassPx2: 0.1, compensated: true } : undefined;
+  return { resource, end: () => resource.destroy(), isYUp: true, antiAliasing };
+}
+
+async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenEngineScene): Promise<Made> {
+  const contents = kind === "ply" ? answer : await answer.arrayBuffer();
+  // The engine takes what has the same address for the same scene.
+  const filename = `scene${(nAssets += 1)}.${kind}`;
+  const asset = new Asset(name, "gsplat", { url: filename, filename, contents } as object);
+  const { assets } = stage.app;
+  try {
+    await new Promise<void>((resolve, reject) => {
+      asset.on("progress", onProgress);
+      asset.on("load", () => resolve());
+      asset.on("error", (error: unknown) => reject(error instanceof Error ? error : new Error(String(error))));
+      assets.add(asset);
+      assets.load(asset);
+    });
+  } catch (error) {
+    assets.remove(asset);
+    throw error;
+  }
+  const end = (): void => {
+    assets.remove(asset);
+    asset.unload();
+  };
+  return { resource: asset.resource as GSplatResourceBase, end };
+}
+
+export class EngineScene extends Scene {
+  readonly nGaussians: number;
+  readonly shDegree: number;
+  readonly box: Box;
+  /** As it stands, [n, 3]. */
+  private readonly means: Float32Array | null;
+
+  static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
+    const bytes = Number(options.answer.headers.get("content-length") ?? 0);
+    const made = await (options.kind === "spz" ? makeSpz(stage, options.answer) : makeAsset(stage, options));
+    return new EngineScene(options.name, bytes, made, stage, options.side);
+  }
+
+  private constructor(
+    name: string,
+    bytes: number,
+    private readonly made: Made,
+    stage: Stage,
+    side: Side,
+  ) {
+    super(name, bytes, stage, side);
+    const { resource, isYUp = false } = made;
+    const { center, halfExtents } = resource.aabb;
+    const sign = isYUp ? -1 : 1;
+    const [c, h] = [[center.x, sign * center.y, sign * center.z], [halfExtents.x, halfExtents.y, halfExtents.z]];
+    this.means = isYUp ? (resource.centers?.map((value, i) => (i % 3 === 0 ? value : -value)) ?? null) : resource.centers;
+    this.box = robustBox(this.means) ?? { min: c.map((v, i) => v - (h[i] as number)), max: c.map((v, i) => v + (h[i] as number)) };
+    this.nGaussians = resource.numSplats as number;
+    this.shDegree = (resource as unknown as { shBands?: number }).shBands ?? (resource.gsplatData as { shBands?: number }).shBands ?? 0;
+    if (isYUp) this.turnOver();
+    this.add(resource);
+  }
+
+  get nDrawn(): number {
+    return this.nGaussians;
+  }
+
+  *centres(): Iterable<Float32Array> {
+    if (this.means) yield this.means;
+  }
+
+  /** The engine's own formats are drawn with all that they hold. */
+  setShDegree(): void {}
+
+  override antiAliasing(): AntiAliasing | undefined {
+    return this.made.antiAliasing;
+  }
+
+  override destroy(): void {
+    super.destroy();
+    this.made.end();
+  }
+}
+
+/** 2nd to 98th percentile of some thousand means. */
+function robustBox(centers: Float32Array | null): Box | null {
+  if (!centers || centers.length < 3) return null;
+  const n = centers.length / 3;
+  const step = Math.max(1, Math.floor(n / 20000));
+  const sides = [0, 1, 2].map((c) => {
+    const values: number[] = [];
+    for (let i = 0; i < n; i += step) values.push(centers[3 * i + c] as number);
+    values.sort((a, b) => a - b);
+    const rank = (share: number): number => values[Math.round(share * (values.length - 1))] as number;
+    return [rank(0.02), rank(0.98)] as const;
+  });
+  return { min: sides.map(([low]) => low), max: sides.map(([, high]) => high) };
+}

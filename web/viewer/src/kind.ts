@@ -1,0 +1,18 @@
+// kind.ts - what is in a file.
+// SPDX-License-Identifier: Apache-2.0
+
+export type Kind = "rgs" | "ply" | "sog" | "spz" | "cameras";
+
+/** Bytes that tell. */
+export const kBeginningBytes = 16;
+
+/** What a file holds by its first bytes, null if this page does not know it. Names say nothing: anybody gives them. */
+export function kindOf(beginning: Uint8Array): Kind | null {
+  const begins = (...bytes: number[]): boolean => bytes.every((byte, i) => beginning[i] === byte);
+  if (begins(0x89, 0x52, 0x47, 0x53)) return "rgs";
+  if (begins(0x70, 0x6c, 0x79)) return "ply";
+  if (begins(0x50, 0x4b, 0x03, 0x04)) return "sog";
+  // Versions 2 and 3 are gzip streams, 4 is not.
+  if (begins(0x1f, 0x8b) || begins(0x4e, 0x47, 0x53, 0x50)) return "spz";
+  return /^\uFEFF?\s*[[{]/.test(new TextDecoder("utf-8", { ignoreBOM: true }).decode(beginning)) ? "cameras" : null;
+}

@@ -1,0 +1,283 @@
+// rgs-scene.ts - an opened .rgs file: all of it part by part, or page by page from coarse to fine.
+// SPDX-License-Identifier: Apache-2.0
+import { type AntiAliasing, antiAliasingOf, type Colour, RgsResource } from "@roofgs/playcanvas";
+import type { Progress, RgsFile, StoredGaussians } from "@roofgs/reader";
+import { chooseCut, type Cut, type CutView } from "./levels.js";
+import { type Box, Scene, type Tint } from "./scene.js";
+import type { Side, Stage } from "./stage.js";
+
+/** Requests at a time. */
+const kPagesAtATime = 4;
+/** Pages that are kept beyond those drawn, by Gaussians. */
+const kKept = 2;
+/** Milliseconds between two rebuilds of what is on the GPU. */
+const kRebuildMs = 250;
+
+const kLevelColours: readonly Colour[] = [
+  [0.9, 0.2, 0.2],
+  [0.95, 0.6, 0.1],
+  [0.9, 0.9, 0.2],
+  [0.3, 0.8, 0.3],
+  [0.2, 0.7, 0.9],
+  [0.3, 0.35, 0.95],
+  [0.7, 0.3, 0.9],
+];
+
+/** A file of which the Gaussians that are drawn first are on their way. */
+export interface OpenedFile {
+  file: RgsFile;
+  /** Of a file with levels the coarsest page alone. */
+  parts: AsyncGenerator<StoredGaussians, void, undefined>;
+  first: Promise<IteratorResult<StoredGaussians, void>>;
+  /** Of a file without levels, so far. */
+  bytesRead: number;
+}
+
+/** Begins to read a file's Gaussians. `onProgress`: bytes read. */
+export function beginFile(file: RgsFile, onProgress: (done: number, total: number) => void): OpenedFile {
+  async function* root(): AsyncGenerator<StoredGaussians, void, undefined> {
+    yield await file.readPageStored(0);
+  }
+  const progress = ({ phase, done, total }: Progress): void => {
+    if (phase !== "read") return;
+    opened.bytesRead = done;
+    onProgress(done, total ?? 0);
+  };
+  const parts = file.levels ? root() : file.storedParts({ onProgress: progress });
+  const opened = { file, parts, first: parts.next(), bytesRead: 0 };
+  // Who waits for it sees the error.
+  opened.first.catch(() => undefined);
+  return opened;
+}
+function upOf(file: RgsFile): readonly number[] | null {
+  const { axes } = file.declarations;
+  const i = axes.findIndex((axis) => axis === "up" || axis === "down");
+  return i < 0 ? null : [0, 1, 2].map((k) => (k === i ? (axes[i] === "up" ? 1 : -1) : 0));
+}
+
+/** An .rgs file: all of it at once, or page by page from coarse to fine. */
+export class RgsScene extends Scene {
+  readonly nGaussians: number;
+  readonly shDegree: number;
+  readonly box: Box;
+  override readonly up: readonly number[] | null;
+  override readonly origin: readonly number[];
+  override readonly hasPages: boolean;
+  private readonly file: RgsFile;
+  private parts: StoredGaussians[] = [];
+  private drawn: number[] = [];
+  private resources: RgsResource[] = [];
+  private shown = { shDegree: 3, tint: "none" as Tint };
+  private readonly kept = new Map<number, StoredGaussians>();
+  private readonly stop = new AbortController();
+  private readonly loading = new Set<number>();
+  private readonly damaged = new Set<number>();
+  private wanted: number[] = [];
+  private rebuilt = -Infinity;
+  private read = 0;
+  private reported = false;
+  private view: CutView | undefined;
+
+  constructor(
+    name: string,
+    private readonly opened: OpenedFile,
+    first: StoredGaussians,
+    stage: Stage,
+    side: Side,
+    private readonly onError: (error: unknown) => void,
+  ) {
+    const { file } = opened;
+    super(name, file.fileBytes, stage, side);
+    this.file = file;
+    const { robust, full, origin } = file.declarations;
+    const box = robust.max.some((value, i) => value > (robust.min[i] as number)) ? robust : full;
+    this.box = { min: box.min.map((v, i) => v + (origin[i] as number)), max: box.max.map((v, i) => v + (origin[i] as number)) };
+    this.nGaussians = file.header.nGaussians;
+    this.shDegree = file.header.shDegree;
+    this.origin = origin;
+    this.up = upOf(file);
+    this.hasPages = file.levels !== null;
+    if (file.levels) {
+      this.keep(0, first);
+      this.rebuild([0]);
+      if (file.nPresent < file.levels.nPages) {
+        this.onError({ code: "pages_missing", text: `${file.nPresent} of ${file.levels.nPages} pages are there` });
+      }
+    } else {
+      this.drawn = [0];
+      this.addPart(first);
+    }
+  }
+
+  override async complete(): Promise<void> {
+    try {
+      for await (const part of this.opened.parts) this.addPart(part);
+    } catch (error) {
+      if (!this.stop.signal.aborted) throw error;
+    }
+    if (!this.hasPages) this.file.close();
+  }
+
+  get nDrawn(): number {
+    return this.parts.reduce((sum, { n }) => sum + n, 0);
+  }
+
+  override get bytesRead(): number {
+    return this.hasPages ? this.read : this.opened.bytesRead;
+  }
+
+  override get pages(): { drawn: number; wanted: number } {
+    return { drawn: this.hasPages ? this.drawn.length : 0, wanted: this.wanted.length };
+  }
+
+  override boxes(): Box[] {
+    const levels = this.file.levels;
+    return levels ? this.drawn.map((index) => levels.page(index).core) : super.boxes();
+  }
+
+  centres(): Iterable<Float32Array> {
+    return this.parts.map(({ means }) => means);
+  }
+
+  setShDegree(shDegree: number): void {
+    this.shown = { ...this.shown, shDegree };
+    this.setTable();
+  }
+
+  override setTint(tint: Tint): void {
+    this.shown = { ...this.shown, tint };
+    this.setTable();
+  }
+
+  override antiAliasing(detailPx: number): AntiAliasing {
+    return antiAliasingOf(this.file.declarations, this.hasPages && detailPx > 0);
+  }
+
+  override look(view: CutView, now: number): void {
+    this.view = view;
+    const cut = this.plan();
+    if (!cut) return;
+    const same = cut.draw.length === this.drawn.length && cut.draw.every((index, i) => index === this.drawn[i]);
+    if (same || cut.draw.length === 0) return;
+    if (now - this.rebuilt < kRebuildMs) {
+      this.stage.request();
+      return;
+    }
+    this.rebuilt = now;
+    this.rebuild(cut.draw);
+    this.forget(view.budget);
+  }
+
+  override destroy(): void {
+    this.stop.abort();
+    this.file.close();
+    super.destroy();
+    for (const resource of this.resources) resource.destroy();
+  }
+
+  /** What the view needs, of which some is asked for; more when it has come. */
+  private plan(): Cut | undefined {
+    const { file, view } = this;
+    const { levels } = file;
+    if (!levels || !view || this.stop.signal.aborted) return undefined;
+    const cut = chooseCut((index) => levels.page(index), (index) => this.kept.has(index), view);
+    this.wanted = cut.want.filter((index) => index < file.nPresent && !this.damaged.has(index));
+    for (const index of this.wanted) {
+      if (this.loading.size >= kPagesAtATime) break;
+      if (this.loading.has(index)) continue;
+      void this.fetchPage(index).catch((error: unknown) => {
+        this.fail(error);
+        // A server that is away has its slots for ever; what is damaged is not asked for again.
+        if ((error as { code?: string }).code === "read_failed") return;
+        this.loading.delete(index);
+        this.damaged.add(index);
+      });
+    }
+    return cut;
+  }
+
+  /** What cannot be read is said once; the page goes on with what it has. */
+  private fail(error: unknown): void {
+    if (this.stop.signal.aborted || this.reported) return;
+    this.reported = true;
+    this.onError(error);
+  }
+
+  private async fetchPage(index: number): Promise<void> {
+    const { levels } = this.file;
+    if (!levels) return;
+    this.loading.add(index);
+    const stored = await this.file.readPageStored(index, { signal: this.stop.signal });
+    this.loading.delete(index);
+    this.keep(index, stored);
+    this.plan();
+    this.stage.request();
+  }
+
+  private keep(index: number, stored: StoredGaussians): void {
+    this.kept.set(index, stored);
+    this.read += this.file.levels?.page(index).storedBytes ?? 0;
+  }
+
+  private addPart(part: StoredGaussians): void {
+    if (this.stop.signal.aborted) return;
+    this.parts.push(part);
+    const resource = new RgsResource(this.stage.app.graphicsDevice, [part]);
+    this.resources.push(resource);
+    this.setTableOf(resource);
+    this.add(resource);
+  }
+
+  private rebuild(draw: number[]): void {
+    this.drawn = draw;
+    this.parts = draw.map((index) => this.kept.get(index) as StoredGaussians).filter(({ n }) => n > 0);
+    if (this.parts.length > 0) this.upload();
+  }
+
+  /** Drops pages that were drawn longest ago. */
+  private forget(budget: number): void {
+    for (const index of this.drawn) {
+      const stored = this.kept.get(index) as StoredGaussians;
+      this.kept.delete(index);
+      this.kept.set(index, stored);
+    }
+    let n = 0;
+    for (const { n: count } of this.kept.values()) n += count;
+    for (const [index, stored] of this.kept) {
+      if (n <= kKept * budget || this.drawn.includes(index)) break;
+      if (index !== 0) {
+        this.kept.delete(index);
+        n -= stored.n;
+      }
+    }
+  }
+
+  private upload(): void {
+    const resource = new RgsResource(this.stage.app.graphicsDevice, this.parts);
+    this.resources = [resource];
+    this.setTableOf(resource);
+    this.replace(resource);
+  }
+
+  private setTable(): void {
+    for (const resource of this.resources) this.setTableOf(resource);
+    this.refresh();
+  }
+
+  private setTableOf(resource: RgsResource): void {
+    const { shDegree, tint } = this.shown;
+    resource.setTable(shDegree, tint === "none" || !this.hasPages ? undefined : this.drawn.map((index) => this.colourOf(index, tint)));
+  }
+
+  private colourOf(index: number, tint: Tint): Colour {
+    const page = this.file.levels?.page(index);
+    if (!page) return [0, 0, 0];
+    if (tint === "level") return kLevelColours[page.level % kLevelColours.length] as Colour;
+    const { position, focalPx } = this.view ?? { position: [0, 0, 0], focalPx: 1 };
+    const near = [0, 1, 2].map((i) => Math.max((page.core.min[i] as number) - (position[i] as number), 0, (position[i] as number) - (page.core.max[i] as number)));
+    const errorPx = (page.error * focalPx) / Math.max(1e-9, Math.hypot(...near));
+    const share = Math.min(1, errorPx / 4);
+    return [share, 1 - share, 0.2];
+  }
+}
+

@@ -1,0 +1,162 @@
+// spz.ts - the streams of Niantic's .spz, unfolded. What lies where: converter/formats/spz.cpp.
+// SPDX-License-Identifier: Apache-2.0
+import { decompress } from "fzstd";
+
+const kMagic = 0x5053474e;
+const kHeaderBytes = 16;
+const kHeaderBytesV4 = 32;
+const kFlagAntialiased = 1;
+const kFlagExtensions = 2;
+const kFlags = kFlagAntialiased | kFlagExtensions;
+/** What a file may unfold to, in its own bytes: the limit of rgs-convert. */
+const kMostExpansion = 1032;
+/** Of SH beyond degree 0 a channel, by degree. */
+export const kRest = [0, 3, 8, 15] as const;
+
+export interface Header {
+  version: number;
+  n: number;
+  shDegree: 0 | 1 | 2 | 3;
+  fractionalBits: number;
+  antialiased: boolean;
+}
+
+export interface Streams {
+  positions: Uint8Array;
+  alphas: Uint8Array;
+  colors: Uint8Array;
+  scales: Uint8Array;
+  rotations: Uint8Array;
+  sh: Uint8Array;
+}
+
+function refuse(code: string, text: string, offset: number): Error {
+  return Object.assign(new Error(text), { code, text, offset });
+}
+
+/** Bytes of each stream, decoded, in the file's order. */
+function sizesOf({ version, n, shDegree }: Header): number[] {
+  return [9 * n, n, 3 * n, 3 * n, (version === 2 ? 3 : 4) * n, 3 * kRest[shDegree] * n];
+}
+
+function parseHeader(bytes: Uint8Array, fileBytes: number): Header {
+  if (bytes.length < kHeaderBytes) throw refuse("truncated", "the file ends inside its header", bytes.length);
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  if (view.getUint32(0, true) !== kMagic) throw refuse("bad_magic", "it is not an SPZ file", 0);
+  const [version, n, shDegree] = [view.getUint32(4, true), view.getUint32(8, true), view.getUint8(12)];
+  const [fractionalBits, flags] = [view.getUint8(13), view.getUint8(14)];
+  if (version < 2 || version > 4) throw refuse("unsupported_version", `SPZ of version ${version}; 2, 3 and 4 are known`, 4);
+  if (shDegree > 3) throw refuse("unsupported_feature", "the SH degree is not 0 to 3", 12);
+  if (fractionalBits > 24) throw refuse("bad_header", "more than 24 fractional bits", 13);
+  if ((flags & ~kFlags) !== 0) throw refuse("reserved_bits", "an unknown flag is set", 14);
+  // Some of them change what the streams mean: rgs-convert knows which.
+  if ((flags & kFlagExtensions) !== 0) throw refuse("unsupported_feature", "it has extensions; rgs-convert makes .rgs of it", 14);
+  const header = { version, n, shDegree: shDegree as Header["shDegree"], fractionalBits, antialiased: (flags & kFlagAntialiased) !== 0 };
+  const decoded = sizesOf(header).reduce((sum, size) => sum + size, 0);
+  if (decoded > kMostExpansion * fileBytes + 2 ** 20) throw refuse("limit_exceeded", "more Gaussians than so few bytes can hold", 8);
+  return header;
+}
+
+/** A gzip stream, of which no more than `most` bytes are unfolded. */
+async function gunzip(bytes: Uint8Array<ArrayBuffer>, most: (begin: Uint8Array) => number): Promise<Uint8Array> {
+  const reader = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip")).getReader();
+  let out = new Uint8Array(1 << 16);
+  let done = 0;
+  let limit = Infinity;
+  for (;;) {
+    const next = await reader.read().catch(() => {
+      throw refuse("corrupt_data", "its gzip stream is damaged", 0);
+    });
+    if (next.done) return out.subarray(0, done);
+    const needed = done + next.value.length;
+    if (limit === Infinity && needed >= kHeaderBytes) {
+      const begin = new Uint8Array(needed);
+      begin.set(out.subarray(0, done));
+      begin.set(next.value, done);
+      limit = most(begin);
+    }
+    if (needed > limit) {
+      await reader.cancel();
+      throw refuse("trailing_bytes", "it unfolds to more than its header says", limit);
+    }
+    if (needed > out.length) {
+      const larger = new Uint8Array(Math.max(needed, Math.min(2 * out.length, limit)));
+      larger.set(out.subarray(0, done));
+      out = larger;
+    }
+    out.set(next.value, done);
+    done = needed;
+  }
+}
+
+/** Versions 2 and 3: header and streams in one gzip stream. */
+async function readFolded(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint8Array[]]> {
+  const bytesOf = (header: Header): number => sizesOf(header).reduce((sum, size) => sum + size, kHeaderBytes);
+  const content = await gunzip(bytes, (begin) => bytesOf(parseHeader(begin, bytes.length)));
+  const header = parseHeader(content, bytes.length);
+  if (header.version > 3) throw refuse("unsupported_version", "a gzip stream holds versions 2 and 3", 4);
+  if (content.length < bytesOf(header)) throw refuse("truncated", "the file ends inside a stream", content.length);
+  let at = kHeaderBytes;
+  return [header, sizesOf(header).map((size) => content.subarray(at, (at += size)))];
+}
+
+/** Version 4: a table of streams, each of them one of Zstandard; streams without bytes are not there. */
+function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
+  const header = parseHeader(bytes, bytes.length);
+  if (header.version !== 4) throw refuse("unsupported_version", "versions 2 and 3 are gzip streams", 4);
+  if (bytes.length < kHeaderBytesV4) throw refuse("truncated", "the file ends inside its header", bytes.length);
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  const sizes = sizesOf(header);
+  const nStreams = view.getUint8(15);
+  const table = view.getUint32(16, true);
+  if (nStreams !== sizes.length - (header.shDegree === 0 ? 1 : 0)) throw refuse("bad_header", "the number of streams is wrong", 15);
+  if (table < kHeaderBytesV4 || table + 16 * nStreams > bytes.length) throw refuse("bad_header", "the table of streams is not in the file", 16);
+  let at = table + 16 * nStreams;
+  const streams = sizes.map((size, i) => {
+    if (i >= nStreams) return new Uint8Array(0);
+    const entry = table + 16 * i;
+    const stored = Number(view.getBigUint64(entry, true));
+    if (Number(view.getBigUint64(entry + 8, true)) !== size) throw refuse("size_mismatch", "a stream has another size than it must have", entry + 8);
+    if (stored > bytes.length - at) throw refuse("truncated", "a stream reaches beyond the end of the file", entry);
+    const begin = at;
+    at += stored;
+    let stream: Uint8Array;
+    try {
+      stream = size === 0 ? new Uint8Array(0) : decompress(bytes.subarray(begin, at), new Uint8Array(size));
+    } catch {
+      throw refuse("corrupt_data", "a stream cannot be unfolded", begin);
+    }
+    if (stream.length !== size) throw refuse("corrupt_data", "a stream unfolds to another size than it must have", begin);
+    return stream;
+  });
+  return [header, streams];
+}
+
+/** x, y, z of 8 bits, as version 2 has them, to the smallest three of 9 bits with a sign: 4 bytes. */
+export function smallestThree(rotations: Uint8Array): Uint8Array {
+  const n = rotations.length / 3;
+  const out = new Uint32Array(n);
+  for (let i = 0; i < n; ++i) {
+    const q = [0, 1, 2].map((c) => (rotations[3 * i + c] as number) / 127.5 - 1);
+    q.push(Math.sqrt(Math.max(0, 1 - q.reduce((sum, value) => sum + value * value, 0))));
+    const length = Math.hypot(...q);
+    const largest = q.reduce((best, value, c) => (Math.abs(value) > Math.abs(q[best] as number) ? c : best), 0);
+    const sign = (q[largest] as number) < 0 ? -1 : 1;
+    let word = largest;
+    for (let c = 0; c < 4; ++c) {
+      if (c === largest) continue;
+      const value = (sign * (q[c] as number)) / length;
+      word = ((word << 10) | (value < 0 ? 0x200 : 0) | Math.min(511, Math.round(Math.abs(value) * Math.SQRT2 * 511))) >>> 0;
+    }
+    out[i] = word;
+  }
+  return new Uint8Array(out.buffer);
+}
+
+/** Errors have `code`, `text` and `offset` as those of @roofgs/reader; offsets of versions 2 and 3 are those of the unfolded stream. */
+export async function unfoldSpz(contents: ArrayBuffer): Promise<{ header: Header; streams: Streams }> {
+  const bytes = new Uint8Array(contents);
+  const [header, streams] = bytes[0] === 0x1f ? await readFolded(bytes) : readStreams(bytes);
+  const [positions, alphas, colors, scales, rotations, sh] = streams as [Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array, Uint8Array];
+  return { header, streams: { positions, alphas, colors, scales, rotations: header.version === 2 ? smallestThree(rotations) : rotations, sh } };
+}
