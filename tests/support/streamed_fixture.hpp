@@ -74,14 +74,15 @@ inline constexpr double kLong = 600;
 
 /// Bytes in memory, with what can be wrong with a source.
 struct Script {
-  std::atomic<int> delay_us{0};                         ///< of each read
-  std::atomic<int> fails_every{0};                      ///< n: each n-th read is read_failed
-  std::atomic<bool> fails{false};                       ///< all reads are
-  std::atomic<int> fails_next{0};                       ///< so many reads are
-  std::atomic<std::uint64_t> gone_from{0}, gone_to{0};  ///< bytes that cannot be read
-  std::atomic<bool> is_shut{false};                     ///< reads wait
-  std::atomic<std::uint64_t> flip_from{0}, flip_to{0};  ///< bytes that come flipped
-  std::atomic<bool> flips_once{false};                  ///< only the first read of them
+  std::atomic<int> delay_us{0};                                         ///< of each read
+  std::atomic<int> fails_every{0};                                      ///< n: each n-th read is read_failed
+  std::atomic<bool> fails{false};                                       ///< all reads are
+  std::atomic<int> fails_next{0};                                       ///< so many reads are
+  std::atomic<std::uint64_t> gone_from{0}, gone_to{0};                  ///< bytes that cannot be read
+  std::atomic<bool> is_shut{false};                                     ///< reads wait
+  std::atomic<std::uint64_t> shut_from{0}, shut_to{~std::uint64_t{0}};  ///< but for those that have none of these bytes
+  std::atomic<std::uint64_t> flip_from{0}, flip_to{0};                  ///< bytes that come flipped
+  std::atomic<bool> flips_once{false};                                  ///< only the first read of them
   std::atomic<int> n_reads{0}, n_at_once{0}, most_at_once{0}, n_flipped{0};
   std::atomic<std::uint64_t> n_bytes{0};
   std::mutex mutex;
@@ -129,11 +130,12 @@ class ScriptedSource final : public ByteSource {
     s.n_bytes += out.size();
     {
       std::unique_lock lock(s.mutex);
+      const bool is_free = offset >= s.shut_to || offset + out.size() <= s.shut_from;
       ++s.n_held;
-      s.opened.wait(lock, [&] { return !s.is_shut || s.n_allowed > 0 || s.is_cancelled; });
+      s.opened.wait(lock, [&] { return is_free || !s.is_shut || s.n_allowed > 0 || s.is_cancelled; });
       --s.n_held;
       if (s.is_cancelled) return make_error(Errc::cancelled, offset, "cancelled");
-      if (s.is_shut) --s.n_allowed;
+      if (s.is_shut && !is_free) --s.n_allowed;
     }
     if (s.delay_us > 0) std::this_thread::sleep_for(std::chrono::microseconds(s.delay_us));
     if (s.fails || (s.fails_every > 0 && number % s.fails_every == 0))

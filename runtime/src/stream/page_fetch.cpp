@@ -47,7 +47,9 @@ void StreamedState::find_wants(bool now) {
           [&](std::uint32_t group, float px) { list.add(group, rank(group, px)); }, view->soon->detail_px);
       list.order();
     }
-    list.tidy(*residency);
+    if (now) {
+      list.rank_put_off([&](std::uint32_t group) { return rank(group, residency->wanted_px(group, *view->now)); });
+    }
     const bool is_used_up = list.wants().empty() || list.wants().front().rank < 0;
     if (now && is_used_up && list.is_cut_off()) cut(*view, nullptr);
     view->next_want = 0;
@@ -57,6 +59,7 @@ void StreamedState::find_wants(bool now) {
 // The best group that there is room for, and what lies beside it.
 StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
   find_wants(now);
+  const auto list_of = [now](StreamView& view) -> WantList& { return now ? view.wants : view.soon_wants; };
   bool is_refused = false, is_pinned = false;
   std::uint64_t could_go = pool->pages_budget();  // for the next want, at most
   for (int looks = 0;;) {
@@ -64,16 +67,18 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
     WantList::Want want{};
     for (const auto& view : views) {
       if (!view->is_live || (!now && !view->soon)) continue;
-      const auto wants = (now ? view->wants : view->soon_wants).wants();
+      const auto wants = list_of(*view).wants();
       if (view->next_want == wants.size()) continue;
       if (best != nullptr && wants[view->next_want].rank <= want.rank) continue;
       best = view.get();
       want = wants[view->next_want];
     }
     if (best == nullptr) break;
+    if (!residency->is_open(want.group)) {  // of a camera that has moved on since it came into the list
+      list_of(*best).erase_at(best->next_want);
+      continue;
+    }
     ++best->next_want;
-    // Evictions since then may have changed what is there.
-    if (residency->state(want.group) != Residency::State::absent || !residency->has(want.group)) continue;
     const Worth own = worth(want.group);
     if (own.px <= 0 || is_put_off(want.group, run)) continue;
     if (residency->is_known(want.group)) {
@@ -100,6 +105,7 @@ StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
     for (const WantList::Want& want : view->wants.wants()) {
       const int n_times = residency->is_known(want.group) ? residency->n_failed(want.group) : n_table_failures;
       if (n_times > least || (n_times == least && want.rank <= chosen.rank)) continue;
+      if (!residency->is_open(want.group)) continue;
       if (is_put_off(want.group, run)) continue;
       least = n_times;
       chosen = want;
@@ -150,10 +156,28 @@ StreamedState::Choice StreamedState::choose(Run& run) {
   // With the last of it, its hash is compared. Not beside what a view waits for: its bytes would share the line.
   if (choice == Choice::nothing && n_at_work == 0 && !views.empty()) choice = claim_table(traits.most_bytes, run);
   if (choice == Choice::pinned) pool->waits_for_pins = true;
+  if (choice == Choice::pinned || choice == Choice::no_room) pool->lacks_room = true;
   if (choice == Choice::run || choice == Choice::table) return choice;
   if (run.later != StreamClock::time_point::max()) return Choice::later;
   if (choice == Choice::nothing || choice == Choice::no_room) settled_at = pool->changes;
   return choice;
+}
+
+// Of what is wanted, that a run may have: threads that have nothing to do get theirs.
+std::uint32_t StreamedState::share(bool now) const {
+  std::size_t n = 1;  // is requested already
+  for (const auto& view : views) {
+    if (view->is_live) n += (now ? view->wants : view->soon_wants).wants().size();
+  }
+  const auto n_others = static_cast<std::size_t>(n_at_work);
+  const std::size_t n_idle = readers.size() > n_others ? readers.size() - n_others : 1;
+  return static_cast<std::uint32_t>(std::min<std::size_t>((n + n_idle - 1) / n_idle, kMostGroups));
+}
+
+bool StreamedState::has_wants() const {
+  return std::ranges::any_of(views, [](const auto& view) {
+    return view->is_live && !(view->wants.wants().empty() && (!view->soon || view->soon_wants.wants().empty()));
+  });
 }
 
 // Groups of the pages before and after lie before and after in the file.
@@ -164,10 +188,10 @@ void StreamedState::extend(Run& run, const Worth& best) {
     const StoredPage& last = file->stored(pages[group].first_child + pages[group].n_children - 1);
     return last.offset + last.stored_bytes;
   };
+  const std::uint32_t most_groups = share(best.now);
   const auto takes = [&](std::uint32_t group, std::uint64_t begin, std::uint64_t end, std::uint64_t gap) {
-    if (run.n == kMostGroups || end - begin > traits.most_bytes || gap > traits.gap_bytes) return false;
-    if (residency->state(group) != Residency::State::absent || !residency->has(group)) return false;
-    if (residency->n_failed(group) > 0) return false;
+    if (run.n == most_groups || end - begin > traits.most_bytes || gap > traits.gap_bytes) return false;
+    if (!residency->is_open(group) || residency->n_failed(group) > 0) return false;
     const Worth own = worth(group);
     if (own.now != best.now || own.px <= 0 || own.px < kSideShare * best.px) return false;
     if (pool->take_pages(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
@@ -198,6 +222,8 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
   const lod::Page last = page_of(run.first + run.n - 1);
   const std::uint32_t end = last.first_child + last.n_children;
   reader.begin_run();
+  std::uint32_t told = run.first;  // groups before it have arrived, or failed
+  FileRange known;                 // bytes of the last that was read
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
     const lod::Page above = page_of(group);
     Status read = guard_memory([&]() -> Status {
@@ -209,18 +235,27 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     // What has failed, too: its slots are others' from here on.
     const Status there = reader.finish();
     if (read) read = there;
-    std::unique_lock lock(pool->mutex);
-    stats.bytes_read += reader.take_bytes_read();
-    if (read) {
-      readable = reader.last_read();
-      succeed();
-      placed(group);
-      if (n_waiting > 0) pool->news.notify_all();
-      continue;
+    if (read) known = reader.last_read();
+    // A frame has the lock for as long as it chooses its pages, a millisecond or two: meanwhile the next group is decoded.
+    std::unique_lock lock(pool->mutex, std::defer_lock);
+    if (read && group + 1 < run.first + run.n) {
+      if (!lock.try_lock()) continue;
+    } else {
+      lock.lock();
     }
-    give_room(group);
+    stats.bytes_read += reader.take_bytes_read();
+    const std::uint32_t end_of_read = read ? group + 1 : group;
+    if (told < end_of_read) {
+      readable = known;
+      succeed();
+    }
+    for (; told < end_of_read; ++told) arrived(told);
+    if (read) continue;
+    told = group + 1;
+    give_up(group);
     if (is_damage(read.error().code)) {
       residency->refuse(group);
+      drop_below(group);
       if (damage) damage = read;
       pool->changed();
       continue;
@@ -228,12 +263,10 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     // Without bytes or memory now. What is left of the run is put off with it.
     const std::uint32_t now = milliseconds(StreamClock::now());
     for (std::uint32_t again = group; again < run.first + run.n; ++again) {
-      if (again > group) give_room(again);
+      if (again > group) give_up(again);
       residency->fail(again, now);
-      for (const auto& view : views) {
-        if (const float px = residency->wanted_px(again, *view->now); px > 0)
-          view->wants.insert(again, rank(again, px));
-      }
+      drop_below(again);
+      if (residency->is_open(again)) want(again);
     }
     const int n_times = residency->n_failed(group);
     lock.unlock();
@@ -263,7 +296,7 @@ bool StreamedState::is_put_off(std::uint32_t group, Run& run) const {
 }
 
 float StreamedState::rank(std::uint32_t group, float px) const {
-  return put_off_for(group) > 0s ? -1 / px : px;
+  return put_off_for(group) > 0s ? put_off_rank(px) : px;
 }
 
 void StreamedState::succeed() {
@@ -349,7 +382,7 @@ void StreamedState::work_until_stopped(PageReader& reader) {
     if (choice == Choice::run || choice == Choice::table) {
       ++n_at_work;
       is_extending = is_extending || choice == Choice::table;
-      work.notify_one();  // there may be more to do
+      if (has_wants()) work.notify_one();
       const std::uint64_t begun = n_failed;
       lock.unlock();
       if (choice == Choice::table) {
@@ -362,7 +395,9 @@ void StreamedState::work_until_stopped(PageReader& reader) {
       continue;
     }
     if (n_waiting > 0) pool->news.notify_all();
-    const auto is_awake = [this, seen = pool->changes] { return is_stopping || pool->changes != seen; };
+    const auto is_awake = [this, seen = pool->changes, requested = n_requested] {
+      return is_stopping || pool->changes != seen || n_requested != requested;
+    };
     if (choice == Choice::later) {
       work.wait_until(lock, run.later, is_awake);
     } else {

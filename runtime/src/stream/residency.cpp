@@ -39,14 +39,14 @@ void Residency::set_there(std::uint32_t group, bool is_there) {
 }
 
 void Residency::request(std::uint32_t group) {
-  assert(state(group) == State::absent && has(group));
+  assert(is_open(group));
   groups_[group].state = State::requested;
   set_there(group, true);
   add_below(group, 1);
 }
 
 void Residency::drop(std::uint32_t group) {
-  assert(state(group) == State::requested);
+  assert(state(group) == State::requested || state(group) == State::arrived);
   groups_[group].state = State::absent;
   set_there(group, false);
   add_below(group, -1);
@@ -64,8 +64,13 @@ void Residency::refuse(std::uint32_t group) {
   groups_[group].state = State::refused;
 }
 
+void Residency::arrive(std::uint32_t group) {
+  assert(state(group) == State::requested && waits_for_above(group));
+  groups_[group].state = State::arrived;
+}
+
 void Residency::place(std::uint32_t group) {
-  assert(state(group) == State::requested);
+  assert((state(group) == State::requested || state(group) == State::arrived) && has(group));
   groups_[group].state = State::resident;
   groups_[group].n_failed = 0;
   // Never younger than what is above it, which goes later.
@@ -76,10 +81,10 @@ void Residency::place(std::uint32_t group) {
 
 void Residency::evict(std::uint32_t group) {
   assert(can_evict(group));
+  if (state(group) == State::resident) n_resident_ -= pages_[group].n_children;
   groups_[group].state = State::absent;
   set_there(group, false);
   add_below(group, -1);
-  n_resident_ -= pages_[group].n_children;
 }
 
 void Residency::pin(std::span<const std::uint32_t> pages) {

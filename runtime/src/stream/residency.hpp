@@ -33,12 +33,13 @@ inline bool outranks(const Worth& a, const Worth& b) {
 
 /// The pages of a tree in groups: the children of one page come and go together, since none of them can be drawn without the others. Group
 /// `page` are the children of `page`; the root is there always. A group is resident only if the page above it is, and so are all ancestors:
-/// every place is covered by something that can be drawn.
+/// every place is covered by something that can be drawn. It may be requested as soon as the page above is.
 class Residency {
  public:
   enum class State : std::uint8_t {
     absent,
     requested,  ///< on its way
+    arrived,    ///< all of it is there, but not yet the page above
     resident,
     refused,  ///< damaged: never asked for again
   };
@@ -67,12 +68,25 @@ class Residency {
   std::uint64_t n_resident() const { return n_resident_; }  ///< pages, the root among them
   std::uint32_t last_used(std::uint32_t group) const { return groups_[group].last_used; }
 
+  /// Whether the page above is on its way.
+  bool waits_for_above(std::uint32_t group) const {
+    if (group == 0) return false;
+    const State above = state(group_of(group));
+    return above == State::requested || above == State::arrived;
+  }
+  /// Absent, and may be requested. Not below what has failed and is asked for again: that may fail again.
+  bool is_open(std::uint32_t group) const {
+    if (state(group) != State::absent) return false;
+    return has(group) || (waits_for_above(group) && n_failed(group_of(group)) == 0);
+  }
+
   // From one state to another.
-  void request(std::uint32_t group);  ///< absent -> requested
-  void drop(std::uint32_t group);     ///< requested -> absent
+  void request(std::uint32_t group);  ///< absent -> requested; is_open()
+  void drop(std::uint32_t group);     ///< requested or arrived -> absent
   void refuse(std::uint32_t group);   ///< requested -> refused
-  void place(std::uint32_t group);    ///< requested -> resident, as old as what is above
-  void evict(std::uint32_t group);    ///< resident -> absent; can_evict()
+  void arrive(std::uint32_t group);   ///< requested -> arrived; waits_for_above()
+  void place(std::uint32_t group);    ///< requested or arrived -> resident, as old as what is above, which is
+  void evict(std::uint32_t group);    ///< resident or arrived -> absent; can_evict()
 
   /// requested -> absent: it could not be read at this time, of a clock of the caller's.
   void fail(std::uint32_t group, std::uint32_t time);
@@ -83,14 +97,14 @@ class Residency {
   /// Pages that a frame draws stay.
   void pin(std::span<const std::uint32_t> pages);
   void unpin(std::span<const std::uint32_t> pages);
-  /// Resident, nothing of it pinned, and nothing below it there or on its way.
+  /// All of it there, drawable or not, nothing of it pinned, and nothing below it there or on its way.
   bool can_evict(std::uint32_t group) const {
     const Group& g = groups_[group];
-    return g.state == State::resident && g.pins == 0 && g.n_below == 0;
+    return is_whole(g) && g.pins == 0 && g.n_below == 0;
   }
 
   /// Calls f(group) of all groups that could be evicted one after the other, those below first, as far as may_go(group) allows, which is
-  /// asked of every resident one.
+  /// asked of every one that is resident or has arrived.
   template <class MayGo, class F>
   void for_each_evictable(const MayGo& may_go, const F& f);
 
@@ -101,10 +115,11 @@ class Residency {
     std::uint64_t missing =
         0;  ///< pages that the view wants and are not drawn, since they are not there or `eye` wants less
     std::uint64_t damaged = 0;  ///< of these, refused, or never to be known
+    std::uint64_t coming = 0;   ///< groups that the view wants and are on their way
     double reached_px = 0;      ///< largest projected error
   };
-  /// Calls draw(page), until it says false, and want(group, px) for what is absent. Pages that cannot show are left out. `tick`: the time,
-  /// for last_used(). `asked_px`: the detail that missing pages are counted by, at most that of `eye`.
+  /// Calls draw(page), until it says false, and want(group, px) for what is_open(), below groups that are on their way too. Pages that cannot
+  /// show are left out. `tick`: the time, for last_used(). `asked_px`: the detail that missing pages are counted by, at most that of `eye`.
   template <class Draw, class Want>
   Cut cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want, float asked_px);
 
@@ -117,11 +132,16 @@ class Residency {
     std::uint32_t pins = 0;
     std::uint32_t failed_at = 0;  // if n_failed > 0
     std::uint8_t n_failed = 0;
-    std::uint8_t n_below = 0;  // groups of its pages that are requested or resident
+    std::uint8_t n_below = 0;  // groups of its pages that are requested, arrived or resident
     State state = State::absent;
     bool blocked = false;  // by something below, during for_each_evictable()
   };
   static constexpr std::uint32_t kNoGroup = lod::kNoPage;
+  static bool is_whole(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
+
+  /// Of a group that a view wants and has not, with such an error: calls want(), or looks at what is below. Adds to cut.coming.
+  template <class Want>
+  void look_below(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const;
 
   std::uint32_t group_of(std::uint32_t page) const {
     return pages_[page].parent;
@@ -132,7 +152,7 @@ class Residency {
 
   const std::vector<lod::Page>& pages_;
   std::vector<Group> groups_;         // [n_pages]; leaves have none
-  std::vector<std::uint64_t> there_;  // a bit a group, requested or resident: of very many pages few may be
+  std::vector<std::uint64_t> there_;  // a bit a group, requested, arrived or resident: of very many pages few may be
   std::uint32_t n_groups_ = 0;
   bool is_broken_ = false;
   std::uint64_t n_resident_ = 1;
@@ -143,7 +163,7 @@ float error_px(const lod::Page& page, double footprint);
 
 template <class MayGo, class F>
 void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
-  // Pages below have larger numbers. What is above a group that is there is there, too.
+  // Pages below have larger numbers. What is above a group that is there is there, or on its way.
   for (std::size_t w = 0; w < there_.size(); ++w) {
     for (std::uint64_t left = there_[w]; left != 0; left &= left - 1)
       groups_[64 * w + static_cast<std::size_t>(std::countr_zero(left))].blocked = false;
@@ -154,12 +174,23 @@ void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
       left &= ~(std::uint64_t{1} << bit);
       const auto i = static_cast<std::uint32_t>(64 * w + static_cast<std::size_t>(bit));
       const Group& g = groups_[i];
-      if (g.state == State::resident && may_go(i) && g.pins == 0 && !g.blocked) {
+      if (is_whole(g) && may_go(i) && g.pins == 0 && !g.blocked) {
         f(i);
         continue;
       }
       if (const std::uint32_t above = group_of(i); above != kNoGroup) groups_[above].blocked = true;
     }
+  }
+}
+
+template <class Want>
+void Residency::look_below(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const {
+  if (is_open(group)) want(group, px);
+  if (state(group) != State::requested && state(group) != State::arrived) return;
+  ++cut.coming;
+  const std::uint32_t end = pages_[group].first_child + pages_[group].n_children;
+  for (std::uint32_t child = pages_[group].first_child; child < end && child < n_groups_; ++child) {
+    if (const float below_px = wanted_px(child, eye); below_px > 0) look_below(child, below_px, eye, want, cut);
   }
 }
 
@@ -188,7 +219,7 @@ Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Dr
       if (page.n_children > 0 && !lod::is_fine_enough(page.error, asked_px, footprint)) {
         cut.missing += page.n_children;
         if (groups_[i].state == State::refused || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
-        if (!is_fine && groups_[i].state == State::absent) want(i, px);
+        if (!is_fine) look_below(i, px, eye, want, cut);
       }
     }
     // The next in the order of leaves that is not below this one.

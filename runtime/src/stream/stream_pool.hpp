@@ -36,6 +36,7 @@ struct StreamPoolState {
   std::uint32_t tick = 0;                 ///< of frames
   const StreamView* last_view = nullptr;  ///< that a frame or a caller has seen, of all scenes
   bool waits_for_pins = false;            ///< something would have room if no frame were at work
+  bool lacks_room = false;                ///< something had none when it was last looked for
   std::vector<StreamedState*> scenes;
 
   enum class Room : std::uint8_t {

@@ -205,7 +205,8 @@ StreamedState::~StreamedState() {
     if (pool->last_view == view.get()) pool->last_view = nullptr;
   }
   for (std::uint32_t group = 0; residency && group < residency->n_groups(); ++group) {
-    if (residency->state(group) == Residency::State::resident) given_pages += group_bytes(group);
+    const Residency::State there = residency->state(group);
+    if (there == Residency::State::resident || there == Residency::State::arrived) given_pages += group_bytes(group);
   }
   views.clear(), readers.clear();
   store.reset();

@@ -85,20 +85,26 @@ void WantList::order() {
   std::ranges::stable_sort(wants_, is_more);
 }
 
+std::vector<WantList::Want>::iterator WantList::find(const Want& want) {
+  const auto [begin, end] = std::equal_range(wants_.begin(), wants_.end(), want, is_more);
+  const auto at = std::find_if(begin, end, [&](const Want& other) { return other.group == want.group; });
+  return at == end ? wants_.end() : at;
+}
+
 void WantList::insert(std::uint32_t group, float rank) {
-  std::erase_if(wants_, [&](const Want& want) { return want.group == group; });
+  const Want want{rank, group};
+  if (find(want) != wants_.end()) return;
   if (wants_.size() == kMost) {
     is_cut_off_ = true;
     if (!(rank > wants_.back().rank)) return;
     wants_.pop_back();
   }
-  wants_.insert(std::ranges::upper_bound(wants_, Want{rank, group}, is_more), {rank, group});
+  wants_.insert(std::ranges::upper_bound(wants_, want, is_more), want);
 }
 
-void WantList::tidy(const Residency& residency) {
-  std::erase_if(wants_, [&](const Want& want) {
-    return residency.state(want.group) != Residency::State::absent || !residency.has(want.group);
-  });
+void WantList::erase(std::uint32_t group, float rank) {
+  const auto at = find({rank, group});
+  if (at != wants_.end()) wants_.erase(at);
 }
 
 std::uint64_t StreamedState::list_bytes(std::size_t n) const {
@@ -131,9 +137,56 @@ Worth StreamedState::worth(std::uint32_t group) const {
 }
 
 void StreamedState::requested(std::uint32_t group) {
+  forget_want(group);
   residency->request(group);
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t k = 0; k < above.n_children; ++k) store->reserve(above.first_child + k);
+  for (const auto& view : views) view->n_coming += residency->wanted_px(group, *view->now) > 0;
+  want_below(group);
+  ++n_requested;
+}
+
+void StreamedState::give_up(std::uint32_t group) {
+  no_longer_coming(group);
+  give_room(group);
+}
+
+void StreamedState::no_longer_coming(std::uint32_t group) {
+  for (const auto& view : views) {
+    // The last cut may have missed one whose box is at the edge of the view.
+    if (view->n_coming > 0 && residency->wanted_px(group, *view->now) > 0) --view->n_coming;
+  }
+}
+
+void StreamedState::want(std::uint32_t group) {
+  for (const auto& view : views) {
+    if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, rank(group, px));
+    if (!view->soon) continue;
+    if (const float px = residency->wanted_px(group, *view->soon); px > 0)
+      view->soon_wants.insert(group, rank(group, px));
+  }
+}
+
+// As far as lists are of the cameras as they are: choose_among() finds the rest.
+void StreamedState::forget_want(std::uint32_t group) {
+  const auto forget = [&](WantList& list, const StreamEye& eye) {
+    const float px = residency->wanted_px(group, eye);
+    if (px <= 0) return;
+    list.erase(group, px);
+    if (residency->n_failed(group) > 0) list.erase(group, put_off_rank(px));
+  };
+  for (const auto& view : views) {
+    forget(view->wants, *view->now);
+    if (view->soon) forget(view->soon_wants, *view->soon);
+  }
+}
+
+void StreamedState::want_below(std::uint32_t group) {
+  const lod::Page& above = file->pages()[group];
+  const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
+  for (std::uint32_t child = above.first_child; child < end; ++child) {
+    if (residency->is_open(child)) want(child);
+  }
 }
 
 void StreamedState::give_room(std::uint32_t group) {
@@ -142,37 +195,80 @@ void StreamedState::give_room(std::uint32_t group) {
   pool->give_pages(group_bytes(group));
 }
 
-void StreamedState::evict(std::uint32_t group) {
-  residency->evict(group);
+void StreamedState::count_evicted(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
     stats.bytes_evicted += file->decoded_bytes(child);
   }
+}
+
+void StreamedState::evict(std::uint32_t group) {
+  if (residency->state(group) == Residency::State::arrived) no_longer_coming(group);
+  residency->evict(group);
+  count_evicted(group);
   give_room(group);
+  drop_below(group);
+  // Not if the page above has failed meanwhile.
   for (const auto& view : views) {
-    if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, px);
+    if (!residency->is_open(group)) break;
+    if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, rank(group, px));
   }
   pool->changed();
 }
 
-void StreamedState::placed(std::uint32_t group) {
-  residency->place(group);
+void StreamedState::arrived(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
     stats.bytes_decoded += file->decoded_bytes(child);
     if (store->is_on_device()) stats.bytes_uploaded += file->decoded_bytes(child);
   }
   for (const auto& view : views) {
-    for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
-      if (child >= residency->n_groups()) break;
-      if (const float px = residency->wanted_px(child, *view->now); px > 0) view->wants.insert(child, rank(child, px));
-      if (!view->soon) continue;
-      if (const float px = residency->wanted_px(child, *view->soon); px > 0)
-        view->soon_wants.insert(child, rank(child, px));
-    }
     if (residency->wanted_px(group, *view->now) > 0) view->failures.n = 0;
   }
-  pool->changed();
+  if (residency->has(group)) {
+    placed(group);
+  } else if (residency->waits_for_above(group)) {
+    residency->arrive(group);
+  } else {
+    drop(group);
+  }
+  // What is there may give room to another, and what is dropped does.
+  if (std::exchange(pool->lacks_room, false)) pool->changed();
+  if (n_waiting > 0 &&
+      std::ranges::any_of(views, [](const auto& view) { return view->n_busy > 0 && view->has_come(); }))
+    pool->news.notify_all();
+}
+
+void StreamedState::placed(std::uint32_t group) {
+  no_longer_coming(group);
+  const bool has_failed = residency->n_failed(group) > 0;
+  residency->place(group);
+  if (has_failed) {  // what is below it was not asked for before
+    want_below(group);
+    pool->changed();
+  }
+  const lod::Page& above = file->pages()[group];
+  const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
+  for (std::uint32_t child = above.first_child; child < end; ++child) {
+    if (residency->state(child) == Residency::State::arrived) placed(child);
+  }
+}
+
+// Of what is still being read its thread finds out.
+void StreamedState::drop_below(std::uint32_t group) {
+  const lod::Page& above = file->pages()[group];
+  const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
+  for (std::uint32_t child = above.first_child; child < end; ++child) {
+    forget_want(child);
+    if (residency->state(child) == Residency::State::arrived) drop(child);
+  }
+}
+
+void StreamedState::drop(std::uint32_t group) {
+  give_up(group);
+  count_evicted(group);
+  residency->drop(group);
+  drop_below(group);
 }
 
 void StreamedState::look_at_clock(StreamClock::time_point now) {
@@ -281,6 +377,7 @@ Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
         view.now->detail_px);
     if (cut.fits) {
       view.wants.order();
+      view.n_coming = cut.coming;
       return cut;
     }
     if (grow(*lists)) continue;
@@ -383,8 +480,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     s.pool->news.wait_until(lock, deadline, [&] {
       if (is_settled() || fails_for_long()) return true;
       if (cut.missing == 0) return !s.can_extend();
-      view.wants.tidy(*s.residency);
-      return view.wants.wants().empty() && s.residency->n_resident() != n_resident;
+      return view.has_come() && s.residency->n_resident() != n_resident;
     });
   }
 }

@@ -28,7 +28,8 @@ namespace rgs::detail {
 
 using StreamClock = std::chrono::steady_clock;
 
-/// Groups that a view misses, most projected error first (StreamedState::rank()); of very many the first.
+/// Groups that a view misses and that are open, most projected error first (StreamedState::rank()); of very many the first. Whoever
+/// changes what is open changes the lists (StreamedState::want(), forget_want()): nobody has to go through them.
 class WantList {
  public:
   struct Want {
@@ -42,18 +43,34 @@ class WantList {
   void clear() { wants_.clear(), is_cut_off_ = false; }
   void add(std::uint32_t group, float rank);
   void order();
-  /// One more, or one that is there, in its place.
+  /// One more, unless it is there with that rank.
   void insert(std::uint32_t group, float rank);
-  /// Forgets those that are no longer absent.
-  void tidy(const Residency& residency);
+  /// One less, if it is there with that rank.
+  void erase(std::uint32_t group, float rank);
+  void erase_at(std::size_t i) { wants_.erase(wants_.begin() + static_cast<std::ptrdiff_t>(i)); }
+  /// rank(group) of those that were put off: for some the pause may be over.
+  template <class Rank>
+  void rank_put_off(const Rank& rank);
   std::span<const Want> wants() const { return wants_; }
   /// There were more.
   bool is_cut_off() const { return is_cut_off_; }
 
  private:
+  std::vector<Want>::iterator find(const Want& want);  // end: it is not there
+
   std::vector<Want> wants_;
   bool is_cut_off_ = false;
 };
+
+template <class Rank>
+void WantList::rank_put_off(const Rank& rank) {
+  bool is_raised = false;
+  for (auto want = wants_.rbegin(); want != wants_.rend() && want->rank < 0; ++want) {
+    const float now = rank(want->group);
+    if (now > 0) want->rank = now, is_raised = true;
+  }
+  if (is_raised) order();
+}
 
 /// What a renderer draws of a scene, wherever its camera is.
 struct StreamRule {
@@ -101,6 +118,7 @@ struct StreamView {
   std::optional<StreamEye> now;
   std::optional<StreamEye> soon;  ///< where the camera is about to be
   WantList wants, soon_wants;
+  std::uint64_t n_coming = 0;  ///< groups that it wants and are on their way; never more than there are
   bool is_soon_known = false;  ///< soon_wants are those of `soon`, or of one a few frames ago
   int soon_frames = 0;         ///< since they were
   std::size_t next_want = 0;   ///< of either list, while one is chosen
@@ -111,6 +129,9 @@ struct StreamView {
   bool is_lasting = false;     ///< what failed last of them has done so often, or the source
   Status trouble;              ///< the last of them
   std::uint64_t bytes = 0;     ///< taken from the pool, but for lists
+
+  /// Nothing of what it wants is on its way or can be asked for.
+  bool has_come() const { return wants.wants().empty() && n_coming == 0; }
 };
 
 struct StreamedState {
@@ -134,8 +155,9 @@ struct StreamedState {
   std::uint64_t bytes = 0;  // taken from the pool, but for pages and views
   std::vector<std::unique_ptr<StreamView>> views;
   StreamStats stats;
-  std::condition_variable work;  // for threads that read: `pool->changes` grew
-  Status damage, trouble;        // of a page; of reading, while it lasts
+  std::condition_variable work;   // for threads that read: `pool->changes` or n_requested grew
+  std::uint64_t n_requested = 0;  // groups, all that ever were: each opens what is below it
+  Status damage, trouble;         // of a page; of reading, while it lasts
   Failures failures;
   std::uint64_t n_failed = 0;  // reads, all that ever did
   StreamClock::time_point failed_at{};
@@ -173,8 +195,14 @@ struct StreamedState {
   std::uint64_t list_bytes(std::size_t n_pages) const;
   void requested(std::uint32_t group);  // its room is taken
   void give_room(std::uint32_t group);  // of pages that are not drawn
+  void want(std::uint32_t group);       // is open: in the lists of views that want it
+  void forget_want(std::uint32_t group);
+  void want_below(std::uint32_t group);
+  void no_longer_coming(std::uint32_t group);
+  void give_up(std::uint32_t group);  // on its way until now, and its room others'
   Worth worth(std::uint32_t group) const;
   void evict(std::uint32_t group);  // and gives its memory back
+  void count_evicted(std::uint32_t group);
   /// Views that count are those of frames at work and of the last second, and the pool's last.
   void look_at_clock(StreamClock::time_point now);
   void forget_old_views();
@@ -209,7 +237,12 @@ struct StreamedState {
   Choice claim(std::uint32_t group, const Worth& own, Run& run);
   Choice claim_table(std::uint64_t n, Run& run);
   void extend(Run& run, const Worth& best);
-  void placed(std::uint32_t group);
+  std::uint32_t share(bool now) const;
+  bool has_wants() const;
+  void arrived(std::uint32_t group);     // all of it is there: draws it, or waits for the page above
+  void placed(std::uint32_t group);      // the page above is there, too
+  void drop(std::uint32_t group);        // all of it is there, in vain
+  void drop_below(std::uint32_t group);  // does not come: nor does what waits for it
   void fetch(PageReader& reader, const Run& run, std::uint64_t begun);
   void extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun);
   /// Without the lock. `failed`: of the table if it has no groups; `n_times`: that it has failed, this one too; `begun`: n_failed when
@@ -224,6 +257,7 @@ struct StreamedState {
   bool is_put_off(std::uint32_t group, Run& run) const;  ///< and run.later knows it
   /// Of a want in its list: its projected error; negative if it is put off, and after all others.
   float rank(std::uint32_t group, float px) const;
+  static float put_off_rank(float px) { return -1 / px; }
   bool can_extend() const;  ///< the table
   void work_until_stopped(PageReader& reader);
 };

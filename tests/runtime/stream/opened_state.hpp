@@ -22,8 +22,9 @@ struct Opened {
   std::shared_ptr<detail::StreamedState> state;
 
   explicit Opened(const Bytes& bytes, bool prefetch = false, int reads_at_once = 3, std::uint64_t most_bytes = 64 << 10,
-                  std::uint64_t device_memory = 0)
-      : pool(std::make_shared<detail::StreamPoolState>(std::uint64_t{1} << 30, device_memory)) {
+                  std::uint64_t device_memory = 0, std::shared_ptr<detail::StreamPoolState> shared = nullptr)
+      : pool(shared ? std::move(shared)
+                    : std::make_shared<detail::StreamPoolState>(std::uint64_t{1} << 30, device_memory)) {
     StreamOptions options;
     options.prefetch = prefetch;
     const ByteSource::Traits traits{.reads_at_once = reads_at_once, .most_bytes = most_bytes, .gap_bytes = 4096};

@@ -2,9 +2,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <chrono>
+#include <functional>
 #include <future>
 #include <thread>
+#include <vector>
 
 #include "opened_state.hpp"
 
@@ -13,6 +16,7 @@ using namespace rgs::test;
 using namespace std::chrono_literals;
 using detail::StreamedState;
 using detail::StreamFrame;
+using detail::StreamPoolState;
 
 TEST_CASE("while a frame is held open its view is looked at again, and afterwards nothing stays pinned") {
   const Bytes bytes = town({.n = 200000, .sh_degree = 0, .page_chunks = 1});
@@ -220,6 +224,308 @@ TEST_CASE("ranges that cannot be read, however many and however wanted, leave ti
     lossy.frame(over(), 0);
     CHECK(lossy.comes([&] { return lossy.state->residency->n_resident() == n_there; }));
   }
+}
+
+namespace {
+
+using State = detail::Residency::State;
+
+/// Groups in a state; with the lock.
+std::uint64_t count(const StreamedState& s, State state) {
+  std::uint64_t n = 0;
+  for (std::uint32_t group = 0; group < s.residency->n_groups(); ++group) n += s.residency->state(group) == state;
+  return n;
+}
+
+FileRange range_of(const StreamedState& s, std::uint32_t group) {
+  const lod::Page& above = s.file->pages()[group];
+  const StoredPage &first = s.file->stored(above.first_child),
+                   &last = s.file->stored(above.first_child + above.n_children - 1);
+  return {first.offset, last.offset + last.stored_bytes - first.offset};
+}
+
+/// No read has pages of two.
+void read_by_group(Opened& opened) {
+  const std::scoped_lock lock(opened.pool->mutex);
+  opened.state->traits.most_bytes = 1;
+}
+
+}  // namespace
+
+TEST_CASE("what is below a page is read beside it, and drawn only after it") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 4);
+  StreamedState& s = *opened.state;
+  read_by_group(opened);
+  const FileRange top = range_of(s, 0);
+  opened.script->shut_from = top.offset, opened.script->shut_to = top.offset + top.bytes;
+  opened.script->is_shut = true;
+  CHECK(opened.frame(over(), 0).n_pages() == 1);
+  // All else comes: three threads are enough for it.
+  CHECK(opened.comes([&] { return count(s, State::arrived) + 1 == s.residency->n_groups(); }));
+  {
+    const StreamFrame frame = opened.frame(over(), 0);
+    CHECK(frame.n_pages() == 1);
+    CHECK(frame.cut().coming == s.residency->n_groups());
+    CHECK(frame.cut().missing == s.file->pages()[0].n_children);
+    CHECK(frame.stats().pages_resident == 1);
+  }
+  opened.script->open_gate();
+  CHECK(opened.comes([&] { return s.residency->n_resident() == s.file->n_pages_in_all(); }));
+  CHECK(opened.refine(over(), 0) == true);
+  CHECK(opened.frame(over(), 0).cut().coming == 0);
+}
+
+TEST_CASE("what waits for a page that does not come gives its room back, and comes again after it") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  for (const bool is_damaged : {false, true}) {
+    CAPTURE(is_damaged);
+    std::shared_ptr<detail::StreamPoolState> pool;
+    {
+      Opened opened(bytes, false, 4);
+      pool = opened.pool;
+      StreamedState& s = *opened.state;
+      read_by_group(opened);
+      const std::uint32_t lost = 2;  // the second of the root's children
+      const FileRange range = range_of(s, lost);
+      Script& script = *opened.script;
+      script.shut_from = range.offset, script.shut_to = range.offset + range.bytes;
+      script.is_shut = true;
+      opened.frame(over(), 0);
+      const auto is_below = [&](std::uint32_t group) {
+        while (group > lost) group = s.file->pages()[group].parent;
+        return group == lost;
+      };
+      std::uint64_t n_below = 0;
+      for (std::uint32_t group = lost + 1; group < s.residency->n_groups(); ++group) n_below += is_below(group);
+      REQUIRE(n_below > 10);
+      CHECK(opened.comes(
+          [&] { return count(s, State::arrived) == n_below && count(s, State::requested) == 1 && s.n_at_work == 1; }));
+      std::uint64_t held = 0;
+      {
+        const std::scoped_lock lock(pool->mutex);
+        held = pool->held;
+      }
+      auto& from = is_damaged ? script.flip_from : script.gone_from;
+      auto& to = is_damaged ? script.flip_to : script.gone_to;
+      from = range.offset + 40, to = range.offset + 41;
+      script.open_gate();
+      CHECK(opened.comes([&] {
+        const bool is_over = is_damaged ? s.residency->state(lost) == State::refused : s.residency->n_failed(lost) > 0;
+        return is_over && s.n_at_work == 0;
+      }));
+      {
+        const std::scoped_lock lock(pool->mutex);
+        CHECK(count(s, State::arrived) == 0);
+        std::uint64_t given = s.group_bytes(lost);
+        for (std::uint32_t group = lost + 1; group < s.residency->n_groups(); ++group) {
+          if (is_below(group)) given += s.group_bytes(group);
+        }
+        CHECK(pool->held + given == held);
+      }
+      to = 0;
+      if (is_damaged) {
+        CHECK(!opened.refine(over(), 0));
+      } else {
+        CHECK(opened.refine(over(), 0) == true);
+        CHECK(s.residency->n_resident() == s.file->n_pages_in_all());
+      }
+    }
+    CHECK(pool->held == 0);
+  }
+}
+
+TEST_CASE("lists of wants are what a new look at the view finds, whatever comes, fails and goes") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 2});
+  Opened opened(bytes, true, 3);
+  StreamedState& s = *opened.state;
+  std::uint64_t taken = 0;  // there is room for a part of it
+  {
+    const std::scoped_lock lock(opened.pool->mutex);
+    taken = opened.pool->left() - (std::uint64_t{3} << 20);
+    opened.pool->held += taken;
+  }
+  std::size_t n_compared = 0, n_coming = 0;
+  const auto look = [&] {
+    const std::scoped_lock lock(opened.pool->mutex);
+    for (const auto& view : s.views) {
+      if (view->wants.is_cut_off()) continue;
+      std::vector<std::uint32_t> found, listed;
+      const auto cut = s.residency->cut(
+          *view->now, opened.pool->tick, [](std::uint32_t) { return true; },
+          [&](std::uint32_t group, float) { found.push_back(group); }, view->now->detail_px);
+      for (const auto& want : view->wants.wants()) listed.push_back(want.group);
+      CHECK(std::ranges::is_sorted(view->wants.wants(), std::greater{}, &detail::WantList::Want::rank));
+      std::ranges::sort(found);
+      std::ranges::sort(listed);
+      CHECK(listed == found);
+      CHECK(view->n_coming == cut.coming);
+      n_compared += found.size(), n_coming += cut.coming;
+    }
+  };
+  opened.script->fails_every = 23;
+  for (const Camera& camera : town_cameras(41, 40)) {
+    opened.script->is_shut = true;
+    opened.frame(camera, 0.02F, 1);
+    opened.frame(over(), 1, 2);
+    CHECK(opened.comes(
+        [&] { return opened.script->n_at_once > 0 || (s.settled_at >= opened.pool->changes && s.n_at_work == 0); }));
+    look();
+    opened.script->open_gate();
+    for (int i = 0; i < 20; ++i) {
+      look();
+      std::this_thread::yield();
+    }
+  }
+  CHECK(n_compared > 1000);
+  CHECK(n_coming > 40);
+  const std::scoped_lock lock(opened.pool->mutex);
+  CHECK(s.stats.bytes_evicted > 0);
+  CHECK(s.n_failed > 0);
+  opened.pool->held -= taken;
+}
+
+TEST_CASE("what has no room is looked at again once another scene's pages are there, and may go") {
+  const Bytes bytes = town({.n = 5000, .sh_degree = 0, .page_chunks = 1});
+  Opened one(bytes, false, 1);
+  StreamPoolState& pool = *one.pool;
+  one.script->is_shut = true;
+  one.frame(camera_at({0, 400, 800}, {0, 0, 0}), 0);
+  CHECK(one.comes([&] { return one.script->n_at_once == 1; }));
+  Opened two(bytes, false, 1, 64 << 10, 0, one.pool);
+  {
+    const std::scoped_lock lock(pool.mutex);
+    pool.held += pool.left() - two.state->least_view_bytes();
+  }
+  CHECK(two.frame(over(), 0).n_pages() == 1);
+  // What is on its way cannot go.
+  CHECK(two.comes([&] { return two.state->settled_at >= pool.changes && two.state->n_at_work == 0; }));
+  CHECK(two.frame(over(), 0).n_pages() == 1);
+  one.script->open_gate();
+  CHECK(two.comes([&] { return two.state->residency->n_resident() > 1; }));
+  CHECK(one.state->stats.bytes_evicted > 0);
+}
+
+TEST_CASE("what waits for a page above gives room to what is worth more, of another scene") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  Opened one(bytes, false, 4);
+  StreamPoolState& pool = *one.pool;
+  StreamedState& s = *one.state;
+  read_by_group(one);
+  Opened two(bytes, false, 2, 64 << 10, 0, one.pool);
+  for (Opened* each : {&one, &two}) {
+    each->frame(over(), 1e9F);  // the rest of the table
+    CHECK(each->comes([&] { return each->state->file->is_verified() && each->state->n_at_work == 0; }));
+  }
+  const FileRange top = range_of(s, 0);
+  one.script->shut_from = top.offset, one.script->shut_to = top.offset + top.bytes;
+  one.script->is_shut = true;
+  const Camera far = camera_at({0, 300, 600}, {0, 0, 0});
+  one.frame(far, 0);
+  CHECK(one.comes([&] { return count(s, State::arrived) + 1 == s.residency->n_groups() && s.n_at_work == 1; }));
+  std::uint64_t taken = 0;
+  {
+    const std::scoped_lock lock(pool.mutex);
+    taken = pool.left() - two.state->least_view_bytes() - two.state->list_bytes(4096);
+    pool.held += taken;
+  }
+  CHECK(two.refine(over(), 0.05F, 2) == true);
+  CHECK(s.stats.bytes_evicted > 0);
+  CHECK(count(s, State::arrived) + 1 < s.residency->n_groups());
+  {
+    const std::scoped_lock lock(pool.mutex);
+    pool.held -= taken;
+  }
+  // It comes again.
+  one.script->open_gate();
+  CHECK(one.refine(far, 0) == true);
+  CHECK(one.frame(far, 0).cut().coming == 0);
+}
+
+TEST_CASE("room that is given back by what came in vain is found") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 1);
+  StreamedState& s = *opened.state;
+  opened.frame(over(), 1e9F);
+  CHECK(
+      opened.comes([&] { return s.file->is_verified() && s.settled_at >= opened.pool->changes && s.n_at_work == 0; }));
+  const std::scoped_lock lock(opened.pool->mutex);
+  REQUIRE(!s.residency->has(1));
+  s.residency->request(0), s.residency->request(1);
+  for (const std::uint32_t group : {0U, 1U})
+    REQUIRE(opened.pool->take_pages(s.group_bytes(group), {true, 1}) == StreamPoolState::Room::taken);
+  s.give_up(0);
+  s.residency->refuse(0);
+  opened.pool->lacks_room = true;
+  const std::uint64_t changes = opened.pool->changes, held = opened.pool->held;
+  s.arrived(1);
+  CHECK(s.residency->state(1) == State::absent);
+  CHECK(opened.pool->held + s.group_bytes(1) == held);
+  CHECK(opened.pool->changes > changes);
+  CHECK(s.stats.bytes_evicted > 0);
+}
+
+TEST_CASE("what was put off comes after all else, until its pause is over") {
+  const Bytes bytes = town({.n = 20000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 1);
+  StreamedState& s = *opened.state;
+  float coarse = 4096;
+  for (; opened.frame(over(), coarse).n_pages() < 60; coarse /= 1.5F) REQUIRE(opened.refine(over(), coarse) == true);
+  opened.script->is_shut = true;
+  opened.frame(over(), 0);
+  CHECK(opened.comes([&] { return opened.script->n_at_once == 1; }));
+  {
+    const std::scoped_lock lock(opened.pool->mutex);
+    detail::WantList& wants = s.views.front()->wants;
+    REQUIRE(wants.wants().size() > 10);
+    const auto [px, group] = wants.wants()[2];
+    const auto fail = [&, group = group](std::chrono::seconds ago) {
+      const auto at =
+          std::chrono::duration_cast<std::chrono::milliseconds>((detail::StreamClock::now() - ago).time_since_epoch());
+      s.residency->request(group);
+      s.residency->fail(group, static_cast<std::uint32_t>(at.count()));
+    };
+    fail(0s);
+    wants.erase(group, px);
+    wants.insert(group, s.rank(group, px));
+    s.find_wants(true);
+    CHECK(wants.wants().back().group == group);
+    CHECK(wants.wants().back().rank < 0);
+    fail(60s);
+    s.find_wants(true);
+    CHECK(wants.wants()[2].group == group);
+    CHECK(wants.wants()[2].rank == px);
+  }
+  opened.script->open_gate();
+  CHECK(opened.refine(over(), 0) == true);
+}
+
+TEST_CASE("threads decode on while a frame chooses its pages") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
+  Opened opened(bytes, false, 1, 1);
+  StreamedState& s = *opened.state;
+  float coarse = 4096;
+  for (; opened.frame(over(), coarse).n_pages() < 60; coarse /= 1.5F) REQUIRE(opened.refine(over(), coarse) == true);
+  opened.script->is_shut = true;
+  {
+    // A run of many reads.
+    const std::scoped_lock lock(opened.pool->mutex);
+    s.traits.most_bytes = 64 << 10;
+  }
+  opened.frame(over(), 0);
+  CHECK(opened.comes([&] { return opened.script->n_at_once == 1 && count(s, State::requested) > 8; }));
+  const std::scoped_lock lock(opened.pool->mutex);
+  const int n_before = opened.script->n_reads;
+  opened.script->open_gate();
+  CHECK(comes([&] { return opened.script->n_reads >= n_before + 4; }));
+}
+
+TEST_CASE("what is wanted is shared by threads that have nothing to do") {
+  const Bytes bytes = town({.n = 10000, .sh_degree = 0, .page_chunks = 2});
+  Opened opened(bytes, false, 6, 1 << 20);  // one read might have all of it
+  opened.script->is_shut = true;
+  opened.frame(over(), 0);
+  CHECK(opened.comes([&] { return opened.script->n_at_once == 6; }));
 }
 
 TEST_CASE("a complete view is at rest: nothing is read any more, and no thread waits for the clock") {
