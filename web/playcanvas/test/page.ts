@@ -9,6 +9,7 @@ import {
   Color,
   createGraphicsDevice,
   Entity,
+  type GraphicsDevice,
   GSplatComponentSystem,
   GSplatHandler,
   PIXELFORMAT_RGBA8,
@@ -19,13 +20,14 @@ import {
 let app: AppBase;
 let camera: Entity;
 let ready = false;
-/** Rejects when it happens: a lost device ends no frame. */
+/** Or as the engine draws by itself. */
+let isAsDefined = true;
+/** Rejects when the device is lost, which ends no frame. */
 let lost: Promise<never>;
+/** Resolves when a device that was lost is back. */
+let restored: Promise<void>;
 
-async function start(type: string): Promise<string> {
-  const canvas = document.createElement("canvas");
-  document.body.append(canvas);
-  const device = await createGraphicsDevice(canvas, { deviceTypes: [type], antialias: false });
+function watch(device: GraphicsDevice): void {
   // The engine says nothing of a device that the browser has destroyed.
   const { wgpu } = device as { wgpu?: { lost: Promise<{ message: string }> } };
   lost = new Promise((_, reject) => {
@@ -33,6 +35,19 @@ async function start(type: string): Promise<string> {
     wgpu?.lost.then(({ message }) => reject(new Error(`the device is lost: ${message}`)));
   });
   lost.catch(() => undefined);
+}
+
+async function start(type: string, asDefined: boolean): Promise<string> {
+  const canvas = document.createElement("canvas");
+  document.body.append(canvas);
+  const device = await createGraphicsDevice(canvas, { deviceTypes: [type], antialias: false });
+  watch(device);
+  restored = new Promise((resolve) => {
+    device.on("devicerestored", () => {
+      watch(device);
+      resolve();
+    });
+  });
   const options = new AppOptions();
   options.graphicsDevice = device;
   options.componentSystems = [CameraComponentSystem, GSplatComponentSystem];
@@ -44,7 +59,8 @@ async function start(type: string): Promise<string> {
   camera.addComponent("camera", { clearColor: new Color(0, 0, 0, 1), farClip: 10000 });
   app.root.addChild(camera);
   // Of a second camera the shaders are changed already.
-  for (let i = 0; i < 2; ++i) if (!camera.camera || !drawAsDefined(app, camera.camera)) throw new Error("the engine has other shaders");
+  for (let i = 0; asDefined && i < 2; ++i) if (!camera.camera || !drawAsDefined(app, camera.camera)) throw new Error("the engine has other shaders");
+  isAsDefined = asDefined;
   app.systems.gsplat?.on("frame:ready", (_camera: unknown, _layer: unknown, isReady: boolean, loading: number) => {
     ready = isReady && loading === 0;
   });
@@ -62,7 +78,7 @@ function load(url: string): Promise<number> {
       entity.addComponent("gsplat", { asset });
       app.root.addChild(entity);
       const { antiAliasing, numSplats } = asset.resource as RgsResource;
-      if (camera.camera) drawAsDefined(app, camera.camera, antiAliasing);
+      if (isAsDefined && camera.camera) drawAsDefined(app, camera.camera, antiAliasing);
       resolve(numSplats);
     });
     asset.on("error", (error: unknown) => reject(error));
@@ -88,9 +104,11 @@ function base64(pixels: Uint8Array | Uint8ClampedArray): string {
   return btoa(Array.from(pixels, (byte) => String.fromCharCode(byte)).join(""));
 }
 
-/** The engine sorts in a worker: a frame is right when it is drawn after the sorting that its camera asked for. */
+/** Where the engine sorts in a worker, a frame is right when it is drawn after the sorting that its camera asked for. */
 async function drawn<T>(read: () => Promise<T>): Promise<T> {
-  const sorted = new Promise<void>((resolve) => app.scene.once("gsplat:sorted", () => resolve()));
+  // By itself it sorts on a GPU that computes.
+  const sortsOnCpu = isAsDefined || !app.graphicsDevice.isWebGPU;
+  const sorted = sortsOnCpu ? new Promise<void>((resolve) => app.scene.once("gsplat:sorted", () => resolve())) : undefined;
   await frame();
   await sorted;
   do await frame();
@@ -125,4 +143,4 @@ async function decode(url: string): Promise<string> {
   return base64(pixels);
 }
 
-Object.assign(window, { engine: { start, load, picture, decode } });
+Object.assign(window, { engine: { start, load, picture, decode, restored: () => restored } });

@@ -14,6 +14,8 @@ import { program, psnr, readCameras, renderAll } from "./pictures.mjs";
 
 const kSize = [240, 180];
 const kLeastDb = 35;
+// The engine's steps of depth are parts of a box, which is not the same of a PLY and of a file.
+const kLeastDbOfPly = 40;
 // One shader in two languages: what is left are the roundings of two compilers.
 const kLeastDbBetween = 60;
 const bytes = (base64) => Buffer.from(base64, "base64");
@@ -39,15 +41,16 @@ for (const device of kDeviceNames) {
     });
 
     const problems = [];
-    const open = async (scene) => {
+    const open = async (scene, asDefined = true) => {
       const page = await browser.newPage();
       // The engine says on the console what it also gives to the callback.
       if (scene) page.on("console", (message) => ["error", "warning"].includes(message.type()) && problems.push(message.text()));
       page.on("pageerror", (error) => problems.push(String(error)));
       await page.goto(`${server.url}/page/page.html`);
-      assert.equal(await page.evaluate((type) => window.engine.start(type), device), device);
+      assert.equal(await page.evaluate(([type, asDefined]) => window.engine.start(type, asDefined), [device, asDefined]), device);
       if (scene) {
-        copyFileSync(scene, join(server.files, basename(scene)));
+        const served = join(server.files, basename(scene));
+        if (scene !== served) copyFileSync(scene, served);
         await page.evaluate((name) => window.engine.load(`/${name}`), basename(scene));
       }
       return page;
@@ -99,11 +102,40 @@ for (const device of kDeviceNames) {
       const least = await compare(t, scene, join(data, "south", "cameras.json"), views);
       assert.ok(least >= kLeastDb, `${least} dB`);
     });
+    await t.test("by itself the engine draws a file as it draws its PLY", async (t) => {
+      const [camera] = readCameras(join(scenes(), "cameras.json"));
+      const ply = join(server.files, "direct.ply");
+      execFileSync(program("rgs-convert"), [join(scenes(), "direct.rgs"), ply, "--quiet"]);
+      const found = [];
+      for (const scene of [ply, join(scenes(), "direct.rgs")]) {
+        const page = await open(scene, false);
+        found.push(bytes(await page.evaluate(([camera, [w, h]]) => window.engine.picture(camera, w, h), [camera, kSize])));
+        await page.close();
+      }
+      const db = psnr(...found);
+      assert.ok(new Set(new Uint32Array(found[0].buffer.slice(0))).size > 500, "a picture");
+      t.diagnostic(`${db.toFixed(1)} dB`);
+      assert.ok(db >= kLeastDbOfPly, `${db} dB`);
+    });
     await t.test("a damaged file is an error", async () => {
       const page = await open(undefined);
       copyFileSync(join(golden, "reject", "checksum_GEOM.rgs"), join(server.files, "damaged.rgs"));
       const found = await page.evaluate(() => window.engine.load("/damaged.rgs").then(String, (error) => String(error)));
       assert.match(found, /checksum_mismatch/);
+      await page.close();
+    });
+    await t.test("a device that was lost comes back with the scene", async () => {
+      const page = await open(join(scenes(), "packed.rgs"));
+      const cameras = readCameras(join(scenes(), "cameras.json"));
+      const draw = (view) => page.evaluate(([camera, [w, h]]) => window.engine.picture(camera, w, h), [cameras[view], kSize]);
+      const before = await draw(0);
+      const nProblems = problems.length;
+      await (await browser.newBrowserCDPSession()).send("Browser.crashGpuProcess");
+      await page.evaluate(() => window.engine.restored());
+      // The engine sorts where a camera has moved.
+      await draw(2);
+      assert.ok((await draw(0)) === before, "another picture");
+      for (const problem of problems.splice(nProblems)) assert.match(problem, /CONTEXT_LOST|valid external Instance reference/);
       await page.close();
     });
     await t.test("the page has nothing to complain of", () => assert.deepEqual(problems, []));
