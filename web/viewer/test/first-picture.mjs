@@ -6,7 +6,7 @@ import { basename } from "node:path";
 import { launch } from "../../reader/test/chromium.mjs";
 import { startServer } from "./server.mjs";
 
-const kRuns = 5;
+const kRuns = 3;
 const kSize = { width: 320, height: 240 };
 
 /** When the picture is on the device, not only asked for: reading a pixel waits for it. */

@@ -49,11 +49,13 @@ try {
   await page.locator("#picture").focus();
   await page.keyboard.press("b");
   const box = await page.locator("#picture").boundingBox();
-  const [x, y] = [box.x + box.width / 3, box.y + box.height / 2];
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  await page.mouse.dblclick(x, y);
+  for (let i = 0; i < 4; ++i) await page.keyboard.press("+");
   await page.mouse.move(x, y);
   await page.mouse.down();
   for (let i = 0; i < 20; ++i) {
-    await page.mouse.move(x + 8 * i, y);
+    await page.mouse.move(x + 70 * Math.sin((2 * Math.PI * i) / 20), y);
     await shoot();
   }
   await page.mouse.up();
