@@ -115,7 +115,8 @@ export class RgsFile {
     const call = { signal: stop.signal };
     const unread = new Unread(total);
     let read = 0;
-    const load = async (ranges: readonly Range[]): Promise<void> =>
+    let coming: Promise<void> = Promise.resolve();
+    const load = (ranges: readonly Range[]): Promise<void> =>
       inLanes(ranges.flatMap((range) => unread.take(range)), async (range) => {
         await this.wholePart(range, stop.signal);
         read += range.bytes;
@@ -124,6 +125,7 @@ export class RgsFile {
     // What is wrong with a file is said as read() says it: of several defects the same.
     const asRead = async (error: unknown): Promise<never> => {
       if (stop.signal.aborted) throw error;
+      await coming;
       await load(all);
       await this.client.call("wholeStored", { n, shape }, call);
       throw error;
@@ -140,7 +142,7 @@ export class RgsFile {
         return;
       }
       const parts = partsOf(groups);
-      let coming = load(parts[0]?.ranges ?? []);
+      coming = load(parts[0]?.ranges ?? []);
       for (const [i, { ranges: _, ...chunks }] of parts.entries()) {
         await coming;
         // One part ahead of what is decoded.

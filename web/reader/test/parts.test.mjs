@@ -119,6 +119,25 @@ test("damage at the end of a file is an error behind the parts before it", async
   file.close();
 });
 
+test("damage in the first part is said as readStored() says it, though more is under way", async () => {
+  const bytes = readFileSync(join(scenes(), "packed.rgs"));
+  const head = await open(bytes);
+  const { offset, storedBytes } = head.sections.find(({ type }) => type === "SHI8");
+  head.close();
+  bytes[offset + (storedBytes >> 3)] ^= 1;
+  let goOn;
+  const going = new Promise((resolve) => (goOn = resolve));
+  // The second part comes last, when the worker has found the damage long since and the rest is there.
+  let held = 0;
+  const source = counted(bytes, async () => source.given > bytes.length / 4 && (held += 1) <= 3 && going);
+  const file = await open(source);
+  const refused = assert.rejects(file.storedParts().next(), { code: "checksum_mismatch", offset });
+  setTimeout(goOn, 500);
+  await refused;
+  assert.ok(held > 3);
+  file.close();
+});
+
 test("who stops reading leaves the file as it was, and a signal stops it", async () => {
   const file = await open(readFileSync(join(scenes(), "packed.rgs")));
   for await (const part of file.storedParts()) {

@@ -6,7 +6,7 @@ import { buildCameras } from "./cameras-panel.js";
 import { Compare } from "./compare.js";
 import { Controls, type World } from "./controls.js";
 import { type Frame, type FrameRequest, Frames } from "./frames.js";
-import { readLink, writeLink } from "./link.js";
+import { type Mode, readLink, writeLink } from "./link.js";
 import { type Manifest, nameOf, readInside, readManifest } from "./manifest.js";
 import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence } from "./messages.js";
 import { element, hideLoading, say, showError, showLoading, showProgress } from "./page.js";
@@ -93,7 +93,9 @@ class Page {
     if (link.split !== undefined) this.compare.split = link.split;
     this.view = link.view;
     this.showValues();
-    for (const [side, { name }] of scenes.entries()) await this.open(name, reading[side] as Promise<Read>, side as Side);
+    for (const [side, { name }] of scenes.entries()) {
+      await this.open({ name, reading: reading[side] as Promise<Read>, side: side as Side, mode: link.mode ?? "slider" });
+    }
     this.compare.setMode(link.mode ?? (this.scenes[1] ? "slider" : "single"));
   }
 
@@ -111,13 +113,12 @@ class Page {
         this.showWelcome();
         continue;
       }
-      const side = this.scenes[0] ? 1 : 0;
-      if (await this.open(name, reading, side)) this.compare.setMode(side === 1 ? "slider" : this.compare.mode);
+      await this.open({ name, reading, side: this.scenes[0] ? 1 : 0, mode: "slider" });
     }
   }
 
-  /** False if it cannot be opened, which is said; then the side has what it had. */
-  private async open(name: string, reading: Promise<Read>, side: Side): Promise<boolean> {
+  /** If it cannot be opened, which is said, the side has what it had. `mode`: of two scenes. */
+  private async open({ name, reading, side, mode }: { name: string; reading: Promise<Read>; side: Side; mode: Mode }): Promise<void> {
     this.showWelcome(false);
     showLoading(`Opening ${name}`);
     const before = this.scenes[side];
@@ -127,20 +128,21 @@ class Page {
       scene = await openScene(this.stage, { name, read, side, onProgress: showProgress, onError: (error) => this.fail(name, error) });
       if (before) before.hidden = true;
       this.show(scene, side);
+      this.compare.setMode(side === 1 ? mode : this.compare.mode);
       this.markPicture(name);
       await scene.complete();
       before?.destroy();
       if (side === 0 && !before) this.setCameras(this.cameras);
-      return true;
     } catch (error) {
       scene?.destroy();
       if (scene) this.show(before, side);
       if (before) before.hidden = false;
       this.fail(name, error);
       this.showWelcome();
-      return false;
     } finally {
       hideLoading();
+      // A map of differences is of all that is drawn.
+      this.compare.setMode(this.compare.mode);
     }
   }
 

@@ -33,7 +33,7 @@ after(async () => {
 const scene = (name) => ({ name, url: `scenes/0/${name}`, bytes: 1 });
 
 /** One test with a page of its own; `problems` are what the console complains of. */
-function inBrowser(name, { view = null, files = {}, frame = null, hold, size = kSize, address = "", allowed = [] }, body) {
+function inBrowser(name, { view = null, files = {}, frame = null, hold, size = kSize, address = "", allowed = [], waits = true }, body) {
   test(name, async (t) => {
     if (!browser) return skip(t, "chromium is not installed");
     if (!existsSync(dist)) throw new Error("web/viewer is not built: sh scripts/test_web.sh");
@@ -49,7 +49,7 @@ function inBrowser(name, { view = null, files = {}, frame = null, hold, size = k
       await server.end();
     });
     await page.goto(`${server.url}${address}`);
-    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    if (waits) await page.waitForSelector("html[data-ready]", { state: "attached" });
     await body({ t, page, server, context });
     const bad = problems.filter((text) => !allowed.some((pattern) => pattern.test(text)));
     assert.deepEqual(bad, []);
@@ -270,6 +270,34 @@ inBrowser("a gamepad flies", { ...one, files: one.files() }, async ({ page }) =>
   const hash = new URL(page.url()).hash;
   const frames = () => page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(() => resolve(location.hash)))));
   assert.equal(await frames(), hash);
+});
+
+/** Holds a file's end back until `open()` is called. */
+function holdEnd(name, share) {
+  let release;
+  const opened = new Promise((resolve) => (release = resolve));
+  let asked = 0;
+  const most = share * statSync(join(scenes(), "packed.rgs")).size;
+  return { open: release, hold: async (url, begin, bytes) => url.endsWith(name) && (asked += bytes) > most && opened };
+}
+const second = holdEnd("second.rgs", 0.6);
+const beside = {
+  view: { ...two.view, scenes: [scene("packed.rgs"), { name: "second.rgs", url: "scenes/1/second.rgs", bytes: 1 }] },
+  files: { ...two.files(), "scenes/1/second.rgs": join(scenes(), "packed.rgs") },
+  hold: second.hold,
+  waits: false,
+};
+
+inBrowser("a second scene is beside the first as soon as a part of it is there", beside, async ({ page }) => {
+  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs | second.rgs");
+  await page.locator("#split").waitFor();
+  assert.ok(await page.locator("#loading").isVisible());
+  // Of a part it is another picture than of all.
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#map").waitFor();
+  assert.match(await text(page, "#psnr"), /^[\d.]+ dB$/);
+  second.open();
+  await page.waitForFunction(() => document.getElementById("psnr").textContent === "equal");
 });
 
 inBrowser("what turns out damaged goes again, and what was there stays", { allowed: [k404] }, async ({ page }) => {

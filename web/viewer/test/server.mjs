@@ -12,7 +12,7 @@ const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/c
 
 /**
  * `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error, headers }.
- * `hold(url, begin)`: answers once this resolves. Returns the page's address, requests as they came and bytes by URL.
+ * `hold(url, begin, bytes)`: answers once this resolves. Returns the page's address, requests as they came and bytes by URL.
  */
 export async function startServer({ files = {}, view = null, frame = null, hold } = {}) {
   const requests = [];
@@ -47,7 +47,7 @@ export async function startServer({ files = {}, view = null, frame = null, hold 
     const end = Math.min(size - 1, to ? Number(to) : size - 1);
     const headers = { "Content-Type": kTypes[extname(path)] ?? "application/octet-stream", "Content-Length": size === 0 ? 0 : end - begin + 1, "Accept-Ranges": "bytes", "Cache-Control": "no-store" };
     if (from !== undefined) headers["Content-Range"] = `bytes ${begin}-${end}/${size}`;
-    await hold?.(url, begin);
+    await hold?.(url, begin, headers["Content-Length"]);
     if (answer.destroyed) return;
     bytes[url] = (bytes[url] ?? 0) + headers["Content-Length"];
     answer.writeHead(from === undefined ? 200 : 206, headers);
