@@ -14,7 +14,7 @@ import { program, psnr, readCameras, renderAll } from "./pictures.mjs";
 
 const kSize = [240, 180];
 const kLeastDb = 35;
-// The engine's steps of depth are parts of a box, which is not the same of a PLY and of a file.
+// Of a PLY the engine rounds SH otherwise, and reorders Gaussians, whose depths have ties.
 const kLeastDbOfPly = 40;
 // One shader in two languages: what is left are the roundings of two compilers.
 const kLeastDbBetween = 60;
