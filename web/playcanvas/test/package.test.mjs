@@ -20,8 +20,8 @@ import { drawAsDefined, RgsError, RgsParser, RgsResource, setPinhole } from "@ro
 import { type AppBase, Entity, type GSplatHandler } from "playcanvas";
 export function use(app: AppBase, camera: Entity): void {
   (app.loader.getHandler("gsplat") as GSplatHandler).addParser(new RgsParser(app, { limits: { maxGaussians: 1e6 } }));
-  if (camera.camera) drawAsDefined(app, camera.camera);
   const resource = new RgsResource(app.graphicsDevice, []);
+  if (camera.camera) drawAsDefined(app, camera.camera, resource.antiAliasing);
   new Entity().addComponent("gsplat", { resource });
   // @ts-expect-error: no such camera
   setPinhole(camera, { width: 1 });
