@@ -160,7 +160,7 @@ TEST_CASE("every --help lists the exit codes and what the program reads") {
       for (const std::string format :
            {".rgs", " .ply", ".compressed.ply", ".sog", ".spz", ".splat", ".ksplat", ".glb"}) {
         CAPTURE(format);
-        const bool is_shown = format == ".rgs" || format == " .ply" || format == ".compressed.ply" || format == ".sog";
+        const bool is_shown = format != ".splat" && format != ".ksplat" && format != ".glb";
         CHECK((help.out.find(format) != help.out.npos) == (is_shown || name != "rgs-view"));  // what its page shows
       }
     }
