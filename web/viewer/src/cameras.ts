@@ -59,6 +59,7 @@ export function looking(forward: Vector, up: Vector): number[][] {
 export function parseCameras(text: string): CameraEntry[] {
   const found: unknown = JSON.parse(text);
   if (!Array.isArray(found)) throw new Error("the camera file is no list of cameras");
+  if (found.length === 0) throw new Error("the camera file holds no cameras");
   return found.map((entry: Record<string, unknown>, id) => {
     const numbers = ["width", "height", "fx", "fy"].map((name) => Number(entry[name]));
     const [width, height, fx, fy] = numbers as [number, number, number, number];

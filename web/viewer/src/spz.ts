@@ -1,6 +1,7 @@
 // spz.ts - the streams of Niantic's .spz, unfolded. What lies where: converter/formats/spz.cpp.
 // SPDX-License-Identifier: Apache-2.0
 import { Decompress } from "fzstd";
+import { checksumOf } from "./checksum.js";
 
 const kMagic = 0x5053474e;
 const kHeaderBytes = 16;
@@ -104,34 +105,36 @@ const kZstd = 0xfd2fb528;
 /** Of what a frame looks back to, as libzstd has it unless told otherwise. */
 const kMostWindow = 2 ** 27;
 
-/** Whether bytes are one frame of Zstandard and nothing else, RFC 8878, of `size` bytes where it says so. */
-function isOneFrame(bytes: Uint8Array, size: number): boolean {
+/** Of bytes that are one frame of Zstandard and nothing else, RFC 8878, of `size` bytes where it says so. Null of others. */
+function frameOf(bytes: Uint8Array, size: number): { checksum: number | null } | null {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  if (bytes.length < 6 || view.getUint32(0, true) !== kZstd) return false;
+  if (bytes.length < 6 || view.getUint32(0, true) !== kZstd) return null;
   const descriptor = bytes[4] as number;
   const [sizeFlag, isSingle, hasChecksum] = [descriptor >> 6, (descriptor & 0x20) !== 0, (descriptor & 4) !== 0];
-  if ((descriptor & 0x0b) !== 0) return false;  // a dictionary, a reserved bit
+  if ((descriptor & 0x0b) !== 0) return null;  // a dictionary, a reserved bit
   const sizeAt = isSingle ? 5 : 6;
   const sizeBytes = sizeFlag > 0 ? 1 << sizeFlag : isSingle ? 1 : 0;
   const window = 2 ** (10 + ((bytes[5] as number) >> 3)) * (1 + ((bytes[5] as number) & 7) / 8);
-  if (!isSingle && window > kMostWindow) return false;
+  if (!isSingle && window > kMostWindow) return null;
   let at = sizeAt + sizeBytes;
-  if (at > bytes.length) return false;
+  if (at > bytes.length) return null;
   let stated = 0;
   for (let i = sizeBytes - 1; i >= 0; --i) stated = 256 * stated + (bytes[sizeAt + i] as number);
-  if (sizeBytes > 0 && stated + (sizeBytes === 2 ? 256 : 0) !== size) return false;
+  if (sizeBytes > 0 && stated + (sizeBytes === 2 ? 256 : 0) !== size) return null;
   for (let isLast = false; !isLast; ) {
-    if (at + 3 > bytes.length) return false;
+    if (at + 3 > bytes.length) return null;
     const head = (bytes[at] as number) | ((bytes[at + 1] as number) << 8) | ((bytes[at + 2] as number) << 16);
     isLast = (head & 1) !== 0;
     at += 3 + (((head >> 1) & 3) === 1 ? 1 : head >> 3);
   }
-  return at + (hasChecksum ? 4 : 0) === bytes.length;
+  if (at + (hasChecksum ? 4 : 0) !== bytes.length) return null;
+  return { checksum: hasChecksum ? view.getUint32(at, true) : null };
 }
 
 /** Null if it is not what unfolds to `size` bytes. */
 function unfoldFrame(bytes: Uint8Array, size: number): Uint8Array | null {
-  if (!isOneFrame(bytes, size)) return null;
+  const frame = frameOf(bytes, size);
+  if (!frame) return null;
   const out = new Uint8Array(size);
   let at = 0;
   const stream = new Decompress((piece) => {
@@ -144,6 +147,8 @@ function unfoldFrame(bytes: Uint8Array, size: number): Uint8Array | null {
   } catch {
     return null;
   }
+  // The decoder skips it.
+  if (frame.checksum !== null && checksumOf(out) !== frame.checksum) return null;
   return at === size ? out : null;
 }
 
