@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import type { AntiAliasing } from "@roofgs/playcanvas";
 import { Asset, type GSplatResourceBase } from "playcanvas";
+import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
 import { type Box, Scene } from "./scene.js";
 import { readSpz } from "./spz-resource.js";
 import type { Side, Stage } from "./stage.js";
@@ -44,7 +45,7 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
     await new Promise<void>((resolve, reject) => {
       asset.on("progress", onProgress);
       asset.on("load", () => resolve());
-      asset.on("error", (error: unknown) => reject(error instanceof Error ? error : new Error(String(error))));
+      asset.on("error", (error: unknown) => reject(asSentence(kind, error)));
       assets.add(asset);
       assets.load(asset);
     });
@@ -56,7 +57,23 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
     assets.remove(asset);
     asset.unload();
   };
-  return { resource: asset.resource as GSplatResourceBase, end };
+  const resource = asset.resource as GSplatResourceBase;
+  const { comments = [], meta } = resource.gsplatData as { comments?: string[]; meta?: object };
+  try {
+    return { resource, end, antiAliasing: meta ? antiAliasingOfMeta(meta) : antiAliasingOfComments(comments) };
+  } catch (error) {
+    end();
+    throw error;
+  }
+}
+
+/** What the engine throws where it takes a damaged file for a sound one says nothing to people. */
+function asSentence(kind: EngineKind, error: unknown): Error {
+  if (error instanceof TypeError || error instanceof RangeError) {
+    const parts = kind === "sog" ? "the zip archive or its meta.json" : "the file";
+    return Object.assign(new Error(), { code: "bad_header", text: `${parts} lacks what ${kind.toUpperCase()} must have` });
+  }
+  return error instanceof Error ? error : new Error(String(error).replace(/^Error: /, ""));
 }
 
 export class EngineScene extends Scene {
