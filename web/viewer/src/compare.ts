@@ -99,6 +99,7 @@ export class Compare {
     const scale = Math.min(1, kMapWidth / w);
     const [width, height] = [Math.max(1, Math.round(w * scale)), Math.max(1, Math.round(h * scale))];
     const left = await this.pictures.capture("left", width, height);
+    if (run !== this.run) return;
     const right = await this.pictures.capture("right", width, height);
     if (run !== this.run) return;
     const { psnrDb, map } = difference(left, right);

@@ -39,6 +39,8 @@ class Page {
   private speed: { at: number; frames: number; rate: number } = { at: 0, frames: 0, rate: 0 };
   /** Scenes that are being opened. It never rejects. */
   private opening: Promise<void> = Promise.resolve();
+  /** Of the left scene. */
+  private trueScene = 0;
   /** Captures come one after the other. */
   private capturing: Promise<unknown> = Promise.resolve();
 
@@ -82,11 +84,6 @@ class Page {
     this.photos = new Map(photos.map(({ camera, url }) => [camera, url]));
     if (settings?.background) this.setBackground(settings.background);
     if (settings?.sh_degree !== undefined) input("sh").value = String(settings.sh_degree);
-    if (cameras !== null) {
-      await (cameras.startsWith("#") ? readInside(cameras).then((blob) => new Response(blob)) : fetch(cameras))
-        .then((answer) => this.readCameras(answer))
-        .catch((error: unknown) => this.fail("The camera file", error));
-    }
     const link = readLink(location.hash);
     if (link.background) this.setBackground(link.background);
     if (link.shDegree !== undefined) input("sh").value = String(link.shDegree);
@@ -95,11 +92,13 @@ class Page {
     if (link.split !== undefined) this.compare.split = link.split;
     this.view = link.view;
     this.showValues();
-    for (const [side, { name }] of scenes.entries()) {
-      void this.inTurn(() => this.open({ name, reading: reading[side] as Promise<Read>, side: side as Side, mode: link.mode ?? "slider" }));
+    // What is dropped meanwhile comes after it.
+    if (cameras !== null) void this.inTurn(() => this.fetchCameras(cameras));
+    for (const [trueScene, { name }] of scenes.entries()) {
+      void this.inTurn(() => this.open({ name, reading: reading[trueScene] as Promise<Read>, mode: link.mode ?? "slider", trueScene }));
     }
     await this.opening;
-    if (!this.scenes[1]) this.compare.setMode(link.mode ?? "single");
+    if (!this.scenes[1]) this.compare.setMode(this.compare.mode === "single" ? (link.mode ?? "single") : this.compare.mode);
   }
 
   /** Files of a drop or a choice: cameras, and scenes for the first free side, the right one if none is. */
@@ -111,8 +110,16 @@ class Page {
 
   /** One scene after the other: which side is free shows when the one before is there. */
   private inTurn(work: () => Promise<void>): Promise<void> {
-    this.opening = this.opening.then(work);
+    this.opening = this.opening.then(work).catch((error: unknown) => this.fail("The page", error));
     return this.opening;
+  }
+
+  /** Resolves when nothing is being opened, what has been asked for meanwhile included. */
+  private async allOpened(): Promise<void> {
+    for (let last: Promise<void> | undefined; last !== this.opening; ) {
+      last = this.opening;
+      await last;
+    }
   }
 
   private async openFile(file: File): Promise<void> {
@@ -120,13 +127,17 @@ class Page {
     showLoading(`Opening ${name}`);
     const reading = readFile({ entry: { name, url: "" }, file, onProgress: showProgress });
     const read = await reading.catch(() => undefined);
-    if (read?.kind !== "cameras") return this.open({ name, reading, side: this.scenes[0] ? 1 : 0, mode: "slider" });
-    await this.readCameras(read.answer).catch((error: unknown) => this.fail(name, error));
+    if (read?.kind !== "cameras") return this.open({ name, reading, mode: "slider" });
+    await read.answer().then((answer) => this.readCameras(answer)).catch((error: unknown) => this.fail(name, error));
     hideLoading();
   }
 
-  /** If it cannot be opened, which is said, the side has what it had. `mode`: of two scenes. */
-  private async open({ name, reading, side, mode }: { name: string; reading: Promise<Read>; side: Side; mode: Mode }): Promise<void> {
+  /**
+   * On the first free side, the right one if none is. If it cannot be opened, which is said, the side has what it had. `mode`: of two
+   * scenes, unless another has been chosen. `trueScene`: by what number the server of true pictures knows it.
+   */
+  private async open({ name, reading, mode, trueScene }: { name: string; reading: Promise<Read>; mode: Mode; trueScene?: number }): Promise<void> {
+    const side: Side = this.scenes[0] ? 1 : 0;
     this.showWelcome(false);
     showLoading(`Opening ${name}`);
     const before = this.scenes[side];
@@ -137,7 +148,8 @@ class Page {
       scene = await openScene(this.stage, { name, read, side, onProgress: showProgress, onError: (error) => this.fail(name, error) });
       if (before) before.hidden = true;
       this.show(scene, side);
-      this.compare.setMode(side === 1 ? mode : this.compare.mode);
+      if (side === 0) this.trueScene = trueScene ?? 0;
+      this.compare.setMode(side === 1 && this.compare.mode === "single" ? mode : this.compare.mode);
       this.markPicture(name);
       await scene.complete();
       before?.destroy();
@@ -288,6 +300,12 @@ class Page {
     this.playing = this.playing === undefined && this.cameras.length > 1 ? 0 : undefined;
     element("play", HTMLButtonElement).setAttribute("aria-pressed", String(this.playing !== undefined));
     this.stage.request();
+  }
+
+  private async fetchCameras(url: string): Promise<void> {
+    await (url.startsWith("#") ? readInside(url).then((blob) => new Response(blob)) : fetch(url))
+      .then((answer) => this.readCameras(answer))
+      .catch((error: unknown) => this.fail("The camera file", error));
   }
 
   private async readCameras(answer: Response): Promise<void> {
@@ -500,7 +518,7 @@ class Page {
   private frameRequest(width: number, height: number): FrameRequest | undefined {
     if (!this.view) return undefined;
     const detail = Number(input("detail").value);
-    return { scene: 0, camera: pinholeOf(this.view, width, height), width, height, background: this.background, sh_degree: Number(input("sh").value), detail };
+    return { scene: this.trueScene, camera: pinholeOf(this.view, width, height), width, height, background: this.background, sh_degree: Number(input("sh").value), detail };
   }
 
   private askTrue(moving: boolean): void {
@@ -527,7 +545,7 @@ class Page {
 
   private async captureSide(side: "left" | "right", width: number, height: number): Promise<Uint8ClampedArray<ArrayBuffer>> {
     // What is compared or saved is all of it.
-    await this.opening;
+    await this.allOpened();
     const request = this.frameRequest(width, height);
     if (!this.view || !request) throw new Error("there is no scene");
     if (side === "left" || !this.trueShown) return this.capture(side === "left" ? 0 : 1, this.view, width, height);
@@ -539,6 +557,7 @@ class Page {
   }
 
   private async screenshot(): Promise<void> {
+    await this.allOpened();
     const { width, height } = this.stage.size;
     const { mode, split } = this.compare;
     const two = this.trueShown || this.scenes[1] !== undefined;

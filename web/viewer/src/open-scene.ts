@@ -12,11 +12,11 @@ import type { Side, Stage } from "./stage.js";
 /** Bytes read; `total` 0: nobody knows. */
 export type OnProgress = (done: number, total: number) => void;
 
-/** A file of which it is known what it is, and of which the beginning is on its way. */
-export type Read =
-  | { kind: "rgs"; opened: OpenedFile }
-  | { kind: EngineKind; answer: Response }
-  | { kind: "cameras"; answer: Response };
+/**
+ * A file of which it is known what it is. Of an .rgs the beginning is on its way; others are asked for when they are read, as a server
+ * need not wait for who takes nothing.
+ */
+export type Read = { kind: "rgs"; opened: OpenedFile } | { kind: EngineKind | "cameras"; answer(): Promise<Response> };
 
 async function beginningOf(answer: Response): Promise<Uint8Array> {
   const reader = answer.body?.getReader();
@@ -32,8 +32,12 @@ export async function readFile({ entry, file, onProgress }: { entry: SceneEntry;
     const range = { range: `bytes=0-${kBeginningBytes - 1}` };
     const kind = kindOf(await beginningOf(blob ? new Response(blob.slice(0, kBeginningBytes)) : await fetch(entry.url, { headers: range })));
     if (kind === null || kind === "rgs") return null;
-    const answer = blob ? new Response(blob, { headers: { "content-length": String(blob.size) } }) : await fetch(entry.url);
-    if (!answer.ok) throw Object.assign(new Error(`HTTP ${answer.status}`), { code: "open_failed" });
+    const answer = async (): Promise<Response> => {
+      if (blob) return new Response(blob, { headers: { "content-length": String(blob.size) } });
+      const found = await fetch(entry.url);
+      if (!found.ok) throw Object.assign(new Error(`HTTP ${found.status}`), { code: "open_failed" });
+      return found;
+    };
     return { kind, answer };
   };
   // A name says what to ask first, so that as a rule nothing is read twice, and no more.
@@ -66,7 +70,7 @@ export interface OpenScene {
 /** The scene with what is there first; complete() brings the rest. */
 export async function openScene(stage: Stage, { name, read, side, onProgress, onError }: OpenScene): Promise<Scene> {
   if (read.kind === "cameras") throw new Error("it is a list of cameras, not a scene");
-  if (read.kind !== "rgs") return EngineScene.open(stage, { name, ...read, side, onProgress });
+  if (read.kind !== "rgs") return EngineScene.open(stage, { name, kind: read.kind, answer: await read.answer(), side, onProgress });
   const { opened } = read;
   try {
     const first = await opened.first;

@@ -33,11 +33,11 @@ after(async () => {
 const scene = (name) => ({ name, url: `scenes/0/${name}`, bytes: 1 });
 
 /** One test with a page of its own; `problems` are what the console complains of. */
-function inBrowser(name, { view = null, files = {}, frame = null, hold, size = kSize, address = "", allowed = [], waits = true }, body) {
+function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges = true, size = kSize, address = "", allowed = [], waits = true }, body) {
   test(name, async (t) => {
     if (!browser) return skip(t, "chromium is not installed");
     if (!existsSync(dist)) throw new Error("web/viewer is not built: sh scripts/test_web.sh");
-    const server = await startServer({ view, files, frame, hold });
+    const server = await startServer({ view, files, frame, hold, ranges });
     const context = await browser.newContext({ viewport: size, acceptDownloads: true });
     const page = await context.newPage();
     page.setDefaultTimeout(kPatienceMs);
@@ -266,10 +266,17 @@ inBrowser("a gamepad flies", { ...one, files: one.files() }, async ({ page }) =>
   const stood = await at();
   await press(0, 0, 1, 0);
   (await at()).forEach((value, i) => assert.ok(Math.abs(value - stood[i]) < 1e-4 * Math.hypot(...stood), `${value}`));
-  // A stick at rest does nothing.
+  // A stick at rest does nothing, nor one that a driver knows nothing of.
   const hash = new URL(page.url()).hash;
+  await page.evaluate(() => {
+    navigator.getGamepads = () => [{ connected: true, mapping: "standard", axes: [NaN, NaN, NaN, NaN], buttons: [] }];
+  });
   const frames = () => page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(() => resolve(location.hash)))));
   assert.equal(await frames(), hash);
+  await page.locator("#picture").focus();
+  await page.keyboard.press("+");
+  await page.waitForFunction((hash) => location.hash !== hash, hash);
+  assert.ok(!/NaN/.test(new URL(page.url()).hash), page.url());
 });
 
 /** Holds a file's end back until `open()` is called. */
@@ -293,12 +300,93 @@ inBrowser("a second scene is beside the first as soon as a part of it is there",
   await page.locator("#split").waitFor();
   assert.ok(await page.locator("#loading").isVisible());
   // What is compared is all of it.
+  const save = async () => {
+    const saved = page.waitForEvent("download").then((download) => download.path());
+    await page.locator("#screenshot").click();
+    return { saved };
+  };
+  const early = await save();
   await page.getByRole("radio", { name: "Difference" }).click();
   assert.ok(await page.locator("#map").isHidden());
   second.open();
   await page.locator("#map").waitFor();
   assert.equal(await text(page, "#psnr"), "equal");
   assert.equal(await page.getByRole("radio", { name: "Difference" }).getAttribute("aria-checked"), "true");
+  // So is what is saved.
+  const late = await save();
+  assert.ok(readFileSync(await early.saved).equals(readFileSync(await late.saved)));
+});
+
+const untouched = holdEnd("packed.rgs", 0.6);
+let isReleased = false;
+const plyAsked = [];
+const plyLater = {
+  view: { ...two.view, scenes: [scene("packed.rgs"), { name: "scene.ply", url: "scenes/1/scene.ply", bytes: 1 }] },
+  files: () => ({ ...two.files(), "scenes/1/scene.ply": join(scenes(), "scene.ply") }),
+  hold: async (url, begin, bytes) => {
+    if (url.endsWith("scene.ply")) plyAsked.push({ bytes, isReleased });
+    await untouched.hold(url, begin, bytes);
+  },
+  waits: false,
+};
+
+// rgs-view hangs up on who takes nothing for 30 s.
+inBrowser("a second scene that is a PLY is asked for when it is read", { ...plyLater, files: plyLater.files() }, async ({ page }) => {
+  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs");
+  assert.ok(await page.locator("#loading").isVisible());
+  isReleased = true;
+  untouched.open();
+  await page.waitForSelector("html[data-ready]", { state: "attached" });
+  assert.equal(await text(page, "#title"), "packed.rgs | scene.ply");
+  assert.deepEqual(plyAsked, [{ bytes: 16, isReleased: false }, { bytes: statSync(join(scenes(), "scene.ply")).size, isReleased: true }]);
+});
+
+let dropIsDone;
+const dropped = new Promise((resolve) => (dropIsDone = resolve));
+const slowCameras = { ...one, hold: async (url) => url === "cameras.json" && dropped, waits: false };
+
+inBrowser("what is dropped while the page begins comes after what it begins with", { ...slowCameras, files: one.files() }, async ({ page, server }) => {
+  await page.waitForFunction(() => window.performance.getEntriesByType("resource").length > 0);
+  while (!server.requests.includes("GET cameras.json")) await page.evaluate(() => new Promise(requestAnimationFrame));
+  await drop(page, "b.rgs", readFileSync(join(golden, "degree3.rgs")));
+  dropIsDone();
+  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs | b.rgs" && document.getElementById("loading").hidden);
+});
+
+const withoutRanges = { view: { ...one.view, scenes: [scene("scene.ply")] }, ranges: false };
+inBrowser("a server without ranges is asked for a PLY no more often than one with them", { ...withoutRanges, files: { ...one.files(), "scenes/0/scene.ply": join(scenes(), "scene.ply") } }, async ({ page, server }) => {
+  assert.equal(await text(page, "#title"), "scene.ply");
+  assert.equal(server.requests.filter((line) => line === "GET scenes/0/scene.ply").length, 2);
+});
+
+let asked;
+const secondOfTwo = { view: { ...two.view, scenes: [{ ...scene("missing.rgs") }, { ...scene("packed.rgs"), url: "scenes/1/packed.rgs" }], frames: { url: "frame", backend: "cpu" } } };
+const refusesAndTells = async ({ scene }) => {
+  asked = scene;
+  return { status: 500, error: { code: "internal", message: "no" } };
+};
+inBrowser("where the first scene fails the second one is on the left", { ...secondOfTwo, files: { ...one.files(), "scenes/1/packed.rgs": join(scenes(), "packed.rgs") }, frame: refusesAndTells, allowed: [k404, /500/] }, async ({ page }) => {
+  assert.match((await errors(page))[0], /^missing\.rgs could not be fetched/);
+  assert.equal(await text(page, "#title"), "packed.rgs");
+  assert.ok(await page.locator("#welcome").isHidden());
+  assert.match(await page.getAttribute("#picture", "aria-label"), /packed\.rgs, 60k Gaussians/);
+  // The server knows it as the second still.
+  await page.locator("#picture").focus();
+  await page.keyboard.press("t");
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 1);
+  assert.equal(asked, 1);
+});
+
+const whole = holdEnd("second.rgs", 0);
+const chosen = { view: { ...beside.view, frames: { url: "frame", backend: "cpu" } }, files: beside.files, hold: whole.hold, waits: false };
+inBrowser("a mode that is chosen while a scene is opened stays", { ...chosen, frame: refusesAndTells, allowed: [/500/] }, async ({ page }) => {
+  await page.waitForFunction(() => document.getElementById("title").textContent === "packed.rgs" && document.getElementById("progress-text").textContent === "Opening second.rgs");
+  await page.locator("#picture").focus();
+  await page.keyboard.press("t");
+  await page.keyboard.press("f");
+  whole.open();
+  await page.waitForSelector("html[data-ready]", { state: "attached" });
+  assert.equal(await page.getByRole("radio", { name: "Flicker" }).getAttribute("aria-checked"), "true");
 });
 
 inBrowser("what turns out damaged goes again, and what was there stays", { allowed: [k404] }, async ({ page }) => {
@@ -367,6 +455,56 @@ function firstOf(path, n) {
   const rows = ply.subarray(begin, begin + ((ply.length - begin) / nAll) * n);
   return Buffer.concat([Buffer.from(header.replace(`vertex ${nAll}`, `vertex ${n}`)), rows]);
 }
+
+inBrowser("a PLY that declares Mip-Splatting is drawn as the .rgs made of it", { allowed: [k404] }, async ({ t, page }) => {
+  const db = async (comment) => {
+    const path = join(folder, "declares.ply");
+    const rgs = join(folder, "declares.rgs");
+    writeFileSync(path, Buffer.from(readFileSync(join(scenes(), "scene.ply")).toString("latin1").replace("\nelement", `\n${comment}element`), "latin1"));
+    execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", path, rgs]);
+    await page.reload();
+    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await drop(page, "a.ply", readFileSync(path));
+    await drop(page, "b.rgs", readFileSync(rgs));
+    await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply | b.rgs" && document.getElementById("loading").hidden);
+    await page.getByRole("radio", { name: "Difference" }).click();
+    await page.locator("#map").waitFor();
+    return Number(/^([\d.]+) dB$/.exec(await text(page, "#psnr"))?.[1]);
+  };
+  const found = [await db(""), await db("comment SplatRenderMode: mip\n"), await db("comment rgs_low_pass_px2: 1\n")];
+  t.diagnostic(`${found.join(", ")} dB`);
+  for (const each of found) assert.ok(each > 48, `${found}`);
+});
+
+/** A zip of one file that is stored as it is. */
+function zipOf(name, contents) {
+  const entry = (signature, bytes, at) => {
+    const head = Buffer.alloc(bytes);
+    head.writeUInt32LE(signature);
+    for (const offset of [at, at + 4]) head.writeUInt32LE(contents.length, offset);
+    head.writeUInt16LE(name.length, at + 8);
+    return Buffer.concat([head, Buffer.from(name)]);
+  };
+  const local = Buffer.concat([entry(0x04034b50, 30, 18), Buffer.from(contents)]);
+  const central = entry(0x02014b50, 46, 20);
+  const end = Buffer.alloc(22);
+  end.writeUInt32LE(0x06054b50);
+  for (const at of [8, 10]) end.writeUInt16LE(1, at);
+  end.writeUInt32LE(central.length, 12);
+  end.writeUInt32LE(local.length, 16);
+  return Buffer.concat([local, central, end]);
+}
+
+inBrowser("a zip that is no SOG, and an empty list of cameras, are said in sentences", { allowed: [k404, /scene\d+\.sog-gsplat/] }, async ({ page }) => {
+  const refused = async (name, bytes) => {
+    await drop(page, name, bytes);
+    await page.waitForFunction((name) => [...document.querySelectorAll("#errors p")].some((p) => p.textContent.startsWith(name)), name);
+    return (await errors(page)).at(-1);
+  };
+  assert.match(await refused("a.sog", zipOf("meta.json", "{}")), /^a\.sog is damaged: .*meta\.json lacks what SOG must have \(bad_header\)/);
+  assert.match(await refused("b.sog", zipOf("meta.json", "{}").subarray(0, 60)), /^b\.sog (is damaged|could not be opened): [^T]/);
+  assert.match(await refused("c.json", "[]"), /^c\.json could not be opened: the camera file holds no cameras\./);
+});
 
 inBrowser("two PLY are two", { allowed: [k404] }, async ({ page }) => {
   const path = join(scenes(), "scene.ply");

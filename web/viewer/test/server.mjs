@@ -12,9 +12,10 @@ const kTypes = { ".html": "text/html", ".js": "text/javascript", ".css": "text/c
 
 /**
  * `files`: paths below the token by URL. `view`: view.json, or null. `frame(request)`: path of a picture, or { status, error, headers }.
- * `hold(url, begin, bytes)`: answers once this resolves. Returns the page's address, requests as they came and bytes by URL.
+ * `hold(url, begin, bytes)`: answers once this resolves. `ranges`: without them every answer is the whole file. Returns the page's
+ * address, requests as they came and bytes by URL.
  */
-export async function startServer({ files = {}, view = null, frame = null, hold } = {}) {
+export async function startServer({ files = {}, view = null, frame = null, hold, ranges = true } = {}) {
   const requests = [];
   const bytes = {};
   const server = createServer(async (request, answer) => {
@@ -42,10 +43,10 @@ export async function startServer({ files = {}, view = null, frame = null, hold 
       return;
     }
     const { size } = statSync(path);
-    const [, from, to] = /^bytes=(\d+)-(\d*)$/.exec(request.headers.range ?? "") ?? [];
+    const [, from, to] = /^bytes=(\d+)-(\d*)$/.exec((ranges && request.headers.range) || "") ?? [];
     const begin = Number(from ?? 0);
     const end = Math.min(size - 1, to ? Number(to) : size - 1);
-    const headers = { "Content-Type": kTypes[extname(path)] ?? "application/octet-stream", "Content-Length": size === 0 ? 0 : end - begin + 1, "Accept-Ranges": "bytes", "Cache-Control": "no-store" };
+    const headers = { "Content-Type": kTypes[extname(path)] ?? "application/octet-stream", "Content-Length": size === 0 ? 0 : end - begin + 1, "Accept-Ranges": ranges ? "bytes" : "none", "Cache-Control": "no-store" };
     if (from !== undefined) headers["Content-Range"] = `bytes ${begin}-${end}/${size}`;
     await hold?.(url, begin, headers["Content-Length"]);
     if (answer.destroyed) return;
