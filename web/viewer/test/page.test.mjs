@@ -305,8 +305,18 @@ inBrowser("a second scene is beside the first as soon as a part of it is there",
     await page.locator("#screenshot").click();
     return { saved };
   };
+  /** So long that it would be done if it did not wait. */
+  const frames = () =>
+    page.evaluate(async () => {
+      for (let i = 0; i < 60; ++i) await new Promise(requestAnimationFrame);
+    });
   const early = await save();
+  let isSaved = false;
+  void early.saved.then(() => (isSaved = true));
+  await frames();
+  assert.ok(!isSaved);
   await page.getByRole("radio", { name: "Difference" }).click();
+  await frames();
   assert.ok(await page.locator("#map").isHidden());
   second.open();
   await page.locator("#map").waitFor();
