@@ -25,12 +25,16 @@ export interface AntiAliasing {
 const kClassic: AntiAliasing = { lowPassPx2: 0.3, compensated: false };
 const kMipSplatting: AntiAliasing = { lowPassPx2: 0.1, compensated: true };
 
+/** As files declare it; without a low-pass it is the usual one of the mode. */
+export interface DeclaredAntiAliasing {
+  readonly aaMode: Declarations["aaMode"];
+  readonly lowPassPx2?: number | undefined;
+}
+
 /** What a file declares; a low-pass that it states counts in its own mode alone. `coarser`: pages are drawn that stand for others. */
-export function antiAliasingOf(declared: Pick<Declarations, "aaMode" | "lowPassPx2">, coarser = false): AntiAliasing {
-  if (coarser) return kMipSplatting;
-  const { aaMode, lowPassPx2 } = declared;
-  if (aaMode === "undeclared") return kClassic;
-  return { lowPassPx2, compensated: aaMode === "mip_splatting" };
+export function antiAliasingOf({ aaMode, lowPassPx2 }: DeclaredAntiAliasing, coarser = false): AntiAliasing {
+  const usual = coarser || aaMode === "mip_splatting" ? kMipSplatting : kClassic;
+  return coarser || aaMode === "undeclared" || lowPassPx2 === undefined ? usual : { ...usual, lowPassPx2 };
 }
 
 /** In a chunk of the engine's shaders one text instead of another. */

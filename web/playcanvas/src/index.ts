@@ -1,7 +1,7 @@
 // index.ts - .rgs files in the PlayCanvas engine.
 // SPDX-License-Identifier: Apache-2.0
 export { RgsError, type RgsErrorCode } from "@roofgs/reader";
-export { type AntiAliasing, antiAliasingOf, drawAsDefined } from "./as-defined.js";
+export { type AntiAliasing, antiAliasingOf, type DeclaredAntiAliasing, drawAsDefined } from "./as-defined.js";
 export { type Pinhole, resizePinhole, setPinhole } from "./pinhole.js";
 export { RgsParser, type RgsParserOptions } from "./parser.js";
 export { RgsResource, type RgsResourceOptions } from "./resource.js";

@@ -1,6 +1,6 @@
 // engine-scene.ts - PLY, compressed PLY, SOG and SPZ, by the engine.
 // SPDX-License-Identifier: Apache-2.0
-import type { AntiAliasing } from "@roofgs/playcanvas";
+import { type AntiAliasing, antiAliasingOf } from "@roofgs/playcanvas";
 import { Asset, type GSplatResourceBase } from "playcanvas";
 import { antiAliasingOfComments, antiAliasingOfMeta } from "./declared.js";
 import { type Box, Scene } from "./scene.js";
@@ -23,7 +23,7 @@ interface Made {
   end(): void;
   /** Right, up, backward instead of right, down, forward: it is turned, so that it stands as it does in other files. */
   isYUp?: boolean;
-  antiAliasing?: AntiAliasing | undefined;
+  antiAliasing: AntiAliasing;
 }
 
 /** Assets of the engine so far. */
@@ -31,7 +31,7 @@ let nAssets = 0;
 
 async function makeSpz(stage: Stage, answer: Response): Promise<Made> {
   const { resource, antialiased } = await readSpz(stage.app.graphicsDevice, await answer.arrayBuffer());
-  const antiAliasing = antialiased ? { lowPassPx2: 0.1, compensated: true } : undefined;
+  const antiAliasing = antiAliasingOf({ aaMode: antialiased ? "mip_splatting" : "classic" });
   return { resource, end: () => resource.destroy(), isYUp: true, antiAliasing };
 }
 
@@ -60,7 +60,7 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
   const resource = asset.resource as GSplatResourceBase;
   const { comments = [], meta } = resource.gsplatData as { comments?: string[]; meta?: object };
   try {
-    return { resource, end, antiAliasing: meta ? antiAliasingOfMeta(meta) : antiAliasingOfComments(comments) };
+    return { resource, end, antiAliasing: antiAliasingOf(meta ? antiAliasingOfMeta(meta) : antiAliasingOfComments(comments)) };
   } catch (error) {
     end();
     throw error;
@@ -120,7 +120,7 @@ export class EngineScene extends Scene {
   /** The engine's own formats are drawn with all that they hold. */
   setShDegree(): void {}
 
-  override antiAliasing(): AntiAliasing | undefined {
+  override antiAliasing(): AntiAliasing {
     return this.made.antiAliasing;
   }
 

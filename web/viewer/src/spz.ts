@@ -111,7 +111,7 @@ function frameOf(bytes: Uint8Array, size: number): { checksum: number | null } |
   if (bytes.length < 6 || view.getUint32(0, true) !== kZstd) return null;
   const descriptor = bytes[4] as number;
   const [sizeFlag, isSingle, hasChecksum] = [descriptor >> 6, (descriptor & 0x20) !== 0, (descriptor & 4) !== 0];
-  if ((descriptor & 0x0b) !== 0) return null;  // a dictionary, a reserved bit
+  if ((descriptor & 0x0b) !== 0) return null; // a dictionary, a reserved bit
   const sizeAt = isSingle ? 5 : 6;
   const sizeBytes = sizeFlag > 0 ? 1 << sizeFlag : isSingle ? 1 : 0;
   const window = 2 ** (10 + ((bytes[5] as number) >> 3)) * (1 + ((bytes[5] as number) & 7) / 8);
