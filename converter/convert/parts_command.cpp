@@ -60,7 +60,7 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
               const std::function<Outcome<PartsJob>()>& describe) {
   auto described = describe ? describe() : open_job(run);
   if (!described) return report_failure(described.error());
-  const auto job = describe ? begin_parts(run, std::move(*described), command.overwrite) : std::move(described);
+  const auto job = describe ? begin_parts(run, *described, command.overwrite) : std::move(described);
   if (!job) return report_failure(job.error());
   const std::size_t n = job->inputs.size();
   if (selection.is_part && selection.last >= n) return selection_beyond(command.selected, n, "inputs");

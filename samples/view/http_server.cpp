@@ -231,7 +231,7 @@ class Server final : public httplib::Server {
            });
            fill(complete ? handlers_.answer(whole) : handlers_.fail(400), response);
          });
-    set_exception_handler([this](const httplib::Request&, httplib::Response& response, std::exception_ptr) {
+    set_exception_handler([this](const httplib::Request&, httplib::Response& response, const std::exception_ptr&) {
       fill(handlers_.fail(500), response);
     });
     // What httplib refuses by itself: a head that it cannot parse.
