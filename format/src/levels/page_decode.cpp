@@ -219,14 +219,16 @@ Status detail::check_page_rows(const PagedFile& file, std::uint32_t page, const 
     if (Status s = check_chunk_rows(chunk_rows, of->entry, of->steps, totals); !s) return s;
   }
   // The box may be short of an extent by what rounding it can cost.
-  constexpr double kShare = 1 - 0x1p-10;
   const Box& box = file.pages()[page].bounds;
+  const RoomInBox room(box, rows.scale_exponent);
   for (std::uint64_t i = 0; i < rows.n; ++i) {
-    const Extent e =
-        extent_of(rows.means.data() + i * kMeanBytes, rows.geometry.data() + i * kGeometryBytes, rows.scale_exponent);
+    const std::byte *const mean = rows.means.data() + i * kMeanBytes, *const row =
+                                                                          rows.geometry.data() + i * kGeometryBytes;
+    if (room.is_enough(mean, row)) continue;
+    const Extent e = extent_of(mean, row, rows.scale_exponent);
     for (std::size_t k = 0; k < 3; ++k) {
-      if (e.mean[k] - kShare * e.reach[k] >= static_cast<double>(box.min[k]) &&
-          e.mean[k] + kShare * e.reach[k] <= static_cast<double>(box.max[k])) {
+      if (e.mean[k] - kExtentShare * e.reach[k] >= static_cast<double>(box.min[k]) &&
+          e.mean[k] + kExtentShare * e.reach[k] <= static_cast<double>(box.max[k])) {
         continue;
       }
       return make_error(Errc::bad_value, place_in_page(file, page, l.means + i * kMeanBytes + 4 * k),

@@ -343,4 +343,44 @@ Extent extent_of(const std::byte* mean, const std::byte* geometry, int scale_exp
   return extent;
 }
 
+RoomInBox::RoomInBox(const Box& box, int scale_exponent) : box_(box), scale_unit_(std::ldexp(1.0, -scale_exponent)) {}
+
+bool RoomInBox::is_enough(const std::byte* mean, const std::byte* geometry) const {
+  // Halfway to kExtentShare: next to a scale 2^40 times as large, rounding moves a reach by less than 2^-12.
+  constexpr double kShare = 1 - 0x1p-11, kSquaredShare = 9 * kShare * kShare;
+  float position[3];
+  std::uint16_t row[8];
+  std::memcpy(position, mean, sizeof position);
+  std::memcpy(row, geometry, sizeof row);
+  double room[3];
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto x = static_cast<double>(position[k]);
+    room[k] = std::min(x - static_cast<double>(box_.min[k]), static_cast<double>(box_.max[k]) - x);
+  }
+  const auto scale = [&](std::uint16_t code) { return static_cast<double>(float_from_half(code)) * scale_unit_; };
+  // Farther it reaches in no direction. FP16 bits of numbers that are not negative order as the numbers do.
+  const double farthest = 3 * scale(std::max({row[4], row[5], row[6]}));
+  if (farthest <= room[0] && farthest <= room[1] && farthest <= room[2]) return true;
+  if (!(room[0] >= 0 && room[1] >= 0 && room[2] >= 0)) return false;
+  double q[4], squared = 0;
+  for (std::size_t i = 0; i < 4; ++i) {
+    q[i] = static_cast<double>(float_from_half(row[i]));
+    squared += q[i] * q[i];
+  }
+  const double f = 2 / squared, w = q[0], x = q[1], y = q[2], z = q[3];
+  const double r[3][3] = {{1 - f * (y * y + z * z), f * (x * y - w * z), f * (x * z + w * y)},
+                          {f * (x * y + w * z), 1 - f * (x * x + z * z), f * (y * z - w * x)},
+                          {f * (x * z - w * y), f * (y * z + w * x), 1 - f * (x * x + y * y)}};
+  const double scales[3] = {scale(row[4]), scale(row[5]), scale(row[6])};
+  for (std::size_t k = 0; k < 3; ++k) {
+    double variance = 0;
+    for (std::size_t j = 0; j < 3; ++j) {
+      const double side = r[k][j] * scales[j];
+      variance += side * side;
+    }
+    if (!(kSquaredShare * variance <= room[k] * room[k])) return false;
+  }
+  return true;
+}
+
 }  // namespace rgs::detail

@@ -72,5 +72,20 @@ struct Extent {
   double mean[3], reach[3];
 };
 Extent extent_of(const std::byte* mean, const std::byte* geometry, int scale_exponent);
+/// Of an extent, that its page's box holds: the box may be short of it by what rounding it can cost.
+inline constexpr double kExtentShare = 1 - 0x1p-10;
+
+/// Whether a page's box holds Gaussians of legal values, without the roots that extent_of() takes. Where it says yes, kExtentShare of the
+/// extent is in the box, however extent_of() is rounded; it says no to some that the box holds.
+class RoomInBox {
+ public:
+  RoomInBox(const Box& box, int scale_exponent);
+  /// Of a row of MEAN and of GEOM.
+  bool is_enough(const std::byte* mean, const std::byte* geometry) const;
+
+ private:
+  const Box& box_;
+  double scale_unit_;
+};
 
 }  // namespace rgs::detail
