@@ -49,7 +49,7 @@ INSTALLED = ["format/include", "kernels/math/include", "runtime/include", "conve
 PRIVATE = {
     "format/src": ["tests/format", "tests/fuzz", "tests/memory"],
     "kernels/src": ["runtime/src/cuda", "samples/bench", "tests/kernels", "tests/math", "tests/samples/bench"],
-    "runtime/src": ["tests/runtime", "tests/kernels"],
+    "runtime/src": ["tests/runtime", "tests/kernels", "samples/bench"],
     "converter/formats": ["tests/converter/formats"],
 }
 # Further include folders. A header outside all of them has its own folder's.

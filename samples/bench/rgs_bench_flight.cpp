@@ -34,6 +34,9 @@
 #include "rgs/renderer.hpp"
 #include "rgs/streamed_scene.hpp"
 #include "rgs/version.hpp"
+#ifdef RGS_STREAM_TIMES
+#include "stream/stream_times.hpp"
+#endif
 
 namespace {
 
@@ -209,35 +212,81 @@ Json optional_json(const std::optional<double>& value) {
   return value ? Json(*value) : Json(nullptr);
 }
 
+// What the threads and frames of streamed scenes have done, all together; empty in builds without RGS_STREAM_TIMES.
+struct Steps {
+#ifdef RGS_STREAM_TIMES
+  std::array<std::uint64_t, rgs::detail::kStreamSteps> ns{}, n{};
+
+  static Steps now() {
+    Steps steps;
+    for (std::size_t k = 0; k < steps.n.size(); ++k) {
+      steps.ns[k] = rgs::detail::stream_totals[k].ns;
+      steps.n[k] = rgs::detail::stream_totals[k].n;
+    }
+    return steps;
+  }
+  Json json_since(const Steps& before) const {
+    Json json;
+    for (std::size_t k = 0; k < n.size(); ++k) {
+      json[rgs::detail::kStreamStepNames[k]] = {{"ms", 1e-6 * static_cast<double>(ns[k] - before.ns[k])},
+                                                {"n", n[k] - before.n[k]}};
+    }
+    return json;
+  }
+#else
+  static Steps now() {
+    return {};
+  }
+  Json json_since(const Steps&) const {
+    return nullptr;
+  }
+#endif
+};
+
 // From asking for a view until it is good, very good, complete; ms.
 struct Arrival {
+  /// After a frame.
+  struct Progress {
+    double ms;
+    std::uint64_t bytes_decoded, pages_missing;
+  };
+
   double first_ms = 0, first_detail_px = 0;
   std::optional<double> first_db;
-  std::uint64_t first_bytes_read = 0, bytes_read = 0;
+  std::uint64_t first_bytes_read = 0, bytes_read = 0, bytes_decoded = 0;
+  std::vector<Progress> progress;
+  Json steps;
   std::optional<double> good_ms, very_good_ms, complete_ms;
 
   Json json() const {
-    return {{"first_ms", first_ms},
-            {"first_bytes_read", first_bytes_read},
-            {"first_detail_px", first_detail_px},
-            {"first_psnr", first_db ? db_json(*first_db) : Json(nullptr)},
-            {"ms_to_35_db", optional_json(good_ms)},
-            {"ms_to_40_db", optional_json(very_good_ms)},
-            {"ms_to_complete", optional_json(complete_ms)},
-            {"bytes_read", bytes_read}};
+    Json frames = Json::array();
+    for (const Progress& p : progress) frames.push_back({p.ms, p.bytes_decoded, p.pages_missing});
+    Json json{{"first_ms", first_ms},
+              {"first_bytes_read", first_bytes_read},
+              {"first_detail_px", first_detail_px},
+              {"first_psnr", first_db ? db_json(*first_db) : Json(nullptr)},
+              {"ms_to_35_db", optional_json(good_ms)},
+              {"ms_to_40_db", optional_json(very_good_ms)},
+              {"ms_to_complete", optional_json(complete_ms)},
+              {"bytes_read", bytes_read},
+              {"bytes_decoded", bytes_decoded},
+              {"progress", std::move(frames)}};
+    if (!steps.is_null()) json["steps"] = steps;
+    return json;
   }
 };
 
 // Draws until nothing is missing, and keeps some of the pictures, ever fewer of them, to compare them with the last one. Bench::pictures
-// has been stocked. `before`: bytes that had been read at `start`.
+// has been stocked. `before`: of the scene at `start`.
 Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs::Camera& camera,
-                       Clock::time_point start, std::uint64_t before) {
+                       Clock::time_point start, const rgs::StreamStats& before) {
   struct Kept {
     double ms;
     Picture picture;
   };
   std::vector<Kept> kept;
   Arrival arrival;
+  const Steps steps_before = Steps::now();
   for (double next_ms = 0;;) {
     std::optional<Picture> picture;
     if (!bench.pictures.empty() && ms_since(start) >= next_ms) picture = bench.pictures.take();
@@ -247,8 +296,10 @@ Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs:
     if (kept.empty()) {
       arrival.first_ms = ms;
       arrival.first_detail_px = stats->stream.detail_reached_px;
-      arrival.first_bytes_read = stats->stream.bytes_read - before;
+      arrival.first_bytes_read = stats->stream.bytes_read - before.bytes_read;
     }
+    arrival.bytes_decoded = stats->stream.bytes_decoded - before.bytes_decoded;
+    arrival.progress.push_back({ms, arrival.bytes_decoded, stats->stream.pages_missing});
     if (picture) {
       kept.push_back({ms, *std::move(picture)});
       next_ms = 1.15 * ms;
@@ -256,9 +307,10 @@ Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs:
     if (stats->stream.pages_missing == 0) arrival.complete_ms = ms;
     if (arrival.complete_ms || ms > 1e3 * bench.options.wait) break;
   }
+  arrival.steps = Steps::now().json_since(steps_before);
   const auto complete = complete_picture(bench, scene, camera);
   if (!complete) return tl::unexpected(complete.error());
-  arrival.bytes_read = scene.stats().bytes_read - before;
+  arrival.bytes_read = scene.stats().bytes_read - before.bytes_read;
   for (Kept& each : kept) {
     if (!*complete) break;
     const auto db = psnr(each.picture.image(), (*complete)->image());
@@ -420,6 +472,14 @@ void print_arrival(const std::string& what, const Arrival& a, Print print) {
   print(fmt::format("{:<9} first picture {:.1f} ms, {} read{}; ms to 35 dB {}, to 40 dB {}, complete {}\n", what,
                     a.first_ms, tool::format_bytes(a.first_bytes_read), db, shown_ms(a.good_ms),
                     shown_ms(a.very_good_ms), shown_ms(a.complete_ms)));
+  if (a.steps.is_null()) return;
+  std::string steps;
+  for (const auto& [name, step] : a.steps.items()) {
+    steps += fmt::format(" {} {:.1f} ({}),", name, step["ms"].get<double>(), step["n"].get<std::uint64_t>());
+  }
+  if (!steps.empty()) steps.pop_back();
+  print(fmt::format("          {} frames, {} decoded; ms of all threads (times):{}\n", a.progress.size(),
+                    tool::format_bytes(a.bytes_decoded), steps));
 }
 
 // Jumps in a scene that has seen the first view alone.
@@ -434,7 +494,7 @@ Result<Json> teleport(Bench& bench, Print print) {
   for (int k = 0; k < bench.options.teleport; ++k) {
     const std::size_t at = jump(k, bench.cameras.size());
     if (const auto ok = bench.forget_file(); !ok) return tl::unexpected(ok.error());
-    const auto arrival = arrive(bench, *scene, bench.cameras[at], Clock::now(), scene->stats().bytes_read);
+    const auto arrival = arrive(bench, *scene, bench.cameras[at], Clock::now(), scene->stats());
     if (!arrival) return tl::unexpected(arrival.error());
     print_arrival(fmt::format("jump {}", k), *arrival, print);
     Json json = arrival->json();
@@ -488,7 +548,7 @@ int bench_flight(const Options& o) {
   const std::uint64_t open_bytes = scene->stats().bytes_read;
   print(fmt::format("{}: {} Gaussians, {} {}x{}\n", tool::printable(name), tool::format_count(scene->size()),
                     bench.renderer.backend_name(), size->width, size->height));
-  const auto opening = arrive(bench, *scene, bench.cameras.front(), start, 0);
+  const auto opening = arrive(bench, *scene, bench.cameras.front(), start, {});
   if (!opening) return report(opening.error());
   print_arrival("opening", *opening, print);
   auto flight = fly(bench, *scene, print);

@@ -7,6 +7,7 @@
 
 #include "cuda/cuda_objects.hpp"
 #include "page_sections.hpp"
+#include "stream/stream_times.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -130,11 +131,14 @@ Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
   impl_->next = (impl_->next + 1) % impl_->staged.size();
   const OnDevice here(impl_->slots->device());
   Status ok = here.status();
+  StreamTimer timer(StreamStep::room);
   if (ok) ok = staged.copied.wait();
   if (!ok) return ok;
+  timer.next(StreamStep::stage);
   write_page_sections(page, plan.shape.chunk_size, std::uint64_t{slot} * plan.shape.page_chunks, staged.at);
   const auto rows = section_rows(page.n, page.steps.size() / kStepSetBytes, plan.shape.chunk_size);
   const auto row_bytes = section_row_bytes(plan.shape.sh_degree);
+  timer.next(StreamStep::queue);
   for (std::size_t k = 0; k < rows.size(); ++k) {
     if (!ok) break;
     ok = device_status(cudaMemcpyAsync(impl_->slots->at(k, slot), staged.at[k], rows[k] * row_bytes[k],
@@ -148,6 +152,7 @@ Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
 
 Status SlotWriter::finish() {
   const OnDevice here(impl_->slots->device());
+  const StreamTimer timer(StreamStep::wait);
   const Status done =
       device_status(cudaStreamSynchronize(impl_->stream.get()), "a page could not be copied to the device");
   return here.status() ? done : here.status();

@@ -6,6 +6,7 @@
 
 #include "rgs/guard_memory.hpp"
 #include "stream/page_reader.hpp"
+#include "stream/stream_times.hpp"
 #include "stream/streamed_state.hpp"
 
 namespace rgs::detail {
@@ -238,11 +239,13 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     if (read) known = reader.last_read();
     // A frame has the lock for as long as it chooses its pages, a millisecond or two: meanwhile the next group is decoded.
     std::unique_lock lock(pool->mutex, std::defer_lock);
+    StreamTimer timer(StreamStep::lock);
     if (read && group + 1 < run.first + run.n) {
       if (!lock.try_lock()) continue;
     } else {
       lock.lock();
     }
+    timer.next(StreamStep::tell);
     stats.bytes_read += reader.take_bytes_read();
     const std::uint32_t end_of_read = read ? group + 1 : group;
     if (told < end_of_read) {
@@ -342,6 +345,7 @@ bool StreamedState::can_extend() const {
 }
 
 void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun) {
+  const StreamTimer timer(StreamStep::table);
   FileRange unread;
   {
     const std::shared_lock lock(table);
@@ -378,7 +382,10 @@ void StreamedState::work_until_stopped(PageReader& reader) {
   std::unique_lock lock(pool->mutex);
   while (!is_stopping) {
     Run run;
-    const Choice choice = choose(run);
+    const Choice choice = [&] {
+      const StreamTimer timer(StreamStep::choose);
+      return choose(run);
+    }();
     if (choice == Choice::run || choice == Choice::table) {
       ++n_at_work;
       is_extending = is_extending || choice == Choice::table;
@@ -390,7 +397,10 @@ void StreamedState::work_until_stopped(PageReader& reader) {
       } else {
         fetch(reader, run, begun);
       }
-      lock.lock();
+      {
+        const StreamTimer timer(StreamStep::lock);
+        lock.lock();
+      }
       --n_at_work;
       continue;
     }
@@ -398,6 +408,7 @@ void StreamedState::work_until_stopped(PageReader& reader) {
     const auto is_awake = [this, seen = pool->changes, requested = n_requested] {
       return is_stopping || pool->changes != seen || n_requested != requested;
     };
+    const StreamTimer timer(StreamStep::idle);
     if (choice == Choice::later) {
       work.wait_until(lock, run.later, is_awake);
     } else {

@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <span>
 
+#include "stream/stream_times.hpp"
+
 namespace rgs::detail {
 
 std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots) {
@@ -39,7 +41,10 @@ Status PageReader::fill(std::uint32_t page, std::uint32_t end) {
     return make_error(Errc::truncated, source_.size(), "the end of the file is missing, and with it pages", read_end,
                       source_.size());
   }
-  if (Status read = source_.read(begin, {stored_.get(), read_end - begin}); !read) return read;
+  {
+    const StreamTimer timer(StreamStep::read);
+    if (Status read = source_.read(begin, {stored_.get(), read_end - begin}); !read) return read;
+  }
   begin_ = begin;
   end_ = read_end;
   bytes_read_ += read_end - begin;
@@ -50,7 +55,10 @@ Status PageReader::decode(std::uint32_t page) {
   const std::shared_lock lock(table_);
   const StoredPage& stored = file_.stored(page);
   const std::span<const std::byte> bytes(stored_.get() + (stored.offset - begin_), stored.stored_bytes);
-  const auto rows = decoder_.decode(page, bytes, decoded_.first(file_.decoded_bytes(page)));
+  const auto rows = [&] {
+    const StreamTimer timer(StreamStep::decode);
+    return decoder_.decode(page, bytes, decoded_.first(file_.decoded_bytes(page)));
+  }();
   if (!rows) return tl::unexpected(rows.error());
   return store_.put(page, *rows, writer_ ? &*writer_ : nullptr);
 }

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "splat_arrays.hpp"
+#include "stream/stream_times.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -59,7 +60,10 @@ void PageStore::free(std::uint32_t page) {
 
 Status PageStore::put(std::uint32_t page, const PageRows& rows, SlotWriter* writer) {
   if (slots_ != nullptr) {
-    if (Status checked = check_page_values(file_, page, rows); !checked) return checked;
+    {
+      const StreamTimer timer(StreamStep::check);
+      if (Status checked = check_page_values(file_, page, rows); !checked) return checked;
+    }
     return writer->write(rows, slot_of_[page]);
   }
   const int sh_degree = file_.head().header().sh_degree;

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
+#include "stream/stream_times.hpp"
 
 namespace rgs::detail {
 namespace {
@@ -399,7 +400,9 @@ StreamStats StreamedState::stats_now() const {
 Result<StreamFrame> StreamFrame::begin(std::shared_ptr<StreamedState> state, std::uint64_t renderer,
                                        const Camera& camera, const StreamRule& rule) {
   StreamedState& s = *state;
+  StreamTimer timer(StreamStep::frame_lock);
   const std::scoped_lock lock(s.pool->mutex);
+  timer.next(StreamStep::frame_cut);
   const auto view = s.post(renderer, camera, rule);
   if (!view) return tl::unexpected(view.error());
   DrawLists& lists = (*view)->lists;

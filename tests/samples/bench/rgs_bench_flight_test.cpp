@@ -95,6 +95,20 @@ TEST_CASE("rgs-bench-flight measures an opening, a flight, pictures beside compl
   CHECK(opening["ms_to_35_db"].get<double>() <= opening["ms_to_40_db"].get<double>());
   CHECK(opening["ms_to_40_db"].get<double>() <= opening["ms_to_complete"].get<double>());
 
+  // What its frames have seen come.
+  const auto& progress = opening["progress"];
+  REQUIRE(!progress.empty());
+  CHECK(progress.back()[0] == opening["ms_to_complete"]);
+  CHECK(progress.back()[1] == opening["bytes_decoded"]);
+  CHECK(progress.back()[2] == 0);
+  for (std::size_t i = 1; i < progress.size(); ++i) {
+    CHECK(progress[i - 1][0].get<double>() < progress[i][0].get<double>());
+    CHECK(progress[i - 1][1].get<std::uint64_t>() <= progress[i][1].get<std::uint64_t>());
+    CHECK(progress[i - 1][2].get<int>() > 0);
+  }
+  CHECK(opening["bytes_decoded"].get<std::uint64_t>() > 0);
+  CHECK(!opening.contains("steps"));  // not in builds like this one
+
   const auto& flight = json["flight"];
   REQUIRE(flight["frames"].size() == 9);
   for (std::size_t i = 0; i < 9; ++i) {
