@@ -140,6 +140,41 @@ TEST_CASE("on the device a refined picture is that of the whole file, byte for b
   }
 }
 
+TEST_CASE("pages that many threads send at once, in rings of any size, are those of the file") {
+  if (!device_answers()) return;
+  const Bytes bytes = town({.n = sized(60000, 20000, 2000), .sh_degree = 1});
+  const Scene all = whole(bytes);
+  const Camera camera = resized(camera_at({0, 30, 40}, {0, 0, 0}), sized(320, 160, 64), sized(200, 96, 48));
+  Renderer reference = device_renderer();
+  const std::vector<float> expected = colours(reference, all, camera, at_detail(0));
+  // Runs of one group and of many; rings of eight pages and of two.
+  for (const int reads_at_once : {16, 1}) {
+    for (const std::uint64_t host_memory : {std::uint64_t{256} << 20, std::uint64_t{6} << 20}) {
+      CAPTURE(reads_at_once);
+      CAPTURE(host_memory);
+      for (int turn = 0; turn < sized(10, 2, 1); ++turn) {
+        const auto pool = StreamPool::create({.host_memory = host_memory, .device_memory = std::uint64_t{32} << 20});
+        require_ok(pool);
+        const StreamedScene scene = streamed(
+            bytes, std::make_shared<Script>(),
+            {.pool = *pool, .traits = {.reads_at_once = reads_at_once, .most_bytes = 256 << 10, .gap_bytes = 4096}});
+        Renderer renderer = device_renderer();
+        // Frames of what is there, while more of it comes.
+        Frame frame = Frame::of(camera);
+        do {
+          const auto drawn = renderer.render(scene, camera, frame.target(), at_detail(0));
+          require_ok(drawn);
+          frame.stats = *drawn;
+        } while (frame.stats.stream.pages_missing > 0 && scene.status());
+        CHECK(scene.status());
+        REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
+        CHECK(colours(renderer, scene, camera, at_detail(0)) == expected);
+        CHECK(scene.stats().bytes_uploaded == scene.stats().bytes_decoded);
+      }
+    }
+  }
+}
+
 TEST_CASE("equal depths are drawn in tie order, whatever slots they are in") {
   if (!device_answers()) return;
   // A grid seen along its axis: many means at one depth, in pages that come in any order.

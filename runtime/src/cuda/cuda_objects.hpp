@@ -38,6 +38,16 @@ class Event {
   }
   /// The host waits for it; at once if it was never recorded.
   Status wait() const { return device_status(cudaEventSynchronize(event_), "a kernel failed"); }
+  /// Whether it has come, without waiting; also if it was never recorded.
+  Result<bool> is_done() const {
+    const cudaError_t error = cudaEventQuery(event_);
+    if (error == cudaErrorNotReady) {
+      cudaGetLastError();
+      return false;
+    }
+    if (const Status ok = device_status(error, "a kernel failed"); !ok) return tl::unexpected(ok.error());
+    return true;
+  }
   cudaEvent_t get() const { return event_; }
 
  private:

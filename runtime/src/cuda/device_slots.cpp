@@ -78,12 +78,27 @@ void DeviceSlots::stay_on_device() const {
 }
 
 struct SlotWriter::Impl {
-  struct Staged {
-    std::array<std::byte*, 5> at{};
-    Event copied;
-  };
+  /// Copies that go to the device with one call.
+  struct Copies {
+    static constexpr std::size_t kMost = 64;
+    std::array<void*, kMost> to;
+    std::array<const void*, kMost> from;
+    std::array<std::size_t, kMost> bytes;
+    std::size_t n = 0;
 
-  explicit Impl(std::shared_ptr<const DeviceSlots> of) : slots(std::move(of)) {}
+    void add(void* at, const void* source, std::size_t size) {
+      to[n] = at, from[n] = source, bytes[n] = size;
+      ++n;
+    }
+  };
+  /// What was sent together.
+  struct Sent {
+    Event copied;
+    std::uint64_t taken = 0;  // of the ring, up to its end
+  };
+  static constexpr std::size_t kMostSent = 16;
+
+  Impl(std::shared_ptr<const DeviceSlots> of, std::uint64_t bytes) : slots(std::move(of)), ring(bytes) {}
   Impl(const Impl&) = delete;
   Impl& operator=(const Impl&) = delete;
   ~Impl() {
@@ -91,10 +106,17 @@ struct SlotWriter::Impl {
     cudaFreeHost(memory);
   }
 
+  Sent& sent(Ticket ticket) { return all_sent[ticket % kMostSent]; }
+  Status send();
+  Status queue();
+  Status wait_for_oldest();
+
   std::shared_ptr<const DeviceSlots> slots;
   std::byte* memory = nullptr;
-  std::array<Staged, kStagedPages> staged;
-  std::size_t next = 0;
+  StagingRing ring;
+  Copies copies;  // of pages that were taken and not sent
+  std::array<Sent, kMostSent> all_sent;
+  Ticket last_sent = 0, last_there = 0;  // in between is what is on its way
   OwnedStream stream;
 };
 
@@ -102,60 +124,129 @@ SlotWriter::SlotWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 SlotWriter::SlotWriter(SlotWriter&&) noexcept = default;
 SlotWriter::~SlotWriter() = default;
 
-Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots> slots) {
-  auto impl = std::make_unique<Impl>(std::move(slots));
-  const SlotShape& shape = impl->slots->plan().shape;
+Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots> slots, std::uint32_t n_staged) {
+  const std::uint64_t bytes = staging_bytes(slots->plan().shape, n_staged);
+  auto impl = std::make_unique<Impl>(std::move(slots), bytes);
   void* memory = nullptr;
   const OnDevice here(impl->slots->device());
   Status ok = here.status();
-  if (ok) {
-    ok = device_status(cudaMallocHost(&memory, staging_bytes(shape)), "page-locked host memory could not be allocated");
-  }
+  if (ok) ok = device_status(cudaMallocHost(&memory, bytes), "page-locked host memory could not be allocated");
   impl->memory = static_cast<std::byte*>(memory);
   if (ok) ok = impl->stream.create();
-  std::byte* at = impl->memory;
-  for (Impl::Staged& each : impl->staged) {
+  for (Impl::Sent& each : impl->all_sent) {
     if (ok) ok = each.copied.create();
-    for (std::size_t k = 0; k < each.at.size(); ++k) {
-      each.at[k] = at;
-      at += staged_section_bytes(shape, k);
-    }
   }
   if (!ok) return tl::unexpected(ok.error());
   return SlotWriter(std::move(impl));
 }
 
+Status SlotWriter::Impl::wait_for_oldest() {
+  const StreamTimer timer(StreamStep::room);
+  Sent& oldest = sent(last_there + 1);
+  Status there = oldest.copied.wait();
+  if (!there) return there;
+  ++last_there;
+  ring.give_up_to(oldest.taken);
+  return {};
+}
+
+// Many calls of many threads wait for each other in the driver.
+Status SlotWriter::Impl::queue() {
+  constexpr const char* kFailed = "a page could not be copied to the device";
+#if CUDART_VERSION >= 13000
+  cudaMemcpyAttributes how{};
+  how.srcAccessOrder = cudaMemcpySrcAccessOrderStream;
+  how.flags = cudaMemcpyFlagPreferOverlapWithCompute;
+  std::size_t first = 0;  // that is copied so
+  return device_status(cudaMemcpyBatchAsync(copies.to.data(), copies.from.data(), copies.bytes.data(), copies.n, &how,
+                                            &first, 1, stream.get()),
+                       kFailed);
+#else
+  Status ok;
+  for (std::size_t i = 0; i < copies.n && ok; ++i) {
+    ok = device_status(
+        cudaMemcpyAsync(copies.to[i], copies.from[i], copies.bytes[i], cudaMemcpyHostToDevice, stream.get()), kFailed);
+  }
+  return ok;
+#endif
+}
+
+Status SlotWriter::Impl::send() {
+  if (copies.n == 0) return {};
+  if (last_sent - last_there == kMostSent) {
+    if (Status there = wait_for_oldest(); !there) return there;
+  }
+  const StreamTimer timer(StreamStep::queue);
+  const Status queued = queue();
+  copies.n = 0;
+  // After an error, too: what was queued reads staged pages.
+  Sent& now = sent(last_sent + 1);
+  if (Status recorded = now.copied.record(stream.get()); !recorded) return queued ? recorded : queued;
+  now.taken = ring.taken();
+  ++last_sent;
+  return queued;
+}
+
 Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
   const SlotPlan& plan = impl_->slots->plan();
-  Impl::Staged& staged = impl_->staged[impl_->next];
-  impl_->next = (impl_->next + 1) % impl_->staged.size();
+  const auto rows = section_rows(page.n, page.steps.size() / kStepSetBytes, plan.shape.chunk_size);
+  std::array<std::uint64_t, 5> bytes = section_row_bytes(plan.shape.sh_degree);
+  for (std::size_t k = 0; k < bytes.size(); ++k) bytes[k] *= rows[k];
+  const OnDevice here(impl_->slots->device());
+  if (!here.status()) return here.status();
+  if (impl_->copies.n + bytes.size() > Impl::Copies::kMost) {
+    if (Status sent = impl_->send(); !sent) return sent;
+  }
+  auto at = impl_->ring.take(staged_bytes(bytes));
+  while (!at) {
+    Status room = impl_->send();
+    if (room) room = impl_->wait_for_oldest();
+    if (!room) return room;
+    at = impl_->ring.take(staged_bytes(bytes));
+  }
+  const StreamTimer timer(StreamStep::stage);
+  std::array<std::byte*, 5> staged;
+  std::byte* section = impl_->memory + *at;
+  for (std::size_t k = 0; k < bytes.size(); ++k) {
+    staged[k] = section;
+    section += staged_section_bytes(bytes[k]);
+    impl_->copies.add(impl_->slots->at(k, slot), staged[k], bytes[k]);
+  }
+  write_page_sections(page, plan.shape.chunk_size, std::uint64_t{slot} * plan.shape.page_chunks, staged);
+  return {};
+}
+
+Result<SlotWriter::Ticket> SlotWriter::send() {
   const OnDevice here(impl_->slots->device());
   Status ok = here.status();
-  StreamTimer timer(StreamStep::room);
-  if (ok) ok = staged.copied.wait();
-  if (!ok) return ok;
-  timer.next(StreamStep::stage);
-  write_page_sections(page, plan.shape.chunk_size, std::uint64_t{slot} * plan.shape.page_chunks, staged.at);
-  const auto rows = section_rows(page.n, page.steps.size() / kStepSetBytes, plan.shape.chunk_size);
-  const auto row_bytes = section_row_bytes(plan.shape.sh_degree);
-  timer.next(StreamStep::queue);
-  for (std::size_t k = 0; k < rows.size(); ++k) {
-    if (!ok) break;
-    ok = device_status(cudaMemcpyAsync(impl_->slots->at(k, slot), staged.at[k], rows[k] * row_bytes[k],
-                                       cudaMemcpyHostToDevice, impl_->stream.get()),
-                       "a page could not be copied to the device");
+  if (ok) ok = impl_->send();
+  if (!ok) return tl::unexpected(ok.error());
+  return impl_->last_sent;
+}
+
+Result<bool> SlotWriter::is_there(Ticket ticket) {
+  const StreamTimer timer(StreamStep::wait);
+  while (impl_->last_there < ticket) {
+    const Impl::Sent& oldest = impl_->sent(impl_->last_there + 1);
+    const auto is_done = oldest.copied.is_done();
+    if (!is_done || !*is_done) return is_done;
+    ++impl_->last_there;
+    impl_->ring.give_up_to(oldest.taken);
   }
-  // After an error, too: what was queued reads the staged page.
-  const Status recorded = staged.copied.record(impl_->stream.get());
-  return ok ? recorded : ok;
+  return true;
 }
 
 Status SlotWriter::finish() {
   const OnDevice here(impl_->slots->device());
+  Status sent = here.status();
+  if (sent) sent = impl_->send();
   const StreamTimer timer(StreamStep::wait);
   const Status done =
       device_status(cudaStreamSynchronize(impl_->stream.get()), "a page could not be copied to the device");
-  return here.status() ? done : here.status();
+  impl_->copies.n = 0;
+  impl_->last_there = impl_->last_sent;
+  impl_->ring.give_up_to(impl_->ring.taken());
+  return sent ? done : sent;
 }
 
 }  // namespace rgs::detail

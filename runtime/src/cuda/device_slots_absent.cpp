@@ -25,10 +25,16 @@ SlotWriter::SlotWriter(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
 SlotWriter::SlotWriter(SlotWriter&&) noexcept = default;
 SlotWriter::~SlotWriter() = default;
 // NOLINTNEXTLINE(performance-unnecessary-value-param): as where there is a device
-Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots>) {
+Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots>, std::uint32_t) {
   return not_built();
 }
 Status SlotWriter::write(const PageRows&, std::uint32_t) {
+  return not_built();
+}
+Result<SlotWriter::Ticket> SlotWriter::send() {
+  return not_built();
+}
+Result<bool> SlotWriter::is_there(Ticket) {
   return not_built();
 }
 Status SlotWriter::finish() {

@@ -52,15 +52,23 @@ class DeviceSlots {
 /// What one thread needs to bring pages to slots: page-locked memory, and a stream of its own.
 class SlotWriter {
  public:
-  /// Takes staging_bytes() of the host. Errors: device_failed.
-  static Result<SlotWriter> create(std::shared_ptr<const DeviceSlots> slots);
+  /// Of what was sent together; later ones are larger, and there later.
+  using Ticket = std::uint64_t;
+
+  /// Takes staging_bytes() of the host for so many pages. Errors: device_failed.
+  static Result<SlotWriter> create(std::shared_ptr<const DeviceSlots> slots, std::uint32_t n_staged);
   SlotWriter(SlotWriter&&) noexcept;
   SlotWriter& operator=(SlotWriter&&) = delete;
   ~SlotWriter();  ///< waits
 
-  /// Queues a page of checked values, of which nothing is read after the return. Waits for the page two before. Errors: device_failed.
+  /// Takes a page of checked values, of which nothing is read after the return, to be sent. Where there is no room for it what was taken before
+  /// is sent, and what was sent first waited for. Errors: device_failed.
   Status write(const PageRows& page, std::uint32_t slot);
-  /// Waits until all is there. Whatever it returns, nothing writes to a slot any more. Errors: device_failed.
+  /// Sends what was taken: with one call of the driver. Errors: device_failed.
+  Result<Ticket> send();
+  /// Whether what was sent with it is in its slots, without waiting. Errors: device_failed.
+  Result<bool> is_there(Ticket ticket);
+  /// Sends what was taken and waits until all is there. Whatever it returns, nothing writes to a slot any more. Errors: device_failed.
   Status finish();
 
  private:

@@ -1,6 +1,7 @@
 // page_fetch.cpp - threads that read and decode what views miss: the largest projected error first, then what the camera is about to see.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <array>
 #include <limits>
 #include <utility>
 
@@ -223,36 +224,57 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
   const lod::Page last = page_of(run.first + run.n - 1);
   const std::uint32_t end = last.first_child + last.n_children;
   reader.begin_run();
-  std::uint32_t told = run.first;  // groups before it have arrived, or failed
-  FileRange known;                 // bytes of the last that was read
+  std::array<PageReader::Ticket, kMostGroups> sent{};  // of groups of the run that have been decoded
+  std::uint32_t told = run.first;                      // groups before it have arrived, or failed
+  FileRange known;                                     // bytes of the last that was read
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
     const lod::Page above = page_of(group);
     Status read = guard_memory([&]() -> Status {
       for (std::uint32_t child = above.first_child; child < above.first_child + above.n_children; ++child) {
         if (Status put = reader.read(child, end); !put) return put;
       }
+      const auto ticket = reader.send();
+      if (!ticket) return tl::unexpected(ticket.error());
+      sent[group - run.first] = *ticket;
       return {};
     });
-    // What has failed, too: its slots are others' from here on.
-    const Status there = reader.finish();
-    if (read) read = there;
     if (read) known = reader.last_read();
+    // What is on its way to a device stays so while the next group is decoded.
+    const bool is_last = group + 1 == run.first + run.n;
+    std::uint32_t there = told;  // groups before it are where they are drawn
+    while (read && !is_last && there <= group) {
+      const auto is_there = reader.is_there(sent[there - run.first]);
+      if (!is_there) read = tl::unexpected(is_there.error());
+      if (!is_there || !*is_there) break;
+      ++there;
+    }
+    const bool goes_on = read && !is_last;
+    if (!goes_on) {
+      // What has failed, too: its slots are others' from here on.
+      const Status finished = reader.finish();
+      if (finished) {
+        there = read ? group + 1 : group;
+      } else {
+        read = finished;
+        group = there;
+      }
+    }
     // A frame has the lock for as long as it chooses its pages, a millisecond or two: meanwhile the next group is decoded.
+    if (goes_on && there == told) continue;
     std::unique_lock lock(pool->mutex, std::defer_lock);
     StreamTimer timer(StreamStep::lock);
-    if (read && group + 1 < run.first + run.n) {
+    if (goes_on) {
       if (!lock.try_lock()) continue;
     } else {
       lock.lock();
     }
     timer.next(StreamStep::tell);
     stats.bytes_read += reader.take_bytes_read();
-    const std::uint32_t end_of_read = read ? group + 1 : group;
-    if (told < end_of_read) {
+    if (told < there) {
       readable = known;
       succeed();
     }
-    for (; told < end_of_read; ++told) arrived(told);
+    for (; told < there; ++told) arrived(told);
     if (read) continue;
     told = group + 1;
     give_up(group);

@@ -9,13 +9,14 @@
 
 namespace rgs::detail {
 
-std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots) {
+std::uint64_t PageReader::bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots,
+                                std::uint32_t n_staged) {
   // What a decoder keeps from page to page: contents of a frame or codes of an archive, up to twice what the largest takes, and
   // its tables.
   constexpr std::uint64_t kTables = 320 << 10;
   const std::uint64_t largest = file.most_decoded_bytes();
   const std::uint64_t times = file.codec() == Codec::none ? 0 : file.codec() == Codec::planes ? 2 : 3;
-  const std::uint64_t staged = slots == nullptr ? 0 : staging_bytes(slots->plan().shape);
+  const std::uint64_t staged = slots == nullptr ? 0 : staging_bytes(slots->plan().shape, n_staged);
   return sizeof(PageReader) + read_bytes + (1 + times) * largest + (times > 0 ? kTables : 4096) + staged;
 }
 

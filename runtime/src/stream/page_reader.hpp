@@ -55,8 +55,9 @@ class PageReader {
         decoded_(file.most_decoded_bytes()),
         decoder_(file) {}
 
-  /// Most memory that one takes. `slots`: of a store that is on a device.
-  static std::uint64_t bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots);
+  /// Most memory that one takes. `slots`: of a store that is on a device, with the pages that its writer stages.
+  static std::uint64_t bytes(const PagedFile& file, std::uint64_t read_bytes, const DeviceSlots* slots,
+                             std::uint32_t n_staged);
   /// Room for any page: what coding makes larger than it is is a little larger.
   static std::uint64_t least_bytes(const PagedFile& file) {
     const std::uint64_t largest = file.most_decoded_bytes();
@@ -68,7 +69,13 @@ class PageReader {
   /// Puts a page in its place. Reads along what follows of pages before `end`, for the next calls. Errors: those of
   /// ByteSource::read(), PageDecoder::decode() and PageStore::put(); damage is that of a page that was read twice.
   Status read(std::uint32_t page, std::uint32_t end);
-  /// Waits until what was put is where it is drawn; whatever it returns, nothing is on its way any more. Errors: device_failed.
+  /// Of what was put up to a send().
+  using Ticket = SlotWriter::Ticket;
+  /// Sends what was put to where it is drawn, where it is on its way to a device. Errors: device_failed.
+  Result<Ticket> send() { return writer_ ? writer_->send() : Result<Ticket>(0); }
+  /// Whether it is there, without waiting. Errors: device_failed.
+  Result<bool> is_there(Ticket ticket) { return writer_ ? writer_->is_there(ticket) : Result<bool>(true); }
+  /// Sends what was put and waits until it is where it is drawn; whatever it returns, nothing is on its way any more. Errors: device_failed.
   Status finish();
   /// What follows of the table of pages, `n` bytes or as many as fit, valid until the next call of any. Errors: those of
   /// ByteSource::read().

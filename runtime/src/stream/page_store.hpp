@@ -34,7 +34,7 @@ class PageStore {
   void free(std::uint32_t page);     ///< reserved; put() or not
 
   /// Rows of a page that is reserved, by the thread that has it, once their values are checked. `writer`: of that thread, on a device, whose
-  /// finish() brings them there. Errors: those of check_page_values() and SlotWriter::write().
+  /// send() brings them there. Errors: those of check_page_values() and SlotWriter::write().
   Status put(std::uint32_t page, const PageRows& rows, SlotWriter* writer);
 
   /// What a frame draws of a page that is there.

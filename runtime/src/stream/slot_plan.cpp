@@ -57,14 +57,29 @@ Result<SlotPlan> plan_slots(const SlotShape& shape, std::uint64_t budget) {
   return plan_of(shape, static_cast<std::uint32_t>(n));
 }
 
-std::uint64_t staged_section_bytes(const SlotShape& shape, std::size_t section) {
-  return aligned(shape.section_bytes()[section]);
+std::uint64_t staged_section_bytes(std::uint64_t bytes) {
+  return aligned(bytes);
 }
 
-std::uint64_t staging_bytes(const SlotShape& shape) {
+std::uint64_t staged_bytes(const std::array<std::uint64_t, 5>& section_bytes) {
   std::uint64_t sum = 0;
-  for (std::size_t k = 0; k < shape.section_bytes().size(); ++k) sum += staged_section_bytes(shape, k);
-  return kStagedPages * sum;
+  for (const std::uint64_t bytes : section_bytes) sum += aligned(bytes);
+  return sum;
+}
+
+std::uint64_t staging_bytes(const SlotShape& shape, std::uint32_t n_pages) {
+  return n_pages * staged_bytes(shape.section_bytes());
+}
+
+std::optional<std::uint64_t> StagingRing::take(std::uint64_t n) {
+  if (taken_ == given_) next_ = 0;
+  const bool is_over = n > bytes_ - next_;
+  const std::uint64_t lost = is_over ? bytes_ - next_ : 0, used = taken_ - given_;
+  if (n + lost > bytes_ - used) return std::nullopt;
+  const std::uint64_t at = is_over ? 0 : next_;
+  next_ = at + n;
+  taken_ += n + lost;
+  return at;
 }
 
 }  // namespace rgs::detail

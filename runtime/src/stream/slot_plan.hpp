@@ -5,6 +5,7 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 
 #include "rgs/paged_file.hpp"
 #include "rgs/result.hpp"
@@ -42,9 +43,27 @@ struct SlotPlan {
 /// takes).
 Result<SlotPlan> plan_slots(const SlotShape& shape, std::uint64_t budget);
 
-/// Page-locked memory of a thread that brings pages to slots: while one is copied, the next is made.
-inline constexpr std::uint32_t kStagedPages = 2;
-std::uint64_t staged_section_bytes(const SlotShape& shape, std::size_t section);  ///< of one page
-std::uint64_t staging_bytes(const SlotShape& shape);
+/// Page-locked memory of a thread that brings pages to slots, in pages of the largest size: some are copied while the next are made. As many
+/// where the host's budget allows it, which are two groups of the usual size; and at least.
+inline constexpr std::uint32_t kStagedPages = 8, kLeastStagedPages = 2;
+/// What a section, and a page of such sections, takes of it: each begins at a multiple of 256.
+std::uint64_t staged_section_bytes(std::uint64_t bytes);
+std::uint64_t staged_bytes(const std::array<std::uint64_t, 5>& section_bytes);
+std::uint64_t staging_bytes(const SlotShape& shape, std::uint32_t n_pages);
+
+/// Places in a ring of memory, given back in the order in which they were taken.
+class StagingRing {
+ public:
+  explicit StagingRing(std::uint64_t bytes) : bytes_(bytes) {}
+  /// Where `n` bytes in one piece begin, at most all of the ring; absent if others have to be given back first.
+  std::optional<std::uint64_t> take(std::uint64_t n);
+  /// All that was ever taken; what is lost at the ring's end counts to the place after it.
+  std::uint64_t taken() const { return taken_; }
+  /// Everything up to that value of taken() is free.
+  void give_up_to(std::uint64_t taken) { given_ = taken; }
+
+ private:
+  std::uint64_t bytes_, next_ = 0, taken_ = 0, given_ = 0;
+};
 
 }  // namespace rgs::detail

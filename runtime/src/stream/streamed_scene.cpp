@@ -107,21 +107,27 @@ Status StreamedState::make_room_for_pages() {
   const std::uint64_t least = PageReader::least_bytes(*file), share = pool->budget / kReadersShare;
   std::uint64_t read_bytes = std::max(least, traits.most_bytes);
   auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
-  const auto reader_bytes = [&] { return PageReader::bytes(*file, read_bytes, slots.get()); };
+  std::uint32_t n_staged = kStagedPages;
+  const auto reader_bytes = [&] { return PageReader::bytes(*file, read_bytes, slots.get(), n_staged); };
   while (n > 1 && n * reader_bytes() > share) {
-    if (read_bytes / 2 >= std::max(least, kLeastReadBytes)) {
+    if (slots != nullptr && n_staged > kLeastStagedPages) {
+      n_staged /= 2;
+    } else if (read_bytes / 2 >= std::max(least, kLeastReadBytes)) {
       read_bytes /= 2;
     } else {
       n -= 1;
     }
   }
-  if (reader_bytes() > share) read_bytes = least;
+  if (reader_bytes() > share) {
+    read_bytes = least;
+    n_staged = kLeastStagedPages;
+  }
   traits.most_bytes = read_bytes;
   if (Status taken = take(n * reader_bytes()); !taken) return taken;
   for (std::uint64_t i = 0; i < n; ++i) {
     std::optional<SlotWriter> writer;
     if (slots != nullptr) {
-      auto created = SlotWriter::create(slots);
+      auto created = SlotWriter::create(slots, n_staged);
       if (!created) return tl::unexpected(created.error());
       writer.emplace(*std::move(created));
     }

@@ -14,6 +14,7 @@
 #include "counted_memory.hpp"
 #include "fake_cuda.hpp"
 #include "opened_state.hpp"
+#include "page_sections.hpp"
 #include "streamed_fixture.hpp"
 
 using namespace rgs;
@@ -24,6 +25,8 @@ namespace {
 
 constexpr FakeCuda::Pace kPaces[] = {FakeCuda::Pace::late, FakeCuda::Pace::any_time};
 constexpr ByteSource::Traits kTraits{.reads_at_once = 3, .most_bytes = 64 << 10, .gap_bytes = 4096};
+/// One thread, which brings many groups one after the other.
+constexpr ByteSource::Traits kLongRuns{.reads_at_once = 1, .most_bytes = 256 << 10, .gap_bytes = 4096};
 
 Renderer device_renderer() {
   auto renderer = Renderer::create({.backend = Backend::cuda});
@@ -291,14 +294,21 @@ TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot 
     CAPTURE(static_cast<int>(pace));
     FakeCuda cuda(pace);
     {
+      // The first one, and one of a group that others are sent before.
+      for (const int n_before : {0, 12, 33, 70}) {
+        CAPTURE(n_before);
+        const StreamedScene scene =
+            streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kTraits});
+        cuda.passes_next = n_before;
+        cuda.fails_next = 1;
+        Renderer renderer = device_renderer(), reference = cpu_renderer(1);
+        CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
+        CHECK(cuda.fails_next == 0);
+        CHECK(scene.status());
+        CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), draw(reference, all, camera, at_detail(0))));
+      }
       const StreamPool pool = device_pool(8 << 20);
-      const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
-      cuda.fails_next = 1;
-      Renderer renderer = device_renderer(), reference = cpu_renderer(1);
-      CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
-      CHECK(cuda.fails_next == 0);
-      CHECK(scene.status());
-      CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), draw(reference, all, camera, at_detail(0))));
+      Renderer renderer = device_renderer();
 
       // The last of its siblings: the others are on their way when it is found.
       const lod::Page& above = file->pages()[file->pages()[file->n_pages() - file->n_pages() / 3].parent];
@@ -313,6 +323,218 @@ TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot 
     }
     CHECK(cuda.n_faults == 0);
     CHECK(cuda.device_bytes == 0);
+  }
+}
+
+TEST_CASE(
+    "a device that fails when it is asked what has come, or waited for: what is not known to be there is brought once "
+    "more") {
+  const Bytes bytes = town({.n = 60000});
+  const Scene all = whole(bytes);
+  const Camera camera = camera_at({0, 12, 30}, {0, 0, 0});
+  for (const bool is_asked : {true, false}) {
+    CAPTURE(is_asked);
+    FakeCuda cuda(FakeCuda::Pace::late);
+    const StreamedScene scene =
+        streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
+    (is_asked ? cuda.query_fails_next : cuda.sync_fails_next) = 1;
+    Renderer renderer = device_renderer(), reference = cpu_renderer(1);
+    CHECK(renderer.refine(scene, camera, kLong, at_detail(0.02F)) == true);
+    CHECK(cuda.query_fails_next + cuda.sync_fails_next == 0);
+    CHECK(cuda.n_faults == 0);
+    CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0.02F)),
+                          draw(reference, all, camera, at_detail(0.02F))));
+  }
+}
+
+TEST_CASE("a writer keeps what is on its way, waits where it has no room, and every byte gets to its slot") {
+  for (const int sh_degree : {0, 3}) {
+    const Bytes bytes = town({.n = 20000, .sh_degree = sh_degree});
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    const detail::SlotShape shape = detail::SlotShape::of(*file);
+    const std::uint32_t n = file->n_pages();
+    REQUIRE(n > 40);
+    for (const FakeCuda::Pace pace : kPaces) {
+      for (const std::uint32_t n_staged : {detail::kLeastStagedPages, 3u, detail::kStagedPages}) {
+        for (const std::uint32_t n_together : {1u, 3u, 40u}) {
+          CAPTURE(sh_degree);
+          CAPTURE(static_cast<int>(pace));
+          CAPTURE(n_staged);
+          CAPTURE(n_together);
+          FakeCuda cuda(pace);
+          {
+            const auto slots = detail::DeviceSlots::create(shape, (n + 1) * shape.bytes() + 5 * 256);
+            REQUIRE(slots);
+            auto writer = detail::SlotWriter::create(*slots, n_staged);
+            REQUIRE(writer);
+            CHECK(cuda.pinned_bytes == detail::staging_bytes(shape, n_staged));
+            PageDecoder decoder(*file);
+            std::vector<std::byte> memory(file->largest_decoded_bytes()), expected(detail::staging_bytes(shape, 1));
+            const auto rows_of = [&](std::uint32_t page) {
+              auto rows = decoder.decode(page, file->bytes(page), std::span(memory).first(file->decoded_bytes(page)));
+              REQUIRE(rows);
+              return *rows;
+            };
+            detail::SlotWriter::Ticket last = 0;
+            for (std::uint32_t page = 0; page < n; ++page) {
+              REQUIRE(writer->write(rows_of(page), n - 1 - page));
+              std::ranges::fill(memory, std::byte{0x5A});  // nothing of it is read any more
+              if (page % n_together != 0) continue;
+              const auto ticket = writer->send();
+              REQUIRE(ticket);
+              CHECK(*ticket > last);
+              last = *ticket;
+              if (pace == FakeCuda::Pace::late) CHECK(writer->is_there(last) == false);
+            }
+            REQUIRE(writer->finish());
+            CHECK(cuda.n_pending() == 0);
+            CHECK(writer->is_there(last) == true);
+            CHECK(cuda.n_batches < static_cast<int>(n) + 1);
+            if (n_together == 1) CHECK(cuda.n_batches == static_cast<int>(n));
+            for (std::uint32_t page = 0; page < n; ++page) {
+              const PageRows rows = rows_of(page);
+              std::array<std::byte*, 5> to;
+              std::byte* at = expected.data();
+              for (std::size_t k = 0; k < to.size(); ++k) {
+                to[k] = at;
+                at += detail::staged_section_bytes(shape.section_bytes()[k]);
+              }
+              const std::uint32_t slot = n - 1 - page;
+              detail::write_page_sections(rows, shape.chunk_size, std::uint64_t{slot} * shape.page_chunks, to);
+              const auto n_rows = detail::section_rows(rows.n, rows.steps.size() / kStepSetBytes, shape.chunk_size);
+              for (std::size_t k = 0; k < to.size(); ++k) {
+                const std::uint64_t size = n_rows[k] * detail::section_row_bytes(sh_degree)[k];
+                REQUIRE(std::equal(to[k], to[k] + size, (*slots)->at(k, slot)));
+              }
+            }
+          }
+          CHECK(cuda.n_faults == 0);
+          CHECK(cuda.pinned_bytes == 0);
+          CHECK(cuda.device_bytes == 0);
+        }
+      }
+    }
+  }
+}
+
+TEST_CASE("small pages, of which a ring holds many: no more go together than one call has room for") {
+  const Bytes bytes = town({.n = 20000});
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const detail::SlotShape shape = detail::SlotShape::of(*file);
+  constexpr std::uint32_t kSlots = 60;
+  std::uint32_t least = 0;
+  for (std::uint32_t page = 0; page < file->n_pages(); ++page)
+    if (file->pages()[page].count < file->pages()[least].count) least = page;
+  REQUIRE(file->pages()[least].count <= shape.chunk_size);
+  FakeCuda cuda(FakeCuda::Pace::late);
+  {
+    const auto slots = detail::DeviceSlots::create(shape, kSlots * shape.bytes() + 5 * 256);
+    REQUIRE(slots);
+    auto writer = detail::SlotWriter::create(*slots, detail::kStagedPages);
+    REQUIRE(writer);
+    PageDecoder decoder(*file);
+    std::vector<std::byte> memory(file->decoded_bytes(least));
+    const auto rows = decoder.decode(least, file->bytes(least), memory);
+    REQUIRE(rows);
+    for (std::uint32_t slot = 0; slot < kSlots; ++slot) REQUIRE(writer->write(*rows, slot));
+    CHECK(cuda.n_pending() > detail::kStagedPages * 5);  // more than there would be room for of large ones
+    REQUIRE(writer->finish());
+    for (std::uint32_t slot = 0; slot < kSlots; ++slot)
+      CHECK(std::equal(rows->means.begin(), rows->means.end(), (*slots)->at(0, slot)));
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("what was sent is there once the device has done it, and asking waits for nothing") {
+  const Bytes bytes = town();
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const detail::SlotShape shape = detail::SlotShape::of(*file);
+  FakeCuda cuda(FakeCuda::Pace::late);
+  {
+    const auto slots = detail::DeviceSlots::create(shape, 4 * shape.bytes() + 5 * 256);
+    REQUIRE(slots);
+    auto writer = detail::SlotWriter::create(*slots, detail::kStagedPages);
+    REQUIRE(writer);
+    PageDecoder decoder(*file);
+    std::vector<std::byte> memory(file->decoded_bytes(0));
+    const auto rows = decoder.decode(0, file->bytes(0), memory);
+    REQUIRE(rows);
+    REQUIRE(writer->write(*rows, 1));
+    CHECK(cuda.n_pending() == 0);  // taken, and not sent
+    const auto ticket = writer->send();
+    REQUIRE(ticket);
+    CHECK(cuda.n_pending() == 5);
+    CHECK(cuda.n_batches == 1);
+    CHECK(writer->is_there(*ticket) == false);
+    CHECK(writer->is_there(*ticket) == false);
+    CHECK(cuda.n_pending() == 5);
+    const auto again = writer->send();  // nothing more
+    REQUIRE(again);
+    CHECK(*again == *ticket);
+    CHECK(cuda.n_batches == 1);
+    REQUIRE(writer->finish());
+    CHECK(cuda.n_pending() == 0);
+    CHECK(writer->is_there(*ticket) == true);
+    // A copy that is refused is of this send() alone.
+    REQUIRE(writer->write(*rows, 2));
+    cuda.passes_next = 2;
+    cuda.fails_next = 1;
+    const auto refused = writer->send();
+    REQUIRE(!refused);
+    CHECK(refused.error().code == Errc::device_failed);
+    CHECK(cuda.n_pending() == 2);
+    CHECK(writer->finish());
+    CHECK(cuda.n_pending() == 0);
+    REQUIRE(writer->write(*rows, 2));
+    REQUIRE(writer->finish());
+    CHECK(cuda.is_allocated((*slots)->at(0, 2), 12));
+    CHECK(std::equal((*slots)->at(0, 2), (*slots)->at(0, 2) + rows->means.size(), rows->means.data()));
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("groups go to the device with a call each, and are drawn from while their threads decode on") {
+  const Bytes bytes = town({.n = 60000});
+  FakeCuda cuda(FakeCuda::Pace::any_time);
+  {
+    const StreamedScene scene =
+        streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
+    Renderer renderer = device_renderer();
+    CHECK(renderer.refine(scene, camera_at({0, 30, 40}, {0, 0, 0}), kLong, at_detail(0)) == true);
+    // Pages have siblings.
+    CHECK(static_cast<std::uint64_t>(cuda.n_batches) * 3 < scene.stats().pages_resident * 2);
+    CHECK(cuda.n_seen_done + cuda.n_seen_at_work > 0);
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("pages that many threads send at once, in rings of any size, are those of the file") {
+  const Bytes bytes = town({.n = 60000, .sh_degree = 1});
+  const Scene all = whole(bytes);
+  const Camera camera = camera_at({0, 30, 40}, {0, 0, 0});
+  Renderer reference = cpu_renderer(1);
+  const Frame expected = draw(reference, all, camera, at_detail(0));
+  for (const int reads_at_once : {16, 1}) {
+    for (const std::uint64_t host_memory : {std::uint64_t{256} << 20, std::uint64_t{6} << 20}) {
+      CAPTURE(reads_at_once);
+      CAPTURE(host_memory);
+      FakeCuda cuda(FakeCuda::Pace::any_time);
+      {
+        const StreamedScene scene =
+            streamed(bytes, std::make_shared<Script>(),
+                     {.pool = device_pool(std::uint64_t{32} << 20, host_memory),
+                      .traits = {.reads_at_once = reads_at_once, .most_bytes = 256 << 10, .gap_bytes = 4096}});
+        Renderer renderer = device_renderer();
+        while (draw(renderer, scene, camera, at_detail(0)).stats.stream.pages_missing > 0) REQUIRE(scene.status());
+        REQUIRE(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
+        CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), expected));
+        CHECK(scene.stats().bytes_uploaded == scene.stats().bytes_decoded);
+      }
+      CHECK(cuda.n_faults == 0);
+    }
   }
 }
 
@@ -440,7 +662,18 @@ TEST_CASE("page-locked memory and tables are of the host's budget") {
     const std::uint64_t host_memory = 2 << 20;
     const StreamPool pool = device_pool(8 << 20, host_memory);
     const StreamedScene scene = streamed(bytes, std::make_shared<Script>(), {.pool = pool, .traits = kTraits});
-    CHECK(cuda.pinned_bytes > 0);
+    const auto file = PagedFile::open(bytes);
+    REQUIRE(file);
+    const std::uint64_t page = detail::staging_bytes(detail::SlotShape::of(*file), 1);
+    CHECK(cuda.pinned_bytes >= detail::kLeastStagedPages * page);
+    CHECK(cuda.pinned_bytes <= kTraits.reads_at_once * detail::kStagedPages * page);
+    {
+      // With room for it each thread has the most.
+      const std::uint64_t before = cuda.pinned_bytes;
+      const StreamedScene roomy = streamed(bytes, std::make_shared<Script>(),
+                                           {.pool = device_pool(8 << 20, std::uint64_t{1} << 30), .traits = kTraits});
+      CHECK(cuda.pinned_bytes - before == kTraits.reads_at_once * detail::kStagedPages * page);
+    }
     // The same scene without a device takes less for its tables and threads, by the page-locked memory at least.
     const auto host_pool = StreamPool::create({.host_memory = host_memory});
     REQUIRE(host_pool);

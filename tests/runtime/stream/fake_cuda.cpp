@@ -80,6 +80,14 @@ bool overlap(const std::byte* a, std::size_t n, const std::byte* b, std::size_t 
   return a < b + m && b < a + n;
 }
 
+// False: it was at 0 already.
+bool count_down(std::atomic<int>& n) {
+  for (int now = n; now > 0;) {
+    if (n.compare_exchange_weak(now, now - 1)) return true;
+  }
+  return false;
+}
+
 void note_most(std::atomic<std::uint64_t>& most, std::uint64_t now) {
   for (std::uint64_t before = most; now > before && !most.compare_exchange_weak(before, now);) {
   }
@@ -250,9 +258,8 @@ cudaError_t cudaHostGetDevicePointer(void** on_device, void* memory, unsigned) {
 
 cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaMemcpyKind kind, cudaStream_t stream) {
   FakeCuda& cuda = *FakeCuda::current();
-  for (int n = cuda.fails_next; n > 0;) {
-    if (cuda.fails_next.compare_exchange_weak(n, n - 1)) return cudaErrorUnknown;
-  }
+  if (cuda.fails_next > 0 && !rgs::test::count_down(cuda.passes_next) && rgs::test::count_down(cuda.fails_next))
+    return cudaErrorUnknown;
   auto* const target = static_cast<std::byte*>(to);
   const auto* const source = static_cast<const std::byte*>(from);
   // What is on its way to a slot comes first, also where streams would have it so: nobody else knows that it is.
@@ -267,6 +274,26 @@ cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaM
     return cudaErrorInvalidValue;
   }
   stream->add({[target, source, bytes] { std::memcpy(target, source, bytes); }, target, bytes});
+  return cudaSuccess;
+}
+
+// In any order among themselves: the last comes first here.
+cudaError_t cudaMemcpyBatchAsync(void* const* to, const void* const* from, const std::size_t* bytes, std::size_t n,
+                                 cudaMemcpyAttributes* how, std::size_t* first_of_how, std::size_t n_how,
+                                 cudaStream_t stream) {
+  FakeCuda& cuda = *FakeCuda::current();
+  ++cuda.n_batches;
+  const bool is_sound =
+      n > 0 && n_how == 1 && *first_of_how == 0 && how->srcAccessOrder == cudaMemcpySrcAccessOrderStream;
+  if (!is_sound) {
+    ++cuda.n_faults;
+    return cudaErrorInvalidValue;
+  }
+  for (std::size_t i = n; i-- > 0;) {
+    if (bytes[i] == 0) ++cuda.n_faults;
+    const cudaError_t error = cudaMemcpyAsync(to[i], from[i], bytes[i], cudaMemcpyHostToDevice, stream);
+    if (error != cudaSuccess) return error;
+  }
   return cudaSuccess;
 }
 
@@ -294,7 +321,8 @@ cudaError_t cudaStreamSynchronize(cudaStream_t stream) {
     ticket = stream->n_queued;
   }
   stream->finish(ticket);
-  return cudaSuccess;
+  FakeCuda* const cuda = FakeCuda::current();
+  return cuda != nullptr && rgs::test::count_down(cuda->sync_fails_next) ? cudaErrorUnknown : cudaSuccess;
 }
 cudaError_t cudaStreamWaitEvent(cudaStream_t stream, cudaEvent_t event) {
   stream->add({[event] { cudaEventSynchronize(event); }});
@@ -318,6 +346,16 @@ cudaError_t cudaEventRecord(cudaEvent_t event, cudaStream_t stream) {
   event->stream = stream;
   event->ticket = stream->add({[] {}});
   return cudaSuccess;
+}
+cudaError_t cudaEventQuery(cudaEvent_t event) {
+  FakeCuda& cuda = *FakeCuda::current();
+  if (rgs::test::count_down(cuda.query_fails_next)) return cudaErrorUnknown;
+  const std::scoped_lock lock(event->mutex);
+  if (event->stream == nullptr) return cudaSuccess;
+  const std::scoped_lock of_stream(event->stream->mutex);
+  const bool is_done = event->stream->n_done >= event->ticket;
+  ++(is_done ? cuda.n_seen_done : cuda.n_seen_at_work);
+  return is_done ? cudaSuccess : cudaErrorNotReady;
 }
 cudaError_t cudaEventSynchronize(cudaEvent_t event) {
   CUstream_st* stream = nullptr;

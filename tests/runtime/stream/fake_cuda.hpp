@@ -34,9 +34,14 @@ class FakeCuda {
   std::atomic<int> n_allocations{0};  ///< of the device's memory, ever
   /// Of the caller: bytes that are nobody's, memory freed while it is in use, a stream or an event of another device.
   std::atomic<int> n_faults{0};
-  std::atomic<int> fails_next{0};    ///< so many copies are refused
-  std::atomic<int> n_set_device{0};  ///< calls of cudaSetDevice()
-  std::atomic<int> n_on_second{0};   ///< allocations of the second device's memory, ever
+  std::atomic<int> passes_next{0};                     ///< so many copies are not refused first
+  std::atomic<int> fails_next{0};                      ///< then so many are
+  std::atomic<int> query_fails_next{0};                ///< so many questions after events
+  std::atomic<int> sync_fails_next{0};                 ///< so many waits for a stream end with an error, its work done
+  std::atomic<int> n_batches{0};                       ///< copies that were asked for with one call
+  std::atomic<int> n_seen_done{0}, n_seen_at_work{0};  ///< answers about events
+  std::atomic<int> n_set_device{0};                    ///< calls of cudaSetDevice()
+  std::atomic<int> n_on_second{0};                     ///< allocations of the second device's memory, ever
 
   struct Impl;
   std::unique_ptr<Impl> impl;

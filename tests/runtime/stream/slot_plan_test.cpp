@@ -4,7 +4,10 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
+#include <deque>
 #include <limits>
+#include <random>
 #include <vector>
 
 using namespace rgs;
@@ -21,8 +24,65 @@ TEST_CASE("a slot has room for the largest page: its rows, and a step set and an
   CHECK(kShape.bytes() == 1536 * (12 + 16 + 48) + 6 * (48 + 48));
   CHECK(SlotShape{32, 4, 0}.bytes() == 128 * (12 + 16 + 4) + 4 * 96);
   CHECK(SlotShape{32, 4, 1}.bytes() == 128 * (12 + 16 + 12) + 4 * 96);
-  CHECK(staging_bytes(kShape) >= 2 * kShape.bytes());
-  CHECK(staging_bytes(kShape) < 2 * kShape.bytes() + 2 * 5 * 256);
+  for (const std::uint32_t n : {kLeastStagedPages, kStagedPages}) {
+    CHECK(staging_bytes(kShape, n) >= n * kShape.bytes());
+    CHECK(staging_bytes(kShape, n) < n * (kShape.bytes() + 5 * 256));
+  }
+}
+
+TEST_CASE("what is staged of a page begins at multiples of 256 and fits where the largest page does") {
+  CHECK(staged_section_bytes(1) == 256);
+  CHECK(staged_section_bytes(512) == 512);
+  CHECK(staged_bytes({1, 256, 257, 48, 384}) == 256 + 256 + 512 + 256 + 512);
+  CHECK(staged_bytes(kShape.section_bytes()) == staging_bytes(kShape, 1));
+}
+
+TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only what has no room") {
+  std::mt19937 random(3);
+  for (const std::uint64_t bytes : {std::uint64_t{1024}, std::uint64_t{2560}, std::uint64_t{40 * 256}}) {
+    CAPTURE(bytes);
+    StagingRing ring(bytes);
+    struct Taken {
+      std::uint64_t at, n, taken;
+    };
+    std::deque<Taken> held;
+    std::uint64_t n_refused = 0, n_first = 0, given = 0;
+    for (int i = 0; i < 20000; ++i) {
+      const std::uint64_t n = std::min<std::uint64_t>(bytes, 256 * (1 + random() % 7));
+      const auto at = ring.take(n);
+      if (!at) {
+        ++n_refused;
+        REQUIRE(!held.empty());
+        // As one who has the ring's bytes before him sees it, no gap is large enough; or bytes were lost at its end.
+        std::uint64_t largest = 0;
+        std::vector<bool> is_held(bytes / 256);
+        for (const Taken& each : held)
+          for (std::uint64_t k = each.at; k < each.at + each.n; k += 256) is_held[k / 256] = true;
+        const std::uint64_t next = held.back().at + held.back().n;
+        for (const std::uint64_t from : {next, std::uint64_t{0}}) {
+          std::uint64_t end = from;
+          while (end < bytes && !is_held[end / 256]) end += 256;
+          largest = std::max(largest, end - from);
+        }
+        REQUIRE((largest < n || n > bytes - (ring.taken() - given)));
+        given = held.front().taken;
+        ring.give_up_to(given);
+        held.pop_front();
+        continue;
+      }
+      REQUIRE(*at + n <= bytes);
+      for (const Taken& each : held) REQUIRE((*at + n <= each.at || each.at + each.n <= *at));
+      n_first += *at == 0;
+      held.push_back({*at, n, ring.taken()});
+      if (random() % 64 == 0) {  // all of it, as after finish()
+        given = ring.taken();
+        ring.give_up_to(given);
+        held.clear();
+      }
+    }
+    CHECK(n_refused > 1000);
+    CHECK(n_first > 100);
+  }
 }
 
 TEST_CASE("a plan takes all of a budget but less than a slot, and never more") {
