@@ -21,7 +21,8 @@ def is_tensor(value: Any) -> bool:
 
 
 def _refuse_gradient(tensor: Any, name: str) -> None:
-    if tensor.requires_grad:
+    torch: Any = sys.modules.get("torch")
+    if tensor.requires_grad and (torch is None or torch.is_grad_enabled()):  # not under torch.no_grad(), where none is asked for
         raise NotImplementedError(
             f"{name} requires a gradient, but RoofGS renders forward only: pass {name}.detach(), or train with gsplat")
 
@@ -32,7 +33,10 @@ def host_array(value: Any, name: str) -> "NDArray[Any]":
         return value
     if is_tensor(value):
         _refuse_gradient(value, name)
-        array: NDArray[Any] = value.detach().cpu().numpy()
+        tensor = value.detach().cpu()
+        if str(getattr(tensor, "dtype", "")) == "torch.bfloat16":  # which NumPy does not have
+            tensor = tensor.float()
+        array: NDArray[Any] = tensor.numpy()
         return array
     if hasattr(value, "__dlpack_device__"):
         kind = int(value.__dlpack_device__()[0])
@@ -62,7 +66,7 @@ def output_array(value: Any, name: str) -> "NDArray[Any]":
         return value
     if is_tensor(value) and value.device.type == "cpu":
         _refuse_gradient(value, name)
-        array: NDArray[Any] = value.numpy()
+        array: NDArray[Any] = value.detach().numpy()
         return array
     raise argument_error(f"{name} is neither a NumPy array, nor a torch tensor, nor an array on a GPU")
 

@@ -227,7 +227,7 @@ class _camera_file:
             return self._cameras
         self._folder = tempfile.TemporaryDirectory(prefix="roofgs-")
         path = os.path.join(self._folder.name, "cameras.json")
-        _cameras.save(path, [self._cameras] if isinstance(self._cameras, Camera) else self._cameras)
+        _cameras.save(path, self._cameras)
         return path
 
     def __exit__(self, *_: object) -> None:

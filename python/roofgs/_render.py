@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import operator
+import os
 from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Tuple, Union, overload
 
 import numpy as np
@@ -82,6 +84,9 @@ class Renderer:
         """What each picture of the last call cost: ``total_ms``, ``visible``, ``instances``, ..."""
         return self._native.stats()
 
+    def __reduce__(self) -> Any:
+        raise TypeError("a roofgs.Renderer is neither copied nor pickled: make another")
+
     def __repr__(self) -> str:
         return f"<roofgs.Renderer {self.name}, pipeline {self._pipeline}>"
 
@@ -150,7 +155,10 @@ class Renderer:
         and complete on return. Python's lock is not held. Ctrl-C is seen between two pictures of a call, on "cuda" between 64.
         Several small pictures of one call take less time there than as many calls.
         """
+        _check_scene(scene)
         single = isinstance(camera, Camera)
+        if isinstance(camera, (str, bytes, os.PathLike)):
+            raise TypeError("camera is a roofgs.Camera, or several; roofgs.cameras.load() reads files")
         cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
         outputs, stream = _outputs(out, alpha or depth, on_device)
         eight_bit = _is_eight_bit(dtype, outputs[0])
@@ -169,11 +177,13 @@ class Renderer:
                detail: Optional[float] = None) -> bool:
         """Waits until all is there that this view of a streamed scene wants. :meth:`render` then gives the picture of the whole
         file. False: the time is over, or the scene's budget has no room for the rest. Ctrl-C ends it."""
+        _check_scene(scene)
         options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail)
         return self._native.refine(scene._native, camera, float(seconds), options)
 
     def prepare(self, scene: Scene) -> None:
         """Brings a scene to where it is drawn, which the first picture does otherwise."""
+        _check_scene(scene)
         self._native.prepare(scene._native)
 
     def _options_of(self, background: Tuple[float, float, float], near_plane: Optional[float],
@@ -185,7 +195,7 @@ class Renderer:
             return known
         if anti_aliasing not in (None, "classic", "mip"):
             raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
-        if not 0 <= sh_degree <= 3:
+        if not 0 <= operator.index(sh_degree) <= 3:
             raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
         red, green, blue = (float(value) for value in background)
         options = _roofgs.RenderOptions((red, green, blue), near_plane,
@@ -195,6 +205,11 @@ class Renderer:
             self._options.clear()
         self._options[key] = options
         return options
+
+
+def _check_scene(scene: Any) -> None:
+    if not isinstance(scene, (Scene, StreamedScene)):
+        raise TypeError(f"scene is a roofgs.Scene or StreamedScene, not {type(scene).__name__}; roofgs.load() reads files")
 
 
 def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, Any, Any], Optional[int]]:

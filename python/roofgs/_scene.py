@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import math
 import operator
 from typing import Any, Dict, Optional, Tuple, Union
 
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 
 from . import _roofgs
 from ._arrays import FloatArray, float_array, host_array
-from ._errors import argument_error
+from ._errors import FormatError, argument_error
 from ._paths import Path, encoded, shown
 from ._pictures import png
 from ._progress import Progress, Reporting
 
 Vector3 = Tuple[float, float, float]
 _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
+_LEGAL = {"scales": (0.0, math.inf), "opacities": (0.0, 1.0)}
 _PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small")
 
 
@@ -77,15 +79,30 @@ class Scene:
             degree = _DEGREES[others.shape[1]]
             coefficients = np.concatenate([first, others], axis=1)
         x, y, z = (float(value) for value in origin)
-        self._native = _roofgs.Scene.from_arrays(
-            centres, float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3)),
-            float_array(opacities, "opacities", (n,)), coefficients, degree, (x, y, z), anti_aliasing, low_pass)
+        rotations, deviations = float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3))
+        weights = float_array(opacities, "opacities", (n,))
+        try:
+            self._native = _roofgs.Scene.from_arrays(centres, rotations, deviations, weights, coefficients, degree, (x, y, z),
+                                                     anti_aliasing, low_pass)
+        except FormatError:  # of a Gaussian's number alone
+            _refuse_damaged(means=centres, quats=rotations, scales=deviations, opacities=weights, sh0=coefficients[:, :1],
+                            shN=coefficients[:, 1:])
+            raise
 
     @classmethod
     def _of(cls, native: _roofgs.Scene) -> "Scene":
         scene = cls.__new__(cls)
         scene._native = native
         return scene
+
+    def __copy__(self) -> "Scene":
+        return self
+
+    def __deepcopy__(self, memo: Dict[int, Any]) -> "Scene":
+        return self
+
+    def __reduce__(self) -> Any:
+        raise TypeError("a roofgs.Scene is not pickled: give the other process its path, and load it there")
 
     # ---- attributes
 
@@ -147,6 +164,11 @@ class Scene:
         return self._native.anti_aliasing
 
     @property
+    def low_pass(self) -> float:
+        """px^2 that are added to projected covariances: what the scene declares, else 0.3, or 0.1 with "mip"."""
+        return self._native.low_pass
+
+    @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
         """Two corners of a box in the world that holds most of the means: floaters far away do not count."""
         return self._native.bounds
@@ -184,6 +206,10 @@ class Scene:
             Of an .rgs: the smaller form, the form that a GPU reads as it lies on disk, or lossy within stated bounds.
         lod : bool, "fast" or "best"
             Of an .rgs: with levels of detail.
+        overwrite : bool
+            Replace what is there, the scene's own file too; otherwise :class:`OutputExistsError`.
+        sync : bool
+            Wait until the disk has it.
         strict : bool
             Refuse values that the format cannot hold, instead of clamping them.
         progress : True or a function
@@ -407,6 +433,19 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
     values: Dict[str, Any] = json.loads(_roofgs.info(encoded(path), verify, statistics,
                                                      _count_or_none(max_expansion, "max_expansion")))
     return values
+
+
+def _refuse_damaged(**arrays: FloatArray) -> None:
+    """Names the first value that no Gaussian has."""
+    for name, array in arrays.items():
+        low, high = _LEGAL.get(name, (-math.inf, math.inf))
+        bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
+        if len(bad):
+            place, hint = tuple(int(i) for i in bad[0]), ""
+            if math.isfinite(array[place]):
+                hint = {"opacities": "; of logits take 1 / (1 + exp(-x))", "scales": "; of logarithms take exp(x)"}[name]
+            allowed = {"scales": "0 and above", "opacities": "0 to 1"}.get(name, "finite")
+            raise argument_error(f"{name}{list(place)} is {float(array[place])!r}, not {allowed}{hint}")
 
 
 def _count(value: int, name: str) -> int:

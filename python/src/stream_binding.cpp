@@ -52,7 +52,7 @@ void bind_stream(py::module_& module) {
   const auto held = [](std::uint64_t (StreamPool::*bytes)() const) {
     return [bytes](const StreamPool& pool) {
       begin_work();
-      const py::gil_scoped_release unlocked;
+      const Unlocked unlocked;
       return (pool.*bytes)();
     };
   };

@@ -118,3 +118,39 @@ def test_forks(use, said, examples):
     out = subprocess.run([sys.executable, "-c", FORKED, GOLDEN / "degree3.rgs", use, examples / "levels.rgs"],
                          capture_output=True, text=True, timeout=200, check=True, env=os.environ)
     assert out.stdout.splitlines() == [said, "0"]
+
+
+DAEMONS = """
+import sys, threading, numpy as np, roofgs
+scene = roofgs.load(sys.argv[1])
+renderer = roofgs.Renderer(device="cpu")
+view = roofgs.cameras.default_view(scene, width=320, height=240)
+
+def saves(n=[0]):
+    n[0] += 1
+    scene.save(f"{sys.argv[2]}/{n[0]}.rgs")
+
+def values():
+    return roofgs.Scene(scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0).means
+
+def forever(work, begun):
+    while True:
+        work()
+        begun.set()
+
+works = [lambda: renderer.render(scene, view), lambda: roofgs.load(sys.argv[1]).sh, saves, values]
+events = [threading.Event() for _ in works]
+for work, begun in zip(works, events):
+    threading.Thread(target=forever, args=(work, begun), daemon=True).start()
+for begun in events:
+    assert begun.wait(60)
+"""
+
+
+def test_a_process_ends_while_daemon_threads_are_at_work(examples, tmp_path):
+    for i in range(3):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        out = subprocess.run([sys.executable, "-c", DAEMONS, examples / "scene.rgs", folder], capture_output=True, text=True,
+                             timeout=200, env=os.environ)
+        assert (out.returncode, out.stderr) == (0, "")

@@ -108,6 +108,16 @@ def test_options_that_nothing_can_mean(options, scene, camera, renderer):
         renderer.render(scene, camera, **options)
 
 
+@pytest.mark.parametrize("method, arguments", [("render", (roofgs.Camera(8, 8, 10),)), ("prepare", ()),
+                                               ("refine", (roofgs.Camera(8, 8, 10),))])
+def test_files_are_not_taken_for_what_they_hold(method, arguments, scene, renderer):
+    with pytest.raises(TypeError, match="roofgs.load"):
+        getattr(renderer, method)("scene.rgs", *arguments)
+    if method == "render":
+        with pytest.raises(TypeError, match="roofgs.cameras.load"):
+            renderer.render(scene, "cameras.json")
+
+
 def test_bad_renderers():
     for wrong in (dict(device="gpu"), dict(pipeline="fast"), dict(threads=-1), dict(threads=2**40)):
         with pytest.raises(roofgs.ArgumentError):
