@@ -173,8 +173,7 @@ name : str
       "look_at",
       [](const Vector& eye, const Vector& target, const Vector& up, const py::object& width, const py::object& height,
          double horizontal_fov) {
-        const Camera camera =
-            look_at(vector(eye), vector(target), vector(up), view_format(width, height, horizontal_fov));
+        Camera camera = look_at(vector(eye), vector(target), vector(up), view_format(width, height, horizontal_fov));
         take(validate(camera));
         return camera;
       },
