@@ -160,17 +160,19 @@ class Renderer:
         if isinstance(camera, (str, bytes, os.PathLike)):
             raise TypeError("camera is a roofgs.Camera, or several; roofgs.cameras.load() reads files")
         cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
-        outputs, stream = _outputs(out, alpha or depth, on_device)
+        given, outputs, stream = _outputs(out, alpha or depth, on_device)
         eight_bit = _is_eight_bit(dtype, outputs[0])
         options = self._options_of(background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        made: Tuple[Any, Any, Any]
         if stream is None:
-            image, alphas, depths = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth,
-                                                        options)
+            made = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, options)
         else:
             if isinstance(scene, StreamedScene):
                 raise argument_error("streamed scenes are drawn into the host's memory")
-            image, alphas, depths = self._native.render_on_device(scene._native, cameras, not single, *outputs, eight_bit, alpha,
-                                                                  depth, stream, options)
+            made = self._native.render_on_device(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, stream,
+                                                 options)
+        # What was given comes back as it was given: a torch tensor, not the array of its memory.
+        image, alphas, depths = (new if new is None or old is None else old for new, old in zip(made, given))
         return Frame(image, alphas, depths) if alpha or depth else image
 
     def refine(self, scene: StreamedScene, camera: Camera, seconds: float = 60.0, *,
@@ -212,8 +214,9 @@ def _check_scene(scene: Any) -> None:
         raise TypeError(f"scene is a roofgs.Scene or StreamedScene, not {type(scene).__name__}; roofgs.load() reads files")
 
 
-def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, Any, Any], Optional[int]]:
-    """Image, alpha and depth to be filled, None where there is none; of a GPU's memory also the stream to begin after."""
+def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, ...], Tuple[Any, Any, Any], Optional[int]]:
+    """Image, alpha and depth to be filled, None where there is none, as the caller and as the extension module have them; of a
+    GPU's memory also the stream to begin after."""
     given: Tuple[Any, ...] = (None, None, None)
     if out is not None and not several:
         given = (out.image if isinstance(out, Frame) else out, None, None)
@@ -226,11 +229,11 @@ def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, Any, 
              for each, name in zip(given, names)]
     if not on_device and not any(found):
         image, alpha, depth = (None if each is None else output_array(each, name) for each, name in zip(given, names))
-        return (image, alpha, depth), None
+        return given, (image, alpha, depth), None
     if any(each is not None and place is None for each, place in zip(given, found)):
         raise argument_error("outputs are on the GPU or in the host's memory, all of them")
     first, second, third = (None if place is None else place[0] for place in found)
-    return (first, second, third), next((place[1] for place in found if place is not None), 0)
+    return given, (first, second, third), next((place[1] for place in found if place is not None), 0)
 
 
 def _is_eight_bit(dtype: Any, image: Any) -> bool:

@@ -253,6 +253,7 @@ class PyRenderer {
   }
 
   py::list stats() {
+    begin_work();  // another thread may have held the mutex when the process was forked
     std::vector<FrameStats> all;
     {
       const Unlocked unlocked;

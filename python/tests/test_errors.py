@@ -120,6 +120,37 @@ def test_forks(use, said, examples):
     assert out.stdout.splitlines() == [said, "0"]
 
 
+ASKED = """
+import multiprocessing, sys
+import roofgs
+
+def child(queue):
+    for ask in (lambda: renderer.stats, lambda: stream.stats, lambda: stream.check(), lambda: pool.host_bytes, lambda: scene.means):
+        try:
+            queue.put(repr(ask()))
+        except roofgs.Error as error:
+            queue.put(error.code)
+
+scene, pool, renderer = roofgs.load(sys.argv[1]), roofgs.StreamPool(), roofgs.Renderer(device="cpu")
+stream = roofgs.StreamedScene(sys.argv[2], pool=pool)
+renderer.render(scene, roofgs.cameras.default_view(scene, width=64, height=64))
+context = multiprocessing.get_context("fork")
+queue = context.Queue()
+process = context.Process(target=child, args=(queue,))
+process.start()
+print(*[queue.get(timeout=60) for _ in range(5)])
+process.join(60)
+print(process.exitcode)
+"""
+
+
+def test_what_waits_for_a_lock_is_refused_after_a_fork(examples):
+    # A thread of the parent may have held it.
+    out = subprocess.run([sys.executable, "-c", ASKED, GOLDEN / "degree3.rgs", examples / "levels.rgs"], capture_output=True,
+                         text=True, timeout=200, check=True, env=os.environ)
+    assert out.stdout.splitlines() == [" ".join(["unavailable"] * 5), "0"]
+
+
 DAEMONS = """
 import sys, threading, numpy as np, roofgs
 scene = roofgs.load(sys.argv[1])

@@ -186,8 +186,14 @@ def test_torch_tensors_are_scenes_and_outputs(scene, camera, renderer):
                           for name in ("means", "quats", "scales", "opacities", "sh0", "shN")))
     out = torch.zeros((48, 64, 3))
     image = renderer.render(made, camera, out=out)
-    assert image.ctypes.data == out.data_ptr() and np.array_equal(out.numpy(), renderer.render(made, camera))
-    np.testing.assert_allclose(image, renderer.render(scene, camera), atol=1e-5)
+    assert image is out and np.array_equal(out.numpy(), renderer.render(made, camera))
+    np.testing.assert_allclose(image.numpy(), renderer.render(scene, camera), atol=1e-5)
+    alpha = torch.empty((48, 64))
+    frame = renderer.render(made, camera, out=(out, alpha, None), alpha=True, depth=True)
+    assert frame.image is out and frame.alpha is alpha and isinstance(frame.depth, np.ndarray)
+    with torch.no_grad():
+        image = renderer.render(made, camera, out=torch.zeros((48, 64, 3), requires_grad=True))
+    assert torch.equal(image, out)
     with pytest.raises(roofgs.ArgumentError):
         renderer.render(made, camera, out=torch.zeros((64, 48, 3)).permute(1, 0, 2))
     with pytest.raises(NotImplementedError, match="gradient"):
