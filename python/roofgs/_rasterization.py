@@ -132,8 +132,8 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     for b in range(n_batches):
         for c in range(n_cameras):
             if c == 0 or per_camera:
-                sets = [Scene(centres[b], rotations[b], deviations[b], weights[b], sh[:, :1], sh[:, 1:],
-                              anti_aliasing="mip" if rasterize_mode == "antialiased" else "classic", low_pass=eps2d)
+                sets = [Scene._of_sh(centres[b], rotations[b], deviations[b], weights[b], sh,
+                                     "mip" if rasterize_mode == "antialiased" else "classic", eps2d)
                         for sh in harmonics[b][c if per_camera else 0]]
             _render_one(sets if with_colour else sets[:1], views[b * n_cameras + c], behind[b, c], with_colour, depth_mode,
                         near_plane, far_plane, out[b, c], alphas[b, c])

@@ -79,15 +79,9 @@ class Scene:
             degree = _DEGREES[others.shape[1]]
             coefficients = np.concatenate([first, others], axis=1)
         x, y, z = (float(value) for value in origin)
-        rotations, deviations = float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3))
-        weights = float_array(opacities, "opacities", (n,))
-        try:
-            self._native = _roofgs.Scene.from_arrays(centres, rotations, deviations, weights, coefficients, degree, (x, y, z),
-                                                     anti_aliasing, low_pass)
-        except FormatError:  # of a Gaussian's number alone
-            _refuse_damaged(means=centres, quats=rotations, scales=deviations, opacities=weights, sh0=coefficients[:, :1],
-                            shN=coefficients[:, 1:])
-            raise
+        self._native = _from_arrays(centres, float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3)),
+                                    float_array(opacities, "opacities", (n,)), coefficients, degree, (x, y, z), anti_aliasing,
+                                    low_pass)
 
     @classmethod
     def _of(cls, native: _roofgs.Scene) -> "Scene":
@@ -103,6 +97,13 @@ class Scene:
 
     def __reduce__(self) -> Any:
         raise TypeError("a roofgs.Scene is not pickled: give the other process its path, and load it there")
+
+    @classmethod
+    def _of_sh(cls, means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray,
+               anti_aliasing: str, low_pass: float) -> "Scene":
+        """Of arrays that float_array() gave, with all coefficients in one."""
+        return cls._of(_from_arrays(means, quats, scales, opacities, np.ascontiguousarray(sh), _DEGREES[sh.shape[1] - 1],
+                                    (0.0, 0.0, 0.0), anti_aliasing, low_pass))
 
     # ---- attributes
 
@@ -433,6 +434,15 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
     values: Dict[str, Any] = json.loads(_roofgs.info(encoded(path), verify, statistics,
                                                      _count_or_none(max_expansion, "max_expansion")))
     return values
+
+
+def _from_arrays(means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray, degree: int,
+                 origin: Vector3, anti_aliasing: str, low_pass: Optional[float]) -> _roofgs.Scene:
+    try:
+        return _roofgs.Scene.from_arrays(means, quats, scales, opacities, sh, degree, origin, anti_aliasing, low_pass)
+    except FormatError:  # says which Gaussian alone
+        _refuse_damaged(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
+        raise
 
 
 def _refuse_damaged(**arrays: FloatArray) -> None:
