@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import operator
 import os
-from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Tuple, Union, overload
+from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Sequence, Tuple, Union, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from ._scene import Scene, StreamedScene
 
 Cameras = Union[Camera, Iterable[Camera]]
 AnyScene = Union[Scene, StreamedScene]
+Colour = Union[Sequence[float], "NDArray[Any]"]
 _DEVICES = ("auto", "cpu", "cuda")
 _PIPELINES = ("automatic", "baseline", "paper", "turbo")
 
@@ -93,33 +94,33 @@ class Renderer:
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: None = ..., dtype: Any = ...,
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: Literal[False] = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> "NDArray[Any]": ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: Literal[True], depth: bool = ..., on_device: bool = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: bool = ..., depth: Literal[True], on_device: bool = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: bool = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Any: ...
 
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: Any = None, alpha: bool = False,
-               depth: bool = False, on_device: bool = False, background: Tuple[float, float, float] = (0.0, 0.0, 0.0),
+               depth: bool = False, on_device: bool = False, background: Colour = (0.0, 0.0, 0.0),
                near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
                low_pass: Optional[float] = None, anti_aliasing: Optional[str] = None,
                detail: Optional[float] = None) -> Any:
@@ -188,7 +189,7 @@ class Renderer:
         _check_scene(scene)
         self._native.prepare(scene._native)
 
-    def _options_of(self, background: Tuple[float, float, float], near_plane: Optional[float],
+    def _options_of(self, background: Colour, near_plane: Optional[float],
                     far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
                     anti_aliasing: Optional[str], detail: Optional[float]) -> _roofgs.RenderOptions:
         key = (*background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
@@ -199,6 +200,8 @@ class Renderer:
             raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
         if not 0 <= operator.index(sh_degree) <= 3:
             raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
+        if len(background) != 3:
+            raise argument_error(f"background is three numbers, not {len(background)}")
         red, green, blue = (float(value) for value in background)
         options = _roofgs.RenderOptions((red, green, blue), near_plane,
                                         0.0 if far_plane is None else float(far_plane), sh_degree, low_pass,

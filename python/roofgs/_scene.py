@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from . import _roofgs
 from ._arrays import FloatArray, float_array, host_array
-from ._errors import FormatError, argument_error
+from ._errors import FormatError, argument_error, local_name
 from ._paths import Path, encoded, shown
 from ._pictures import png
 from ._progress import Progress, Reporting
@@ -226,7 +226,7 @@ class Scene:
             raise argument_error(f"lod is True, False, 'fast' or 'best', not {lod!r}")
         quality = lod if isinstance(lod, str) else "fast" if lod else ""
         with Reporting(progress) as callback:
-            return self._native.save(encoded(path), profile, quality, overwrite, sync, strict, callback)
+            return self._native.save(local_name(path), profile, quality, overwrite, sync, strict, callback)
 
     # ---- shown
 
@@ -431,7 +431,7 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
     >>> info(examples / "scene.rgs")["header"]["n_gaussians"]
     2000
     """
-    values: Dict[str, Any] = json.loads(_roofgs.info(encoded(path), verify, statistics,
+    values: Dict[str, Any] = json.loads(_roofgs.info(local_name(path), verify, statistics,
                                                      _count_or_none(max_expansion, "max_expansion")))
     return values
 

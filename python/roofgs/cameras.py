@@ -14,8 +14,8 @@ import numpy as np
 
 from . import _roofgs
 from ._arrays import host_array
-from ._errors import argument_error
-from ._paths import Path, encoded
+from ._errors import argument_error, local_name
+from ._paths import Path
 from ._roofgs import Camera
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def load(path: Path) -> CameraList:
     >>> len(views), views[0].width, views[0].height
     (8, 320, 240)
     """
-    source, cameras, is_test, declared = _roofgs.read_cameras(encoded(path))
+    source, cameras, is_test, declared = _roofgs.read_cameras(local_name(path))
     return CameraList(cameras, is_test, source, declared)
 
 
@@ -83,7 +83,7 @@ def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: boo
     rows = [{"name": camera.name, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
              "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist(),
              **({"split": parts[id(camera)]} if id(camera) in parts else {})} for camera in cameras]
-    name = encoded(path)
+    name = local_name(path)
     _roofgs.write_cameras(b"./-" if name == b"-" else name, json.dumps(rows, indent=1), overwrite)
 
 

@@ -89,6 +89,19 @@ def test_addresses_that_fail_are_shown_so(use):
     assert caught.value.file == "http://127.0.0.1:1/a.rgs" and "secret" not in str(caught.value)
 
 
+@pytest.mark.parametrize("use", [roofgs.info, lambda a: scene_of_one().save(a), roofgs.cameras.load,
+                                 lambda a: roofgs.cameras.save(a, []), lambda a: roofgs.convert(a, "a.ply"),
+                                 lambda a: roofgs.convert("a.ply", a), lambda a: roofgs.audit("a.ply", a)])
+def test_what_reads_and_writes_files_alone_refuses_addresses(use):
+    with pytest.raises(roofgs.ArgumentError, match="roofgs.load") as caught:
+        use("https://me:secret@host.org/a.rgs")
+    assert caught.value.file == "https://host.org/a.rgs"
+
+
+def scene_of_one():
+    return roofgs.Scene([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], [[1, 1, 1]])
+
+
 FORKED = """
 import multiprocessing, sys
 import roofgs

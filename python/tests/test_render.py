@@ -108,6 +108,14 @@ def test_options_that_nothing_can_mean(options, scene, camera, renderer):
         renderer.render(scene, camera, **options)
 
 
+def test_backgrounds_of_all_kinds(scene, camera, renderer):
+    expected = renderer.render(scene, camera, background=(0.5, 0.25, 1.0))
+    for other in ([0.5, 0.25, 1.0], np.array([0.5, 0.25, 1.0]), np.float32([0.5, 0.25, 1])):
+        assert np.array_equal(renderer.render(scene, camera, background=other), expected)
+    with pytest.raises(roofgs.ArgumentError, match="three numbers, not 2"):
+        renderer.render(scene, camera, background=(1, 1))
+
+
 @pytest.mark.parametrize("method, arguments", [("render", (roofgs.Camera(8, 8, 10),)), ("prepare", ()),
                                                ("refine", (roofgs.Camera(8, 8, 10),))])
 def test_files_are_not_taken_for_what_they_hold(method, arguments, scene, renderer):

@@ -200,8 +200,9 @@ def test_addresses_are_loaded_as_a_whole(examples, server):
         assert np.array_equal(scene.means, other.means) and scene.format == other.format
         size = (examples / name).stat().st_size
         assert calls[-1] == ("read", size, size, "B")
-    with pytest.raises(roofgs.InputOutputError) as caught:
+    with pytest.raises(FileNotFoundError) as caught:
         roofgs.load(f"{server}/none.rgs")
+    assert isinstance(caught.value, roofgs.MissingFileError)
     assert caught.value.found == 404 and caught.value.file.endswith("/none.rgs")
 
 
