@@ -55,7 +55,7 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     opacities : [..., N]
         0 to 1, not logits.
     colors : [..., (C,) N, D], or with `sh_degree` [..., (C,) N, K, 3]
-        Colours or other features, of any number of channels; or coefficients of spherical harmonics.
+        Colours or other features, of any number of channels and either sign; or coefficients of spherical harmonics.
     viewmats : [..., C, 4, 4]
         World to camera, OpenCV axes.
     Ks : [..., C, 3, 3]

@@ -69,7 +69,7 @@ def load(path: Path) -> CameraList:
 
 def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: bool = False) -> None:
     """Writes cameras as the JSON list of docs/CAMERAS.md, whole or not at all; those of a :class:`CameraList` with the split that
-    it declares.
+    it declares. A file that is there is kept without `overwrite`.
 
     >>> save(folder / "two.json", orbit(roofgs.load(examples / "scene.rgs"), 2))
     >>> len(load(folder / "two.json"))

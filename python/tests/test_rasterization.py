@@ -246,6 +246,28 @@ def test_batches_of_scenes():
         assert np.array_equal(colors[i // 3, i % 3], single)
 
 
+@pytest.mark.parametrize("sh_degree, own", [(None, (5,)), (2, (16, 3))])
+@pytest.mark.parametrize("of_cameras", [False, True])
+def test_batches_are_their_pictures_one_by_one(sh_degree, own, of_cameras):
+    r = np.random.default_rng(6)
+    scenes = [splats(seed=seed) for seed in (1, 2)]
+    given = {name: np.stack([scene[name] for scene in scenes]) for name in ("means", "quats", "scales", "opacities")}
+    colors = r.normal(size=(2, *((2,) if of_cameras else ()), 12, *own))
+    behind = r.uniform(size=(2, 2, 3 if sh_degree else own[0]))
+    views, ks = (np.stack([CAMERAS[name], CAMERAS[name][::-1]]) for name in ("viewmats", "Ks"))
+    options = dict(width=W, height=H, sh_degree=sh_degree, render_mode="RGB+ED", rasterize_mode="antialiased")
+    both, alphas, _ = roofgs.rasterization(**given, colors=colors, viewmats=views, Ks=ks, backgrounds=behind, **options)
+    pictures = []
+    for b in range(2):
+        for c in range(2):
+            one = {name: value[b] for name, value in given.items()}
+            picture, alpha, _ = roofgs.rasterization(**one, colors=colors[b, c] if of_cameras else colors[b], **options,
+                                                     viewmats=views[b, c][None], Ks=K[None], backgrounds=behind[b, c][None])
+            assert np.array_equal(both[b, c], picture[0]) and np.array_equal(alphas[b, c], alpha[0])
+            pictures.append(picture.tobytes())
+    assert len(set(pictures)) == 4
+
+
 @pytest.mark.parametrize("batch", [(), (2,)])
 @pytest.mark.parametrize("sh_degree", [None, 0])
 def test_no_gaussians_are_the_background(batch, sh_degree):
