@@ -218,6 +218,23 @@ TEST_CASE("--lod takes chunks of any size, and colours far beyond those of a pic
   CHECK(run.exit_code == 0);
 }
 
+TEST_CASE("--lod takes floaters at any distance") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(5000, 1, 6);
+  for (std::size_t i = 0; i < 300; ++i) cloud.mean[3 * i + i % 3] = 1e37F * (1 + 1e-3F * static_cast<float>(i));
+  cloud.mean[1500] = 3e38F;
+  cloud.mean[1503] = -3e38F;
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), levels = folder.file("levels.rgs");
+  const ProgramResult run = rgs_convert({"--lod", "--on-bad", "refuse", ply, levels});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  const Bytes bytes = read_bytes(levels);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(file->head().header().n_gaussians == 5000);
+  CHECK(validate(*file));
+}
+
 TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any format") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 2)),
