@@ -1,6 +1,7 @@
 // rgs_convert.cpp - rgs-convert: splat files of any format to any other. Arguments and exit codes; the work is in
 // src/convert_*.cpp and rgs::interchange.
 // SPDX-License-Identifier: Apache-2.0
+#include <sys/resource.h>
 #include <tbb/global_control.h>
 
 #include <algorithm>
@@ -490,10 +491,20 @@ int check_outputs(const Arguments& a) {
   return inputs.check_outputs(outputs);
 }
 
+// Every input is open until the output has its name. Shells give fewer descriptors than they may be asked for.
+void allow_open_files(std::size_t n) {
+  constexpr std::size_t kOthers = 64;  // output, scratch files, what lies beside an input
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur >= n + kOthers) return;
+  limit.rlim_cur = std::min<rlim_t>(limit.rlim_max, n + kOthers);
+  (void)::setrlimit(RLIMIT_NOFILE, &limit);  // where it may not, the file that cannot be opened is named
+}
+
 // Opens the inputs, and into `beside` the files that lie beside them and are read too: none may change before the output
 // has its name.
 Outcome<void> open_inputs(Arguments& a, std::deque<Input>& inputs, std::deque<rgs::MappedFile>& beside) {
   tool::InputFiles scenes;
+  allow_open_files(a.n_inputs());
   for (std::size_t i = 0; i < a.n_inputs(); ++i) {
     scenes.add_scene(a.files[i]);
     if (const rgs::Status s = inputs.emplace_back().open(a.files[i]); !s) return failed(a.files[i], s.error());

@@ -16,6 +16,7 @@
 #include "rgs/quantize.hpp"
 #include "run_program.hpp"
 #include "sanitized.hpp"
+#include "skip.hpp"
 #include "temporary_folder.hpp"
 #include "trivial_levels.hpp"
 
@@ -216,6 +217,32 @@ TEST_CASE("--lod takes chunks of any size, and colours far beyond those of a pic
   const ProgramResult run = rgs_convert({"--lod", "--chunk-size", "16384", ply, levels});
   CAPTURE(run.err);
   CHECK(run.exit_code == 0);
+}
+
+TEST_CASE("more inputs are merged than a shell allows open files") {
+  constexpr rlim_t kOpen = 64, kEnough = 256;
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_max < kEnough)
+    return skip("the hard limit of open files is below 256");
+  limit.rlim_cur = kOpen;
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(50, 0, 6));
+  std::vector<std::string> inputs;
+  for (int i = 0; i < 100; ++i) {
+    inputs.push_back(folder.file("tile" + std::to_string(i) + ".ply"));
+    std::filesystem::create_hard_link(ply, inputs.back());
+  }
+  for (const bool lod : {false, true}) {
+    std::vector<std::string> arguments{RGS_CONVERT, "--no-sync", "--merge"};
+    if (lod) arguments.emplace_back("--lod");
+    arguments.insert(arguments.end(), inputs.begin(), inputs.end());
+    const std::string out = folder.file(lod ? "levels.rgs" : "plain.rgs");
+    arguments.push_back(out);
+    const ProgramResult run = run_program(arguments, [&limit] { ::setrlimit(RLIMIT_NOFILE, &limit); });
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(size_of(out) == 5000);
+  }
 }
 
 TEST_CASE("--lod takes floaters at any distance") {
