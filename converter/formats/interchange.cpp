@@ -89,6 +89,7 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
   const auto paged = PagedFile::open(bytes, options.limits);
   if (!paged) return tl::unexpected(paged.error());
   std::vector<std::uint32_t> pages;
+  bool is_part = false;
   if (paged->n_present() == 0) {
     return make_error(Errc::pages_missing, bytes.size(), "the end of the file is missing, and with it all pages",
                       paged->n_pages(), 0);
@@ -108,13 +109,20 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
       pages = lod::finest_cut(counted, *options.max_count, paged->n_present());
       if (pages.empty()) {
         return make_error(Errc::bad_argument, Error::kNone,
-                          "the coarsest level of the file has more Gaussians than that; write it (--level-of-detail) "
-                          "and leave some of them out",
+                          options.page_counts.empty()
+                              ? "the coarsest level of the file has more Gaussians than that; write it "
+                                "(--level-of-detail) and leave some of them out"
+                              : "the coarsest level of the file has more Gaussians than that which are kept (--crop, "
+                                "--min-opacity); write it (--level-of-detail) and leave some of them out",
                           *options.max_count, counted.front().count);
       }
     }
+    // Pages of which nothing counts cost a cut nothing: it has the finest of them, which may be more than fits into memory.
+    is_part = !options.page_counts.empty() && !(pages.empty() && paged->has_source_index());
+    if (is_part && pages.empty()) pages = lod::pages_of_level(counted, 0);
+    if (is_part) std::erase_if(pages, [&](std::uint32_t i) { return counted[i].count == 0; });
   }
-  if (std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; })) {
+  if (!is_part && std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; })) {
     if (!paged->complete() && !options.max_count) {
       return make_error(
           Errc::pages_missing, bytes.size(),

@@ -29,7 +29,8 @@ constexpr float kErrorGrowth = 1.01F;
 constexpr float kMostError = 1e30F;
 // A run of boxes has a gap where the box around it is longer than this many of their lengths together.
 constexpr float kGap = 2;
-// World units. What is farther from its group, or larger, is left as it is: the fourth powers of costs are beyond FP32.
+// World units, and their logarithm. What is farther from its group, or larger, is left as it is: costs are fourth powers, and FP32
+// ends at 3.4e38.
 constexpr float kFar = 1e9F, kLogFar = 20.723F;
 // A box of so many times the length of another is not in its company: floaters.
 constexpr float kUnlike = 12;
@@ -140,6 +141,17 @@ bool is_far(const SplatView& splats, std::uint64_t i, const float centre[3]) {
   return false;
 }
 
+// The median of each coordinate of the means.
+void find_middle(const SplatView& splats, std::uint64_t from, std::uint64_t n, float middle[3]) {
+  std::vector<float> values(n);
+  for (std::size_t k = 0; k < 3; ++k) {
+    for (std::uint64_t i = 0; i < n; ++i) values[i] = splats.mean[3 * (from + i) + k];
+    const auto median = values.begin() + static_cast<std::ptrdiff_t>(n / 2);
+    std::ranges::nth_element(values, median);
+    middle[k] = *median;
+  }
+}
+
 float longest_log_scale(const SplatView& splats, std::uint64_t i) {
   return std::max({splats.log_scale[3 * i], splats.log_scale[3 * i + 1], splats.log_scale[3 * i + 2]});
 }
@@ -172,8 +184,8 @@ float replace_without_far(const SplatView& splats, std::span<const std::uint64_t
     error = replace(some.view(), 0, near.size(), wanted - n_kept, centre, options, out);
   }
   for (std::uint64_t i = 0; i < n_kept; ++i) append(activate(splats, far[i], 1, kNowhere), kNowhere, out);
-  // Pixels in which the others are less than one.
-  if (n_kept < far.size()) error = std::max(error, std::exp(longest_log_scale(splats, far[n_kept])));
+  // Pixels of which all that is seen of the others is less than one.
+  if (n_kept < far.size()) error = std::max(error, 2 * kBoundSigmas * std::exp(longest_log_scale(splats, far[n_kept])));
   return error;
 }
 
@@ -320,13 +332,17 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
     add(page.core, below[i].core);
   }
   const std::uint64_t from = below[first].first;
-  std::uint64_t middle = from;  // the first, but for one that is far from everything
-  constexpr float kNowhere[3] = {0, 0, 0};
-  while (middle + 1 < from + n && is_far(splats, middle, kNowhere)) ++middle;
-  if (is_far(splats, middle, kNowhere)) middle = from;
-  const float centre[3] = {splats.mean[3 * middle], splats.mean[3 * middle + 1], splats.mean[3 * middle + 2]};
+  float centre[3] = {splats.mean[3 * from], splats.mean[3 * from + 1], splats.mean[3 * from + 2]};
   std::vector<std::uint64_t> near, far;
-  for (std::uint64_t i = from; i < from + n; ++i) (is_far(splats, i, centre) ? far : near).push_back(i);
+  const auto divide = [&] {
+    near.clear(), far.clear();
+    for (std::uint64_t i = from; i < from + n; ++i) (is_far(splats, i, centre) ? far : near).push_back(i);
+  };
+  divide();
+  if (!far.empty()) {  // the first, perhaps, from all others
+    find_middle(splats, from, n, centre);
+    divide();
+  }
   const std::uint64_t most = static_cast<std::uint64_t>(options.chunk_size) * options.page_chunks;
   // Less than all pages have room for: what a file with levels takes beyond one without is the sum of all powers of it.
   const std::uint64_t wanted = std::min(most, (n * kKeptOf1000 / options.children + 999) / 1000);

@@ -307,7 +307,7 @@ TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any for
 
 TEST_CASE("--max-count of a file with levels is of those that --crop and --min-opacity keep") {
   const TemporaryFolder folder;
-  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 7)),
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(12000, 1, 7)),
                     plain = folder.file("plain.rgs"), out = folder.file("out.ply"), all = folder.file("all.ply");
   REQUIRE(rgs_convert({"--profile", "direct", "--chunk-size", "64", ply, plain}).exit_code == 0);
   const std::string levels = write_file(folder.file("levels.rgs"), with_levels(plain, Profile::packed));
@@ -317,15 +317,15 @@ TEST_CASE("--max-count of a file with levels is of those that --crop and --min-o
     x.push_back(cloud.mean[3 * i]);
     opacity.push_back(opacity_from_logit(cloud.opacity_logit[i]));
   }
-  std::nth_element(x.begin(), x.begin() + 1000, x.end());
-  std::nth_element(opacity.begin(), opacity.begin() + 1500, opacity.end());
-  const std::string middle = std::to_string(x[1000]), moved = std::to_string(x[1000] + 500);
+  std::nth_element(x.begin(), x.begin() + 4000, x.end());
+  std::nth_element(opacity.begin(), opacity.begin() + 6000, opacity.end());
+  const std::string middle = std::to_string(x[4000]), moved = std::to_string(x[4000] + 500);
   // A third of the scene; the same where it was moved to, which is far enough for an origin, and turned upside down; a half by opacity.
   const std::vector<std::vector<std::string>> filters{
       {"--crop=-1e6,-1e6,-1e6," + middle + ",1e6,1e6"},
       {"--translate=500,0,0", "--crop=-1e6,-1e6,-1e6," + moved + ",1e6,1e6"},
       {"--axes", "opengl", "--to-axes", "3dgs", "--crop=-1e6,-1e6,-1e6," + middle + ",1e6,1e6"},
-      {"--min-opacity", std::to_string(opacity[1500])}};
+      {"--min-opacity", std::to_string(opacity[6000])}};
   for (const std::vector<std::string>& filter : filters) {
     CAPTURE(filter.back());
     const auto convert = [&](std::vector<std::string> arguments, const std::string& to) {
@@ -344,6 +344,34 @@ TEST_CASE("--max-count of a file with levels is of those that --crop and --min-o
       CHECK(read_bytes(out) == read_bytes(all));
     }
   }
+}
+
+TEST_CASE("pages of which nothing is kept are not read for a cut") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 8)),
+                    plain = folder.file("plain.rgs"), out = folder.file("out.ply");
+  REQUIRE(rgs_convert({"--profile", "direct", "--chunk-size", "64", ply, plain}).exit_code == 0);
+  const std::string levels = write_file(folder.file("levels.rgs"), with_levels(plain, Profile::packed));
+  const Bytes bytes = read_bytes(levels);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  REQUIRE_FALSE(file->has_source_index());
+  ReadOptions options;
+  options.max_count = 3000;
+  options.page_counts.assign(file->n_pages(), 0);
+  CHECK(read_splats(levels, options).value().cloud.size() == 0);
+  const std::uint32_t last = lod::pages_of_level(file->pages(), 0).back();
+  for (std::uint32_t i = last; i != lod::kNoPage; i = file->pages()[i].parent) options.page_counts[i] = 5;
+  for (const std::uint64_t count : {5u, 3000u}) {  // by a cut, and without one
+    options.max_count = count;
+    CHECK(read_splats(levels, options).value().cloud.size() == file->pages()[last].count);
+  }
+  options.page_counts.pop_back();
+  CHECK(read_splats(levels, options).error().code == Errc::bad_argument);
+  // All of the coarsest level is in the crop, and the error says which of them count.
+  const ProgramResult none = rgs_convert({"--max-count", "10", "--crop=-1e6,-1e6,-1e6,1e6,1e6,1e6", levels, out});
+  CHECK(none.exit_code == 2);
+  CHECK(none.err.find("are kept (--crop") != std::string::npos);
 }
 
 TEST_CASE("of a file whose end is missing only levels that are there are converted") {

@@ -191,7 +191,7 @@ TEST_CASE("a floater far away gets a page of its own") {
 
 TEST_CASE("levels do not mind how far away or how large Gaussians are") {
   const BuildOptions options = small_pages();
-  for (const float farthest : {1e9F, 1e12F, 1e19F, 1e37F, 3e38F}) {
+  for (const float farthest : {1e9F, 3e10F, 1e12F, 1e19F, 1e37F, 3e38F}) {
     for (const std::uint64_t n_far : {1U, 3U, 300U, 4096U}) {
       for (const float log_scale : {-5.F, 20.F, 60.F}) {
         INFO("farthest ", farthest, " far ", n_far, " log_scale ", log_scale);
@@ -233,6 +233,33 @@ TEST_CASE("what is far from a group neither goes nor spoils the group") {
     CHECK(std::count(root.mean.begin(), root.mean.end(), -1e37F) == 3);
     CHECK(std::count_if(root.mean.begin(), root.mean.end(), [](float x) { return x > 0.5F && x < 1.5F; }) >
           page.count / 2);  // x of the right half and y of the lower one
+  }
+}
+
+TEST_CASE("a scene that is far from one of its Gaussians is simplified all the same") {
+  const BuildOptions options = small_pages();
+  rgs::test::SplitMix random(9);
+  rgs::SplatCloud cloud = rgs::test::wall(32, 0, random);
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      cloud.mean[3 * i + k] = 2e10F + 1e6F * cloud.mean[3 * i + k];
+      cloud.log_scale[3 * i + k] += std::log(1e6F);
+    }
+  }
+  for (const std::uint64_t at : {0U, 500U}) {
+    rgs::SplatCloud with = cloud;
+    for (std::size_t k = 0; k < 3; ++k) with.mean[3 * at + k] = 0;
+    const Levels levels = build_levels(with.view(), options);
+    check_levels(levels, with, options);
+    const Page& root = levels.pages.front();
+    // Merged ones are larger than any that were there: those that are left as they are would not be.
+    const float largest = *std::max_element(with.log_scale.begin(), with.log_scale.end());
+    std::uint64_t n_merged = 0;
+    for (std::uint64_t i = root.first; i < root.first + root.count; ++i) {
+      const float* scale = &levels.splats.log_scale[3 * i];
+      n_merged += std::max({scale[0], scale[1], scale[2]}) > largest ? 1U : 0U;
+    }
+    CHECK(n_merged > root.count / 2);
   }
 }
 

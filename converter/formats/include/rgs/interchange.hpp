@@ -87,7 +87,8 @@ struct ReadOptions {
   /// without levels are read as a whole whatever max_count is.
   std::optional<std::uint32_t> level_of_detail = std::nullopt;
   std::optional<std::uint64_t> max_count = std::nullopt;
-  /// [pages] how many Gaussians of each page count towards max_count, for who keeps only some of them; empty: all.
+  /// [pages] how many Gaussians of each page count towards max_count, for who keeps only some of them; empty: all. Pages of which
+  /// none counts are not read, but of a file that has places in its source where it fits as a whole.
   std::vector<std::uint32_t> page_counts = {};
 };
 
