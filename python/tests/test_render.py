@@ -3,6 +3,7 @@ import os
 import signal
 import struct
 import threading
+import types
 import zlib
 
 import numpy as np
@@ -152,6 +153,36 @@ def test_outputs_are_filled_in_place(scene, camera, renderer):
     assert np.array_equal(codes, renderer.render(scene, camera, dtype="uint8"))
 
 
+class Bfloat16:
+    """What of a torch.Tensor on the CPU counts here, of a type that NumPy does not have."""
+
+    __module__, dtype, requires_grad = "torch", "torch.bfloat16", False
+    device = types.SimpleNamespace(type="cpu")
+
+    def __init__(self, values):
+        self.values = values
+
+    def detach(self):
+        return self
+
+    cpu = detach
+
+    def __iter__(self):
+        return map(Bfloat16, self.values)
+
+    def __len__(self):
+        return len(self.values)
+
+    def __float__(self):
+        return self.values
+
+    def float(self):
+        return types.SimpleNamespace(numpy=lambda: np.float32(self.values))
+
+    def numpy(self):
+        raise TypeError("Got unsupported ScalarType BFloat16")
+
+
 def wrong_outputs():
     frozen = np.empty((48, 64, 3), np.float32)
     frozen.flags.writeable = False
@@ -159,7 +190,8 @@ def wrong_outputs():
             "strided": np.empty((48, 128, 3), np.float32)[:, ::2], "reversed": np.empty((48, 64, 3), np.float32)[::-1],
             "fortran": np.asfortranarray(np.empty((48, 64, 3), np.float32)), "swapped": np.empty((48, 64, 3), ">f4"),
             "batched": np.empty((1, 48, 64, 3), np.float32), "rgba": np.empty((48, 64, 4), np.float32),
-            "frozen": frozen, "signed": np.empty((48, 64, 3), np.int8), "list": [[0.0]]}
+            "frozen": frozen, "signed": np.empty((48, 64, 3), np.int8), "bfloat16": Bfloat16([]),
+            "list": [[0.0]]}
 
 
 @pytest.mark.parametrize("name", wrong_outputs())
