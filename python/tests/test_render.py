@@ -113,8 +113,28 @@ def test_backgrounds_of_all_kinds(scene, camera, renderer):
     expected = renderer.render(scene, camera, background=(0.5, 0.25, 1.0))
     for other in ([0.5, 0.25, 1.0], np.array([0.5, 0.25, 1.0]), np.float32([0.5, 0.25, 1])):
         assert np.array_equal(renderer.render(scene, camera, background=other), expected)
-    with pytest.raises(roofgs.ArgumentError, match="three numbers, not 2"):
-        renderer.render(scene, camera, background=(1, 1))
+
+
+@pytest.mark.parametrize("wrong", [(1, 1), np.zeros((1, 3)), np.zeros((3, 1)), 0.5, None, "red", {0.5}])
+def test_what_is_no_background(wrong, scene, camera, renderer):
+    with pytest.raises(roofgs.ArgumentError, match="^background "):
+        renderer.render(scene, camera, background=wrong)
+
+
+def test_backgrounds_that_are_tensors_are_not_kept(scene, camera):
+    renderer = roofgs.Renderer(device="cpu")
+    tensor = Bfloat16([0.5, 0.25, 1.0])
+    first = renderer.render(scene, camera, background=tensor)
+    assert np.array_equal(first, renderer.render(scene, camera, background=(0.5, 0.25, 1.0)))
+    assert len(renderer._options) == 1
+
+
+def test_degrees_are_whole_numbers(scene, camera):
+    renderer = roofgs.Renderer(device="cpu")
+    for _ in range(2):  # also behind a picture that had the same value
+        with pytest.raises(TypeError, match="integer"):
+            renderer.render(scene, camera, sh_degree=2.0)
+        renderer.render(scene, camera, sh_degree=np.int64(2))
 
 
 @pytest.mark.parametrize("method, arguments", [("render", (roofgs.Camera(8, 8, 10),)), ("prepare", ()),
