@@ -98,7 +98,7 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
         raise argument_error(f"render_mode is one of {', '.join(_MODES)}, not {render_mode!r}")
     if rasterize_mode not in ("classic", "antialiased"):
         raise argument_error(f"rasterize_mode is 'classic' or 'antialiased', not {rasterize_mode!r}")
-    width, height = operator.index(width), operator.index(height)
+    width, height, eps2d = operator.index(width), operator.index(height), float(eps2d)
     if sh_degree is not None:
         sh_degree = operator.index(sh_degree)
         if not 0 <= sh_degree <= 3:

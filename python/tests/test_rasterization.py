@@ -328,6 +328,13 @@ def test_wrong_arguments(wrong):
         roofgs.rasterization(**{**splats(), **CAMERAS, **wrong})
 
 
+@pytest.mark.parametrize("eps2d", ["x", None, [0.3, 0.3]])
+def test_low_passes_are_numbers(eps2d):
+    with pytest.raises((TypeError, ValueError)) as caught:
+        roofgs.rasterization(**splats(), **CAMERAS, eps2d=eps2d)
+    assert "from_arrays" not in str(caught.value) and len(str(caught.value)) < 150
+
+
 def test_meta_says_what_it_lacks():
     _, _, meta = roofgs.rasterization(**splats(), **CAMERAS)
     with pytest.raises(KeyError, match="means2d.*stages"):
