@@ -27,6 +27,11 @@ def _refuse_gradient(tensor: Any, name: str) -> None:
             f"{name} requires a gradient, but RoofGS renders forward only: pass {name}.detach(), or train with gsplat")
 
 
+def _is_bfloat16(tensor: Any) -> bool:
+    """Whether a tensor is of the type that NumPy does not have."""
+    return str(getattr(tensor, "dtype", "")) == "torch.bfloat16"
+
+
 def host_array(value: Any, name: str) -> "NDArray[Any]":
     """`value` as an array in the host's memory, without a copy where it lies there already."""
     if isinstance(value, np.ndarray):
@@ -34,7 +39,7 @@ def host_array(value: Any, name: str) -> "NDArray[Any]":
     if is_tensor(value):
         _refuse_gradient(value, name)
         tensor = value.detach().cpu()
-        if str(getattr(tensor, "dtype", "")) == "torch.bfloat16":  # which NumPy does not have
+        if _is_bfloat16(tensor):
             tensor = tensor.float()
         array: NDArray[Any] = tensor.numpy()
         return array
@@ -66,6 +71,8 @@ def output_array(value: Any, name: str) -> "NDArray[Any]":
         return value
     if is_tensor(value) and value.device.type == "cpu":
         _refuse_gradient(value, name)
+        if _is_bfloat16(value):
+            raise argument_error(f"{name} holds {value.dtype}; outputs are float32 or, of images alone, uint8")
         array: NDArray[Any] = value.detach().numpy()
         return array
     raise argument_error(f"{name} is neither a NumPy array, nor a torch tensor, nor an array on a GPU")

@@ -55,7 +55,8 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     opacities : [..., N]
         0 to 1, not logits.
     colors : [..., (C,) N, D], or with `sh_degree` [..., (C,) N, K, 3]
-        Colours or other features, of any number of channels and either sign; or coefficients of spherical harmonics.
+        Colours or other features, of any number of channels and either sign; or coefficients of spherical harmonics. A channel
+        with values below 0 is exact to a millionth of its lowest value.
     viewmats : [..., C, 4, 4]
         World to camera, OpenCV axes.
     Ks : [..., C, 3, 3]
@@ -98,7 +99,7 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
         raise argument_error(f"render_mode is one of {', '.join(_MODES)}, not {render_mode!r}")
     if rasterize_mode not in ("classic", "antialiased"):
         raise argument_error(f"rasterize_mode is 'classic' or 'antialiased', not {rasterize_mode!r}")
-    width, height = operator.index(width), operator.index(height)
+    width, height, eps2d = operator.index(width), operator.index(height), float(eps2d)
     if sh_degree is not None:
         sh_degree = operator.index(sh_degree)
         if not 0 <= sh_degree <= 3:
@@ -208,7 +209,12 @@ def _harmonics(colors: "NDArray[Any]", batch: Tuple[int, ...], n_cameras: int, n
     n_channels = values.shape[-1]
     lowest = values.min(axis=2, initial=0)
     padding = [(0, 0)] * (values.ndim - 1) + [(0, -n_channels % 3 if n_channels else 3)]
-    sh = (np.pad(values - lowest[:, :, None], padding) - np.float32(0.5)) / np.float32(_SH0)
+    with np.errstate(over="ignore"):
+        sh = (np.pad(values - lowest[:, :, None], padding) - np.float32(0.5)) / np.float32(_SH0)
+    too_wide = np.flatnonzero(~np.isfinite(sh).all(axis=tuple(range(sh.ndim - 1))))
+    if len(too_wide):
+        raise argument_error(f"colors has values too far apart, or too large, in channel {too_wide[0]}: their coefficients of "
+                             "spherical harmonics are beyond float32")
     return ([[[each[:, None, first:first + 3] for first in range(0, each.shape[-1], 3)] for each in of_batch]
              for of_batch in sh], lowest, n_channels)
 

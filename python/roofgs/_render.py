@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _roofgs
-from ._arrays import DeviceOutput, device_output, output_array
+from ._arrays import DeviceOutput, device_output, float_array, output_array
 from ._errors import argument_error
 from ._roofgs import Camera
 from ._scene import Scene, StreamedScene
@@ -192,17 +192,16 @@ class Renderer:
     def _options_of(self, background: Colour, near_plane: Optional[float],
                     far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
                     anti_aliasing: Optional[str], detail: Optional[float]) -> _roofgs.RenderOptions:
-        key = (*background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        red, green, blue = float_array(background, "background", (3,)).tolist()
+        sh_degree = operator.index(sh_degree)  # 3.0 is equal to 3, and would be found
+        key = (red, green, blue, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
         known = self._options.get(key)
         if known is not None:
             return known
         if anti_aliasing not in (None, "classic", "mip"):
             raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
-        if not 0 <= operator.index(sh_degree) <= 3:
+        if not 0 <= sh_degree <= 3:
             raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
-        if len(background) != 3:
-            raise argument_error(f"background is three numbers, not {len(background)}")
-        red, green, blue = (float(value) for value in background)
         options = _roofgs.RenderOptions((red, green, blue), near_plane,
                                         0.0 if far_plane is None else float(far_plane), sh_degree, low_pass,
                                         anti_aliasing, detail, self._pipeline)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from . import _roofgs
 from ._arrays import FloatArray, float_array, host_array
-from ._errors import FormatError, argument_error, local_name
+from ._errors import Error, FormatError, argument_error, local_name
 from ._paths import Path, encoded, shown
 from ._pictures import png
 from ._progress import Progress, Reporting
@@ -440,13 +440,13 @@ def _from_arrays(means: FloatArray, quats: FloatArray, scales: FloatArray, opaci
                  origin: Vector3, anti_aliasing: str, low_pass: Optional[float]) -> _roofgs.Scene:
     try:
         return _roofgs.Scene.from_arrays(means, quats, scales, opacities, sh, degree, origin, anti_aliasing, low_pass)
-    except FormatError:  # says which Gaussian alone
-        _refuse_damaged(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
-        raise
+    except FormatError as error:  # says which Gaussian alone
+        damage = _damage(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
+        raise damage or error from None
 
 
-def _refuse_damaged(**arrays: FloatArray) -> None:
-    """Names the first value that no Gaussian has."""
+def _damage(**arrays: FloatArray) -> Optional[Error]:
+    """What names the first value that no Gaussian has."""
     for name, array in arrays.items():
         low, high = _LEGAL.get(name, (-math.inf, math.inf))
         bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
@@ -455,7 +455,8 @@ def _refuse_damaged(**arrays: FloatArray) -> None:
             if math.isfinite(array[place]):
                 hint = {"opacities": "; of logits take 1 / (1 + exp(-x))", "scales": "; of logarithms take exp(x)"}[name]
             allowed = {"scales": "0 and above", "opacities": "0 to 1"}.get(name, "finite")
-            raise argument_error(f"{name}{list(place)} is {float(array[place])!r}, not {allowed}{hint}")
+            return argument_error(f"{name}{list(place)} is {float(array[place])!r}, not {allowed}{hint}")
+    return None
 
 
 def _count(value: int, name: str) -> int:

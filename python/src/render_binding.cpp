@@ -222,14 +222,15 @@ class PyRenderer {
     return py::make_tuple(out.image.array, out.alpha.array, out.depth.array);
   }
 
-  // Waits in steps, so that signals are seen. A step that ends early and without success has no room for the view.
+  // Waits in steps, so that signals are seen. A step that ends early and without success has no room for the view. The scene as asked().
   bool refine(const PyStream& stream, const Camera& camera, double seconds, const RenderOptions& options) {
     using Clock = std::chrono::steady_clock;
     constexpr double kStep = 0.1;
     begin_work();
     if (!(seconds >= 0)) refuse(Errc::bad_argument, "seconds to wait are 0 or more");
-    const StreamedScene held = stream.scene();
+    StreamedScene copy = stream.scene();
     const Unlocked unlocked;
+    const StreamedScene held = std::move(copy);
     const std::scoped_lock lock(mutex_);
     const auto since = [](Clock::time_point start) {
       return std::chrono::duration<double>(Clock::now() - start).count();
@@ -290,8 +291,9 @@ class PyRenderer {
   void draw(const StreamedScene& scene, const std::string& name, std::span<const Camera> cameras,
             const PictureArrays& arrays, const RenderOptions& options) {
     const std::size_t n_pixels = pixels_of(cameras);
-    const StreamedScene held = scene;
+    StreamedScene copy = scene;
     const Unlocked unlocked;
+    const StreamedScene held = std::move(copy);
     const std::scoped_lock lock(mutex_);
     stats_.clear();
     if (arrays.codes != nullptr) scratch_.resize(3 * n_pixels);

@@ -8,6 +8,7 @@
 #include <optional>
 #include <stop_token>
 #include <string>
+#include <utility>
 
 #include "bindings.hpp"
 #include "rgs/camera.hpp"
@@ -37,12 +38,14 @@ PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
   return {take(run_stoppable(work, nullptr, stop), name), name};
 }
 
-// What is asked under the lock of the pool, which a thread that was lost may have. The scene is a copy: another thread may close it.
+// What is asked under the lock of the pool, which a thread that was lost may have. The scene is a copy: another thread may close it,
+// and the last copy waits for threads when it goes, which is why it goes first.
 template <class Value>
 Value asked(const PyStream& stream, Value (StreamedScene::*question)() const) {
   begin_work();
-  const StreamedScene held = stream.scene();
+  StreamedScene copy = stream.scene();
   const Unlocked unlocked;
+  const StreamedScene held = std::move(copy);
   return (held.*question)();
 }
 

@@ -1,5 +1,6 @@
 """rasterization(), against the formulas that gsplat documents. SPDX-License-Identifier: Apache-2.0"""
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -140,6 +141,29 @@ def test_features_below_0():
         np.testing.assert_allclose(alphas[c, ..., 0], alpha, atol=0.02)
         close(both[c, ..., :4], colour + (1 - alpha)[..., None] * backgrounds[c])
         assert (both[c, ..., 4] >= 0).all() and np.array_equal(both[c, ..., 4] > 0, alphas[c, ..., 0] > 0)
+
+
+def test_features_that_cannot_be_raised_are_named():
+    given = {**splats(), **CAMERAS}
+    given["colors"] = np.ones((12, 4), np.float32)
+    given["colors"][3, 3], given["colors"][7, 3] = -3e38, 3e38
+    with pytest.raises(roofgs.ArgumentError, match=r"colors.*channel 3") as caught, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        roofgs.rasterization(**given)
+    assert caught.value.__context__ is None
+
+
+def test_features_below_0_are_exact_to_a_millionth_of_the_lowest():
+    given = {**splats(), **CAMERAS}
+    plain, _, _ = roofgs.rasterization(**given)
+    given["opacities"][5] = 0
+    without, _, _ = roofgs.rasterization(**given)
+    given["colors"] = given["colors"].copy()
+    given["colors"][5, 1] = -1e5  # which nobody sees
+    raised, _, _ = roofgs.rasterization(**given)
+    assert not np.array_equal(plain, without)
+    np.testing.assert_allclose(raised, without, rtol=0, atol=0.1)
+    assert np.array_equal(raised[..., ::2], without[..., ::2])
 
 
 def basis(d, degree):
@@ -326,6 +350,13 @@ def test_what_has_no_effect_is_taken():
 def test_wrong_arguments(wrong):
     with pytest.raises(roofgs.Error):
         roofgs.rasterization(**{**splats(), **CAMERAS, **wrong})
+
+
+@pytest.mark.parametrize("eps2d", ["x", None, [0.3, 0.3]])
+def test_low_passes_are_numbers(eps2d):
+    with pytest.raises((TypeError, ValueError)) as caught:
+        roofgs.rasterization(**splats(), **CAMERAS, eps2d=eps2d)
+    assert "from_arrays" not in str(caught.value) and len(str(caught.value)) < 150
 
 
 def test_meta_says_what_it_lacks():

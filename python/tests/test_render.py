@@ -3,6 +3,7 @@ import os
 import signal
 import struct
 import threading
+import types
 import zlib
 
 import numpy as np
@@ -112,8 +113,28 @@ def test_backgrounds_of_all_kinds(scene, camera, renderer):
     expected = renderer.render(scene, camera, background=(0.5, 0.25, 1.0))
     for other in ([0.5, 0.25, 1.0], np.array([0.5, 0.25, 1.0]), np.float32([0.5, 0.25, 1])):
         assert np.array_equal(renderer.render(scene, camera, background=other), expected)
-    with pytest.raises(roofgs.ArgumentError, match="three numbers, not 2"):
-        renderer.render(scene, camera, background=(1, 1))
+
+
+@pytest.mark.parametrize("wrong", [(1, 1), np.zeros((1, 3)), np.zeros((3, 1)), 0.5, None, "red", {0.5}])
+def test_what_is_no_background(wrong, scene, camera, renderer):
+    with pytest.raises(roofgs.ArgumentError, match="^background "):
+        renderer.render(scene, camera, background=wrong)
+
+
+def test_backgrounds_that_are_tensors_are_not_kept(scene, camera):
+    renderer = roofgs.Renderer(device="cpu")
+    tensor = Bfloat16([0.5, 0.25, 1.0])
+    first = renderer.render(scene, camera, background=tensor)
+    assert np.array_equal(first, renderer.render(scene, camera, background=(0.5, 0.25, 1.0)))
+    assert len(renderer._options) == 1
+
+
+def test_degrees_are_whole_numbers(scene, camera):
+    renderer = roofgs.Renderer(device="cpu")
+    for _ in range(2):  # also behind a picture that had the same value
+        with pytest.raises(TypeError, match="integer"):
+            renderer.render(scene, camera, sh_degree=2.0)
+        renderer.render(scene, camera, sh_degree=np.int64(2))
 
 
 @pytest.mark.parametrize("method, arguments", [("render", (roofgs.Camera(8, 8, 10),)), ("prepare", ()),
@@ -152,6 +173,36 @@ def test_outputs_are_filled_in_place(scene, camera, renderer):
     assert np.array_equal(codes, renderer.render(scene, camera, dtype="uint8"))
 
 
+class Bfloat16:
+    """What of a torch.Tensor on the CPU counts here, of a type that NumPy does not have."""
+
+    __module__, dtype, requires_grad = "torch", "torch.bfloat16", False
+    device = types.SimpleNamespace(type="cpu")
+
+    def __init__(self, values):
+        self.values = values
+
+    def detach(self):
+        return self
+
+    cpu = detach
+
+    def __iter__(self):
+        return map(Bfloat16, self.values)
+
+    def __len__(self):
+        return len(self.values)
+
+    def __float__(self):
+        return self.values
+
+    def float(self):
+        return types.SimpleNamespace(numpy=lambda: np.float32(self.values))
+
+    def numpy(self):
+        raise TypeError("Got unsupported ScalarType BFloat16")
+
+
 def wrong_outputs():
     frozen = np.empty((48, 64, 3), np.float32)
     frozen.flags.writeable = False
@@ -159,7 +210,8 @@ def wrong_outputs():
             "strided": np.empty((48, 128, 3), np.float32)[:, ::2], "reversed": np.empty((48, 64, 3), np.float32)[::-1],
             "fortran": np.asfortranarray(np.empty((48, 64, 3), np.float32)), "swapped": np.empty((48, 64, 3), ">f4"),
             "batched": np.empty((1, 48, 64, 3), np.float32), "rgba": np.empty((48, 64, 4), np.float32),
-            "frozen": frozen, "signed": np.empty((48, 64, 3), np.int8), "list": [[0.0]]}
+            "frozen": frozen, "signed": np.empty((48, 64, 3), np.int8), "bfloat16": Bfloat16([]),
+            "list": [[0.0]]}
 
 
 @pytest.mark.parametrize("name", wrong_outputs())

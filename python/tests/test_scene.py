@@ -118,6 +118,7 @@ def test_damaged_values_are_refused_by_name_and_index(name, value):
     with pytest.raises(roofgs.ArgumentError, match=rf"^{name}\[3[],]") as caught:
         roofgs.Scene(**given)
     assert "byte" not in str(caught.value) and caught.value.offset is None
+    assert caught.value.__suppress_context__  # the extension's own error, which knows no names
 
 
 def test_logits_and_logarithms_are_named():
