@@ -158,13 +158,19 @@ inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ p
   const [, camera] = readCameras(join(scenes(), "cameras.json"));
   const at = new URLSearchParams(hash.slice(1)).get("at").split(",").map(Number);
   camera.position.forEach((value, i) => assert.ok(Math.abs(value - at[i]) < 1e-5, `${at}`));
+  await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   const other = await context.newPage();
   other.setDefaultTimeout(kPatienceMs);
   await other.goto(`${server.url}${hash}`);
   await other.waitForSelector("html[data-ready]", { state: "attached" });
   assert.equal(await other.locator("#sh").inputValue(), "1");
   assert.equal(await other.locator("#background").inputValue(), "#336699");
-  await other.waitForFunction((expected) => location.hash === expected, hash);
+  // What is behind # is the address's own until the page writes it anew.
+  await other.evaluate(() => history.replaceState(null, "", location.pathname));
+  await other.locator("#link").click();
+  assert.equal(new URL(other.url()).hash, hash);
+  await other.waitForFunction(() => document.getElementById("status").textContent === "Link copied");
+  assert.equal(await other.evaluate(() => navigator.clipboard.readText()), other.url());
 });
 
 inBrowser("keys and pointer move the view, and only then is drawn", { ...one, files: one.files() }, async ({ page }) => {
@@ -175,8 +181,26 @@ inBrowser("keys and pointer move the view, and only then is drawn", { ...one, fi
     await action();
     await page.waitForFunction((url) => location.href !== url, was);
   };
+  // Until nothing is drawn any more.
+  const drawnIn30Frames = () =>
+    page.evaluate(async () => {
+      const before = window.nDrawn;
+      for (let i = 0; i < 30; ++i) await new Promise(requestAnimationFrame);
+      return window.nDrawn - before;
+    });
+  await page.evaluate(() => {
+    window.nDrawn = 0;
+    const { prototype } = WebGL2RenderingContext;
+    const { clear } = prototype;
+    prototype.clear = function (...mask) {
+      window.nDrawn += 1;
+      return clear.apply(this, mask);
+    };
+  });
+  for (let i = 0; (await drawnIn30Frames()) > 0; ++i) assert.ok(i < 100, "it is drawn for ever");
   await page.locator("#picture").focus();
   await changed(() => page.keyboard.press("ArrowLeft", { delay: 100 }));
+  assert.ok((await page.evaluate(() => window.nDrawn)) > 0);
   await changed(() => page.keyboard.press("w", { delay: 100 }));
   await changed(() => page.keyboard.press("+"));
   await changed(async () => {
