@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { copyFileSync, readFileSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
 import { join } from "node:path";
 import test from "node:test";
 import { open, RgsError } from "@roofgs/reader";
@@ -333,6 +334,29 @@ test("a server without ranges sends no more than is allowed", async (t) => {
     assert.deepEqual([error.code, server.requests(`GET ${path}?`)], ["limit_exceeded", 1], `${path}: ${error}`);
     assert.match(error.message, /no ranges/);
     assert.deepEqual(await meansOf(address, { limits: { maxFileBytes: packed.length } }), expected, path);
+  }
+});
+
+test("what is no .rgs is refused by its first bytes, though a server without ranges sends on", async (t) => {
+  const other = Buffer.from("ply\nformat binary_little_endian 1.0\n");
+  const damaged = Buffer.from(packed.subarray(0, 1000));
+  damaged[6] ^= 1;
+  for (const beginning of [other, damaged]) {
+    let ended = 0;
+    // It never ends: whoever waits for all of it is told that the server is silent.
+    const server = createServer((_, answer) => {
+      answer.on("close", () => (ended += 1));
+      answer.writeHead(200, { "Content-Length": 1e9 });
+      // The magic in two pieces.
+      answer.write(beginning.subarray(0, 3), () => answer.write(beginning.subarray(3)));
+    });
+    await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
+    t.after(() => server.close());
+    const url = `http://127.0.0.1:${server.address().port}/`;
+    const found = await failure(open(url, { url: { attempts: 1, silenceMs: 5000 } }));
+    const inMemory = await failure(open(new Uint8Array(beginning)));
+    assert.deepEqual([found.message, found.code, found.offset], [inMemory.message, "bad_magic", beginning === other ? 0 : 6]);
+    while (ended === 0) await new Promise(setImmediate);
   }
 });
 
