@@ -41,6 +41,22 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
   const filename = `scene${(nAssets += 1)}.${kind}`;
   const asset = new Asset(name, "gsplat", { url: filename, filename, contents } as object);
   const { assets } = stage.app;
+  // The engine asks the page's own server for images that a SOG lacks.
+  const images: Asset[] = [];
+  const missing: string[] = [];
+  const withhold = (added: Asset): void => {
+    if (added.type !== "texture") return;
+    images.push(added);
+    const file = added.file as { contents?: ArrayBuffer };
+    if (file.contents) return;
+    missing.push(added.name);
+    file.contents = new ArrayBuffer(0);
+  };
+  const end = (): void => {
+    assets.remove(asset);
+    asset.unload();
+  };
+  assets.on("add", withhold);
   try {
     await new Promise<void>((resolve, reject) => {
       asset.on("progress", onProgress);
@@ -49,14 +65,15 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
       assets.add(asset);
       assets.load(asset);
     });
+    if (missing.length > 0) throw lacking(missing);
   } catch (error) {
-    assets.remove(asset);
-    throw error;
+    end();
+    // Those of a scene that is there go with it.
+    for (const image of images) assets.remove(image);
+    throw missing.length > 0 ? lacking(missing) : error;
+  } finally {
+    assets.off("add", withhold);
   }
-  const end = (): void => {
-    assets.remove(asset);
-    asset.unload();
-  };
   const resource = asset.resource as GSplatResourceBase;
   const { comments = [], meta } = resource.gsplatData as { comments?: string[]; meta?: object };
   try {
@@ -65,6 +82,11 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
     end();
     throw error;
   }
+}
+
+/** The code is the one that rgs-convert has for it. */
+function lacking(images: readonly string[]): Error {
+  return Object.assign(new Error(), { code: "missing_section", text: `the zip archive lacks ${images.join(", ")}, which its meta.json names` });
 }
 
 /** What the engine throws where it takes a damaged file for a sound one says nothing to people. */

@@ -393,6 +393,13 @@ inBrowser("a server without ranges is asked for a PLY no more often than one wit
   assert.equal(server.requests.filter((line) => line === "GET scenes/0/scene.ply").length, 2);
 });
 
+const misnamed = { view: { ...one.view, scenes: [scene("a.rgs")] }, ranges: false };
+inBrowser("a PLY with the name of an .rgs is opened from a server without ranges", { ...misnamed, files: { "scenes/0/a.rgs": join(scenes(), "scene.ply"), "cameras.json": join(scenes(), "cameras.json") } }, async ({ page }) => {
+  assert.equal(await text(page, "#title"), "a.rgs");
+  assert.match(await page.getAttribute("#picture", "aria-label"), /60k Gaussians/);
+  assert.deepEqual(await errors(page), []);
+});
+
 let asked;
 const secondOfTwo = { view: { ...two.view, scenes: [{ ...scene("missing.rgs") }, { ...scene("packed.rgs"), url: "scenes/1/packed.rgs" }], frames: { url: "frame", backend: "cpu" } } };
 const refusesAndTells = async ({ scene }) => {
@@ -538,6 +545,16 @@ inBrowser("a zip that is no SOG, and an empty list of cameras, are said in sente
   assert.match(await refused("a.sog", zipOf("meta.json", "{}")), /^a\.sog is damaged: .*meta\.json lacks what SOG must have \(bad_header\)/);
   assert.match(await refused("b.sog", zipOf("meta.json", "{}").subarray(0, 60)), /^b\.sog (is damaged|could not be opened): [^T]/);
   assert.match(await refused("c.json", "[]"), /^c\.json could not be opened: the camera file holds no cameras\./);
+});
+
+inBrowser("images that a SOG lacks are named, and asked for nowhere", { allowed: [k404, /scene\d+\.sog-gsplat|means_l\.webp|createImageBitmap/] }, async ({ page, server }) => {
+  const images = { means: ["means_l.webp", "../means_u.webp"], scales: ["scales.webp"], quats: ["quats.webp"], sh0: ["sh0.webp"] };
+  const meta = { version: 2, count: 1, ...Object.fromEntries(Object.entries(images).map(([name, files]) => [name, { files }])) };
+  const before = server.requests.length;
+  await drop(page, "a.sog", zipOf("meta.json", JSON.stringify(meta)));
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^a\.sog is damaged: the zip archive lacks means_l\.webp, \.\.\/means_u\.webp, scales\.webp, quats\.webp, sh0\.webp, which its meta\.json names \(missing_section\)/);
+  assert.deepEqual(server.requests.slice(before), []);
 });
 
 inBrowser("two PLY are two", { allowed: [k404] }, async ({ page }) => {
