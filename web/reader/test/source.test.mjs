@@ -320,7 +320,7 @@ test("a server that lies is found out, and one that stumbles is asked again", as
       assert.ok(error instanceof RgsError, `${path}: ${error}`);
       assert.equal(error.code, outcome, `${path}: ${error}`);
     }
-    assert.ok(server.requests(`GET ${address} `) <= (path === "/loop?" ? 63 : 3), path); // 20 redirects are followed
+    assert.ok((await server.requests(`GET ${address} `)) <= (path === "/loop?" ? 63 : 3), path); // 20 redirects are followed
   }
 });
 
@@ -331,7 +331,7 @@ test("a server without ranges sends no more than is allowed", async (t) => {
   for (const path of ["/no_ranges", "/no_ranges_chunked", "/no_ranges_unknown_length"]) {
     const address = server.url(`${path}?file=${file}`);
     const error = await failure(open(address, { limits: { maxFileBytes: packed.length - 1 } }));
-    assert.deepEqual([error.code, server.requests(`GET ${path}?`)], ["limit_exceeded", 1], `${path}: ${error}`);
+    assert.deepEqual([error.code, await server.requests(`GET ${path}?`)], ["limit_exceeded", 1], `${path}: ${error}`);
     assert.match(error.message, /no ranges/);
     assert.deepEqual(await meansOf(address, { limits: { maxFileBytes: packed.length } }), expected, path);
   }
