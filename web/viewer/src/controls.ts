@@ -23,7 +23,9 @@ export function orbited(view: ViewState, world: World, right: number, down: numb
   const [x, y, z] = [axisOf(view.rotation, 0), axisOf(view.rotation, 1), axisOf(view.rotation, 2)] as const;
   const turn = (v: readonly number[]): number[] => turned(v, world.up, -right);
   let pitched = (v: readonly number[]): number[] => turned(v, x, -down);
-  if (Math.abs(dot(pitched(z), world.up)) > kUpright) pitched = (v) => [...v];
+  const steep = Math.abs(dot(pitched(z), world.up));
+  // Back from where a camera looks straight down one may come.
+  if (steep > kUpright && steep > Math.abs(dot(z, world.up))) pitched = (v) => [...v];
   const all = (v: readonly number[]): number[] => turn(pitched(v));
   const [newX, newZ] = [normalised(all(x)), normalised(all(z))];
   const rotation = fromAxes(newX, length(y) > 0 ? cross(newZ, newX) : y, newZ);

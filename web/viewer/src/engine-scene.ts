@@ -108,6 +108,10 @@ export class EngineScene extends Scene {
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
     const made = await (options.kind === "spz" ? makeSpz(stage, options.answer) : makeAsset(stage, options));
+    if (!((made.resource.numSplats as number) > 0)) {
+      made.end();
+      throw new Error("it holds no Gaussians");
+    }
     return new EngineScene(options.name, bytes, made, stage, options.side);
   }
 

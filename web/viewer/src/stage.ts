@@ -113,6 +113,11 @@ export class Stage {
     this.app.renderNextFrame = true;
   }
 
+  /** Whether there will be a frame. */
+  get isToDraw(): boolean {
+    return this.app.renderNextFrame;
+  }
+
   get size(): { width: number; height: number } {
     const { width, height } = this.canvas;
     return { width, height };

@@ -136,6 +136,44 @@ inBrowser("the difference says how many dB", { ...two, files: two.files() }, asy
   await page.locator("#map").waitFor({ state: "hidden" });
 });
 
+inBrowser("the difference is of what the settings say, and is what a screenshot saves", { ...two, files: two.files() }, async ({ page }) => {
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#map").waitFor();
+  for (const [id, value] of [["sh", "0"], ["background", "#ffffff"]]) {
+    await page.evaluate(() => (document.getElementById("psnr").textContent = "of before"));
+    await page.locator(`#${id}`).fill(value);
+    await page.waitForFunction(() => !document.getElementById("map").hidden && /dB$/.test(document.getElementById("psnr").textContent));
+  }
+  // Where both are equal, black: most of it.
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
+  const png = readFileSync(await download.path()).toString("base64");
+  const same = await page.evaluate(async (base64) => {
+    const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+    const map = document.getElementById("map");
+    const pixels = [bitmap, map].map((image) => {
+      const context = new OffscreenCanvas(map.width, map.height).getContext("2d");
+      context.drawImage(image, 0, 0);
+      return new Uint32Array(context.getImageData(0, 0, map.width, map.height).data.buffer);
+    });
+    return pixels[0].every((value, i) => value === pixels[1][i]);
+  }, png);
+  assert.ok(same);
+});
+
+inBrowser("a comparison is chosen by arrow keys, and letters in a list are the list's", { ...two, files: { ...two.files(), "scenes/1/low.rgs": join(scenes(), "levels.rgs") } }, async ({ page }) => {
+  await page.getByRole("radio", { name: "One" }).focus();
+  await page.keyboard.press("ArrowDown");
+  assert.ok(await page.getByRole("radio", { name: "Slider" }).isChecked());
+  await page.locator("#split").waitFor();
+  await page.locator("#tint").focus();
+  for (const key of ["f", "x", "n"]) await page.keyboard.press(key);
+  assert.ok(await page.getByRole("radio", { name: "Slider" }).isChecked());
+  // Held down a key is pressed once.
+  await page.locator("#picture").focus();
+  for (let i = 0; i < 3; ++i) await page.keyboard.down("i");
+  assert.ok(await page.locator("#stats").isChecked());
+});
+
 inBrowser("flicker shows one after the other", { ...two, files: two.files() }, async ({ page }) => {
   await page.locator("#picture").focus();
   await page.keyboard.press("f");
@@ -144,7 +182,7 @@ inBrowser("flicker shows one after the other", { ...two, files: two.files() }, a
   await page.waitForFunction((was) => document.getElementById("left").hidden === was, first);
   await page.waitForFunction((was) => document.getElementById("left").hidden !== was, first);
   await page.keyboard.press("f");
-  assert.equal(await page.getByRole("radio", { name: "One" }).getAttribute("aria-checked"), "true");
+  assert.ok(await page.getByRole("radio", { name: "One" }).isChecked());
 });
 
 inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ page, server, context }) => {
@@ -171,17 +209,20 @@ inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ p
   assert.equal(new URL(other.url()).hash, hash);
   await other.waitForFunction(() => document.getElementById("status").textContent === "Link copied");
   assert.equal(await other.evaluate(() => navigator.clipboard.readText()), other.url());
+  // In a page that is there already, too.
+  await other.locator("#picture").focus();
+  await other.keyboard.press("n");
+  await other.locator("#sh").fill("3");
+  await other.waitForFunction((was) => location.hash !== was && /sh=3/.test(location.hash), hash);
+  await other.evaluate((hash) => (location.hash = hash), hash);
+  await other.waitForFunction(() => document.getElementById("sh").value === "1");
+  await other.evaluate(() => history.replaceState(null, "", location.pathname));
+  await other.locator("#link").click();
+  assert.equal(new URL(other.url()).hash, hash);
 });
 
-inBrowser("keys and pointer move the view, and only then is drawn", { ...one, files: one.files() }, async ({ page }) => {
-  await page.waitForFunction(() => location.hash !== "");
-  const before = page.url();
-  const changed = async (action) => {
-    const was = page.url();
-    await action();
-    await page.waitForFunction((url) => location.href !== url, was);
-  };
-  // Until nothing is drawn any more.
+/** `window.nDrawn` counts what is drawn from now on. */
+async function untilNothingIsDrawn(page) {
   const drawnIn30Frames = () =>
     page.evaluate(async () => {
       const before = window.nDrawn;
@@ -189,6 +230,7 @@ inBrowser("keys and pointer move the view, and only then is drawn", { ...one, fi
       return window.nDrawn - before;
     });
   await page.evaluate(() => {
+    if (window.nDrawn !== undefined) return;
     window.nDrawn = 0;
     const { prototype } = WebGL2RenderingContext;
     const { clear } = prototype;
@@ -198,9 +240,24 @@ inBrowser("keys and pointer move the view, and only then is drawn", { ...one, fi
     };
   });
   for (let i = 0; (await drawnIn30Frames()) > 0; ++i) assert.ok(i < 100, "it is drawn for ever");
+}
+
+inBrowser("keys and pointer move the view, and only then is drawn", { ...one, files: one.files() }, async ({ page }) => {
+  await page.waitForFunction(() => location.hash !== "");
+  const before = page.url();
+  const changed = async (action) => {
+    const was = page.url();
+    await action();
+    await page.waitForFunction((url) => location.href !== url, was);
+  };
+  await untilNothingIsDrawn(page);
   await page.locator("#picture").focus();
   await changed(() => page.keyboard.press("ArrowLeft", { delay: 100 }));
   assert.ok((await page.evaluate(() => window.nDrawn)) > 0);
+  // Bounds are drawn with the picture, and with nothing else.
+  await page.locator("#boxes").check();
+  await untilNothingIsDrawn(page);
+  await page.locator("#picture").focus();
   await changed(() => page.keyboard.press("w", { delay: 100 }));
   await changed(() => page.keyboard.press("+"));
   await changed(async () => {
@@ -345,7 +402,7 @@ inBrowser("a second scene is beside the first as soon as a part of it is there",
   second.open();
   await page.locator("#map").waitFor();
   assert.equal(await text(page, "#psnr"), "equal");
-  assert.equal(await page.getByRole("radio", { name: "Difference" }).getAttribute("aria-checked"), "true");
+  assert.ok(await page.getByRole("radio", { name: "Difference" }).isChecked());
   // So is what is saved.
   const late = await save();
   assert.ok(readFileSync(await early.saved).equals(readFileSync(await late.saved)));
@@ -427,7 +484,7 @@ inBrowser("a mode that is chosen while a scene is opened stays", { ...chosen, fr
   await page.keyboard.press("f");
   whole.open();
   await page.waitForSelector("html[data-ready]", { state: "attached" });
-  assert.equal(await page.getByRole("radio", { name: "Flicker" }).getAttribute("aria-checked"), "true");
+  assert.ok(await page.getByRole("radio", { name: "Flicker" }).isChecked());
 });
 
 inBrowser("what turns out damaged goes again, and what was there stays", { allowed: [k404] }, async ({ page }) => {
@@ -557,6 +614,46 @@ inBrowser("images that a SOG lacks are named, and asked for nowhere", { allowed:
   assert.deepEqual(server.requests.slice(before), []);
 });
 
+/** A PLY of Gaussians of one size, [x, y, z] each. */
+function plyOf(means, scale) {
+  const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+  const header = ["ply", "format binary_little_endian 1.0", `element vertex ${means.length}`, ...names.map((name) => `property float ${name}`), "end_header", ""];
+  const rows = new Float32Array(means.flatMap((mean) => [...mean, 1, 0.5, -0.5, 3, ...Array(3).fill(Math.log(scale)), 1, 0, 0, 0]));
+  return Buffer.concat([Buffer.from(header.join("\n")), Buffer.from(rows.buffer)]);
+}
+
+inBrowser("a single Gaussian is seen, and a scene smaller than what is too near to be drawn", { allowed: [k404] }, async ({ page }) => {
+  const open = async (name, bytes) => {
+    await page.reload();
+    await page.evaluate(() => history.replaceState(null, "", location.pathname));
+    await page.reload();
+    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await drop(page, name, bytes);
+    await page.waitForFunction((name) => document.getElementById("title").textContent === name, name);
+    await assertDrawn(page, 30);
+  };
+  const asRgs = (ply) => {
+    const [from, to] = ["few.ply", "few.rgs"].map((name) => join(folder, name));
+    writeFileSync(from, ply);
+    execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", from, to]);
+    return readFileSync(to);
+  };
+  const single = plyOf([[1, 2, 3]], 0.3);
+  const tiny = plyOf(Array.from({ length: 20 }, (_, i) => [0.01 * Math.sin(i), 0.01 * Math.cos(i), 0.01 * Math.sin(3 * i)]), 0.004);
+  await open("a.ply", single);
+  assert.match(await page.getAttribute("#picture", "aria-label"), /1 Gaussian$/);
+  await open("a.rgs", asRgs(single));
+  await open("b.ply", tiny);
+  await open("b.rgs", asRgs(tiny));
+});
+
+inBrowser("a PLY without Gaussians is no scene", { allowed: [k404] }, async ({ page }) => {
+  await drop(page, "a.ply", plyOf([], 1));
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^a\.ply could not be opened: it holds no Gaussians\./);
+  assert.ok(await page.locator("#welcome").isVisible());
+});
+
 inBrowser("two PLY are two", { allowed: [k404] }, async ({ page }) => {
   const path = join(scenes(), "scene.ply");
   await drop(page, "a.ply", firstOf(path, 2000));
@@ -640,6 +737,14 @@ inBrowser("everything has a name for screen readers, and dark is not light", { .
   const dark = await colour();
   await page.locator("#theme").click();
   assert.notEqual(await colour(), dark);
+  // Where the system is dark, the first press makes it light.
+  await page.emulateMedia({ colorScheme: "dark" });
+  await page.reload();
+  assert.equal(await colour(), dark);
+  assert.equal(await page.getAttribute("#theme", "aria-pressed"), "true");
+  await page.locator("#theme").click();
+  assert.notEqual(await colour(), dark);
+  assert.equal(await page.getAttribute("#theme", "aria-pressed"), "false");
 });
 
 const levelsFile = () => join(scenes(), "levels.rgs");
@@ -687,6 +792,32 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   await page.locator("#tint").selectOption("level");
   await page.locator("#boxes").check();
   assert.notEqual(await shot(), plain);
+});
+
+inBrowser("colours by error are of the view that is shown", levelsOnly, async ({ page }) => {
+  const still = async () => {
+    let last = "";
+    for (let now = await shot(); now !== last; now = await shot()) last = now;
+    return last;
+  };
+  const shot = async () => {
+    await untilNothingIsDrawn(page);
+    return (await page.locator("#picture").screenshot()).toString("base64");
+  };
+  // So far away that the coarsest page alone is drawn, with an error of less than four pixels.
+  await page.locator("#detail").fill("16");
+  await page.locator("#picture").focus();
+  for (let i = 0; i < 12; ++i) await page.keyboard.press("-");
+  await page.locator("#tint").selectOption("error");
+  const near = await still();
+  await page.locator("#picture").focus();
+  for (let i = 0; i < 4; ++i) await page.keyboard.press("-");
+  const far = await still();
+  await page.locator("#tint").selectOption("none");
+  assert.notEqual(await still(), far);
+  await page.locator("#tint").selectOption("error");
+  assert.equal(await still(), far);
+  assert.notEqual(far, near);
 });
 
 inBrowser("a server that goes away is said, and what is there stays", { ...levelsOnly, hold: heldForEver.hold, allowed: [/ERR_(CONNECTION|EMPTY)/] }, async ({ page, server }) => {
@@ -829,6 +960,17 @@ test("a browser without WebGL 2 is told so", async (t) => {
   await page.goto(server.url);
   await page.waitForSelector("#errors p");
   assert.match((await errors(page))[0], /^This browser has no WebGL 2/);
+});
+
+inBrowser("a screenshot is named as the scene is, whatever that is", { allowed: [k404] }, async ({ page }) => {
+  await page.locator("#screenshot").click();
+  assert.match((await errors(page))[0], /^There is nothing to save yet: open a scene first\./);
+  const name = "a scene #1, 100%41.rgs";
+  await drop(page, name, readFileSync(join(golden, "degree3.rgs")));
+  await page.waitForFunction((name) => document.getElementById("title").textContent === name, name);
+  assert.equal(await page.title(), `${name} | RoofGS viewer`);
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
+  assert.equal(download.suggestedFilename(), `${name}.png`);
 });
 
 inBrowser("a screenshot has the picture's size", { ...one, files: one.files() }, async ({ page }) => {

@@ -73,6 +73,10 @@ test("orbiting keeps the distance and stays upright", () => {
   assert.ok(Math.abs(Math.hypot(...steep.position) - 5) < 1e-6);
   assert.ok(Math.abs(steep.rotation[1][0]) < 1e-6, "right is level");
   assert.ok(steep.rotation[1][1] > 0 && Math.abs(steep.rotation[1][2]) > 0.9, "nearly straight down, never over");
+  // A camera may begin steeper than that, and comes back.
+  const down = { ...start, position: [0, -5, 0], rotation: [[1, 0, 0], [0, 0, 1], [0, -1, 0]] };
+  const back = orbited(down, world, 0, -0.05, "pivot");
+  assert.ok(Math.abs(back.rotation[1][2] - Math.cos(0.05)) < 1e-9, `${back.rotation}`);
   assert.deepEqual(moved(start, [1, 2, 3]).position, [1, 2, -2]);
   assert.deepEqual(approached(start, 0.5).position, [0, 0, -2.5]);
 });
