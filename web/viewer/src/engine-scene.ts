@@ -95,7 +95,10 @@ function asSentence(kind: EngineKind, error: unknown): Error {
     const parts = kind === "sog" ? "the zip archive or its meta.json" : "the file";
     return Object.assign(new Error(), { code: "bad_header", text: `${parts} lacks what ${kind.toUpperCase()} must have` });
   }
-  return error instanceof Error ? error : new Error(String(error).replace(/^Error: /, ""));
+  const text = String((error as { message?: string } | null)?.message ?? error).replace(/^Error: /, "");
+  // It says so wherever a PLY ends too early.
+  if (/^Stream finished before end of header/.test(text)) return Object.assign(new Error(), { code: "truncated", text: "the file ends before the last Gaussian that its header counts" });
+  return error instanceof Error ? error : new Error(text);
 }
 
 export class EngineScene extends Scene {

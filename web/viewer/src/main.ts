@@ -10,7 +10,7 @@ import { type Frame, type FrameRequest, Frames } from "./frames.js";
 import { type Mode, type PageState, readLink, writeLink } from "./link.js";
 import { type Manifest, readInside, readManifest } from "./manifest.js";
 import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence } from "./messages.js";
-import { element, hideLoading, say, showError, showLoading, showProgress } from "./page.js";
+import { element, hideLoading, say, showError, showLoading, showProgress, withdrawError } from "./page.js";
 import { openScene, type Read, readFile } from "./open-scene.js";
 import type { Scene, Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
@@ -661,7 +661,10 @@ async function main(): Promise<void> {
       frame: (seconds) => page?.step(seconds),
       resized: () => page?.refreshView(),
       lost: () => showError(kLost),
-      restored: () => say("The graphics device is back"),
+      restored: () => {
+        withdrawError(kLost);
+        say("The graphics device is back");
+      },
     });
   } catch {
     showError(kNoGraphics);

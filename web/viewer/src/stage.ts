@@ -19,6 +19,7 @@ import {
   Vec4,
 } from "playcanvas";
 import { pinholeOf, type ViewState } from "./cameras.js";
+import { pictureSize } from "./picture-size.js";
 
 export type Side = 0 | 1;
 
@@ -228,9 +229,8 @@ export class Stage {
   }
 
   private resize(): void {
-    const scale = Math.min(devicePixelRatio, 2);
     const { clientWidth, clientHeight } = this.canvas;
-    const [width, height] = [Math.max(1, Math.round(clientWidth * scale)), Math.max(1, Math.round(clientHeight * scale))];
+    const { width, height } = pictureSize({ width: clientWidth, height: clientHeight }, devicePixelRatio, this.app.graphicsDevice.maxTextureSize);
     if (width === this.size.width && height === this.size.height) return;
     this.app.graphicsDevice.setResolution(width, height);
     this.on.resized();

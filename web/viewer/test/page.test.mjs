@@ -33,12 +33,12 @@ after(async () => {
 const scene = (name) => ({ name, url: `scenes/0/${name}`, bytes: 1 });
 
 /** One test with a page of its own; `problems` are what the console complains of. */
-function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges = true, size = kSize, address = "", allowed = [], waits = true }, body) {
+function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges = true, size = kSize, hasTouch = false, address = "", allowed = [], waits = true }, body) {
   test(name, async (t) => {
     if (!browser) return skip(t, "chromium is not installed");
     if (!existsSync(dist)) throw new Error("web/viewer is not built: sh scripts/test_web.sh");
     const server = await startServer({ view, files, frame, hold, ranges });
-    const context = await browser.newContext({ viewport: size, acceptDownloads: true });
+    const context = await browser.newContext({ viewport: size, hasTouch, acceptDownloads: true });
     const page = await context.newPage();
     page.setDefaultTimeout(kPatienceMs);
     const problems = [];
@@ -647,6 +647,13 @@ inBrowser("a single Gaussian is seen, and a scene smaller than what is too near 
   await open("b.rgs", asRgs(tiny));
 });
 
+inBrowser("a PLY that ends too early is said to be damaged", { allowed: [k404, /scene1\.ply-gsplat/] }, async ({ page }) => {
+  const whole = plyOf([[1, 2, 3], [4, 5, 6]], 1);
+  await drop(page, "a.ply", whole.subarray(0, whole.length - 1));
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^a\.ply is damaged: the file ends before the last Gaussian that its header counts \(truncated\)/);
+});
+
 inBrowser("a PLY without Gaussians is no scene", { allowed: [k404] }, async ({ page }) => {
   await drop(page, "a.ply", plyOf([], 1));
   await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
@@ -713,6 +720,45 @@ inBrowser("a scene is dropped, and a second one beside it", { allowed: [k404] },
   await drop(page, "levels.rgs", readFileSync(join(golden, "levels_packed.rgs")));
   await page.waitForFunction(() => / \| levels\.rgs/.test(document.getElementById("title").textContent));
   assert.ok(await page.locator("#split").isVisible());
+});
+
+inBrowser("fingers move the view, and two taps focus", { ...one, files: one.files(), size: { width: 360, height: 640 }, hasTouch: true }, async ({ page }) => {
+  const link = async () => {
+    await page.evaluate(() => history.replaceState(null, "", location.pathname));
+    await page.locator("#link").evaluate((button) => button.click());
+    return new URLSearchParams(new URL(page.url()).hash.slice(1));
+  };
+  const box = await page.locator("#picture").boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const devtools = await page.context().newCDPSession(page);
+  const touch = (type, points) => devtools.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+  const before = await link();
+  await touch("touchStart", [[x, y]]);
+  await touch("touchMove", [[x + 60, y]]);
+  await touch("touchEnd", []);
+  const turned = await link();
+  assert.notEqual(turned.get("axes"), before.get("axes"));
+  assert.equal(turned.get("pivot"), before.get("pivot"));
+  const away = (state) => Math.hypot(...state.get("at").split(",").map((value, i) => value - state.get("pivot").split(",")[i]));
+  await touch("touchStart", [[x - 40, y], [x + 40, y]]);
+  await touch("touchMove", [[x - 80, y], [x + 80, y]]);
+  await touch("touchEnd", []);
+  const near = await link();
+  assert.ok(Math.abs(away(near) / away(turned) - 0.5) < 0.01, `${away(near)} of ${away(turned)}`);
+  // One tap does nothing, a second one beside it focuses.
+  const tap = async () => {
+    await touch("touchStart", [[x + 20, y + 10]]);
+    await touch("touchEnd", []);
+  };
+  await tap();
+  assert.equal(`${await link()}`, `${near}`);
+  const pivot = async () => (await link()).get("pivot");
+  // Two are one of a slow machine's many.
+  for (let i = 0; (await pivot()) === near.get("pivot"); ++i) {
+    assert.ok(i < 20);
+    await tap();
+    await tap();
+  }
 });
 
 inBrowser("a phone has the picture above its settings", { ...one, files: one.files(), size: { width: 360, height: 640 } }, async ({ page }) => {
@@ -947,6 +993,7 @@ inBrowser("a lost device is said, and comes back", { ...one, files: one.files(),
   assert.match((await errors(page))[0], /^The graphics device was lost/);
   await page.evaluate(() => window.lose.restoreContext());
   await page.waitForFunction(() => document.getElementById("status").textContent === "The graphics device is back");
+  assert.deepEqual(await errors(page), []);
   await assertDrawn(page);
 });
 

@@ -15,7 +15,7 @@ let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "levels", "link", "manifest", "messages", "spz"];
+  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "levels", "link", "manifest", "messages", "picture-size", "spz"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -79,6 +79,19 @@ test("orbiting keeps the distance and stays upright", () => {
   assert.ok(Math.abs(back.rotation[1][2] - Math.cos(0.05)) < 1e-9, `${back.rotation}`);
   assert.deepEqual(moved(start, [1, 2, 3]).position, [1, 2, -2]);
   assert.deepEqual(approached(start, 0.5).position, [0, 0, -2.5]);
+});
+
+test("a picture is no larger than browsers draw", () => {
+  const { pictureSize } = modules["picture-size"];
+  const of = (width, height, ratio, most = 16384) => Object.values(pictureSize({ width, height }, ratio, most));
+  assert.deepEqual(of(800, 360, 1), [800, 360]);
+  assert.deepEqual(of(360, 640, 3), [720, 1280]);
+  assert.deepEqual(of(3840, 2160, 2), [7680, 4320]);
+  assert.deepEqual(of(0, 0, 1), [1, 1]);
+  assert.deepEqual(of(9000, 100, 1, 8192), [8192, 91]);
+  const [width, height] = of(9500, 6400, 1);
+  assert.ok(width * height <= 7680 * 4320 && width * height > 0.99 * 7680 * 4320, `${width}x${height}`);
+  assert.ok(Math.abs(width / height - 9500 / 6400) < 1e-3);
 });
 
 test("the difference of two pictures", () => {
