@@ -125,6 +125,47 @@ inBrowser("the slider moves by keys and pointer", { ...two, files: two.files() }
   await page.waitForFunction(() => /mode=slider&split=0\.2/.test(location.hash));
 });
 
+const leftAndLevels = { view: { ...two.view, scenes: [scene("packed.rgs"), { name: "levels.rgs", url: "scenes/1/levels.rgs", bytes: 1 }] } };
+inBrowser("the slider has one scene on its left and the other on its right", { ...leftAndLevels, files: { ...two.files(), "scenes/1/levels.rgs": join(scenes(), "levels.rgs") } }, async ({ page }) => {
+  // The right one alone has pages, and so colours of them.
+  await page.locator("#tint").selectOption("level");
+  const at = async (split) => {
+    await page.locator("#split").fill(String(split));
+    let last = "";
+    for (let shot = ""; last === "" || shot !== last; ) {
+      [last, shot] = [shot, (await page.locator("#picture").screenshot()).toString("base64")];
+    }
+    return last;
+  };
+  const [left, right, both] = [await at(1000), await at(0), await at(400)];
+  // Apart from the tags and the slider, which lie over the picture.
+  const differing = await page.evaluate(async (all) => {
+    const [left, right, both] = await Promise.all(
+      all.map(async (base64) => {
+        const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+        const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+        context.drawImage(bitmap, 0, 0);
+        const [y, rows] = [Math.round(bitmap.height / 4), Math.round(bitmap.height / 2)];
+        return { width: bitmap.width, rows, pixels: new Uint32Array(context.getImageData(0, y, bitmap.width, rows).data.buffer) };
+      }),
+    );
+    const { width, rows } = both;
+    const border = 0.4 * width;
+    const n = { left: 0, right: 0, scenes: 0 };
+    for (let x = 0; x < width; ++x) {
+      for (let y = 0; y < rows; ++y) {
+        const i = y * width + x;
+        n.scenes += left.pixels[i] !== right.pixels[i];
+        if (x < border - 1) n.left += both.pixels[i] !== left.pixels[i];
+        if (x > border + 1) n.right += both.pixels[i] !== right.pixels[i];
+      }
+    }
+    return { left: n.left, right: n.right, share: n.scenes / (width * rows) };
+  }, [left, right, both]);
+  assert.ok(differing.share > 0.9, `${differing.share}`);
+  assert.deepEqual([differing.left, differing.right], [0, 0]);
+});
+
 inBrowser("the difference says how many dB", { ...two, files: two.files() }, async ({ page }) => {
   await page.getByRole("radio", { name: "Difference" }).click();
   await page.locator("#map").waitFor();
@@ -838,6 +879,30 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   await page.locator("#tint").selectOption("level");
   await page.locator("#boxes").check();
   assert.notEqual(await shot(), plain);
+});
+
+inBrowser("bounds are drawn over the picture, and stay there", { allowed: [k404] }, async ({ page }) => {
+  const yellow = async () => {
+    await untilNothingIsDrawn(page);
+    const shot = (await page.locator("#picture").screenshot()).toString("base64");
+    return page.evaluate(async (base64) => {
+      const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+      const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+      context.drawImage(bitmap, 0, 0);
+      const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
+      let n = 0;
+      for (let i = 0; i < data.length; i += 4) n += data[i] > 200 && data[i + 1] > 150 && data[i + 2] < 80;
+      return n;
+    }, shot);
+  };
+  // Two small Gaussians in corners of their box.
+  await drop(page, "a.ply", plyOf([[0, 0, 0], [1, 1, 1]], 0.01));
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply");
+  const without = await yellow();
+  await page.locator("#boxes").check();
+  assert.ok((await yellow()) > without + 300, `${await yellow()} of ${without}`);
+  await page.locator("#boxes").uncheck();
+  assert.equal(await yellow(), without);
 });
 
 inBrowser("colours by error are of the view that is shown", levelsOnly, async ({ page }) => {
