@@ -142,11 +142,13 @@ export class RgsScene extends Scene {
   }
 
   setShDegree(shDegree: number): void {
+    if (shDegree === this.shown.shDegree) return;
     this.shown = { ...this.shown, shDegree };
     this.setTable();
   }
 
   override setTint(tint: Tint): void {
+    if (tint === this.shown.tint) return;
     this.shown = { ...this.shown, tint };
     this.setTable();
   }
