@@ -48,7 +48,8 @@ INSTALLED = ["format/include", "kernels/math/include", "runtime/include", "conve
 # Include folders whose headers are a room's own, and the other folders that may use them.
 PRIVATE = {
     "format/src": ["tests/format", "tests/fuzz", "tests/memory"],
-    "kernels/src": ["runtime/src/cuda", "samples/bench", "tests/kernels", "tests/math", "tests/samples/bench"],
+    "kernels/src": ["runtime/src/cuda", "samples/bench", "tests/kernels", "tests/math", "tests/runtime/stream",
+                    "tests/samples/bench"],
     "runtime/src": ["tests/runtime", "tests/kernels", "samples/bench"],
     "converter/formats": ["tests/converter/formats"],
 }

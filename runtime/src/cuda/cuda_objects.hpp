@@ -73,6 +73,16 @@ class OwnedStream {
   cudaStream_t stream_ = nullptr;
 };
 
+/// Whether kernels reach page-locked memory under the host's address. Errors: device_failed; unavailable (they have another for it, as
+/// without unified addressing).
+inline Status reached_by_device(void* memory) {
+  void* on_device = nullptr;
+  const Status ok =
+      device_status(cudaHostGetDevicePointer(&on_device, memory, 0), "the device does not reach host memory");
+  if (!ok || on_device == memory) return ok;
+  return make_error(Errc::unavailable, Error::kNone, "the CUDA device has no unified addressing; use the CPU backend");
+}
+
 /// A value in host memory that the device writes asynchronously.
 template <class T>
 class PageLocked {
@@ -81,16 +91,11 @@ class PageLocked {
   PageLocked(const PageLocked&) = delete;
   PageLocked& operator=(const PageLocked&) = delete;
   ~PageLocked() { cudaFreeHost(value_); }
-  /// Errors: device_failed; unavailable (the device has another address for it, as without unified addressing).
+  /// Errors: device_failed; those of reached_by_device().
   Status create() {
-    void* on_device = nullptr;
-    Status ok = device_status(cudaHostAlloc(reinterpret_cast<void**>(&value_), sizeof(T), cudaHostAllocMapped),
-                              "page-locked host memory could not be allocated");
-    if (ok)
-      ok = device_status(cudaHostGetDevicePointer(&on_device, value_, 0), "the device does not reach host memory");
-    if (!ok || on_device == value_) return ok;
-    return make_error(Errc::unavailable, Error::kNone,
-                      "the CUDA device has no unified addressing; use the CPU backend");
+    const Status ok = device_status(cudaHostAlloc(reinterpret_cast<void**>(&value_), sizeof(T), cudaHostAllocMapped),
+                                    "page-locked host memory could not be allocated");
+    return ok ? reached_by_device(value_) : ok;
   }
   /// For the host and, in kernels, for the device.
   T* get() const { return value_; }

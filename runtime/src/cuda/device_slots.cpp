@@ -5,6 +5,7 @@
 #include <array>
 #include <utility>
 
+#include "common/bring.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "page_sections.hpp"
 #include "stream/stream_times.hpp"
@@ -78,19 +79,6 @@ void DeviceSlots::stay_on_device() const {
 }
 
 struct SlotWriter::Impl {
-  /// Copies that go to the device with one call.
-  struct Copies {
-    static constexpr std::size_t kMost = 64;
-    std::array<void*, kMost> to;
-    std::array<const void*, kMost> from;
-    std::array<std::size_t, kMost> bytes;
-    std::size_t n = 0;
-
-    void add(void* at, const void* source, std::size_t size) {
-      to[n] = at, from[n] = source, bytes[n] = size;
-      ++n;
-    }
-  };
   /// What was sent together.
   struct Sent {
     Event copied;
@@ -108,13 +96,12 @@ struct SlotWriter::Impl {
 
   Sent& sent(Ticket ticket) { return all_sent[ticket % kMostSent]; }
   Status send();
-  Status queue();
   Status wait_for_oldest();
 
   std::shared_ptr<const DeviceSlots> slots;
   std::byte* memory = nullptr;
   StagingRing ring;
-  Copies copies;  // of pages that were taken and not sent
+  cuda::Pieces pieces;  // of pages that were taken and not sent
   std::array<Sent, kMostSent> all_sent;
   Ticket last_sent = 0, last_there = 0;  // in between is what is on its way
   OwnedStream stream;
@@ -132,6 +119,7 @@ Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots> slots, 
   Status ok = here.status();
   if (ok) ok = device_status(cudaMallocHost(&memory, bytes), "page-locked host memory could not be allocated");
   impl->memory = static_cast<std::byte*>(memory);
+  if (ok) ok = reached_by_device(memory);
   if (ok) ok = impl->stream.create();
   for (Impl::Sent& each : impl->all_sent) {
     if (ok) ok = each.copied.create();
@@ -150,35 +138,14 @@ Status SlotWriter::Impl::wait_for_oldest() {
   return {};
 }
 
-// Many calls of many threads wait for each other in the driver.
-Status SlotWriter::Impl::queue() {
-  constexpr const char* kFailed = "a page could not be copied to the device";
-#if CUDART_VERSION >= 13000
-  cudaMemcpyAttributes how{};
-  how.srcAccessOrder = cudaMemcpySrcAccessOrderStream;
-  how.flags = cudaMemcpyFlagPreferOverlapWithCompute;
-  std::size_t first = 0;  // that is copied so
-  return device_status(cudaMemcpyBatchAsync(copies.to.data(), copies.from.data(), copies.bytes.data(), copies.n, &how,
-                                            &first, 1, stream.get()),
-                       kFailed);
-#else
-  Status ok;
-  for (std::size_t i = 0; i < copies.n && ok; ++i) {
-    ok = device_status(
-        cudaMemcpyAsync(copies.to[i], copies.from[i], copies.bytes[i], cudaMemcpyHostToDevice, stream.get()), kFailed);
-  }
-  return ok;
-#endif
-}
-
 Status SlotWriter::Impl::send() {
-  if (copies.n == 0) return {};
+  if (pieces.n == 0) return {};
   if (last_sent - last_there == kMostSent) {
     if (Status there = wait_for_oldest(); !there) return there;
   }
   const StreamTimer timer(StreamStep::queue);
-  const Status queued = queue();
-  copies.n = 0;
+  const Status queued = cuda::launch_bring(pieces, stream.get());
+  pieces.n = 0;
   // After an error, too: what was queued reads staged pages.
   Sent& now = sent(last_sent + 1);
   if (Status recorded = now.copied.record(stream.get()); !recorded) return queued ? recorded : queued;
@@ -194,7 +161,7 @@ Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
   for (std::size_t k = 0; k < bytes.size(); ++k) bytes[k] *= rows[k];
   const OnDevice here(impl_->slots->device());
   if (!here.status()) return here.status();
-  if (impl_->copies.n + bytes.size() > Impl::Copies::kMost) {
+  if (impl_->pieces.n + bytes.size() > cuda::Pieces::kMost) {
     if (Status sent = impl_->send(); !sent) return sent;
   }
   auto at = impl_->ring.take(staged_bytes(bytes));
@@ -210,7 +177,7 @@ Status SlotWriter::write(const PageRows& page, std::uint32_t slot) {
   for (std::size_t k = 0; k < bytes.size(); ++k) {
     staged[k] = section;
     section += staged_section_bytes(bytes[k]);
-    impl_->copies.add(impl_->slots->at(k, slot), staged[k], bytes[k]);
+    impl_->pieces.add(impl_->slots->at(k, slot), staged[k], bytes[k]);
   }
   write_page_sections(page, plan.shape.chunk_size, std::uint64_t{slot} * plan.shape.page_chunks, staged);
   return {};
@@ -243,7 +210,7 @@ Status SlotWriter::finish() {
   const StreamTimer timer(StreamStep::wait);
   const Status done =
       device_status(cudaStreamSynchronize(impl_->stream.get()), "a page could not be copied to the device");
-  impl_->copies.n = 0;
+  impl_->pieces.n = 0;
   impl_->last_there = impl_->last_sent;
   impl_->ring.give_up_to(impl_->ring.taken());
   return sent ? done : sent;

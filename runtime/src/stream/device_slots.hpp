@@ -55,7 +55,7 @@ class SlotWriter {
   /// Of what was sent together; later ones are larger, and there later.
   using Ticket = std::uint64_t;
 
-  /// Takes staging_bytes() of the host for so many pages. Errors: device_failed.
+  /// Takes staging_bytes() of the host for so many pages. Errors: device_failed, unavailable (kernels do not reach the host's memory).
   static Result<SlotWriter> create(std::shared_ptr<const DeviceSlots> slots, std::uint32_t n_staged);
   SlotWriter(SlotWriter&&) noexcept;
   SlotWriter& operator=(SlotWriter&&) = delete;
@@ -64,7 +64,7 @@ class SlotWriter {
   /// Takes a page of checked values, of which nothing is read after the return, to be sent. Where there is no room for it what was taken before
   /// is sent, and what was sent first waited for. Errors: device_failed.
   Status write(const PageRows& page, std::uint32_t slot);
-  /// Sends what was taken: with one call of the driver. Errors: device_failed.
+  /// Sends what was taken: with one launch. Errors: device_failed.
   Result<Ticket> send();
   /// Whether what was sent with it is in its slots, without waiting. Errors: device_failed.
   Result<bool> is_there(Ticket ticket);

@@ -14,6 +14,8 @@
 #include <thread>
 #include <vector>
 
+#include "common/bring.hpp"
+
 struct CUstream_st {
   struct Work {
     std::function<void()> run;
@@ -278,23 +280,24 @@ cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaM
 }
 
 // In any order among themselves: the last comes first here.
-cudaError_t cudaMemcpyBatchAsync(void* const* to, const void* const* from, const std::size_t* bytes, std::size_t n,
-                                 cudaMemcpyAttributes* how, std::size_t* first_of_how, std::size_t n_how,
-                                 cudaStream_t stream) {
+rgs::Status rgs::cuda::launch_bring(const Pieces& pieces, Stream stream) {
   FakeCuda& cuda = *FakeCuda::current();
   ++cuda.n_batches;
-  const bool is_sound =
-      n > 0 && n_how == 1 && *first_of_how == 0 && how->srcAccessOrder == cudaMemcpySrcAccessOrderStream;
-  if (!is_sound) {
-    ++cuda.n_faults;
-    return cudaErrorInvalidValue;
+  if (pieces.n == 0 || pieces.n > Pieces::kMost) ++cuda.n_faults;
+  for (std::uint32_t i = pieces.n; i-- > 0;) {
+    const auto is_whole = [](const void* at) { return reinterpret_cast<std::uintptr_t>(at) % Pieces::kAlignment == 0; };
+    if (pieces.bytes[i] == 0 || pieces.bytes[i] % Pieces::kAlignment != 0 || !is_whole(pieces.from[i]) ||
+        !is_whole(pieces.to[i])) {
+      ++cuda.n_faults;
+    }
+    const cudaError_t error =
+        cudaMemcpyAsync(pieces.to[i], pieces.from[i], pieces.bytes[i], cudaMemcpyHostToDevice, stream);
+    if (error != cudaSuccess) {
+      return make_error(Errc::device_failed, Error::kNone, "pages could not be brought to the device", Error::kNone,
+                        static_cast<std::uint64_t>(error));
+    }
   }
-  for (std::size_t i = n; i-- > 0;) {
-    if (bytes[i] == 0) ++cuda.n_faults;
-    const cudaError_t error = cudaMemcpyAsync(to[i], from[i], bytes[i], cudaMemcpyHostToDevice, stream);
-    if (error != cudaSuccess) return error;
-  }
-  return cudaSuccess;
+  return {};
 }
 
 cudaError_t cudaStreamCreateWithPriority(cudaStream_t* stream, unsigned, int) {

@@ -38,7 +38,7 @@ class FakeCuda {
   std::atomic<int> fails_next{0};                      ///< then so many are
   std::atomic<int> query_fails_next{0};                ///< so many questions after events
   std::atomic<int> sync_fails_next{0};                 ///< so many waits for a stream end with an error, its work done
-  std::atomic<int> n_batches{0};                       ///< copies that were asked for with one call
+  std::atomic<int> n_batches{0};                       ///< launches that bring pages
   std::atomic<int> n_seen_done{0}, n_seen_at_work{0};  ///< answers about events
   std::atomic<int> n_set_device{0};                    ///< calls of cudaSetDevice()
   std::atomic<int> n_on_second{0};                     ///< allocations of the second device's memory, ever

@@ -1,0 +1,43 @@
+// bring.cu - pieces of page-locked memory to their places on the device; a block a piece.
+//
+// Many threads bring pages. The driver makes a copy of its own of each piece that it is asked to copy, and all of them, and the
+// frame's launches, wait for each other there; a launch is one.
+//
+// Math    none
+// In/Out  n pieces of host memory -> the device's, 16 bytes at a time
+// Cost    each byte once over PCIe and once to memory: expected bound, the latency of PCIe
+// Launch  n blocks of 256 threads, each of which has four reads on their way
+// Order   deterministic
+#include "common/bring.hpp"
+#include "common/launch.cuh"
+
+namespace rgs::cuda {
+namespace {
+
+constexpr std::uint32_t kThreads = 256, kAtOnce = 4;
+
+__global__ void __launch_bounds__(kThreads) bring_kernel(const __grid_constant__ Pieces pieces) {
+  const auto* const from = static_cast<const uint4*>(pieces.from[blockIdx.x]);
+  auto* const to = static_cast<uint4*>(pieces.to[blockIdx.x]);
+  const std::uint32_t n = pieces.bytes[blockIdx.x] / sizeof(uint4);
+  for (std::uint32_t first = threadIdx.x; first < n; first += kThreads * kAtOnce) {
+    uint4 some[kAtOnce];
+#pragma unroll
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      if (first + k * kThreads < n) some[k] = from[first + k * kThreads];
+    }
+#pragma unroll
+    for (std::uint32_t k = 0; k < kAtOnce; ++k) {
+      if (first + k * kThreads < n) to[first + k * kThreads] = some[k];
+    }
+  }
+}
+
+}  // namespace
+
+Status launch_bring(const Pieces& pieces, Stream stream) {
+  bring_kernel<<<pieces.n, kThreads, 0, stream>>>(pieces);
+  return launched("pages could not be brought to the device");
+}
+
+}  // namespace rgs::cuda

@@ -1,0 +1,33 @@
+// bring.hpp - the launch that copies pieces of page-locked memory to places on the device, all of them at once.
+// SPDX-License-Identifier: Apache-2.0
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/frame.hpp"
+#include "rgs/result.hpp"
+
+namespace rgs::cuda {
+
+/// What one launch copies, as a kernel's parameter.
+struct Pieces {
+  static constexpr std::uint32_t kMost = 64;
+  /// Of each piece's place on the host and on the device, and its bytes.
+  static constexpr std::size_t kAlignment = 16;
+
+  const void* from[kMost];  ///< in page-locked memory that the device reads under the host's addresses
+  void* to[kMost];
+  std::uint32_t bytes[kMost];
+  std::uint32_t n = 0;
+
+  void add(void* at, const void* source, std::size_t size) {
+    to[n] = at, from[n] = source, bytes[n] = static_cast<std::uint32_t>(size);
+    ++n;
+  }
+};
+
+/// Pieces do not overlap; n > 0. Errors: device_failed.
+Status launch_bring(const Pieces& pieces, Stream stream);
+
+}  // namespace rgs::cuda
