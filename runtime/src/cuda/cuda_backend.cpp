@@ -146,14 +146,13 @@ Result<FrameStats> CudaBackend::Impl::draw(const DeviceScene& of, const Camera& 
   if (!ok) return tl::unexpected(ok.error());
 
   RenderOptions timed = options;
-  timed.measure.timings = true;  // the copies below wait anyway
+  timed.measure.timings = true;  // the picture is waited for anyway
   timed.turbo.asynchronous = false;
   auto stats = renderer.render(of, camera, device, timed);
   if (!stats) return stats;
   const auto fetch = [&ok](const auto& span, const void* pointer) {
     if (span.empty() || !ok) return;
-    ok = device_status(cudaMemcpy(span.data(), pointer, span.size_bytes(), cudaMemcpyDeviceToHost),
-                       "a frame could not be copied from the device");
+    ok = copy_to_host(span.data(), pointer, span.size_bytes(), "a frame could not be copied from the device");
   };
   fetch(target.rgb, device.rgb);
   fetch(target.alpha, device.alpha);

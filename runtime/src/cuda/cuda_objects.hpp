@@ -17,6 +17,14 @@ inline Status device_status(cudaError_t error, const char* what) {
   return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 
+/// Copies to the host what the default stream's work leaves there, and returns once it is. As long as cudaMemcpy() copies to page-locked
+/// memory, launches of other threads wait; not so here. Errors: device_failed.
+inline Status copy_to_host(void* to, const void* from, std::uint64_t bytes, const char* what) {
+  const Status copied = device_status(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, nullptr), what);
+  const Status done = device_status(cudaStreamSynchronize(nullptr), what);
+  return copied ? done : copied;
+}
+
 /// A point in a stream's work. Errors of all functions: device_failed.
 class Event {
  public:

@@ -221,9 +221,8 @@ Result<std::vector<FrameStats>> PictureBatch::render_to_host(const DeviceScene& 
     stats.insert(stats.end(), drawn->begin(), drawn->end());
     for (const Way& way : ways) {
       if (ok && way.to != nullptr) {
-        ok = device_status(cudaMemcpy(static_cast<std::byte*>(way.to) + first * way.bytes, way.buffer.as<void>(),
-                                      part.size() * way.bytes, cudaMemcpyDeviceToHost),
-                           "pictures could not be copied from the device");
+        ok = copy_to_host(static_cast<std::byte*>(way.to) + first * way.bytes, way.buffer.as<void>(),
+                          part.size() * way.bytes, "pictures could not be copied from the device");
       }
     }
     if (!ok) return tl::unexpected(ok.error());
