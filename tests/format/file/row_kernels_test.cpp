@@ -47,10 +47,12 @@ struct Rows {
 Rows rows_of(std::size_t n, std::mt19937& random) {
   Rows rows;
   const auto one_of = [&random](const auto& values) { return values[random() % std::size(values)]; };
+  const auto side = random() % 3;  // of 0, for boxes that end there
   for (std::size_t i = 0; i < n; ++i) {
     const auto coordinate = [&] {
       constexpr float kEnds[] = {0.F, -0.F, 0x1p-149F, -0x1p-149F, 3.4e38F, -3.4e38F};
-      return random() % 8 == 0 ? one_of(kEnds) : static_cast<float>(random() % 2000) - 1000.F;
+      const float x = random() % 4 == 0 ? one_of(kEnds) : static_cast<float>(random() % 2000) - 1000.F;
+      return x == 0 || side == 0 ? x : std::copysign(x, side == 1 ? 1.F : -1.F);
     };
     rows.means.push_back({coordinate(), coordinate(), coordinate()});
     std::array<std::uint16_t, 8> row{};
