@@ -5,7 +5,9 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <cstring>
 
+#include "file/row_kernels.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/quantize.hpp"
 #include "rgs/stored_values.hpp"
@@ -25,6 +27,24 @@ class ChunkSummary {
     counts.add(geometry);
     largest_opacity_ = std::max(largest_opacity_, geometry[7]);
     ++entry_.count;
+  }
+  /// A whole chunk of n > 0 Gaussians, by their rows of MEAN and GEOM.
+  void set(const std::byte* means, const std::byte* geometry, std::uint32_t n) {
+    RowSummary rows;
+    if (row_kernels().summarize(means, geometry, n, rows)) {
+      entry_.means = rows.means;
+      entry_.count = n;
+      largest_scale_ = rows.largest_scale, largest_opacity_ = rows.largest_opacity;
+      return;
+    }
+    ValueCounts counts;
+    for (std::size_t i = 0; i < n; ++i) {
+      float mean[3];
+      std::uint16_t row[8];
+      std::memcpy(mean, means + i * kMeanBytes, sizeof mean);
+      std::memcpy(row, geometry + i * kGeometryBytes, sizeof row);
+      add(mean, row, counts);
+    }
   }
   /// step_set is for the caller to fill in.
   ChunkEntry entry(int scale_exponent) {

@@ -1,11 +1,11 @@
 // validate.cpp - the payload of a file against its specification.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
-#include <array>
 #include <cstring>
 
 #include "file/chunk_summary.hpp"
 #include "file/repeated_index.hpp"
+#include "file/row_kernels.hpp"
 #include "file/value_checks.hpp"
 #include "file/workers.hpp"
 #include "rgs/checksum.hpp"
@@ -25,8 +25,7 @@ using Totals = detail::ValueTotals;
 
 // `place` gives the offset in the file of a byte of the row.
 template <class Place>
-Status check_geometry(const std::uint16_t codes[8], const Place& place, ValueCounts& counts,
-                      std::uint16_t& largest_scale, std::uint16_t& largest_opacity) {
+Status check_geometry(const std::uint16_t codes[8], const Place& place, detail::RowSummary& found) {
   if (!is_unit_quaternion(codes)) {
     return make_error(Errc::bad_value, place(0), "a rotation is not a unit quaternion");
   }
@@ -35,37 +34,16 @@ Status check_geometry(const std::uint16_t codes[8], const Place& place, ValueCou
     if (!is_stored_scale(codes[i])) {
       return make_error(Errc::bad_value, place(2 * static_cast<std::uint64_t>(i)), "a scale is negative or not finite");
     }
-    largest_scale = std::max(largest_scale, codes[i]);
+    found.largest_scale = std::max(found.largest_scale, codes[i]);
   }
   if (!is_stored_opacity(codes[7])) return make_error(Errc::bad_value, place(14), "an opacity is not between 0 and 1");
-  counts.add(codes);
-  largest_opacity = std::max(largest_opacity, codes[7]);
+  found.counts.add(codes);
+  found.largest_opacity = std::max(found.largest_opacity, codes[7]);
   return {};
 }
 
-// Which bits each byte of an SH row may have: all where the step is not 0, none elsewhere and in the padding.
-using ShMask = std::array<std::uint8_t, 48>;
-
-ShMask legal_bits(const ShStepSet& steps, int degree) {
-  ShMask mask{};
-  for (int i = 0; i < 3 * sh_coefficients(degree); ++i) {
-    mask[static_cast<std::size_t>(i)] = steps.of_value(i) != 0 ? 0xFF : 0;
-  }
-  return mask;
-}
-
-bool legal_row(const std::int8_t* codes, const ShMask& mask, std::size_t bytes) {
-  unsigned bad = 0;  // without a branch, so that it becomes vectors
-  for (std::size_t i = 0; i < bytes; ++i) {
-    const auto code = static_cast<std::uint8_t>(codes[i]);
-    bad |= static_cast<std::uint8_t>((code & ~mask[i]) | (code == 0x80 ? 1 : 0));
-  }
-  return bad == 0;
-}
-
-// Where and why a row is not legal.
 template <class Place>
-Status explain_sh(const std::int8_t* codes, const Place& place, const ShStepSet& steps, int degree) {
+Status check_sh(const std::int8_t* codes, const Place& place, const ShStepSet& steps, int degree) {
   const int floats = 3 * sh_coefficients(degree);
   for (int i = 0; i < floats; ++i) {
     if (codes[i] == -128) {
@@ -84,15 +62,11 @@ Status explain_sh(const std::int8_t* codes, const Place& place, const ShStepSet&
   return {};
 }
 
-}  // namespace
-
-Status detail::check_chunk_rows(const ChunkRows& rows, const ChunkEntry& entry, const ShStepSet& steps,
-                                ValueTotals& totals) {
-  const ShMask mask = legal_bits(steps, rows.sh_degree);
-  const std::uint64_t stride = sh_bytes(rows.sh_degree);
-  Box box;
-  std::uint16_t largest_scale = 0, largest_opacity = 0;
-  for (std::uint64_t i = 0; i < entry.count; ++i) {
+// What the rows of a chunk hold, one after the other: what is illegal first, and why.
+Result<detail::RowSummary> check_rows(const detail::ChunkRows& rows, std::uint64_t n, const ShStepSet& steps) {
+  detail::RowSummary found;
+  Box& box = found.means;
+  for (std::uint64_t i = 0; i < n; ++i) {
     float mean[3];
     std::memcpy(mean, rows.means + i * kMeanBytes, kMeanBytes);
     for (std::size_t k = 0; k < 3; ++k) {
@@ -104,24 +78,41 @@ Status detail::check_chunk_rows(const ChunkRows& rows, const ChunkEntry& entry, 
     }
     std::uint16_t codes[8];
     std::memcpy(codes, rows.geometry + i * kGeometryBytes, kGeometryBytes);
-    const auto* sh = reinterpret_cast<const std::int8_t*>(rows.sh + i * stride);
+    const auto* sh = reinterpret_cast<const std::int8_t*>(rows.sh + i * sh_bytes(rows.sh_degree));
     const auto geometry_at = [&](std::uint64_t byte) { return rows.place(SectionType::geometry, i, byte); };
     const auto sh_at = [&](std::uint64_t byte) { return rows.place(SectionType::sh, i, byte); };
-    if (Status s = check_geometry(codes, geometry_at, totals.counts, largest_scale, largest_opacity); !s) return s;
-    if (!legal_row(sh, mask, stride)) return explain_sh(sh, sh_at, steps, rows.sh_degree);
+    if (Status s = check_geometry(codes, geometry_at, found); !s) return tl::unexpected(s.error());
+    if (Status s = check_sh(sh, sh_at, steps, rows.sh_degree); !s) return tl::unexpected(s.error());
   }
+  return found;
+}
+
+}  // namespace
+
+Status detail::check_chunk_rows(const ChunkRows& rows, const ChunkEntry& entry, const ShStepSet& steps,
+                                ValueTotals& totals) {
+  RowSummary found;
+  const std::uint64_t n = entry.count;
+  const RowKernels& kernels = row_kernels();
+  if (n == 0 || !kernels.check(rows.means, rows.geometry, n, found) ||
+      !kernels.check_sh(rows.sh, n * sh_bytes(rows.sh_degree), ShRowMask(steps, rows.sh_degree))) {
+    const auto checked = check_rows(rows, n, steps);
+    if (!checked) return tl::unexpected(checked.error());
+    found = *checked;
+  }
+  totals.counts.add(found.counts);
 
   const auto at = [&](std::uint64_t byte) { return rows.place(SectionType::chunks, 0, byte); };
-  if (box.min != entry.means.min || box.max != entry.means.max) {
+  if (found.means.min != entry.means.min || found.means.max != entry.means.max) {
     return make_error(Errc::bad_value, at(0), "a chunk's box is not that of its means");
   }
-  if (entry.radius != 3.f * dequantize_scale(largest_scale, rows.scale_exponent)) {
+  if (entry.radius != 3.f * dequantize_scale(found.largest_scale, rows.scale_exponent)) {
     return make_error(Errc::bad_value, at(12), "a chunk's radius is not three times its largest scale");
   }
-  if (entry.max_opacity != float_from_half(largest_opacity)) {
+  if (entry.max_opacity != float_from_half(found.largest_opacity)) {
     return make_error(Errc::bad_value, at(28), "a chunk's largest opacity is not that of its Gaussians");
   }
-  totals.add({{}, box, false});
+  totals.add({{}, found.means, false});
   return {};
 }
 

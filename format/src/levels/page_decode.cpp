@@ -1,6 +1,7 @@
 // page_decode.cpp - a page's stored bytes to rows, and rows to Gaussians.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
+#include <bit>
 #include <cassert>
 #include <cstring>
 #include <utility>
@@ -221,18 +222,23 @@ Status detail::check_page_rows(const PagedFile& file, std::uint32_t page, const 
   // The box may be short of an extent by what rounding it can cost.
   const Box& box = file.pages()[page].bounds;
   const RoomInBox room(box, rows.scale_exponent);
-  for (std::uint64_t i = 0; i < rows.n; ++i) {
-    const std::byte *const mean = rows.means.data() + i * kMeanBytes, *const row =
-                                                                          rows.geometry.data() + i * kGeometryBytes;
-    if (room.is_enough(mean, row)) continue;
-    const Extent e = extent_of(mean, row, rows.scale_exponent);
-    for (std::size_t k = 0; k < 3; ++k) {
-      if (e.mean[k] - kExtentShare * e.reach[k] >= static_cast<double>(box.min[k]) &&
-          e.mean[k] + kExtentShare * e.reach[k] <= static_cast<double>(box.max[k])) {
-        continue;
+  const std::byte *const means = rows.means.data(), *const geometry = rows.geometry.data();
+  for (std::uint64_t first = 0; first < rows.n; first += 64) {
+    std::uint64_t left = room.not_quickly(means + first * kMeanBytes, geometry + first * kGeometryBytes,
+                                          std::min<std::uint64_t>(64, rows.n - first));
+    for (; left != 0; left &= left - 1) {
+      const std::uint64_t i = first + static_cast<std::uint64_t>(std::countr_zero(left));
+      const std::byte *const mean = means + i * kMeanBytes, *const row = geometry + i * kGeometryBytes;
+      if (room.is_enough(mean, row)) continue;
+      const Extent e = extent_of(mean, row, rows.scale_exponent);
+      for (std::size_t k = 0; k < 3; ++k) {
+        if (e.mean[k] - kExtentShare * e.reach[k] >= static_cast<double>(box.min[k]) &&
+            e.mean[k] + kExtentShare * e.reach[k] <= static_cast<double>(box.max[k])) {
+          continue;
+        }
+        return make_error(Errc::bad_value, place_in_page(file, page, l.means + i * kMeanBytes + 4 * k),
+                          "a Gaussian reaches out of its page's box");
       }
-      return make_error(Errc::bad_value, place_in_page(file, page, l.means + i * kMeanBytes + 4 * k),
-                        "a Gaussian reaches out of its page's box");
     }
   }
   return {};

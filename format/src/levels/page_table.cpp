@@ -298,16 +298,10 @@ PageRows page_rows(std::span<const std::byte> out, const PageLayout& l, std::uin
 void derive_chunks(std::span<std::byte> decoded, const PageLayout& l, std::uint32_t n, std::uint32_t chunk_size,
                    std::uint64_t n_step_sets, int scale_exponent) {
   ByteWriter out;
-  ValueCounts counts;
   for (std::uint64_t first = 0, chunk = 0; first < n; first += chunk_size, ++chunk) {
     ChunkSummary summary;
-    for (std::uint64_t i = first; i < std::min<std::uint64_t>(n, first + chunk_size); ++i) {
-      float mean[3];
-      std::uint16_t row[8];
-      std::memcpy(mean, decoded.data() + l.means + i * kMeanBytes, sizeof mean);
-      std::memcpy(row, decoded.data() + l.geometry + i * kGeometryBytes, sizeof row);
-      summary.add(mean, row, counts);
-    }
+    summary.set(decoded.data() + l.means + first * kMeanBytes, decoded.data() + l.geometry + first * kGeometryBytes,
+                static_cast<std::uint32_t>(std::min<std::uint64_t>(chunk_size, n - first)));
     ChunkEntry entry = summary.entry(scale_exponent);
     entry.step_set = n_step_sets == 1 ? 0 : chunk;
     write_chunk_entry(out, entry);
@@ -343,7 +337,18 @@ Extent extent_of(const std::byte* mean, const std::byte* geometry, int scale_exp
   return extent;
 }
 
-RoomInBox::RoomInBox(const Box& box, int scale_exponent) : box_(box), scale_unit_(std::ldexp(1.0, -scale_exponent)) {}
+RoomInBox::RoomInBox(const Box& box, int scale_exponent)
+    : box_(box),
+      scale_unit_(std::ldexp(1.0, -scale_exponent)),
+      in_fp32_{{box.min[0], box.min[1], box.min[2]},
+               {box.max[0], box.max[1], box.max[2]},
+               std::ldexp(1.F, -scale_exponent),
+               std::ldexp(1.F, scale_exponent)} {}
+
+std::uint64_t RoomInBox::not_quickly(const std::byte* means, const std::byte* geometry, std::size_t count) const {
+  const std::uint64_t all = ~std::uint64_t{0} >> (64 - count);
+  return all & ~row_kernels().in_box(in_fp32_, means, geometry, count);
+}
 
 bool RoomInBox::is_enough(const std::byte* mean, const std::byte* geometry) const {
   // Halfway to kExtentShare: next to a scale 2^40 times as large, rounding moves a reach by less than 2^-12.

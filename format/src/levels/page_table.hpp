@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "file/checked.hpp"
+#include "file/row_kernels.hpp"
 #include "rgs/layout.hpp"
 #include "rgs/paged_file.hpp"
 #include "rgs/result.hpp"
@@ -82,10 +83,13 @@ class RoomInBox {
   RoomInBox(const Box& box, int scale_exponent);
   /// Of a row of MEAN and of GEOM.
   bool is_enough(const std::byte* mean, const std::byte* geometry) const;
+  /// Of 1 to 64 rows: bit i where that is not found of row i at once, in binary32, by vectors.
+  std::uint64_t not_quickly(const std::byte* means, const std::byte* geometry, std::size_t count) const;
 
  private:
   const Box& box_;
   double scale_unit_;
+  BoxInFp32 in_fp32_;
 };
 
 }  // namespace rgs::detail

@@ -1,7 +1,6 @@
 // packed_test.cpp - Profile::packed decodes to the bytes of Profile::direct, as a whole and by chunk.
 // SPDX-License-Identifier: Apache-2.0
 #include <doctest/doctest.h>
-#include <hwy/targets.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,6 +8,7 @@
 
 #include "edit_file.hpp"
 #include "golden_scenes.hpp"
+#include "instruction_sets.hpp"
 #include "packed/codec_kernels.hpp"
 #include "random_cloud.hpp"
 #include "rgs/decode.hpp"
@@ -226,14 +226,10 @@ TEST_CASE("prediction makes neighbouring Gaussians small") {
 TEST_CASE("every instruction set gives the same bits") {
   using namespace rgs::detail;
   std::vector<const CodecKernels*> all;
-  for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
-    hwy::SetSupportedTargetsForTest(left & -left);
-    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+  with_each_instruction_set([&all] {
     const CodecKernels* kernels = &codec_kernels();
     if (std::ranges::find(all, kernels) == all.end()) all.push_back(kernels);
-  }
-  hwy::SetSupportedTargetsForTest(0);
-  hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+  });
 #if defined(__x86_64__)
   CHECK(all.size() >= 2);  // also without vectors
 #endif
