@@ -42,6 +42,7 @@ struct CudaBackend::Impl {
   DeviceScene scene = {};
   std::uint64_t scene_identity = 0;
   DeviceBuffer rgb = {}, alpha = {}, depth = {}, evaluated = {}, blended = {};
+  OwnedStream to_host = {};
   PictureBatch batch{renderer, memory};
 };
 
@@ -55,7 +56,9 @@ Result<CudaBackend> CudaBackend::create() {
   if (!renderer) return tl::unexpected(renderer.error());
   auto memory = DeviceMemory::create({});
   if (!memory) return tl::unexpected(memory.error());
-  return CudaBackend(std::unique_ptr<Impl>(new Impl{std::move(*renderer), std::move(*memory)}));
+  std::unique_ptr<Impl> impl(new Impl{std::move(*renderer), std::move(*memory)});
+  if (Status ok = impl->to_host.create(); !ok) return tl::unexpected(ok.error());
+  return CudaBackend(std::move(impl));
 }
 
 const char* CudaBackend::name() const {
@@ -150,9 +153,9 @@ Result<FrameStats> CudaBackend::Impl::draw(const DeviceScene& of, const Camera& 
   timed.turbo.asynchronous = false;
   auto stats = renderer.render(of, camera, device, timed);
   if (!stats) return stats;
-  const auto fetch = [&ok](const auto& span, const void* pointer) {
+  const auto fetch = [this, &ok](const auto& span, const void* pointer) {
     if (span.empty() || !ok) return;
-    ok = copy_to_host(span.data(), pointer, span.size_bytes(), "a frame could not be copied from the device");
+    ok = copy_to_host(span.data(), pointer, span.size_bytes(), to_host, "a frame could not be copied from the device");
   };
   fetch(target.rgb, device.rgb);
   fetch(target.alpha, device.alpha);

@@ -17,14 +17,6 @@ inline Status device_status(cudaError_t error, const char* what) {
   return make_error(Errc::device_failed, Error::kNone, what, Error::kNone, static_cast<std::uint64_t>(error));
 }
 
-/// Copies to the host what the default stream's work leaves there, and returns once it is. As long as cudaMemcpy() copies to page-locked
-/// memory, launches of other threads wait; not so here. Errors: device_failed.
-inline Status copy_to_host(void* to, const void* from, std::uint64_t bytes, const char* what) {
-  const Status copied = device_status(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, nullptr), what);
-  const Status done = device_status(cudaStreamSynchronize(nullptr), what);
-  return copied ? done : copied;
-}
-
 /// A point in a stream's work. Errors of all functions: device_failed.
 class Event {
  public:
@@ -80,6 +72,15 @@ class OwnedStream {
  private:
   cudaStream_t stream_ = nullptr;
 };
+
+/// Copies what is on the device to any host memory, and returns once it is there. As long as cudaMemcpy() copies, launches of other threads
+/// wait, and where the memory is not page-locked those do, too, that cudaMemcpyAsync() copies on the default stream. Errors: device_failed.
+inline Status copy_to_host(void* to, const void* from, std::uint64_t bytes, const OwnedStream& stream,
+                           const char* what) {
+  const Status copied = device_status(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, stream.get()), what);
+  const Status done = device_status(cudaStreamSynchronize(stream.get()), what);
+  return copied ? done : copied;
+}
 
 /// Whether kernels reach page-locked memory under the host's address. Errors: device_failed; unavailable (they have another for it, as
 /// without unified addressing).

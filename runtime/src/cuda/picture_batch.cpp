@@ -222,7 +222,8 @@ Result<std::vector<FrameStats>> PictureBatch::render_to_host(const DeviceScene& 
     for (const Way& way : ways) {
       if (ok && way.to != nullptr) {
         ok = copy_to_host(static_cast<std::byte*>(way.to) + first * way.bytes, way.buffer.as<void>(),
-                          part.size() * way.bytes, "pictures could not be copied from the device");
+                          part.size() * way.bytes, lanes_.front()->stream,
+                          "pictures could not be copied from the device");
       }
     }
     if (!ok) return tl::unexpected(ok.error());

@@ -59,7 +59,9 @@ class FileSource final : public ByteSource {
 
   Traits traits() const override {
     Traits traits;
-    traits.reads_at_once = static_cast<int>(std::clamp(std::thread::hardware_concurrency(), 4u, kMostThreads));
+    // A frame is drawn beside them: without a processor of its own its thread waits for theirs, and theirs for what it holds.
+    const unsigned n = std::max(std::thread::hardware_concurrency(), 1U) - 1;
+    traits.reads_at_once = static_cast<int>(std::clamp(n, 4U, kMostThreads));
     return traits;
   }
 
