@@ -9,7 +9,8 @@ import argparse
 import json
 import math
 from pathlib import Path
-from xml.sax.saxutils import escape
+
+from svg_picture import SvgPicture
 
 WIDTH, LEFT, RIGHT = 760, 62, 738
 PANEL, GAP, TOP = 110, 34, 44  # px
@@ -42,42 +43,34 @@ def svg(record):
     flight, fps = record["flight"], record["fps"]
     shown = panels(flight, fps)
     height = TOP + len(shown) * (PANEL + GAP) + 24
-    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" width="{WIDTH}" height="{height}" '
-           'role="img">', "<title>A flight, frame by frame</title>", f"<style>{STYLE}</style>"]
-
-    def text(x, y, words, anchor="start", kind=""):
-        out.append(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" class="{kind}">{escape(words)}</text>')
-
-    def line(x1, y1, x2, y2):
-        out.append(f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" class="grid"/>')
-
+    picture = SvgPicture(WIDTH, height, "A flight, frame by frame", STYLE)
     device = record["backend"].removeprefix("cuda ")
     detail = "" if record["detail_px"] is None else f", detail {record['detail_px']:g} px"
-    text(LEFT, 18, f"{record['scene']['gaussians']:,} Gaussians, {record['width']}x{record['height']}, {fps:g} frames a second{detail}; "
-         f"{device}, {record['date'][:10]}", kind="small")
+    picture.text(LEFT, 18, f"{record['scene']['gaussians']:,} Gaussians, {record['width']}x{record['height']}, {fps:g} frames a second{detail}; "
+                 f"{device}, {record['date'][:10]}", kind="small")
     n = len(flight["frames"])
     for k, (title, values) in enumerate(shown):
         top, bottom = TOP + k * (PANEL + GAP), TOP + k * (PANEL + GAP) + PANEL
-        text(LEFT, top - 6, title)
+        picture.text(LEFT, top - 6, title)
         # One frame in a hundred may lie beyond the axis: the largest is said.
         ordered = sorted(values)
         limit = nice_ceiling(ordered[min(n - 1, math.floor(0.99 * n))])
         if values and ordered[-1] > limit:
-            text(RIGHT, top - 6, f"at most {ordered[-1]:.3g}", "end", "small")
+            picture.text(RIGHT, top - 6, f"at most {ordered[-1]:.3g}", "end", "small")
         for part in (0, 0.5, 1):
             y = bottom - part * PANEL
-            line(LEFT, y, RIGHT, y)
-            text(LEFT - 6, y + 4, f"{part * limit:g}", "end", "small")
+            picture.line(LEFT, y, RIGHT, y)
+            picture.text(LEFT - 6, y + 4, f"{part * limit:g}", "end", "small")
         points = " ".join(f"{LEFT + (RIGHT - LEFT) * i / max(1, n - 1):.1f},{bottom - PANEL * min(v / limit, 1):.1f}"
                           for i, v in enumerate(values))
-        out.append(f'<polyline points="{points}" class="curve"/>')
+        picture.add(f'<polyline points="{points}" class="curve"/>')
     bottom = TOP + len(shown) * (PANEL + GAP) - GAP
     for i in range(0, n + 1, max(1, round(fps))):
         x = LEFT + (RIGHT - LEFT) * i / max(1, n - 1)
         if x <= RIGHT + 2:
-            text(x, bottom + 17, f"{i / fps:g}", "middle", "small")
-    text((LEFT + RIGHT) / 2, bottom + 34, "seconds", "middle")
-    return "\n".join(out) + "\n</svg>\n"
+            picture.text(x, bottom + 17, f"{i / fps:g}", "middle", "small")
+    picture.text((LEFT + RIGHT) / 2, bottom + 34, "seconds", "middle")
+    return picture.document()
 
 
 def main():

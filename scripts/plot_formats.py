@@ -10,7 +10,8 @@ import argparse
 import json
 import math
 from pathlib import Path
-from xml.sax.saxutils import escape
+
+from svg_picture import SvgPicture
 
 WIDTH, HEIGHT = 760, 480
 LEFT, RIGHT, TOP, BOTTOM = 62, 738, 44, 390     # of the axes, in pixels
@@ -77,49 +78,41 @@ def labels(points, curve):
 
 
 def svg(record):
-    out = [f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" width="{WIDTH}" height="{HEIGHT}" '
-           'role="img">', "<title>Bytes per Gaussian against PSNR</title>", f"<style>{STYLE}</style>"]
-
-    def text(x, y, words, anchor="start", kind=""):
-        out.append(f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" class="{kind}">{escape(words)}</text>')
-
-    def line(x1, y1, x2, y2):
-        out.append(f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" class="grid"/>')
-
+    picture = SvgPicture(WIDTH, HEIGHT, "Bytes per Gaussian against PSNR", STYLE)
     at = LEFT
     for kind, words in SERIES:
-        out.append(f'<circle cx="{at + 5:.1f}" cy="18.0" r="5.0" class="{kind}"/>')
-        text(at + 16, 22, words)
+        picture.add(f'<circle cx="{at + 5:.1f}" cy="18.0" r="5.0" class="{kind}"/>')
+        picture.text(at + 16, 22, words)
         at += 40 + 6.4 * len(words)
     size = BYTES[0]
     while size <= BYTES[1]:
         x = place({"bytes_per_gaussian": size, "psnr_db": DB[0]})[0]
-        line(x, BOTTOM, x, TOP)
-        text(x, BOTTOM + 17, str(size), "middle", "small")
+        picture.line(x, BOTTOM, x, TOP)
+        picture.text(x, BOTTOM + 17, str(size), "middle", "small")
         size *= 2
     for psnr in range(math.ceil(DB[0] / 10) * 10, DB[1] + 1, 10):
         y = place({"bytes_per_gaussian": BYTES[0], "psnr_db": psnr})[1]
-        line(LEFT, y, RIGHT, y)
-        text(LEFT - 6, y + 4, str(psnr), "end", "small")
-    line(LEFT, BOTTOM, RIGHT, BOTTOM)
-    text((LEFT + RIGHT) / 2, BOTTOM + 36, "bytes per Gaussian", "middle")
-    out.append(f'<text transform="translate(20.0 {(TOP + BOTTOM) / 2:.1f}) rotate(-90)" text-anchor="middle">PSNR, dB</text>')
+        picture.line(LEFT, y, RIGHT, y)
+        picture.text(LEFT - 6, y + 4, str(psnr), "end", "small")
+    picture.line(LEFT, BOTTOM, RIGHT, BOTTOM)
+    picture.text((LEFT + RIGHT) / 2, BOTTOM + 36, "bytes per Gaussian", "middle")
+    picture.add(f'<text transform="translate(20.0 {(TOP + BOTTOM) / 2:.1f}) rotate(-90)" text-anchor="middle">PSNR, dB</text>')
 
     shown = [entry for entry in record["entries"] if place(entry)]
     own = sorted((place(entry) for entry in shown if series(entry) == "s0"))
     path = " ".join(f"{x:.1f},{y:.1f}" for x, y in own)
-    out.append(f'<polyline points="{path}" class="curve s0"/>')
+    picture.add(f'<polyline points="{path}" class="curve s0"/>')
     points = [(*place(entry), entry["format"].removeprefix("rgs ")) for entry in shown]
     for entry, (x, y, words), (tx, ty, anchor) in zip(shown, points, labels(points, own)):
-        out.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5.0" class="{series(entry)}"/>')
-        text(tx, ty, words, anchor, "small " + series(entry))
+        picture.add(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5.0" class="{series(entry)}"/>')
+        picture.text(tx, ty, words, anchor, "small " + series(entry))
     beyond = [f"{entry['format']} {entry['bytes_per_gaussian']:.0f} bytes" +
               ("" if entry["psnr_db"] is None else f", {entry['psnr_db']:.0f} dB")
               for entry in record["entries"] if not place(entry)]
     scene = f"{record['gaussians']:,} Gaussians, {record['views']} views of {record['size']}"
-    text(LEFT, HEIGHT - 26, f"{scene} against those of the PLY, {record['date']}", kind="small")
-    text(LEFT, HEIGHT - 10, f"beyond the axes: {'; '.join(beyond)}", kind="small")
-    return "\n".join(out) + "\n</svg>\n"
+    picture.text(LEFT, HEIGHT - 26, f"{scene} against those of the PLY, {record['date']}", kind="small")
+    picture.text(LEFT, HEIGHT - 10, f"beyond the axes: {'; '.join(beyond)}", kind="small")
+    return picture.document()
 
 
 def table(record, short=False):

@@ -1,6 +1,7 @@
 // rgs_convert.cpp - rgs-convert: splat files of any format to any other. Arguments and exit codes; the work is in
 // src/convert_*.cpp and rgs::interchange.
 // SPDX-License-Identifier: Apache-2.0
+#include <sys/resource.h>
 #include <tbb/global_control.h>
 
 #include <algorithm>
@@ -170,6 +171,34 @@ rgs::ReadOptions read_options(const Arguments& arguments) {
   return options;
 }
 
+// Brings an input into these axes and to its place, which is returned.
+rgs::Similarity place(const Arguments& arguments, std::size_t input, const rgs::Axes& axes, rgs::SplatFile& file) {
+  rgs::convert_axes(file.cloud, file.axes, axes);
+  rgs::convert_axes(file.origin, file.axes, axes);
+  const rgs::Similarity placed =
+      rgs::parse_similarity(of_input(arguments.translate, input), of_input(arguments.rotate, input),
+                            of_input(arguments.scale, input))
+          .value();
+  rgs::transform_splats(file.cloud, file.origin, placed);
+  return placed;
+}
+
+// How to read one of the inputs. Where Gaussians are left out for other reasons than their number, those do not count.
+rgs::Result<rgs::ReadOptions> read_options(const Arguments& arguments, const Input& input, SplatFormat to) {
+  rgs::ReadOptions options = read_options(arguments);
+  rgs::SplatFilter others = arguments.filter;
+  others.max_n = rgs::SplatFilter().max_n;
+  if (!options.max_count || others.keeps_all()) return options;
+  auto counts = input.count_in_pages(options.limits, [&](rgs::SplatFile some) {
+    if (arguments.axes_given) some.axes = rgs::parse_axes(arguments.axes).value();
+    place(arguments, 0, target_axes(arguments, some.axes, SplatFormat::rgs, to), some);
+    return rgs::filter_splats(some.cloud, others, some.origin);
+  });
+  if (!counts) return tl::unexpected(counts.error());
+  options.page_counts = std::move(*counts);
+  return options;
+}
+
 // Reads, places and merges all inputs, then filters. Sets what the files declare and the options do not say.
 Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& inputs, SplatFormat to,
                                      rgs::DeclaredLoss& loss) {
@@ -179,7 +208,9 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
   std::vector<rgs::InputDeclarations> declared;
   rgs::SplatFile only;  // without its Gaussians
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto file = inputs[i].read(read_options(arguments));
+    auto options = read_options(arguments, inputs[i], to);
+    if (!options) return failed(inputs[i].path(), options.error());
+    auto file = inputs[i].read(std::move(*options));
     if (!file) return failed(inputs[i].path(), file.error());
     if (arguments.axes_given) file->axes = rgs::parse_axes(arguments.axes).value();
     if (i == 0) encode.axes = target_axes(arguments, file->axes, file->format, to);
@@ -189,12 +220,8 @@ Outcome<rgs::LoadedScene> load_scene(Arguments& arguments, std::deque<Input>& in
     scene.source_sh_degree = std::max(scene.source_sh_degree, file->cloud.sh_degree);
     hashes.push_back(inputs[i].hash());
     scene.unused.insert(scene.unused.end(), file->unused.begin(), file->unused.end());
-    rgs::convert_axes(file->cloud, file->axes, encode.axes);
-    rgs::convert_axes(file->origin, file->axes, encode.axes);
-    const auto similarity = rgs::parse_similarity(of_input(arguments.translate, i), of_input(arguments.rotate, i),
-                                                  of_input(arguments.scale, i));
-    rgs::transform_splats(file->cloud, file->origin, *similarity);
-    declared.push_back(rgs::declared_by(*file, inputs[i].name(), similarity->scale));
+    const rgs::Similarity placed = place(arguments, i, encode.axes, *file);
+    declared.push_back(rgs::declared_by(*file, inputs[i].name(), placed.scale));
     if (to != SplatFormat::rgs) rgs::restore_order(*file);
     if (i == 0) {
       scene.cloud = std::move(file->cloud);
@@ -464,10 +491,20 @@ int check_outputs(const Arguments& a) {
   return inputs.check_outputs(outputs);
 }
 
+// Every input is open until the output has its name. Shells give fewer descriptors than they may be asked for.
+void allow_open_files(std::size_t n) {
+  constexpr std::size_t kOthers = 64;  // output, scratch files, what lies beside an input
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_cur >= n + kOthers) return;
+  limit.rlim_cur = std::min<rlim_t>(limit.rlim_max, n + kOthers);
+  (void)::setrlimit(RLIMIT_NOFILE, &limit);  // where it may not, the file that cannot be opened is named
+}
+
 // Opens the inputs, and into `beside` the files that lie beside them and are read too: none may change before the output
 // has its name.
 Outcome<void> open_inputs(Arguments& a, std::deque<Input>& inputs, std::deque<rgs::MappedFile>& beside) {
   tool::InputFiles scenes;
+  allow_open_files(a.n_inputs());
   for (std::size_t i = 0; i < a.n_inputs(); ++i) {
     scenes.add_scene(a.files[i]);
     if (const rgs::Status s = inputs.emplace_back().open(a.files[i]); !s) return failed(a.files[i], s.error());
@@ -1027,10 +1064,10 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("--crop", a.crop, "Keep Gaussians with means between two corners x,y,z,X,Y,Z of the placed scene");
   app.add_option("--min-opacity", a.filter.min_opacity, "Keep Gaussians of at least this opacity")
       ->check(CLI::Range(0.0, 1.0));
-  app.add_option(
-      "--max-count", a.max_count,
-      "Keep so many (200k, 1.5M): of a file with levels of detail the finest cut through them that has no more, "
-      "of others those with the largest opacity times area");
+  app.add_option("--max-count", a.max_count,
+                 "Keep so many (200k, 1.5M) of those that --crop and --min-opacity keep: of a file with levels of "
+                 "detail the finest cut through them that has no more, of others those with the largest opacity times "
+                 "area");
   app.add_option("--level-of-detail", a.level_of_detail,
                  "Of .rgs files with levels of detail: this level, 0 (the default) being the scene's own Gaussians");
   app.add_option("--aa,--aa-mode", a.asked.aa_mode,

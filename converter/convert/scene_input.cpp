@@ -7,11 +7,14 @@
 #include <algorithm>
 #include <cerrno>
 #include <filesystem>
+#include <numeric>
 #include <utility>
 #include <vector>
 
 #include "rgs/checksum.hpp"
 #include "rgs/layout.hpp"
+#include "rgs/paged_file.hpp"
+#include "rgs/splat_edit.hpp"
 
 namespace rgs {
 
@@ -61,6 +64,37 @@ Result<SplatFile> SceneInput::read(ReadOptions options) const {
   // The bytes that are hashed, unless others lie beside them: a SOG may be a folder.
   const bool folder = path_ != "-" && detect_format(bytes_) == SplatFormat::sog;
   return folder ? read_splats(path_, options) : read_splats(bytes_, options);
+}
+
+Result<std::vector<std::uint32_t>> SceneInput::count_in_pages(const DecodeLimits& limits,
+                                                              const Passing& passing) const {
+  constexpr std::uint32_t kAtOnce = 64;  // pages
+  std::vector<std::uint32_t> counts;
+  if (!has_levels(bytes_)) return counts;
+  const auto paged = PagedFile::open(bytes_, limits);
+  if (!paged) return tl::unexpected(paged.error());
+  for (const lod::Page& page : paged->pages()) counts.push_back(page.count);
+  const std::uint32_t n = paged->n_present();
+  for (std::uint32_t first = 0; first < n; first += kAtOnce) {
+    std::vector<std::uint32_t> some(std::min(kAtOnce, n - first));
+    std::iota(some.begin(), some.end(), first);
+    auto cloud = read_pages(*paged, some, {.validate = false});
+    if (!cloud) return tl::unexpected(cloud.error());
+    strip_sh(*cloud, 0);  // nobody counts by colour
+    SplatFile file;
+    file.axes = paged->head().declarations().axes;
+    file.origin = paged->head().declarations().origin;
+    file.cloud = std::move(*cloud);
+    const std::vector<std::uint64_t> kept = passing(std::move(file));
+    std::uint64_t begin = 0;
+    for (const std::uint32_t page : some) {
+      const std::uint64_t end = begin + paged->pages()[page].count;
+      counts[page] =
+          static_cast<std::uint32_t>(std::ranges::lower_bound(kept, end) - std::ranges::lower_bound(kept, begin));
+      begin = end;
+    }
+  }
+  return counts;
 }
 
 Result<Tile> SceneInput::tile(SplatFormat format, const ReadOptions& options) const {

@@ -4,8 +4,10 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <functional>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "rgs/file.hpp"
 #include "rgs/interchange.hpp"
@@ -29,6 +31,11 @@ class SceneInput {
   std::uint64_t hash() const;
   /// The whole scene, in the axes of the file.
   Result<SplatFile> read(ReadOptions options) const;
+  /// Of an .rgs with levels: how many Gaussians of each page `passing` lets pass; all of those that are missing at the end.
+  /// Of other files nothing. `passing` gets some pages at a time, in the axes of the file and with its origin alone, and
+  /// gives the positions that pass in ascending order. Errors: PagedFile's, read_pages()'s.
+  using Passing = std::function<std::vector<std::uint64_t>(SplatFile some)>;
+  Result<std::vector<std::uint32_t>> count_in_pages(const DecodeLimits& limits, const Passing& passing) const;
   /// A PLY file in place, or what read() gives; `axes` and `placed` are the caller's to set. Errors: PlyFile::open()'s.
   Result<Tile> tile(SplatFormat format, const ReadOptions& options) const;
 

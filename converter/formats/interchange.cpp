@@ -75,10 +75,21 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
+// The pages with so many Gaussians each as count, and how many count of all leaves.
+std::uint64_t count_as(std::span<const std::uint32_t> counts, std::vector<lod::Page>& pages) {
+  std::uint64_t of_leaves = 0;
+  for (std::size_t i = 0; i < pages.size(); ++i) {
+    if (!counts.empty()) pages[i].count = counts[i];
+    if (pages[i].level == 0) of_leaves += pages[i].count;
+  }
+  return of_leaves;
+}
+
 Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOptions& options) {
   const auto paged = PagedFile::open(bytes, options.limits);
   if (!paged) return tl::unexpected(paged.error());
   std::vector<std::uint32_t> pages;
+  bool is_part = false;
   if (paged->n_present() == 0) {
     return make_error(Errc::pages_missing, bytes.size(), "the end of the file is missing, and with it all pages",
                       paged->n_pages(), 0);
@@ -89,16 +100,29 @@ Result<SplatFile> decode_levels(std::span<const std::byte> bytes, const ReadOpti
                         paged->n_levels(), *options.level_of_detail);
     }
     pages = lod::pages_of_level(paged->pages(), *options.level_of_detail);
-  } else if (options.max_count && (*options.max_count < paged->head().header().n_gaussians || !paged->complete())) {
-    pages = lod::finest_cut(paged->pages(), *options.max_count, paged->n_present());
-    if (pages.empty()) {
-      return make_error(Errc::bad_argument, Error::kNone,
-                        "the coarsest level of the file has more Gaussians than that; write it (--level-of-detail) and "
-                        "leave some of them out",
-                        *options.max_count, paged->pages().front().count);
+  } else if (options.max_count) {
+    if (!options.page_counts.empty() && options.page_counts.size() != paged->n_pages())
+      return make_error(Errc::bad_argument, Error::kNone, "page_counts has a count for each page", paged->n_pages(),
+                        options.page_counts.size());
+    std::vector<lod::Page> counted = paged->pages();
+    if (*options.max_count < count_as(options.page_counts, counted) || !paged->complete()) {
+      pages = lod::finest_cut(counted, *options.max_count, paged->n_present());
+      if (pages.empty()) {
+        return make_error(Errc::bad_argument, Error::kNone,
+                          options.page_counts.empty()
+                              ? "the coarsest level of the file has more Gaussians than that; write it "
+                                "(--level-of-detail) and leave some of them out"
+                              : "the coarsest level of the file has more Gaussians than that which are kept (--crop, "
+                                "--min-opacity); write it (--level-of-detail) and leave some of them out",
+                          *options.max_count, counted.front().count);
+      }
     }
+    // Pages of which nothing counts cost a cut nothing: it has the finest of them, which may be more than fits into memory.
+    is_part = !options.page_counts.empty() && !(pages.empty() && paged->has_source_index());
+    if (is_part && pages.empty()) pages = lod::pages_of_level(counted, 0);
+    if (is_part) std::erase_if(pages, [&](std::uint32_t i) { return counted[i].count == 0; });
   }
-  if (std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; })) {
+  if (!is_part && std::ranges::all_of(pages, [&](std::uint32_t i) { return paged->pages()[i].level == 0; })) {
     if (!paged->complete() && !options.max_count) {
       return make_error(
           Errc::pages_missing, bytes.size(),

@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cassert>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <utility>
 
@@ -28,6 +29,9 @@ constexpr float kErrorGrowth = 1.01F;
 constexpr float kMostError = 1e30F;
 // A run of boxes has a gap where the box around it is longer than this many of their lengths together.
 constexpr float kGap = 2;
+// World units, and their logarithm. What is farther from its group, or larger, is left as it is: costs are fourth powers, and FP32
+// ends at 3.4e38.
+constexpr float kFar = 1e9F, kLogFar = 20.723F;
 // A box of so many times the length of another is not in its company: floaters.
 constexpr float kUnlike = 12;
 
@@ -127,6 +131,62 @@ void append(SplatCloud& to, const SplatView& from) {
   insert(to.rotation, from.rotation);
   insert(to.opacity_logit, from.opacity_logit);
   insert(to.sh, from.sh);
+}
+
+bool is_far(const SplatView& splats, std::uint64_t i, const float centre[3]) {
+  for (std::size_t k = 0; k < 3; ++k) {
+    const float apart = splats.mean[3 * i + k] - centre[k];
+    if (!(std::abs(apart) <= kFar) || splats.log_scale[3 * i + k] > kLogFar) return true;
+  }
+  return false;
+}
+
+// The median of each coordinate of the means.
+void find_middle(const SplatView& splats, std::uint64_t from, std::uint64_t n, float middle[3]) {
+  std::vector<float> values(n);
+  for (std::size_t k = 0; k < 3; ++k) {
+    for (std::uint64_t i = 0; i < n; ++i) values[i] = splats.mean[3 * (from + i) + k];
+    const auto median = values.begin() + static_cast<std::ptrdiff_t>(n / 2);
+    std::ranges::nth_element(values, median);
+    middle[k] = *median;
+  }
+}
+
+float longest_log_scale(const SplatView& splats, std::uint64_t i) {
+  return std::max({splats.log_scale[3 * i], splats.log_scale[3 * i + 1], splats.log_scale[3 * i + 2]});
+}
+
+// Appends at most `wanted` Gaussians that stand for those from .. from + n - 1. Their error.
+float replace(const SplatView& splats, std::uint64_t from, std::uint64_t n, std::uint64_t wanted, const float centre[3],
+              const BuildOptions& options, SplatCloud& out) {
+  const Gaussians group = activate(splats, from, n, centre);
+  if (wanted >= n) {
+    append(group, centre, out);
+    return 0;
+  }
+  const Simplified simple = simplify(group, wanted, fit_options(options.quality));
+  append(simple.gaussians, centre, out);
+  return simple.error;
+}
+
+// The same where some are far: the longest of these stay as they are, as many as their share is, the others are left out.
+float replace_without_far(const SplatView& splats, std::span<const std::uint64_t> near, std::vector<std::uint64_t> far,
+                          std::uint64_t wanted, const float centre[3], const BuildOptions& options, SplatCloud& out) {
+  constexpr float kNowhere[3] = {0, 0, 0};
+  const std::uint64_t share = std::max<std::uint64_t>(1, wanted * far.size() / (near.size() + far.size()));
+  const std::uint64_t n_kept = near.empty() ? std::min<std::uint64_t>(wanted, far.size()) : std::min(share, wanted - 1);
+  std::ranges::stable_sort(far, std::ranges::greater(), [&](std::uint64_t i) { return longest_log_scale(splats, i); });
+  float error = 0;
+  if (!near.empty()) {
+    SplatCloud some;
+    some.resize(near.size(), splats.sh_degree);
+    for (std::size_t i = 0; i < near.size(); ++i) some.set(i, splats.splat(near[i]));
+    error = replace(some.view(), 0, near.size(), wanted - n_kept, centre, options, out);
+  }
+  for (std::uint64_t i = 0; i < n_kept; ++i) append(activate(splats, far[i], 1, kNowhere), kNowhere, out);
+  // Pixels of which all that is seen of the others is less than one.
+  if (n_kept < far.size()) error = std::max(error, 2 * kBoundSigmas * std::exp(longest_log_scale(splats, far[n_kept])));
+  return error;
 }
 
 std::vector<ChunkBoxes> boxes_of_chunks(const SplatView& leaves, const BuildOptions& options) {
@@ -272,21 +332,23 @@ Page build_page(const SplatView& splats, std::span<const Page> below, std::uint3
     add(page.core, below[i].core);
   }
   const std::uint64_t from = below[first].first;
-  const float* const mean = &splats.mean[3 * from];
-  const float centre[3] = {mean[0], mean[1], mean[2]};
-  const Gaussians group = activate(splats, from, n, centre);
+  float centre[3] = {splats.mean[3 * from], splats.mean[3 * from + 1], splats.mean[3 * from + 2]};
+  std::vector<std::uint64_t> near, far;
+  const auto divide = [&] {
+    near.clear(), far.clear();
+    for (std::uint64_t i = from; i < from + n; ++i) (is_far(splats, i, centre) ? far : near).push_back(i);
+  };
+  divide();
+  if (!far.empty()) {  // the first, perhaps, from all others
+    find_middle(splats, from, n, centre);
+    divide();
+  }
   const std::uint64_t most = static_cast<std::uint64_t>(options.chunk_size) * options.page_chunks;
   // Less than all pages have room for: what a file with levels takes beyond one without is the sum of all powers of it.
   const std::uint64_t wanted = std::min(most, (n * kKeptOf1000 / options.children + 999) / 1000);
   const std::size_t before = out.size();
-  float error = 0;
-  if (wanted < n) {
-    const Simplified simple = simplify(group, wanted, fit_options(options.quality));
-    append(simple.gaussians, centre, out);
-    error = simple.error;
-  } else {
-    append(group, centre, out);
-  }
+  float error = far.empty() ? replace(splats, from, n, wanted, centre, options, out)
+                            : replace_without_far(splats, near, std::move(far), wanted, centre, options, out);
   if (!(error < kMostError)) error = kMostError;
   page.error = std::max({error, kErrorGrowth * child_error, std::numeric_limits<float>::min()});
   page.count = static_cast<std::uint32_t>(out.size() - before);

@@ -52,6 +52,10 @@ class Search {
     if (d * d >= distance_[kNeighbours - 1]) return;  // equal ones too: many may lie in one place
     d < 0 ? look(middle, end) : look(begin, middle);
   }
+  // The block that the point is in, alone.
+  void look_around_itself() { look_at_leaf(self_ / kLanes * kLanes); }
+  // In one place with all its neighbours.
+  bool is_crowded() const { return distance_[kNeighbours - 1] == 0; }
   const Neighbours& found() const { return found_; }
 
  private:
@@ -87,6 +91,11 @@ void search_all(const PointTree& tree, Neighbours* out) {
     Search search(tree, i);
     search.look(0, n_blocks);
     out[tree.order[i]] = search.found();
+    if (!search.is_crowded()) continue;
+    // Where many lie in one place, all of them have come to the same few, which can merge with one each.
+    Search nearby(tree, i);
+    nearby.look_around_itself();
+    if (nearby.is_crowded()) out[tree.order[i]] = nearby.found();
   }
 }
 

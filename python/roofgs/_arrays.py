@@ -21,9 +21,15 @@ def is_tensor(value: Any) -> bool:
 
 
 def _refuse_gradient(tensor: Any, name: str) -> None:
-    if tensor.requires_grad:
+    torch: Any = sys.modules.get("torch")
+    if tensor.requires_grad and (torch is None or torch.is_grad_enabled()):  # not under torch.no_grad(), where none is asked for
         raise NotImplementedError(
             f"{name} requires a gradient, but RoofGS renders forward only: pass {name}.detach(), or train with gsplat")
+
+
+def _is_bfloat16(tensor: Any) -> bool:
+    """Whether a tensor is of the type that NumPy does not have."""
+    return str(getattr(tensor, "dtype", "")) == "torch.bfloat16"
 
 
 def host_array(value: Any, name: str) -> "NDArray[Any]":
@@ -32,7 +38,10 @@ def host_array(value: Any, name: str) -> "NDArray[Any]":
         return value
     if is_tensor(value):
         _refuse_gradient(value, name)
-        array: NDArray[Any] = value.detach().cpu().numpy()
+        tensor = value.detach().cpu()
+        if _is_bfloat16(tensor):
+            tensor = tensor.float()
+        array: NDArray[Any] = tensor.numpy()
         return array
     if hasattr(value, "__dlpack_device__"):
         kind = int(value.__dlpack_device__()[0])
@@ -62,7 +71,9 @@ def output_array(value: Any, name: str) -> "NDArray[Any]":
         return value
     if is_tensor(value) and value.device.type == "cpu":
         _refuse_gradient(value, name)
-        array: NDArray[Any] = value.numpy()
+        if _is_bfloat16(value):
+            raise argument_error(f"{name} holds {value.dtype}; outputs are float32 or, of images alone, uint8")
+        array: NDArray[Any] = value.detach().numpy()
         return array
     raise argument_error(f"{name} is neither a NumPy array, nor a torch tensor, nor an array on a GPU")
 

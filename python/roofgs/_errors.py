@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import Any, Optional, Type
 
-from ._paths import shown
+from ._paths import Path, encoded, is_address, shown
 
 
 class Error(Exception):
@@ -144,6 +144,7 @@ _KINDS = {
     "output_unusable": InputOutputError,
 }
 _ENOENT = 2
+_NOT_FOUND = 404  # of HTTP
 _NAMES = {"DecodeLimits::": "", "StreamPoolOptions::": "", "Backend::cpu": "device='cpu'", "Backend::cuda": "device='cuda'"}
 _FLAGS = {"overwrite", "strict", "merge", "lod", "keep_permutation", "keep_order"}
 
@@ -168,11 +169,19 @@ def make(code: str, message: str, hint: str = "", file: Optional[str] = None, of
          expected: Optional[int] = None, found: Optional[int] = None, errno: Optional[int] = 0) -> Error:
     """The exception for a failure of the library."""
     kind: Type[Error] = _KINDS.get(code, FormatError)
-    if kind is InputOutputError and errno == _ENOENT:
+    if kind is InputOutputError and (errno == _ENOENT or (found == _NOT_FOUND and file is not None and is_address(file))):
         kind = MissingFileError
     return kind(_as_python(message), code=code, file=None if file is None else shown(file), offset=offset, expected=expected, found=found,
                 errno=errno or None, hint=_as_python(hint))
 
 
-def argument_error(message: str) -> Error:
-    return make("bad_argument", message)
+def argument_error(message: str, file: Optional[str] = None) -> Error:
+    return make("bad_argument", message, file=file)
+
+
+def local_name(path: Path) -> bytes:
+    """The bytes of a path where an address has no place."""
+    name = encoded(path)
+    if is_address(name):
+        raise argument_error("is an address, which roofgs.load() and StreamedScene alone read", shown(name))
+    return name

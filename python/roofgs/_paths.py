@@ -16,10 +16,14 @@ def encoded(path: Path) -> bytes:
     return name
 
 
+def is_address(name: Union[str, bytes]) -> bool:
+    return os.fsdecode(name).lower().startswith(("http://", "https://"))
+
+
 def shown(name: Union[str, bytes]) -> str:
     """A path, or an address without user, password, query and fragment."""
     text = os.fsdecode(name)
-    if not text.lower().startswith(("http://", "https://")):
+    if not is_address(text):
         return text
     scheme, _, rest = text.partition("://")
     rest = rest.partition("?")[0].partition("#")[0]

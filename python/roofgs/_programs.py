@@ -17,7 +17,7 @@ from pathlib import Path as FilePath
 from typing import IO, Any, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Union
 
 from . import cameras as _cameras
-from ._errors import Error, QualityError, argument_error, make
+from ._errors import Error, QualityError, argument_error, local_name, make
 from ._paths import Path, encoded
 from ._progress import Callback, Progress, Reporting
 from ._roofgs import Camera
@@ -186,7 +186,7 @@ def find_program(name: str) -> str:
 
 def _name(path: Path) -> bytes:
     """A path as an argument: neither an option nor a standard stream."""
-    name = encoded(path)
+    name = local_name(path)
     return b"./" + name if name.startswith(b"-") else name
 
 
@@ -227,7 +227,7 @@ class _camera_file:
             return self._cameras
         self._folder = tempfile.TemporaryDirectory(prefix="roofgs-")
         path = os.path.join(self._folder.name, "cameras.json")
-        _cameras.save(path, [self._cameras] if isinstance(self._cameras, Camera) else self._cameras)
+        _cameras.save(path, self._cameras)
         return path
 
     def __exit__(self, *_: object) -> None:

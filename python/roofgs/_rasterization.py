@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import operator
+import reprlib
 import sys
 import threading
 from typing import Any, Dict, List, Optional, Tuple
@@ -18,6 +20,7 @@ from ._scene import Scene
 
 _SH0 = 0.28209479177387814  # Y of degree 0
 _MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
+_NEWER = {"global_z_order": True}  # arguments of later versions of gsplat whose default is neither None nor False
 _local = threading.local()
 
 Floats = NDArray[np.float32]
@@ -40,7 +43,7 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     """Pictures of Gaussians, with the arguments, shapes and conventions of ``gsplat.rasterization``.
 
     A script for inference runs with ``from roofgs import rasterization``. There are no gradients: an input that requires one
-    is refused. Torch tensors give torch tensors on their device, all else NumPy arrays.
+    is refused, but under ``torch.no_grad()``. Torch tensors give torch tensors on their device, all else NumPy arrays.
 
     Parameters
     ----------
@@ -52,7 +55,8 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     opacities : [..., N]
         0 to 1, not logits.
     colors : [..., (C,) N, D], or with `sh_degree` [..., (C,) N, K, 3]
-        Colours of 0 and above, of any number of channels; or coefficients of spherical harmonics.
+        Colours or other features, of any number of channels and either sign; or coefficients of spherical harmonics. A channel
+        with values below 0 is exact to a millionth of its lowest value.
     viewmats : [..., C, 4, 4]
         World to camera, OpenCV axes.
     Ks : [..., C, 3, 3]
@@ -89,27 +93,35 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     """
     _refuse_absent(dict(radius_clip=(radius_clip, 0.0), sparse_grad=(sparse_grad, False), absgrad=(absgrad, False),
                         distributed=(distributed, False), camera_model=(camera_model, "pinhole"), covars=(covars, None),
-                        **{name: (value, None) for name, value in others.items()
-                           if value is not False and getattr(value, "name", "") != "GLOBAL"}))
+                        **{name: (value, _NEWER.get(name)) for name, value in others.items()
+                           if name in _NEWER or (value is not False and getattr(value, "name", "") != "GLOBAL")}))
     if render_mode not in _MODES:
         raise argument_error(f"render_mode is one of {', '.join(_MODES)}, not {render_mode!r}")
     if rasterize_mode not in ("classic", "antialiased"):
         raise argument_error(f"rasterize_mode is 'classic' or 'antialiased', not {rasterize_mode!r}")
-    if sh_degree is not None and not 0 <= sh_degree <= 3:
-        raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
+    width, height, eps2d = operator.index(width), operator.index(height), float(eps2d)
+    if sh_degree is not None:
+        sh_degree = operator.index(sh_degree)
+        if not 0 <= sh_degree <= 3:
+            raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
     tensor = means if is_tensor(means) else None
+    means, colors, viewmats = (host_array(value, name) for name, value in
+                               dict(means=means, colors=colors, viewmats=viewmats).items())  # once, from whatever device
 
-    batch, (n, _) = _split(means, "means", 2)
+    if means.ndim < 2:
+        raise argument_error(f"means has the shape {list(means.shape)}, not [..., n, 3]")
+    batch, n = means.shape[:-2], means.shape[-2]
+    if viewmats.ndim < 3 or viewmats.shape[:-3] != batch:
+        wanted = ", ".join([*map(str, batch), "C, 4, 4"])
+        raise argument_error(f"viewmats has the shape {list(viewmats.shape)}, not [{wanted}]")
     views = cameras.from_matrices(viewmats, Ks, width, height)
-    view_shape = tuple(host_array(viewmats, "viewmats").shape[:-2])
-    if view_shape[:-1] != batch or not view_shape:
-        raise argument_error(f"viewmats is [..., C, 4, 4] with the leading axes of means, {list(batch)}")
-    n_cameras, n_batches = view_shape[-1], int(np.prod(batch, dtype=int))
+    n_cameras, n_batches = viewmats.shape[-3], int(np.prod(batch, dtype=int))
     centres = _flat(means, "means", batch, (n, 3))
     rotations = _flat(quats, "quats", batch, (n, 4))
     deviations = _flat(scales, "scales", batch, (n, 3))
     weights = _flat(opacities, "opacities", batch, (n,))
-    harmonics, per_camera, n_channels = _harmonics(colors, batch, n_cameras, n, sh_degree)
+    harmonics, lowest, n_channels = _harmonics(colors, batch, n_cameras, n, sh_degree)
+    per_camera = lowest.shape[1] == n_cameras
     behind = np.zeros((n_batches, n_cameras, n_channels), np.float32)
     if backgrounds is not None:
         behind = _flat(backgrounds, "backgrounds", batch, (n_cameras, n_channels))
@@ -121,11 +133,14 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
     for b in range(n_batches):
         for c in range(n_cameras):
             if c == 0 or per_camera:
-                sets = [Scene(centres[b], rotations[b], deviations[b], weights[b], sh[:, :1], sh[:, 1:],
-                              anti_aliasing="mip" if rasterize_mode == "antialiased" else "classic", low_pass=eps2d)
+                sets = [Scene._of_sh(centres[b], rotations[b], deviations[b], weights[b], sh,
+                                     "mip" if rasterize_mode == "antialiased" else "classic", eps2d)
                         for sh in harmonics[b][c if per_camera else 0]]
             _render_one(sets if with_colour else sets[:1], views[b * n_cameras + c], behind[b, c], with_colour, depth_mode,
                         near_plane, far_plane, out[b, c], alphas[b, c])
+            below = lowest[b, c if per_camera else 0]
+            if with_colour and below.any():
+                out[b, c, ..., :n_channels] += below * alphas[b, c]
     shape = (*batch, n_cameras, height, width)
     return (_like(tensor, out.reshape(*shape, n_out)), _like(tensor, alphas.reshape(*shape, 1)),
             Meta(width=width, height=height, n_cameras=n_cameras, n_batches=n_batches))
@@ -165,14 +180,7 @@ def _refuse_absent(arguments: Dict[str, Tuple[Any, Any]]) -> None:
         if value is usual or (usual is not None and value == usual):
             continue
         why = "there are no gradients" if name in ("sparse_grad", "absgrad") else "RoofGS does not have it"
-        raise NotImplementedError(f"{name}={value!r}: {why}; leave it at {usual!r}, or call gsplat")
-
-
-def _split(value: Any, name: str, n_own: int) -> Tuple[Tuple[int, ...], Tuple[int, ...]]:
-    shape = tuple(int(length) for length in host_array(value, name).shape)
-    if len(shape) < n_own:
-        raise argument_error(f"{name} has the shape {list(shape)}, too few axes")
-    return shape[:-n_own], shape[-n_own:]
+        raise NotImplementedError(f"{name}={reprlib.repr(value)}: {why}; leave it at {usual!r}, or call gsplat")
 
 
 def _flat(value: Any, name: str, batch: Tuple[int, ...], own: Tuple[int, ...]) -> Floats:
@@ -180,27 +188,35 @@ def _flat(value: Any, name: str, batch: Tuple[int, ...], own: Tuple[int, ...]) -
     return float_array(value, name, (*batch, *own)).reshape(int(np.prod(batch, dtype=int)), *own)  # -1 is no length of what is empty
 
 
-def _harmonics(colors: Any, batch: Tuple[int, ...], n_cameras: int, n: int,
-               sh_degree: Optional[int]) -> Tuple[List[List[List[Floats]]], bool, int]:
-    """Coefficients [N, K, 3] by batch, camera (one for all, unless they differ) and three channels; and channels in all."""
-    shape = tuple(host_array(colors, "colors").shape)
+def _harmonics(colors: "NDArray[Any]", batch: Tuple[int, ...], n_cameras: int, n: int,
+               sh_degree: Optional[int]) -> Tuple[List[List[List[Floats]]], Floats, int]:
+    """Coefficients [N, K, 3] by batch, camera (one for all, unless they differ) and three channels; what they were raised by
+    so that nothing is below 0, which the renderer takes for black, [batch, camera, channel]; and channels in all."""
+    shape = colors.shape
     own = 2 if sh_degree is None else 3
     per_camera = len(shape) == len(batch) + own + 1
     wanted: Tuple[Optional[int], ...] = (*batch, *((n_cameras,) if per_camera else ()), n)
     values = float_array(colors, "colors", (*wanted, None) if sh_degree is None else (*wanted, None, 3))
+    if not np.isfinite(values).all():
+        raise argument_error("colors holds NaN or an infinity")
     values = values.reshape(int(np.prod(batch, dtype=int)), n_cameras if per_camera else 1, *shape[len(shape) - own:])
     if sh_degree is not None:
         n_used = (sh_degree + 1) ** 2
         if values.shape[-2] < n_used:
             raise argument_error(f"colors has {values.shape[-2]} coefficients; sh_degree={sh_degree} takes {n_used}")
-        return [[[each[:, :n_used]] for each in of_batch] for of_batch in values], per_camera, 3
-    if values.size and not values.min() >= 0:
-        raise argument_error("colors below 0, or NaN, are not rendered: shift them, and the picture back by alpha times as much")
+        return ([[[each[:, :n_used]] for each in of_batch] for of_batch in values],
+                np.zeros((*values.shape[:2], 3), np.float32), 3)
     n_channels = values.shape[-1]
+    lowest = values.min(axis=2, initial=0)
     padding = [(0, 0)] * (values.ndim - 1) + [(0, -n_channels % 3 if n_channels else 3)]
-    sh = (np.pad(values, padding) - np.float32(0.5)) / np.float32(_SH0)
+    with np.errstate(over="ignore"):
+        sh = (np.pad(values - lowest[:, :, None], padding) - np.float32(0.5)) / np.float32(_SH0)
+    too_wide = np.flatnonzero(~np.isfinite(sh).all(axis=tuple(range(sh.ndim - 1))))
+    if len(too_wide):
+        raise argument_error(f"colors has values too far apart, or too large, in channel {too_wide[0]}: their coefficients of "
+                             "spherical harmonics are beyond float32")
     return ([[[each[:, None, first:first + 3] for first in range(0, each.shape[-1], 3)] for each in of_batch]
-             for of_batch in sh], per_camera, n_channels)
+             for of_batch in sh], lowest, n_channels)
 
 
 def _like(tensor: Any, array: Floats) -> Any:

@@ -2,19 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Tuple, Union, overload
+import operator
+import os
+from typing import Any, Dict, Iterable, List, Literal, NamedTuple, Optional, Sequence, Tuple, Union, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import _roofgs
-from ._arrays import DeviceOutput, device_output, output_array
+from ._arrays import DeviceOutput, device_output, float_array, output_array
 from ._errors import argument_error
 from ._roofgs import Camera
 from ._scene import Scene, StreamedScene
 
 Cameras = Union[Camera, Iterable[Camera]]
 AnyScene = Union[Scene, StreamedScene]
+Colour = Union[Sequence[float], "NDArray[Any]"]
 _DEVICES = ("auto", "cpu", "cuda")
 _PIPELINES = ("automatic", "baseline", "paper", "turbo")
 
@@ -82,39 +85,42 @@ class Renderer:
         """What each picture of the last call cost: ``total_ms``, ``visible``, ``instances``, ..."""
         return self._native.stats()
 
+    def __reduce__(self) -> Any:
+        raise TypeError("a roofgs.Renderer is neither copied nor pickled: make another")
+
     def __repr__(self) -> str:
         return f"<roofgs.Renderer {self.name}, pipeline {self._pipeline}>"
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: None = ..., dtype: Any = ...,
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: Literal[False] = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> "NDArray[Any]": ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: Literal[True], depth: bool = ..., on_device: bool = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: bool = ..., depth: Literal[True], on_device: bool = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Frame: ...
 
     @overload
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = ..., dtype: Any = ...,
                alpha: Literal[False] = ..., depth: Literal[False] = ..., on_device: bool = ...,
-               background: Tuple[float, float, float] = ..., near_plane: Optional[float] = ...,
+               background: Colour = ..., near_plane: Optional[float] = ...,
                far_plane: Optional[float] = ..., sh_degree: int = ..., low_pass: Optional[float] = ...,
                anti_aliasing: Optional[str] = ..., detail: Optional[float] = ...) -> Any: ...
 
     def render(self, scene: AnyScene, camera: Cameras, *, out: Any = None, dtype: Any = None, alpha: bool = False,
-               depth: bool = False, on_device: bool = False, background: Tuple[float, float, float] = (0.0, 0.0, 0.0),
+               depth: bool = False, on_device: bool = False, background: Colour = (0.0, 0.0, 0.0),
                near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
                low_pass: Optional[float] = None, anti_aliasing: Optional[str] = None,
                detail: Optional[float] = None) -> Any:
@@ -150,36 +156,45 @@ class Renderer:
         and complete on return. Python's lock is not held. Ctrl-C is seen between two pictures of a call, on "cuda" between 64.
         Several small pictures of one call take less time there than as many calls.
         """
+        _check_scene(scene)
         single = isinstance(camera, Camera)
+        if isinstance(camera, (str, bytes, os.PathLike)):
+            raise TypeError("camera is a roofgs.Camera, or several; roofgs.cameras.load() reads files")
         cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
-        outputs, stream = _outputs(out, alpha or depth, on_device)
+        given, outputs, stream = _outputs(out, alpha or depth, on_device)
         eight_bit = _is_eight_bit(dtype, outputs[0])
         options = self._options_of(background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        made: Tuple[Any, Any, Any]
         if stream is None:
-            image, alphas, depths = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth,
-                                                        options)
+            made = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, options)
         else:
             if isinstance(scene, StreamedScene):
                 raise argument_error("streamed scenes are drawn into the host's memory")
-            image, alphas, depths = self._native.render_on_device(scene._native, cameras, not single, *outputs, eight_bit, alpha,
-                                                                  depth, stream, options)
+            made = self._native.render_on_device(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, stream,
+                                                 options)
+        # What was given comes back as it was given: a torch tensor, not the array of its memory.
+        image, alphas, depths = (new if new is None or old is None else old for new, old in zip(made, given))
         return Frame(image, alphas, depths) if alpha or depth else image
 
     def refine(self, scene: StreamedScene, camera: Camera, seconds: float = 60.0, *,
                detail: Optional[float] = None) -> bool:
         """Waits until all is there that this view of a streamed scene wants. :meth:`render` then gives the picture of the whole
         file. False: the time is over, or the scene's budget has no room for the rest. Ctrl-C ends it."""
+        _check_scene(scene)
         options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail)
         return self._native.refine(scene._native, camera, float(seconds), options)
 
     def prepare(self, scene: Scene) -> None:
         """Brings a scene to where it is drawn, which the first picture does otherwise."""
+        _check_scene(scene)
         self._native.prepare(scene._native)
 
-    def _options_of(self, background: Tuple[float, float, float], near_plane: Optional[float],
+    def _options_of(self, background: Colour, near_plane: Optional[float],
                     far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
                     anti_aliasing: Optional[str], detail: Optional[float]) -> _roofgs.RenderOptions:
-        key = (*background, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
+        red, green, blue = float_array(background, "background", (3,)).tolist()
+        sh_degree = operator.index(sh_degree)  # 3.0 is equal to 3, and would be found
+        key = (red, green, blue, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
         known = self._options.get(key)
         if known is not None:
             return known
@@ -187,7 +202,6 @@ class Renderer:
             raise argument_error(f"anti_aliasing is 'classic' or 'mip', not {anti_aliasing!r}")
         if not 0 <= sh_degree <= 3:
             raise argument_error(f"sh_degree is 0 to 3, not {sh_degree}")
-        red, green, blue = (float(value) for value in background)
         options = _roofgs.RenderOptions((red, green, blue), near_plane,
                                         0.0 if far_plane is None else float(far_plane), sh_degree, low_pass,
                                         anti_aliasing, detail, self._pipeline)
@@ -197,8 +211,14 @@ class Renderer:
         return options
 
 
-def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, Any, Any], Optional[int]]:
-    """Image, alpha and depth to be filled, None where there is none; of a GPU's memory also the stream to begin after."""
+def _check_scene(scene: Any) -> None:
+    if not isinstance(scene, (Scene, StreamedScene)):
+        raise TypeError(f"scene is a roofgs.Scene or StreamedScene, not {type(scene).__name__}; roofgs.load() reads files")
+
+
+def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, ...], Tuple[Any, Any, Any], Optional[int]]:
+    """Image, alpha and depth to be filled, None where there is none, as the caller and as the extension module have them; of a
+    GPU's memory also the stream to begin after."""
     given: Tuple[Any, ...] = (None, None, None)
     if out is not None and not several:
         given = (out.image if isinstance(out, Frame) else out, None, None)
@@ -211,11 +231,11 @@ def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, Any, 
              for each, name in zip(given, names)]
     if not on_device and not any(found):
         image, alpha, depth = (None if each is None else output_array(each, name) for each, name in zip(given, names))
-        return (image, alpha, depth), None
+        return given, (image, alpha, depth), None
     if any(each is not None and place is None for each, place in zip(given, found)):
         raise argument_error("outputs are on the GPU or in the host's memory, all of them")
     first, second, third = (None if place is None else place[0] for place in found)
-    return (first, second, third), next((place[1] for place in found if place is not None), 0)
+    return given, (first, second, third), next((place[1] for place in found if place is not None), 0)
 
 
 def _is_eight_bit(dtype: Any, image: Any) -> bool:

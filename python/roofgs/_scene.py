@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+import math
 import operator
 from typing import Any, Dict, Optional, Tuple, Union
 
@@ -13,13 +14,14 @@ from numpy.typing import NDArray
 
 from . import _roofgs
 from ._arrays import FloatArray, float_array, host_array
-from ._errors import argument_error
+from ._errors import Error, FormatError, argument_error, local_name
 from ._paths import Path, encoded, shown
 from ._pictures import png
 from ._progress import Progress, Reporting
 
 Vector3 = Tuple[float, float, float]
 _DEGREES = {0: 0, 3: 1, 8: 2, 15: 3}
+_LEGAL = {"scales": (0.0, math.inf), "opacities": (0.0, 1.0)}
 _PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small")
 
 
@@ -77,15 +79,31 @@ class Scene:
             degree = _DEGREES[others.shape[1]]
             coefficients = np.concatenate([first, others], axis=1)
         x, y, z = (float(value) for value in origin)
-        self._native = _roofgs.Scene.from_arrays(
-            centres, float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3)),
-            float_array(opacities, "opacities", (n,)), coefficients, degree, (x, y, z), anti_aliasing, low_pass)
+        self._native = _from_arrays(centres, float_array(quats, "quats", (n, 4)), float_array(scales, "scales", (n, 3)),
+                                    float_array(opacities, "opacities", (n,)), coefficients, degree, (x, y, z), anti_aliasing,
+                                    low_pass)
 
     @classmethod
     def _of(cls, native: _roofgs.Scene) -> "Scene":
         scene = cls.__new__(cls)
         scene._native = native
         return scene
+
+    def __copy__(self) -> "Scene":
+        return self
+
+    def __deepcopy__(self, memo: Dict[int, Any]) -> "Scene":
+        return self
+
+    def __reduce__(self) -> Any:
+        raise TypeError("a roofgs.Scene is not pickled: give the other process its path, and load it there")
+
+    @classmethod
+    def _of_sh(cls, means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray,
+               anti_aliasing: str, low_pass: float) -> "Scene":
+        """Of arrays that float_array() gave, with all coefficients in one."""
+        return cls._of(_from_arrays(means, quats, scales, opacities, np.ascontiguousarray(sh), _DEGREES[sh.shape[1] - 1],
+                                    (0.0, 0.0, 0.0), anti_aliasing, low_pass))
 
     # ---- attributes
 
@@ -147,6 +165,11 @@ class Scene:
         return self._native.anti_aliasing
 
     @property
+    def low_pass(self) -> float:
+        """px^2 that are added to projected covariances: what the scene declares, else 0.3, or 0.1 with "mip"."""
+        return self._native.low_pass
+
+    @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
         """Two corners of a box in the world that holds most of the means: floaters far away do not count."""
         return self._native.bounds
@@ -184,6 +207,10 @@ class Scene:
             Of an .rgs: the smaller form, the form that a GPU reads as it lies on disk, or lossy within stated bounds.
         lod : bool, "fast" or "best"
             Of an .rgs: with levels of detail.
+        overwrite : bool
+            Replace what is there, the scene's own file too; otherwise :class:`OutputExistsError`.
+        sync : bool
+            Wait until the disk has it.
         strict : bool
             Refuse values that the format cannot hold, instead of clamping them.
         progress : True or a function
@@ -199,7 +226,7 @@ class Scene:
             raise argument_error(f"lod is True, False, 'fast' or 'best', not {lod!r}")
         quality = lod if isinstance(lod, str) else "fast" if lod else ""
         with Reporting(progress) as callback:
-            return self._native.save(encoded(path), profile, quality, overwrite, sync, strict, callback)
+            return self._native.save(local_name(path), profile, quality, overwrite, sync, strict, callback)
 
     # ---- shown
 
@@ -404,9 +431,32 @@ def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
     >>> info(examples / "scene.rgs")["header"]["n_gaussians"]
     2000
     """
-    values: Dict[str, Any] = json.loads(_roofgs.info(encoded(path), verify, statistics,
+    values: Dict[str, Any] = json.loads(_roofgs.info(local_name(path), verify, statistics,
                                                      _count_or_none(max_expansion, "max_expansion")))
     return values
+
+
+def _from_arrays(means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray, degree: int,
+                 origin: Vector3, anti_aliasing: str, low_pass: Optional[float]) -> _roofgs.Scene:
+    try:
+        return _roofgs.Scene.from_arrays(means, quats, scales, opacities, sh, degree, origin, anti_aliasing, low_pass)
+    except FormatError as error:  # says which Gaussian alone
+        damage = _damage(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
+        raise damage or error from None
+
+
+def _damage(**arrays: FloatArray) -> Optional[Error]:
+    """What names the first value that no Gaussian has."""
+    for name, array in arrays.items():
+        low, high = _LEGAL.get(name, (-math.inf, math.inf))
+        bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
+        if len(bad):
+            place, hint = tuple(int(i) for i in bad[0]), ""
+            if math.isfinite(array[place]):
+                hint = {"opacities": "; of logits take 1 / (1 + exp(-x))", "scales": "; of logarithms take exp(x)"}[name]
+            allowed = {"scales": "0 and above", "opacities": "0 to 1"}.get(name, "finite")
+            return argument_error(f"{name}{list(place)} is {float(array[place])!r}, not {allowed}{hint}")
+    return None
 
 
 def _count(value: int, name: str) -> int:

@@ -14,8 +14,8 @@ import numpy as np
 
 from . import _roofgs
 from ._arrays import host_array
-from ._errors import argument_error
-from ._paths import Path, encoded
+from ._errors import argument_error, local_name
+from ._paths import Path
 from ._roofgs import Camera
 
 if TYPE_CHECKING:
@@ -63,25 +63,28 @@ def load(path: Path) -> CameraList:
     >>> len(views), views[0].width, views[0].height
     (8, 320, 240)
     """
-    source, cameras, is_test, declared = _roofgs.read_cameras(encoded(path))
+    source, cameras, is_test, declared = _roofgs.read_cameras(local_name(path))
     return CameraList(cameras, is_test, source, declared)
 
 
-def save(path: Path, cameras: Iterable[Camera]) -> None:
-    """Writes cameras as the JSON list of docs/CAMERAS.md, those of a :class:`CameraList` with the split that it declares.
+def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: bool = False) -> None:
+    """Writes cameras as the JSON list of docs/CAMERAS.md, whole or not at all; those of a :class:`CameraList` with the split that
+    it declares. A file that is there is kept without `overwrite`.
 
     >>> save(folder / "two.json", orbit(roofgs.load(examples / "scene.rgs"), 2))
     >>> len(load(folder / "two.json"))
     2
     """
+    if isinstance(cameras, Camera):
+        cameras = [cameras]
     parts = {}  # by identity: two cameras that are equal may be of different parts
     if isinstance(cameras, CameraList) and cameras.split_declared:
         parts = {id(camera): split for split in ("train", "test") for camera in getattr(cameras, split)}
     rows = [{"name": camera.name, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
              "cx": camera.cx, "cy": camera.cy, "world_to_camera": camera.world_to_camera.tolist(),
              **({"split": parts[id(camera)]} if id(camera) in parts else {})} for camera in cameras]
-    with open(encoded(path), "w", encoding="utf-8") as file:
-        json.dump(rows, file, indent=1)
+    name = local_name(path)
+    _roofgs.write_cameras(b"./-" if name == b"-" else name, json.dumps(rows, indent=1), overwrite)
 
 
 def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 1280, height: int = 720,

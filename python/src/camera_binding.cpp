@@ -7,12 +7,14 @@
 #include <algorithm>
 #include <array>
 #include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
 #include "arrays.hpp"
 #include "bindings.hpp"
 #include "rgs/camera_file.hpp"
+#include "rgs/file.hpp"
 #include "work.hpp"
 
 namespace py = pybind11;
@@ -149,7 +151,7 @@ name : str
       [](const std::string& path) {
         static constexpr const char* kSources[] = {"list", "training", "transforms", "colmap"};
         auto set = [&] {  // without threads: a process may fork after it
-          const py::gil_scoped_release unlocked;
+          const Unlocked unlocked;
           return take(read_camera_set(path), path);
         }();
         for (Camera& camera : set.cameras) camera.name = as_text(camera.name);
@@ -159,11 +161,19 @@ name : str
       },
       "path"_a);
   module.def(
+      "write_cameras",
+      [](const std::string& path, const std::string& json, bool overwrite) {
+        const Unlocked unlocked;
+        auto file = take(AtomicFile::create(path, {.overwrite = overwrite}), path);
+        take(file.write_at(0, std::as_bytes(std::span(json))), path);
+        take(file.commit(), path);
+      },
+      "path"_a, "json"_a, "overwrite"_a);
+  module.def(
       "look_at",
       [](const Vector& eye, const Vector& target, const Vector& up, const py::object& width, const py::object& height,
          double horizontal_fov) {
-        const Camera camera =
-            look_at(vector(eye), vector(target), vector(up), view_format(width, height, horizontal_fov));
+        Camera camera = look_at(vector(eye), vector(target), vector(up), view_format(width, height, horizontal_fov));
         take(validate(camera));
         return camera;
       },

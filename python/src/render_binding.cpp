@@ -100,7 +100,7 @@ Output in_device_memory(const Renderer& renderer, const py::object& given, const
   if (given.is_none()) {
     DeviceArray array{{}, shape, kFormat<T>};
     if (out.bytes > 0) {
-      const py::gil_scoped_release unlocked;
+      const Unlocked unlocked;
       array.block = take(renderer.allocate_on_device(out.bytes));
     }
     out.data = array.block.data.get();
@@ -178,7 +178,7 @@ class PyRenderer {
     RendererOptions options;
     options.backend = device == "cuda" ? Backend::cuda : device == "cpu" ? Backend::cpu : Backend::automatic;
     options.threads = threads;
-    const py::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     renderer_.emplace(take(Renderer::create(options)));
   }
   PyRenderer(const PyRenderer&) = delete;
@@ -222,14 +222,15 @@ class PyRenderer {
     return py::make_tuple(out.image.array, out.alpha.array, out.depth.array);
   }
 
-  // Waits in steps, so that signals are seen. A step that ends early and without success has no room for the view.
+  // Waits in steps, so that signals are seen. A step that ends early and without success has no room for the view. The scene as asked().
   bool refine(const PyStream& stream, const Camera& camera, double seconds, const RenderOptions& options) {
     using Clock = std::chrono::steady_clock;
     constexpr double kStep = 0.1;
     begin_work();
     if (!(seconds >= 0)) refuse(Errc::bad_argument, "seconds to wait are 0 or more");
-    const StreamedScene held = stream.scene();
-    const py::gil_scoped_release unlocked;
+    StreamedScene copy = stream.scene();
+    const Unlocked unlocked;
+    const StreamedScene held = std::move(copy);
     const std::scoped_lock lock(mutex_);
     const auto since = [](Clock::time_point start) {
       return std::chrono::duration<double>(Clock::now() - start).count();
@@ -247,15 +248,16 @@ class PyRenderer {
   void prepare(const PyScene& scene) {
     begin_work();
     const Scene held = scene.file.scene;
-    const py::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const std::scoped_lock lock(mutex_);
     take(renderer_->prepare(held), scene.path);
   }
 
   py::list stats() {
+    begin_work();  // another thread may have held the mutex when the process was forked
     std::vector<FrameStats> all;
     {
-      const py::gil_scoped_release unlocked;
+      const Unlocked unlocked;
       const std::scoped_lock lock(mutex_);
       all = stats_;
     }
@@ -276,7 +278,7 @@ class PyRenderer {
             const RenderOptions& options) {
     const std::size_t n_pixels = pixels_of(cameras), part = renderer_->backend() == Backend::cuda ? 64 : 1;
     const Scene held = scene;
-    const py::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     const std::scoped_lock lock(mutex_);
     stats_.clear();
     for (std::size_t i = 0; i < cameras.size(); i += part) {
@@ -289,8 +291,9 @@ class PyRenderer {
   void draw(const StreamedScene& scene, const std::string& name, std::span<const Camera> cameras,
             const PictureArrays& arrays, const RenderOptions& options) {
     const std::size_t n_pixels = pixels_of(cameras);
-    const StreamedScene held = scene;
-    const py::gil_scoped_release unlocked;
+    StreamedScene copy = scene;
+    const Unlocked unlocked;
+    const StreamedScene held = std::move(copy);
     const std::scoped_lock lock(mutex_);
     stats_.clear();
     if (arrays.codes != nullptr) scratch_.resize(3 * n_pixels);
@@ -313,7 +316,7 @@ class PyRenderer {
   // Raises what a signal's handler raises. Not after the last picture: the interpreter looks itself as soon as it goes on.
   static void check_signals(bool last) {
     if (last) return;
-    const py::gil_scoped_acquire locked;
+    const Locked locked;
     if (PyErr_CheckSignals() != 0) throw py::error_already_set();
   }
 

@@ -131,7 +131,7 @@ PyScene from_arrays(const py::object& means, const py::object& quats, const py::
   declared.aa_mode = anti_aliasing == "mip" ? AaMode::mip_splatting : AaMode::classic;
   declared.low_pass_px2 = low_pass.value_or(default_low_pass_px2(declared.aa_mode));
   PyScene out;
-  const py::gil_scoped_release unlocked;
+  const Unlocked unlocked;
   out.file.scene = take(Scene::load(view, declared));
   out.file.bounds = robust_bounds(view.mean, origin);
   return out;
@@ -139,7 +139,7 @@ PyScene from_arrays(const py::object& means, const py::object& quats, const py::
 
 SceneView view_of(const PyScene& scene) {
   begin_work();
-  const py::gil_scoped_release unlocked;
+  const Unlocked unlocked;
   return take(scene.file.scene.view(), scene.path);
 }
 
@@ -245,6 +245,8 @@ std::uint64_t save(const PyScene& scene, const std::string& path, const std::str
            "the format is told by the name: it ends in .rgs, .ply, .compressed.ply, .spz, .splat or .glb", path);
   if (options.format != SplatFormat::rgs && !is_writable(options.format))
     refuse(Errc::bad_argument, "files of this format are only read", path);
+  if (options.format != SplatFormat::rgs && (profile != "packed" || !lod.empty()))
+    refuse(Errc::bad_argument, "profile= and lod= are for .rgs outputs", path);
   EncodeOptions& encode = options.convert.encode;
   encode.profile = profile == "direct" ? Profile::direct : profile == "packed" ? Profile::packed : Profile::archive;
   encode.archive = profile == "archive:small" ? archive_small() : archive_high();
@@ -320,6 +322,11 @@ void bind_scene(py::module_& module) {
                              [](const PyScene& s) {
                                const auto& declared = s.file.scene.declarations();
                                return declared && declared->aa_mode == AaMode::mip_splatting ? "mip" : "classic";
+                             })
+      .def_property_readonly("low_pass",
+                             [](const PyScene& s) {
+                               const auto& declared = s.file.scene.declarations();
+                               return declared ? declared->low_pass_px2 : default_low_pass_px2(AaMode::classic);
                              })
       .def_property_readonly("bounds",
                              [](const PyScene& s) {

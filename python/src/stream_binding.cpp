@@ -8,6 +8,7 @@
 #include <optional>
 #include <stop_token>
 #include <string>
+#include <utility>
 
 #include "bindings.hpp"
 #include "rgs/camera.hpp"
@@ -37,8 +38,19 @@ PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
   return {take(run_stoppable(work, nullptr, stop), name), name};
 }
 
+// What is asked under the lock of the pool, which a thread that was lost may have. The scene is a copy: another thread may close it,
+// and the last copy waits for threads when it goes, which is why it goes first.
+template <class Value>
+Value asked(const PyStream& stream, Value (StreamedScene::*question)() const) {
+  begin_work();
+  StreamedScene copy = stream.scene();
+  const Unlocked unlocked;
+  const StreamedScene held = std::move(copy);
+  return (held.*question)();
+}
+
 py::dict stats(const PyStream& stream) {
-  const StreamStats s = stream.scene().stats();
+  const StreamStats s = asked(stream, &StreamedScene::stats);
   return py::dict("pages_resident"_a = s.pages_resident, "pages_missing"_a = s.pages_missing,
                   "bytes_read"_a = s.bytes_read, "bytes_decoded"_a = s.bytes_decoded,
                   "bytes_uploaded"_a = s.bytes_uploaded, "bytes_evicted"_a = s.bytes_evicted,
@@ -48,11 +60,11 @@ py::dict stats(const PyStream& stream) {
 }  // namespace
 
 void bind_stream(py::module_& module) {
-  // What is held now is asked under the lock of the pool, which a thread that was lost may have.
+  // As asked().
   const auto held = [](std::uint64_t (StreamPool::*bytes)() const) {
     return [bytes](const StreamPool& pool) {
       begin_work();
-      const py::gil_scoped_release unlocked;
+      const Unlocked unlocked;
       return (pool.*bytes)();
     };
   };
@@ -80,7 +92,7 @@ void bind_stream(py::module_& module) {
                              })
       .def_property_readonly("closed", &PyStream::closed)
       .def("stats", &stats)
-      .def("check", [](const PyStream& s) { take(s.scene().status(), s.name()); })
+      .def("check", [](const PyStream& s) { take(asked(s, &StreamedScene::status), s.name()); })
       .def("close", &PyStream::close);
   module.def("open_stream", &open, "name"_a, "pool"_a, "prefetch"_a, "max_expansion"_a);
 }

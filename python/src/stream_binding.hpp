@@ -36,7 +36,7 @@ class PyStream {
       return;
     }
     auto last = std::move(scene_);
-    const pybind11::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     last.reset();
   }
 

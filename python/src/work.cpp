@@ -3,6 +3,7 @@
 #include "work.hpp"
 
 #include <pthread.h>
+#include <unistd.h>
 
 #include <vector>
 
@@ -40,7 +41,7 @@ void wait_for_threads() {
   for (join_ended(); !left().empty(); join_ended()) {
     {
       const std::shared_future<void> first = left().front().ended;  // its own: other threads may add and remove entries
-      const py::gil_scoped_release unlocked;
+      const Unlocked unlocked;
       first.wait_for(std::chrono::milliseconds(50));
     }
     if (PyErr_CheckSignals() != 0) {
@@ -57,6 +58,16 @@ bool is_finalizing() {
 #else
   return _Py_IsFinalizing() != 0;
 #endif
+}
+
+// The unwinding of a thread that Python ends stops here: it must not go through frames of C++, and cannot be caught and left.
+template <class Take>
+auto take_lock(Take take) noexcept {
+  try {
+    return take();
+  } catch (...) {
+    for (;;) ::pause();
+  }
 }
 
 void set_python_error(const Failure& failure) {
@@ -76,6 +87,12 @@ void set_python_error(const Failure& failure) {
 }
 
 }  // namespace
+
+Unlocked::~Unlocked() {
+  take_lock([&] { PyEval_RestoreThread(state_); });
+}
+
+Locked::Locked() : state_(take_lock([] { return PyGILState_Ensure(); })) {}
 
 void begin_work() {
   if (g_lost_threads) {
@@ -97,7 +114,7 @@ Progress::~Progress() {
     callback_.release();
     return;
   }
-  const py::gil_scoped_acquire locked;
+  const Locked locked;
   callback_ = py::object();
 }
 

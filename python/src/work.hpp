@@ -38,6 +38,32 @@ T take(Result<T>&& result, const std::string& file = {}) {
   throw Failure{{.code = code, .what = what}, file};
 }
 
+/// Gives Python's lock away for a scope, which must hold it. A thread that wants it back when the interpreter is at its end sleeps
+/// until the process ends: Python before 3.14 would unwind it, which std::terminate() answers in a destructor. pybind11's
+/// gil_scoped_release does not know that, nor does its gil_scoped_acquire.
+class Unlocked {
+ public:
+  Unlocked() : state_(PyEval_SaveThread()) {}
+  ~Unlocked();
+  Unlocked(const Unlocked&) = delete;
+  Unlocked& operator=(const Unlocked&) = delete;
+
+ private:
+  PyThreadState* state_;
+};
+
+/// Takes Python's lock for a scope, on any thread.
+class Locked {
+ public:
+  Locked();
+  ~Locked() { PyGILState_Release(state_); }
+  Locked(const Locked&) = delete;
+  Locked& operator=(const Locked&) = delete;
+
+ private:
+  PyGILState_STATE state_;
+};
+
 /// Before whatever may start threads, or wait for some. A process that was forked from one that had threads of the library has
 /// none of them: Failure (unavailable).
 void begin_work();
@@ -101,7 +127,7 @@ auto run(Work work, const std::shared_ptr<Progress>& progress, const std::functi
     over.set_value();
   });
   const auto wait = [&](std::chrono::milliseconds time) {
-    const pybind11::gil_scoped_release unlocked;
+    const Unlocked unlocked;
     return future.wait_for(time) == std::future_status::ready;
   };
   try {
@@ -112,7 +138,7 @@ auto run(Work work, const std::shared_ptr<Progress>& progress, const std::functi
   } catch (...) {
     if (cancel) {
       cancel();
-      const pybind11::gil_scoped_release unlocked;
+      const Unlocked unlocked;
       thread.join();
     } else {
       leave_behind(std::move(thread), std::move(ended));

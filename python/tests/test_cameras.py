@@ -110,6 +110,21 @@ def test_a_declared_split_is_kept(examples, tmp_path):
     assert "split" not in (tmp_path / "undeclared.json").read_text()
 
 
+def test_saving_replaces_nothing_unasked(tmp_path, monkeypatch):
+    path = tmp_path / "one.json"
+    cameras.save(path, roofgs.Camera(8, 8, 10, name="one"))
+    with pytest.raises(roofgs.OutputExistsError, match="overwrite=True"):
+        cameras.save(path, [])
+    assert [camera.name for camera in cameras.load(path)] == ["one"]
+    cameras.save(path, [roofgs.Camera(8, 8, 10, name="two")], overwrite=True)
+    assert [camera.name for camera in cameras.load(path)] == ["two"]
+    with pytest.raises(roofgs.MissingFileError):
+        cameras.save(tmp_path / "none" / "one.json", [])
+    monkeypatch.chdir(tmp_path)
+    cameras.save("-", roofgs.Camera(8, 8, 10))  # no standard stream
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["-", "one.json"]
+
+
 def test_names_that_are_no_text(tmp_path):
     (tmp_path / "cameras.txt").write_text("1 PINHOLE 64 48 50 50 32 24\n")
     (tmp_path / "images.txt").write_bytes(b"1 1 0 0 0 0 0 0 1 caf\xe9.jpg\n\n")

@@ -89,6 +89,19 @@ def test_addresses_that_fail_are_shown_so(use):
     assert caught.value.file == "http://127.0.0.1:1/a.rgs" and "secret" not in str(caught.value)
 
 
+@pytest.mark.parametrize("use", [roofgs.info, lambda a: scene_of_one().save(a), roofgs.cameras.load,
+                                 lambda a: roofgs.cameras.save(a, []), lambda a: roofgs.convert(a, "a.ply"),
+                                 lambda a: roofgs.convert("a.ply", a), lambda a: roofgs.audit("a.ply", a)])
+def test_what_reads_and_writes_files_alone_refuses_addresses(use):
+    with pytest.raises(roofgs.ArgumentError, match="roofgs.load") as caught:
+        use("https://me:secret@host.org/a.rgs")
+    assert caught.value.file == "https://host.org/a.rgs"
+
+
+def scene_of_one():
+    return roofgs.Scene([[0, 0, 0]], [[1, 0, 0, 0]], [[1, 1, 1]], [0.5], [[1, 1, 1]])
+
+
 FORKED = """
 import multiprocessing, sys
 import roofgs
@@ -118,3 +131,70 @@ def test_forks(use, said, examples):
     out = subprocess.run([sys.executable, "-c", FORKED, GOLDEN / "degree3.rgs", use, examples / "levels.rgs"],
                          capture_output=True, text=True, timeout=200, check=True, env=os.environ)
     assert out.stdout.splitlines() == [said, "0"]
+
+
+ASKED = """
+import multiprocessing, sys
+import roofgs
+
+def child(queue):
+    for ask in (lambda: renderer.stats, lambda: stream.stats, lambda: stream.check(), lambda: pool.host_bytes, lambda: scene.means):
+        try:
+            queue.put(repr(ask()))
+        except roofgs.Error as error:
+            queue.put(error.code)
+
+scene, pool, renderer = roofgs.load(sys.argv[1]), roofgs.StreamPool(), roofgs.Renderer(device="cpu")
+stream = roofgs.StreamedScene(sys.argv[2], pool=pool)
+renderer.render(scene, roofgs.cameras.default_view(scene, width=64, height=64))
+context = multiprocessing.get_context("fork")
+queue = context.Queue()
+process = context.Process(target=child, args=(queue,))
+process.start()
+print(*[queue.get(timeout=60) for _ in range(5)])
+process.join(60)
+print(process.exitcode)
+"""
+
+
+def test_what_waits_for_a_lock_is_refused_after_a_fork(examples):
+    # A thread of the parent may have held it.
+    out = subprocess.run([sys.executable, "-c", ASKED, GOLDEN / "degree3.rgs", examples / "levels.rgs"], capture_output=True,
+                         text=True, timeout=200, check=True, env=os.environ)
+    assert out.stdout.splitlines() == [" ".join(["unavailable"] * 5), "0"]
+
+
+DAEMONS = """
+import sys, threading, numpy as np, roofgs
+scene = roofgs.load(sys.argv[1])
+renderer = roofgs.Renderer(device="cpu")
+view = roofgs.cameras.default_view(scene, width=320, height=240)
+
+def saves(n=[0]):
+    n[0] += 1
+    scene.save(f"{sys.argv[2]}/{n[0]}.rgs")
+
+def values():
+    return roofgs.Scene(scene.means, scene.quats, scene.scales, scene.opacities, scene.sh0).means
+
+def forever(work, begun):
+    while True:
+        work()
+        begun.set()
+
+works = [lambda: renderer.render(scene, view), lambda: roofgs.load(sys.argv[1]).sh, saves, values]
+events = [threading.Event() for _ in works]
+for work, begun in zip(works, events):
+    threading.Thread(target=forever, args=(work, begun), daemon=True).start()
+for begun in events:
+    assert begun.wait(60)
+"""
+
+
+def test_a_process_ends_while_daemon_threads_are_at_work(examples, tmp_path):
+    for i in range(3):
+        folder = tmp_path / str(i)
+        folder.mkdir()
+        out = subprocess.run([sys.executable, "-c", DAEMONS, examples / "scene.rgs", folder], capture_output=True, text=True,
+                             timeout=200, env=os.environ)
+        assert (out.returncode, out.stderr) == (0, "")

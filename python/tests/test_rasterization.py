@@ -1,4 +1,7 @@
 """rasterization(), against the formulas that gsplat documents. SPDX-License-Identifier: Apache-2.0"""
+import math
+import warnings
+
 import numpy as np
 import pytest
 from test_cameras import turned
@@ -24,8 +27,11 @@ def splats(n=12, seed=5):
 CAMERAS = dict(viewmats=np.stack([turned(), second_view()]), Ks=np.stack([K, K]), width=W, height=H)
 
 
-def expected(means, quats, scales, opacities, colors, view, k, eps2d=0.3, antialiased=False, near=0.01):
+def expected(means, quats, scales, opacities, colors, view, k, eps2d=0.3, antialiased=False, near=0.01, clamp=True):
     """Colours, alpha and accumulated depth in FP64, pixel by pixel: Zwicker's EWA splatting as 3DGS and gsplat define it."""
+    half = np.array([W / k[0, 0], H / k[1, 1]]) / 2  # pictures, as slopes
+    low = -k[:2, 2] / np.diag(k)[:2] - 0.3 * half
+    high = low + 2.6 * half
     q = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     w, x, y, z = q.T
     rotation = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
@@ -40,7 +46,8 @@ def expected(means, quats, scales, opacities, colors, view, k, eps2d=0.3, antial
         px, py, pz = at[i]
         if pz < near:
             continue
-        jacobian = np.array([[k[0, 0] / pz, 0, -k[0, 0] * px / pz**2], [0, k[1, 1] / pz, -k[1, 1] * py / pz**2]])
+        sx, sy = np.clip((px / pz, py / pz), low, high) if clamp else (px / pz, py / pz)
+        jacobian = np.array([[k[0, 0], 0, -k[0, 0] * sx], [0, k[1, 1], -k[1, 1] * sy]]) / pz
         m = jacobian @ view[:3, :3]
         before = m @ covariance[i] @ m.T
         projected = before + eps2d * np.eye(2)
@@ -120,6 +127,105 @@ def test_any_number_of_channels(n_channels):
     close(colors[0, ..., n_channels], depth)
 
 
+def test_features_below_0():
+    given = {**splats(), **CAMERAS}
+    features = np.random.default_rng(8).normal(scale=3, size=(2, 12, 4))
+    features[:, :, 2] = abs(features[:, :, 2])
+    backgrounds = np.array([[-1.0, 2, 0, 0.5], [0, -3, 1, 0]])
+    both, alphas, _ = roofgs.rasterization(**{**given, "colors": features}, backgrounds=backgrounds, render_mode="RGB+ED")
+    first, _, _ = roofgs.rasterization(**{**given, "colors": features[0]}, backgrounds=backgrounds, render_mode="RGB+ED")
+    assert np.array_equal(first[0], both[0]) and both[..., 0].min() < -1
+    del given["viewmats"], given["Ks"], given["width"], given["height"]
+    for c in range(2):
+        colour, alpha, depth = expected(**{**given, "colors": features[c]}, view=CAMERAS["viewmats"][c], k=K)
+        np.testing.assert_allclose(alphas[c, ..., 0], alpha, atol=0.02)
+        close(both[c, ..., :4], colour + (1 - alpha)[..., None] * backgrounds[c])
+        assert (both[c, ..., 4] >= 0).all() and np.array_equal(both[c, ..., 4] > 0, alphas[c, ..., 0] > 0)
+
+
+def test_features_that_cannot_be_raised_are_named():
+    given = {**splats(), **CAMERAS}
+    given["colors"] = np.ones((12, 4), np.float32)
+    given["colors"][3, 3], given["colors"][7, 3] = -3e38, 3e38
+    with pytest.raises(roofgs.ArgumentError, match=r"colors.*channel 3") as caught, warnings.catch_warnings():
+        warnings.simplefilter("error")
+        roofgs.rasterization(**given)
+    assert caught.value.__context__ is None
+
+
+def test_features_below_0_are_exact_to_a_millionth_of_the_lowest():
+    given = {**splats(), **CAMERAS}
+    plain, _, _ = roofgs.rasterization(**given)
+    given["opacities"][5] = 0
+    without, _, _ = roofgs.rasterization(**given)
+    given["colors"] = given["colors"].copy()
+    given["colors"][5, 1] = -1e5  # which nobody sees
+    raised, _, _ = roofgs.rasterization(**given)
+    assert not np.array_equal(plain, without)
+    np.testing.assert_allclose(raised, without, rtol=0, atol=0.1)
+    assert np.array_equal(raised[..., ::2], without[..., ::2])
+
+
+def basis(d, degree):
+    """Real spherical harmonics by their definition, with the phase of Condon and Shortley: [n, (degree + 1)^2]."""
+    x, y, z = (d / np.linalg.norm(d, axis=1, keepdims=True)).T
+    phi, sine = np.arctan2(y, x), np.hypot(x, y)
+    legendre = {(0, 0): np.ones_like(z)}
+    for m in range(1, degree + 1):
+        legendre[m, m] = -(2 * m - 1) * sine * legendre[m - 1, m - 1]
+    for m in range(degree):
+        legendre[m + 1, m] = (2 * m + 1) * z * legendre[m, m]
+        for n in range(m + 2, degree + 1):
+            legendre[n, m] = ((2 * n - 1) * z * legendre[n - 1, m] - (n + m - 1) * legendre[n - 2, m]) / (n - m)
+    columns = []
+    for n in range(degree + 1):
+        for m in range(-n, n + 1):
+            a = abs(m)
+            norm = np.sqrt((2 * n + 1) / (4 * np.pi) * math.factorial(n - a) / math.factorial(n + a))
+            angle = np.ones_like(phi) if m == 0 else np.sqrt(2) * (np.cos(a * phi) if m > 0 else np.sin(a * phi))
+            columns.append(norm * angle * legendre[n, a])
+    return np.stack(columns, axis=1)
+
+
+@pytest.mark.parametrize("sh_degree", [0, 1, 2, 3])
+def test_harmonics_by_their_definition(sh_degree):
+    given = {**splats(n=24), **CAMERAS}
+    sh = np.random.default_rng(4).normal(scale=0.3, size=(24, 16, 3))
+    colors, _, _ = roofgs.rasterization(**{**given, "colors": sh}, sh_degree=sh_degree)
+    for c in range(2):
+        view = CAMERAS["viewmats"][c]
+        y = basis(given["means"] + view[:3, :3].T @ view[:3, 3], sh_degree)
+        seen = np.maximum(0.5 + np.einsum("nk,nkc->nc", y, sh[:, :y.shape[1]]), 0)
+        colour, _, _ = expected(given["means"], given["quats"], given["scales"], given["opacities"], seen, view, K)
+        close(colors[c], colour)
+
+
+def test_gaussians_at_the_edges_of_an_eccentric_view():
+    # Most centres lie beyond the picture, where gsplat holds the slopes of the projection's derivative back.
+    given = splats(n=40, seed=9)
+    given["means"] = given["means"] * (2.5, 2.0, 0.3) + (0.0, 0.0, 1.2)
+    given["scales"] *= 3
+    k = np.array([[30.0, 0, 5.0], [0, 33.0, 30.0], [0, 0, 1]])
+    colors, alphas, _ = roofgs.rasterization(**given, viewmats=np.eye(4)[None], Ks=k[None], width=W, height=H)
+    colour, alpha, _ = expected(**given, view=np.eye(4), k=k)
+    unclamped, _, _ = expected(**given, view=np.eye(4), k=k, clamp=False)
+    close(colors[0], colour)
+    close(alphas[0, ..., 0], alpha)
+    assert np.abs(colour - unclamped).max() > 0.05
+
+
+def test_poses_in_float32():
+    r = np.random.default_rng(11)
+    given = splats()
+    for _ in range(20):
+        turn, _ = np.linalg.qr(r.normal(size=(3, 3)))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = turn * np.linalg.det(turn), r.normal(scale=30, size=3)
+        view = np.linalg.inv(pose.astype(np.float32))
+        assert view.dtype == np.float32
+        roofgs.rasterization(**given, viewmats=view[None], Ks=K[None], width=W, height=H)
+
+
 def test_harmonics_are_those_of_3dgs_and_degrees_above_are_ignored():
     given = {**splats(), **CAMERAS}
     sh = np.random.default_rng(3).normal(scale=0.4, size=(12, 16, 3))
@@ -164,6 +270,28 @@ def test_batches_of_scenes():
         assert np.array_equal(colors[i // 3, i % 3], single)
 
 
+@pytest.mark.parametrize("sh_degree, own", [(None, (5,)), (2, (16, 3))])
+@pytest.mark.parametrize("of_cameras", [False, True])
+def test_batches_are_their_pictures_one_by_one(sh_degree, own, of_cameras):
+    r = np.random.default_rng(6)
+    scenes = [splats(seed=seed) for seed in (1, 2)]
+    given = {name: np.stack([scene[name] for scene in scenes]) for name in ("means", "quats", "scales", "opacities")}
+    colors = r.normal(size=(2, *((2,) if of_cameras else ()), 12, *own))
+    behind = r.uniform(size=(2, 2, 3 if sh_degree else own[0]))
+    views, ks = (np.stack([CAMERAS[name], CAMERAS[name][::-1]]) for name in ("viewmats", "Ks"))
+    options = dict(width=W, height=H, sh_degree=sh_degree, render_mode="RGB+ED", rasterize_mode="antialiased")
+    both, alphas, _ = roofgs.rasterization(**given, colors=colors, viewmats=views, Ks=ks, backgrounds=behind, **options)
+    pictures = []
+    for b in range(2):
+        for c in range(2):
+            one = {name: value[b] for name, value in given.items()}
+            picture, alpha, _ = roofgs.rasterization(**one, colors=colors[b, c] if of_cameras else colors[b], **options,
+                                                     viewmats=views[b, c][None], Ks=K[None], backgrounds=behind[b, c][None])
+            assert np.array_equal(both[b, c], picture[0]) and np.array_equal(alphas[b, c], alpha[0])
+            pictures.append(picture.tobytes())
+    assert len(set(pictures)) == 4
+
+
 @pytest.mark.parametrize("batch", [(), (2,)])
 @pytest.mark.parametrize("sh_degree", [None, 0])
 def test_no_gaussians_are_the_background(batch, sh_degree):
@@ -199,26 +327,36 @@ def test_quaternions_need_no_norm():
 
 @pytest.mark.parametrize("absent", [dict(absgrad=True), dict(sparse_grad=True), dict(radius_clip=3.0),
                                     dict(distributed=True), dict(camera_model="fisheye"), dict(covars=np.zeros((12, 3, 3))),
-                                    dict(with_ut=True), dict(radial_coeffs=np.zeros(4)), dict(viewmats_rs=np.eye(4))])
+                                    dict(with_ut=True), dict(radial_coeffs=np.zeros(4)), dict(viewmats_rs=np.eye(4)),
+                                    dict(camera_model="ortho"), dict(global_z_order=False)])
 def test_what_is_not_there_is_said(absent):
-    with pytest.raises(NotImplementedError, match=next(iter(absent))):
+    with pytest.raises(NotImplementedError, match=next(iter(absent))) as caught:
         roofgs.rasterization(**splats(), **CAMERAS, **absent)
+    assert len(str(caught.value)) < 150 and "\n" not in str(caught.value)
 
 
 def test_what_has_no_effect_is_taken():
     given = {**splats(), **CAMERAS}
     first = roofgs.rasterization(**given)[0]
-    other = roofgs.rasterization(**given, packed=False, tile_size=8, channel_chunk=3, segmented=True, with_ut=False)[0]
+    other = roofgs.rasterization(**given, packed=False, tile_size=8, channel_chunk=3, segmented=True, with_ut=False,
+                                 global_z_order=True)[0]
     assert np.array_equal(first, other)
 
 
 @pytest.mark.parametrize("wrong", [dict(render_mode="N"), dict(rasterize_mode="fast"), dict(sh_degree=4), dict(width=0),
-                                   dict(width=2**32 + 48), dict(colors=-np.ones((12, 3))), dict(colors=np.ones((11, 3))),
+                                   dict(width=2**32 + 48), dict(colors=np.full((12, 3), np.nan)), dict(colors=np.ones((11, 3))),
                                    dict(means=np.full((12, 3), np.nan)), dict(opacities=np.full(12, 2.0)),
                                    dict(viewmats=np.eye(4)), dict(Ks=np.eye(3)), dict(eps2d=-1.0), dict(near_plane=np.nan)])
 def test_wrong_arguments(wrong):
     with pytest.raises(roofgs.Error):
         roofgs.rasterization(**{**splats(), **CAMERAS, **wrong})
+
+
+@pytest.mark.parametrize("eps2d", ["x", None, [0.3, 0.3]])
+def test_low_passes_are_numbers(eps2d):
+    with pytest.raises((TypeError, ValueError)) as caught:
+        roofgs.rasterization(**splats(), **CAMERAS, eps2d=eps2d)
+    assert "from_arrays" not in str(caught.value) and len(str(caught.value)) < 150
 
 
 def test_meta_says_what_it_lacks():
@@ -263,6 +401,12 @@ def test_torch_tensors():
     assert isinstance(colors, torch.Tensor) and colors.shape == (2, H, W, 3) and alphas.device.type == "cpu"
     expected_colors, _, _ = roofgs.rasterization(**splats(), **CAMERAS)
     np.testing.assert_allclose(colors.numpy(), expected_colors, atol=1e-4)
+    halves, _, _ = roofgs.rasterization(**{**given, "colors": given["colors"].bfloat16()}, **CAMERAS)
+    np.testing.assert_allclose(halves.numpy(), expected_colors, atol=0.02)
     given["means"].requires_grad_()
     with pytest.raises(NotImplementedError, match="gradient"):
         roofgs.rasterization(**given, **CAMERAS)
+    for without in (torch.no_grad, torch.inference_mode):  # as scripts render the parameters of a trained model
+        with without():
+            again, _, _ = roofgs.rasterization(**given, **CAMERAS)
+        assert torch.equal(again, colors) and not again.requires_grad

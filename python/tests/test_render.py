@@ -3,6 +3,7 @@ import os
 import signal
 import struct
 import threading
+import types
 import zlib
 
 import numpy as np
@@ -108,6 +109,44 @@ def test_options_that_nothing_can_mean(options, scene, camera, renderer):
         renderer.render(scene, camera, **options)
 
 
+def test_backgrounds_of_all_kinds(scene, camera, renderer):
+    expected = renderer.render(scene, camera, background=(0.5, 0.25, 1.0))
+    for other in ([0.5, 0.25, 1.0], np.array([0.5, 0.25, 1.0]), np.float32([0.5, 0.25, 1])):
+        assert np.array_equal(renderer.render(scene, camera, background=other), expected)
+
+
+@pytest.mark.parametrize("wrong", [(1, 1), np.zeros((1, 3)), np.zeros((3, 1)), 0.5, None, "red", {0.5}])
+def test_what_is_no_background(wrong, scene, camera, renderer):
+    with pytest.raises(roofgs.ArgumentError, match="^background "):
+        renderer.render(scene, camera, background=wrong)
+
+
+def test_backgrounds_that_are_tensors_are_not_kept(scene, camera):
+    renderer = roofgs.Renderer(device="cpu")
+    tensor = Bfloat16([0.5, 0.25, 1.0])
+    first = renderer.render(scene, camera, background=tensor)
+    assert np.array_equal(first, renderer.render(scene, camera, background=(0.5, 0.25, 1.0)))
+    assert len(renderer._options) == 1
+
+
+def test_degrees_are_whole_numbers(scene, camera):
+    renderer = roofgs.Renderer(device="cpu")
+    for _ in range(2):  # also behind a picture that had the same value
+        with pytest.raises(TypeError, match="integer"):
+            renderer.render(scene, camera, sh_degree=2.0)
+        renderer.render(scene, camera, sh_degree=np.int64(2))
+
+
+@pytest.mark.parametrize("method, arguments", [("render", (roofgs.Camera(8, 8, 10),)), ("prepare", ()),
+                                               ("refine", (roofgs.Camera(8, 8, 10),))])
+def test_files_are_not_taken_for_what_they_hold(method, arguments, scene, renderer):
+    with pytest.raises(TypeError, match="roofgs.load"):
+        getattr(renderer, method)("scene.rgs", *arguments)
+    if method == "render":
+        with pytest.raises(TypeError, match="roofgs.cameras.load"):
+            renderer.render(scene, "cameras.json")
+
+
 def test_bad_renderers():
     for wrong in (dict(device="gpu"), dict(pipeline="fast"), dict(threads=-1), dict(threads=2**40)):
         with pytest.raises(roofgs.ArgumentError):
@@ -134,6 +173,36 @@ def test_outputs_are_filled_in_place(scene, camera, renderer):
     assert np.array_equal(codes, renderer.render(scene, camera, dtype="uint8"))
 
 
+class Bfloat16:
+    """What of a torch.Tensor on the CPU counts here, of a type that NumPy does not have."""
+
+    __module__, dtype, requires_grad = "torch", "torch.bfloat16", False
+    device = types.SimpleNamespace(type="cpu")
+
+    def __init__(self, values):
+        self.values = values
+
+    def detach(self):
+        return self
+
+    cpu = detach
+
+    def __iter__(self):
+        return map(Bfloat16, self.values)
+
+    def __len__(self):
+        return len(self.values)
+
+    def __float__(self):
+        return self.values
+
+    def float(self):
+        return types.SimpleNamespace(numpy=lambda: np.float32(self.values))
+
+    def numpy(self):
+        raise TypeError("Got unsupported ScalarType BFloat16")
+
+
 def wrong_outputs():
     frozen = np.empty((48, 64, 3), np.float32)
     frozen.flags.writeable = False
@@ -141,7 +210,8 @@ def wrong_outputs():
             "strided": np.empty((48, 128, 3), np.float32)[:, ::2], "reversed": np.empty((48, 64, 3), np.float32)[::-1],
             "fortran": np.asfortranarray(np.empty((48, 64, 3), np.float32)), "swapped": np.empty((48, 64, 3), ">f4"),
             "batched": np.empty((1, 48, 64, 3), np.float32), "rgba": np.empty((48, 64, 4), np.float32),
-            "frozen": frozen, "signed": np.empty((48, 64, 3), np.int8), "list": [[0.0]]}
+            "frozen": frozen, "signed": np.empty((48, 64, 3), np.int8), "bfloat16": Bfloat16([]),
+            "list": [[0.0]]}
 
 
 @pytest.mark.parametrize("name", wrong_outputs())
@@ -176,8 +246,14 @@ def test_torch_tensors_are_scenes_and_outputs(scene, camera, renderer):
                           for name in ("means", "quats", "scales", "opacities", "sh0", "shN")))
     out = torch.zeros((48, 64, 3))
     image = renderer.render(made, camera, out=out)
-    assert image.ctypes.data == out.data_ptr() and np.array_equal(out.numpy(), renderer.render(made, camera))
-    np.testing.assert_allclose(image, renderer.render(scene, camera), atol=1e-5)
+    assert image is out and np.array_equal(out.numpy(), renderer.render(made, camera))
+    np.testing.assert_allclose(image.numpy(), renderer.render(scene, camera), atol=1e-5)
+    alpha = torch.empty((48, 64))
+    frame = renderer.render(made, camera, out=(out, alpha, None), alpha=True, depth=True)
+    assert frame.image is out and frame.alpha is alpha and isinstance(frame.depth, np.ndarray)
+    with torch.no_grad():
+        image = renderer.render(made, camera, out=torch.zeros((48, 64, 3), requires_grad=True))
+    assert torch.equal(image, out)
     with pytest.raises(roofgs.ArgumentError):
         renderer.render(made, camera, out=torch.zeros((64, 48, 3)).permute(1, 0, 2))
     with pytest.raises(NotImplementedError, match="gradient"):

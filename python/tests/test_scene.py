@@ -1,4 +1,5 @@
 """Scenes: arrays, lifetimes, saving. SPDX-License-Identifier: Apache-2.0"""
+import copy
 import gc
 import os
 import pickle
@@ -111,12 +112,20 @@ def test_rotations_are_normalised_and_zero_is_none():
 @pytest.mark.parametrize("name, value", [("means", np.nan), ("means", np.inf), ("quats", np.nan), ("scales", -0.1),
                                          ("scales", np.inf), ("opacities", 1.5), ("opacities", np.nan),
                                          ("sh0", np.nan), ("shN", np.inf), ("means", 1e39)])
-def test_damaged_values_are_refused_with_their_index(name, value):
+def test_damaged_values_are_refused_by_name_and_index(name, value):
     given = attributes(n=5)
     given[name][3] = value
-    with pytest.raises(roofgs.FormatError) as caught:
+    with pytest.raises(roofgs.ArgumentError, match=rf"^{name}\[3[],]") as caught:
         roofgs.Scene(**given)
-    assert caught.value.code == "bad_value" and caught.value.offset == 3
+    assert "byte" not in str(caught.value) and caught.value.offset is None
+    assert caught.value.__suppress_context__  # the extension's own error, which knows no names
+
+
+def test_logits_and_logarithms_are_named():
+    with pytest.raises(roofgs.ArgumentError, match=r"opacities\[0\] is 3.0, not 0 to 1; of logits"):
+        roofgs.Scene(**{**attributes(), "opacities": np.full(3, 3.0)})
+    with pytest.raises(roofgs.ArgumentError, match=r"scales\[0, 0\] is -4.0, not 0 and above; of logarithms"):
+        roofgs.Scene(**{**attributes(), "scales": np.full((3, 3), -4.0)})
 
 
 @pytest.mark.parametrize("name, shape", [("means", (3, 2)), ("means", (9,)), ("quats", (3, 3)), ("scales", (2, 3)),
@@ -218,6 +227,25 @@ def test_nothing_is_overwritten_unasked(tmp_path, scene):
     scene.save(path, overwrite=True)
     assert len(roofgs.load(path)) == len(scene)
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.rgs"]
+
+
+def test_a_scene_replaces_its_own_file(tmp_path, scene, renderer):
+    path = tmp_path / "a.rgs"
+    n_bytes = scene.save(path, profile="direct")
+    own = roofgs.load(path)  # mapped: its arrays are not made yet
+    own.save(path, profile="archive:high", overwrite=True)
+    assert np.array_equal(own.means[by_place(own)], scene.means[by_place(scene)])
+    view = roofgs.cameras.default_view(own, width=32, height=24)
+    assert np.array_equal(renderer.render(own, view), renderer.render(scene, view))
+    assert path.stat().st_size < n_bytes / 2
+
+
+@pytest.mark.parametrize("options", [dict(lod=True), dict(profile="direct"), dict(profile="archive:small")])
+@pytest.mark.parametrize("name", ["a.ply", "a.spz", "a.glb"])
+def test_options_that_a_format_does_not_have_are_refused(name, options, tmp_path, scene):
+    with pytest.raises(roofgs.ArgumentError, match="for .rgs outputs"):
+        scene.save(tmp_path / name, **options)
+    assert not list(tmp_path.iterdir())
 
 
 def test_names_that_no_format_has(tmp_path, scene):
@@ -348,6 +376,19 @@ def test_info(tmp_path, scene):
     assert caught.value.code == "checksum_mismatch" and caught.value.expected != caught.value.found is not None
 
 
-def test_scenes_are_not_pickled_by_accident(scene):
-    with pytest.raises(TypeError):
+def test_scenes_are_not_pickled_by_accident(scene, renderer):
+    with pytest.raises(TypeError, match="path"):
         pickle.dumps(scene)
+    with pytest.raises(TypeError, match="make another"):
+        pickle.dumps(renderer)
+
+
+def test_copies_of_what_never_changes_are_itself(scene):
+    assert copy.copy(scene) is scene and copy.deepcopy({"scene": scene})["scene"] is scene
+
+
+@pytest.mark.parametrize("anti_aliasing, low_pass, declared", [("classic", None, 0.3), ("mip", None, 0.1), ("mip", 0.25, 0.25)])
+def test_low_pass_comes_back(anti_aliasing, low_pass, declared, tmp_path):
+    scene = roofgs.Scene(**attributes(), anti_aliasing=anti_aliasing, low_pass=low_pass)
+    scene.save(tmp_path / "a.rgs")
+    assert scene.low_pass == roofgs.load(tmp_path / "a.rgs").low_pass == np.float32(declared)

@@ -200,8 +200,9 @@ def test_addresses_are_loaded_as_a_whole(examples, server):
         assert np.array_equal(scene.means, other.means) and scene.format == other.format
         size = (examples / name).stat().st_size
         assert calls[-1] == ("read", size, size, "B")
-    with pytest.raises(roofgs.InputOutputError) as caught:
+    with pytest.raises(FileNotFoundError) as caught:
         roofgs.load(f"{server}/none.rgs")
+    assert isinstance(caught.value, roofgs.MissingFileError)
     assert caught.value.found == 404 and caught.value.file.endswith("/none.rgs")
 
 
@@ -244,12 +245,17 @@ except KeyboardInterrupt:
 
 
 @pytest.fixture(scope="module")
-def slow_server(tmp_path_factory):
+def big_folder(tmp_path_factory):
     # More than the 64 KiB that a source keeps of its first answer.
     big = tmp_path_factory.mktemp("big")
     program("rgs-make-scene", "--gaussians", "20k", big / "scene.ply", "-q")
     roofgs.load(big / "scene.ply").save(big / "levels.rgs", lod=True)
-    handler = functools.partial(Slow, directory=str(big))
+    return big
+
+
+@pytest.fixture(scope="module")
+def slow_server(big_folder):
+    handler = functools.partial(Slow, directory=str(big_folder))
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
         serving = threading.Thread(target=server.serve_forever)
         serving.start()
@@ -313,3 +319,61 @@ def test_another_ctrl_c_ends_the_process_without_work_that_never_ends(tmp_path):
         process.kill()
         process.communicate()
     assert process.returncode in (0, 130, -signal.SIGINT) and "KeyboardInterrupt" in said
+
+
+# Once it is armed, whoever waits for a thread says so and goes on when Python has answered.
+JOINS = r"""
+#define _GNU_SOURCE
+#include <dlfcn.h>
+#include <fcntl.h>
+#include <pthread.h>
+#include <unistd.h>
+
+int pthread_join(pthread_t thread, void** value) {
+  if (access("armed", F_OK) == 0) {
+    close(open("joining", O_CREAT | O_WRONLY, 0600));
+    while (access("answered", F_OK) != 0) usleep(1000);
+  }
+  return ((int (*)(pthread_t, void**))dlsym(RTLD_NEXT, "pthread_join"))(thread, value);
+}
+"""
+
+CLOSED_MEANWHILE = """
+import functools, http.server, sys, threading
+from pathlib import Path
+
+sys.path.insert(0, sys.argv[1])
+from test_stream import Slow
+import roofgs
+
+with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Slow, directory=sys.argv[2])) as server:
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    Slow.go_on.set()
+    scene = roofgs.StreamedScene(f"http://127.0.0.1:{server.server_port}/levels.rgs", prefetch=False)
+    Slow.go_on.clear()
+    view = roofgs.cameras.default_view(scene, width=640, height=480)
+    renderer = roofgs.Renderer(device="cpu", threads=1)
+    waits = threading.Thread(target=lambda: renderer.refine(scene, view, 600, detail=0))
+    waits.start()
+    while scene.stats["pages_missing"] == 0:
+        pass
+    Path("armed").touch()
+    scene.close()  # what waits has the last copy
+    print("closed", flush=True)
+    Slow.go_on.set()
+    while not Path("joining").exists():
+        pass
+    Path("answered").touch()
+    waits.join()
+    server.shutdown()
+print("ended")
+"""
+
+
+def test_python_runs_while_a_scene_ends_that_was_closed_during_a_wait(tmp_path, big_folder):
+    (tmp_path / "join.c").write_text(JOINS)
+    subprocess.run(["cc", "-shared", "-fPIC", "-o", tmp_path / "join.so", tmp_path / "join.c", "-ldl"], check=True)
+    preload = " ".join([*os.environ.get("LD_PRELOAD", "").split(), str(tmp_path / "join.so")])  # sanitizers come first
+    out = subprocess.run([sys.executable, "-c", CLOSED_MEANWHILE, os.path.dirname(__file__), big_folder], cwd=tmp_path,
+                         capture_output=True, text=True, timeout=100, env={**os.environ, "LD_PRELOAD": preload})
+    assert (out.stdout.split(), out.stderr) == (["closed", "ended"], "")

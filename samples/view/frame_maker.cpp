@@ -2,6 +2,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "frame_maker.hpp"
 
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
+
 #include <algorithm>
 #include <chrono>
 #include <mutex>
@@ -19,21 +23,40 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 constexpr int kPngLevel = 1;  // a picture is looked at and forgotten: time counts, not bytes
+constexpr std::size_t kCodesOfTask = 100'000;
 using AnyScene = std::variant<Scene, StreamedScene>;
 
 double ms_since(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-Result<std::string> encode(const Image& image, const FrameRequest& request) {
-  if (request.format == ImageFormat::jpeg) {
-    std::vector<std::uint8_t> codes(image.pixels.size());
-    std::ranges::transform(image.pixels, codes.begin(), to_8bit);
-    return encode_jpeg(codes, image.width, image.height, request.quality);
+// What a frame is made in. Frames that are done leave it to the next ones, which need not ask the system for 40 MB each.
+struct Workspace {
+  Image image;
+  std::vector<std::uint8_t> codes;
+  JpegEncoder jpeg;
+
+  void resize(int width, int height) {
+    image.width = width;
+    image.height = height;
+    image.channels = 3;
+    image.pixels.resize(std::size_t{3} * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
   }
-  return encode_image(image, request.format, {.png_level = kPngLevel, .software = "rgs-view " RGS_VERSION})
-      .map([](const auto& bytes) { return std::string(reinterpret_cast<const char*>(bytes.data()), bytes.size()); });
-}
+
+  Result<std::string> encode(const FrameRequest& request, tbb::task_arena& threads) {
+    if (request.format == ImageFormat::jpeg) {
+      codes.resize(image.pixels.size());
+      threads.execute([&] {
+        tbb::parallel_for(tbb::blocked_range<std::size_t>(0, codes.size(), kCodesOfTask), [&](const auto& range) {
+          for (std::size_t i = range.begin(); i < range.end(); ++i) codes[i] = to_8bit(image.pixels[i]);
+        });
+      });
+      return jpeg.encode(codes, image.width, image.height, request.quality);
+    }
+    return encode_image(image, request.format, {.png_level = kPngLevel, .software = "rgs-view " RGS_VERSION})
+        .map([](const auto& bytes) { return std::string(reinterpret_cast<const char*>(bytes.data()), bytes.size()); });
+  }
+};
 
 // What a file without levels of detail is told by.
 bool is_not_streamable(const Error& error) {
@@ -43,31 +66,29 @@ bool is_not_streamable(const Error& error) {
 }  // namespace
 
 struct FrameMaker::Impl {
-  explicit Impl(Renderer made) : renderer(std::move(made)) {}
+  Impl(Renderer made, int n_threads)
+      : renderer(std::move(made)), threads(n_threads > 0 ? n_threads : tbb::task_arena::automatic) {}
 
-  // Buffers of frames that are done: the next one need not ask the system for 25 MB.
-  Image take_image(int width, int height) {
+  Workspace take_workspace() {
     const std::scoped_lock lock(spare_lock);
-    if (spare.empty()) return Image::make(width, height, 3);
-    Image image = std::move(spare.back());
+    if (spare.empty()) return {};
+    Workspace workspace = std::move(spare.back());
     spare.pop_back();
-    image.width = width;
-    image.height = height;
-    image.pixels.resize(std::size_t{3} * static_cast<std::size_t>(width) * static_cast<std::size_t>(height));
-    return image;
+    return workspace;
   }
-  void give_back(Image image) {
+  void give_back(Workspace workspace) {
     constexpr std::size_t kMost = 2;
     const std::scoped_lock lock(spare_lock);
-    if (spare.size() < kMost) spare.push_back(std::move(image));
+    if (spare.size() < kMost) spare.push_back(std::move(workspace));
   }
 
   Renderer renderer;
+  tbb::task_arena threads;
   std::optional<StreamPool> pool;
   std::vector<AnyScene> scenes;
   tool::InputFiles inputs;
   std::mutex drawing, spare_lock;
-  std::vector<Image> spare;
+  std::vector<Workspace> spare;
 };
 
 FrameMaker::FrameMaker(std::unique_ptr<Impl> impl) : impl_(std::move(impl)) {}
@@ -82,7 +103,7 @@ tl::expected<FrameMaker, SceneError> FrameMaker::create(const std::vector<std::s
   };
   auto renderer = Renderer::create({.backend = settings.backend, .threads = settings.threads});
   if (!renderer) return fail({}, renderer.error());
-  auto impl = std::make_unique<Impl>(*std::move(renderer));
+  auto impl = std::make_unique<Impl>(*std::move(renderer), settings.threads);
   if (settings.budget) {
     auto pool = StreamPool::create(*settings.budget);
     if (!pool) return fail({}, pool.error());
@@ -130,14 +151,15 @@ std::size_t FrameMaker::n_scenes() const {
 }
 
 Result<Frame> FrameMaker::make(const FrameRequest& request) {
-  Image image = impl_->take_image(request.camera.width, request.camera.height);
+  Workspace workspace = impl_->take_workspace();
+  workspace.resize(request.camera.width, request.camera.height);
   Frame frame;
   {
     const std::scoped_lock lock(impl_->drawing);
     const auto start = Clock::now();
     const auto drawn = std::visit(
         [&](const auto& scene) {
-          return impl_->renderer.render(scene, request.camera, {.rgb = image.pixels}, request.options);
+          return impl_->renderer.render(scene, request.camera, {.rgb = workspace.image.pixels}, request.options);
         },
         impl_->scenes.at(request.scene));
     frame.render_ms = ms_since(start);
@@ -149,11 +171,11 @@ Result<Frame> FrameMaker::make(const FrameRequest& request) {
     }
   }
   const auto start = Clock::now();
-  auto file = encode(image, request);
+  auto file = workspace.encode(request, impl_->threads);
   if (!file) return tl::unexpected(file.error());
   frame.file = *std::move(file);
   frame.encode_ms = ms_since(start);
-  impl_->give_back(std::move(image));
+  impl_->give_back(std::move(workspace));
   return frame;
 }
 

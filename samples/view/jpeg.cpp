@@ -4,20 +4,20 @@
 
 #include <turbojpeg.h>
 
-#include <memory>
+#include <algorithm>
 
 namespace rgs::view {
 
-Result<std::string> encode_jpeg(std::span<const std::uint8_t> rgb, int width, int height, int quality) {
-  const std::unique_ptr<void, int (*)(tjhandle)> encoder(tjInitCompress(), tjDestroy);
-  std::string file(tjBufSize(width, height, TJSAMP_420), '\0');
-  auto* bytes = reinterpret_cast<unsigned char*>(file.data());
-  unsigned long size = file.size();
-  if (encoder == nullptr || tjCompress2(encoder.get(), rgb.data(), width, 0, height, TJPF_RGB, &bytes, &size,
-                                        TJSAMP_420, quality, TJFLAG_NOREALLOC) != 0)
+JpegEncoder::JpegEncoder() : turbo_(tjInitCompress(), tjDestroy) {}
+
+Result<std::string> JpegEncoder::encode(std::span<const std::uint8_t> rgb, int width, int height, int quality) {
+  bytes_.resize(std::max<std::size_t>(bytes_.size(), tjBufSize(width, height, TJSAMP_420)));
+  auto* bytes = bytes_.data();
+  unsigned long size = bytes_.size();
+  if (turbo_ == nullptr || tjCompress2(turbo_.get(), rgb.data(), width, 0, height, TJPF_RGB, &bytes, &size, TJSAMP_420,
+                                       quality, TJFLAG_NOREALLOC) != 0)
     return make_error(Errc::internal, Error::kNone, "the picture cannot be encoded as JPEG");
-  file.resize(size);
-  return file;
+  return std::string(bytes_.begin(), bytes_.begin() + static_cast<std::ptrdiff_t>(size));
 }
 
 }  // namespace rgs::view

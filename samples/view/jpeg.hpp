@@ -3,14 +3,25 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <string>
+#include <vector>
 
 #include "rgs/result.hpp"
 
 namespace rgs::view {
 
-/// `rgb` [height, width, 3] as a JPEG file; quality 1..100. Error: internal (libjpeg-turbo refuses).
-Result<std::string> encode_jpeg(std::span<const std::uint8_t> rgb, int width, int height, int quality);
+/// Keeps its memory from picture to picture. For one thread at a time.
+class JpegEncoder {
+ public:
+  JpegEncoder();
+  /// `rgb` [height, width, 3] as a JPEG file; quality 1..100. Error: internal (libjpeg-turbo refuses).
+  Result<std::string> encode(std::span<const std::uint8_t> rgb, int width, int height, int quality);
+
+ private:
+  std::unique_ptr<void, int (*)(void*)> turbo_;
+  std::vector<unsigned char> bytes_;
+};
 
 }  // namespace rgs::view

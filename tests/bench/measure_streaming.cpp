@@ -14,7 +14,6 @@
 #include <span>
 #include <string>
 #include <string_view>
-#include <utility>
 #include <vector>
 
 #include "build_levels.hpp"
@@ -27,23 +26,16 @@
 #include "rgs/renderer.hpp"
 #include "rgs/streamed_scene.hpp"
 #include "town_generator.hpp"
+#include "value_or_stop.hpp"
 
 namespace {
 
 using namespace rgs;
+using test::value_or_stop;
 using Clock = std::chrono::steady_clock;
 
 constexpr std::uint64_t kSeed = 1;
 constexpr int kTurns = 7;  // of each measurement, of which the best counts
-
-template <class T>
-T value_or_stop(Result<T> result, const char* what) {
-  if (!result) {
-    std::fprintf(stderr, "rgs_measure_streaming: %s: %s\n", what, result.error().what);
-    std::exit(exit_code(result.error().code));
-  }
-  return *std::move(result);
-}
 
 double seconds_since(Clock::time_point began) {
   return std::chrono::duration<double>(Clock::now() - began).count();

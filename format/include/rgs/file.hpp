@@ -45,7 +45,7 @@ class MappedFile {
 };
 
 /// An output that appears under its name complete or not at all. Bytes go to `PATH.tmp-XXXXXX` in the same folder;
-/// commit() syncs and renames. Destruction without commit, SIGINT, SIGTERM and SIGHUP (after
+/// commit() syncs and renames. Destruction without commit, SIGINT, SIGTERM, SIGHUP and SIGPIPE (after
 /// remove_temporaries_on_signal()) remove the temporary file; SIGKILL and a loss of power leave it behind, for the user to
 /// delete. A symbolic link is followed: its target is what is written and replaced, with the temporary file beside it. What
 /// replaces a file takes over its permissions, and its owner and group where the process may give them; access control
@@ -89,7 +89,7 @@ class AtomicFile {
   int slot_ = -1;  // entry in the table that the signal handler walks
 };
 
-/// Installs handlers for SIGINT, SIGTERM and SIGHUP, unless ignored (nohup), that remove unfinished outputs and then
+/// Installs handlers for SIGINT, SIGTERM, SIGHUP and SIGPIPE, unless ignored (nohup), that remove unfinished outputs and then
 /// die of the same signal, and for SIGBUS, which a mapped input raises when another process truncates it: outputs are
 /// removed, exit code 3. SIGXFSZ is ignored, so that writes beyond a size limit are write_failed.
 void remove_temporaries_on_signal();

@@ -57,6 +57,9 @@ void release_slot(int slot) {
   if (slot >= 0) g_slots[slot].state.store(0, std::memory_order_release);
 }
 
+// What ends a process that does not ignore it. A pipe is closed by whoever has read enough of progress or results.
+constexpr int kEndingSignals[] = {SIGINT, SIGTERM, SIGHUP, SIGPIPE};
+
 // Set by the first thread that reads where an input has shrunk; threads that do so at the same time wait for its exit.
 std::atomic_flag g_input_shrank;
 
@@ -122,7 +125,7 @@ class SignalGuard {
   SignalGuard() {
     sigset_t set;
     sigemptyset(&set);
-    for (const int s : {SIGINT, SIGTERM, SIGHUP}) sigaddset(&set, s);
+    for (const int s : kEndingSignals) sigaddset(&set, s);
     pthread_sigmask(SIG_BLOCK, &set, &old_);
   }
   ~SignalGuard() { pthread_sigmask(SIG_SETMASK, &old_, nullptr); }
@@ -419,7 +422,7 @@ void remove_temporaries_on_signal() {
   action.sa_handler = remove_temporaries_and_die;
   action.sa_flags = static_cast<int>(SA_RESETHAND | SA_NODEFER);
   sigemptyset(&action.sa_mask);
-  for (const int s : {SIGINT, SIGTERM, SIGHUP}) {
+  for (const int s : kEndingSignals) {
     struct sigaction inherited {};
     // What nohup or a shell's background job ignores stays ignored.
     if (::sigaction(s, nullptr, &inherited) == 0 && inherited.sa_handler != SIG_IGN) ::sigaction(s, &action, nullptr);

@@ -3,6 +3,7 @@
 #include <doctest/doctest.h>
 #include <sys/resource.h>
 
+#include <algorithm>
 #include <array>
 #include <filesystem>
 #include <fstream>
@@ -12,8 +13,10 @@
 #include "interchange_samples.hpp"
 #include "rgs/levels_writer.hpp"
 #include "rgs/paged_file.hpp"
+#include "rgs/quantize.hpp"
 #include "run_program.hpp"
 #include "sanitized.hpp"
+#include "skip.hpp"
 #include "temporary_folder.hpp"
 #include "trivial_levels.hpp"
 
@@ -216,6 +219,49 @@ TEST_CASE("--lod takes chunks of any size, and colours far beyond those of a pic
   CHECK(run.exit_code == 0);
 }
 
+TEST_CASE("more inputs are merged than a shell allows open files") {
+  constexpr rlim_t kOpen = 64, kEnough = 256;
+  rlimit limit{};
+  if (::getrlimit(RLIMIT_NOFILE, &limit) != 0 || limit.rlim_max < kEnough)
+    return skip("the hard limit of open files is below 256");
+  limit.rlim_cur = kOpen;
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(50, 0, 6));
+  std::vector<std::string> inputs;
+  for (int i = 0; i < 100; ++i) {
+    inputs.push_back(folder.file("tile" + std::to_string(i) + ".ply"));
+    std::filesystem::create_hard_link(ply, inputs.back());
+  }
+  for (const bool lod : {false, true}) {
+    std::vector<std::string> arguments{RGS_CONVERT, "--no-sync", "--merge"};
+    if (lod) arguments.emplace_back("--lod");
+    arguments.insert(arguments.end(), inputs.begin(), inputs.end());
+    const std::string out = folder.file(lod ? "levels.rgs" : "plain.rgs");
+    arguments.push_back(out);
+    const ProgramResult run = run_program(arguments, [&limit] { ::setrlimit(RLIMIT_NOFILE, &limit); });
+    CAPTURE(run.err);
+    REQUIRE(run.exit_code == 0);
+    CHECK(size_of(out) == 5000);
+  }
+}
+
+TEST_CASE("--lod takes floaters at any distance") {
+  const TemporaryFolder folder;
+  SplatCloud cloud = ordinary_cloud(5000, 1, 6);
+  for (std::size_t i = 0; i < 300; ++i) cloud.mean[3 * i + i % 3] = 1e37F * (1 + 1e-3F * static_cast<float>(i));
+  cloud.mean[1500] = 3e38F;
+  cloud.mean[1503] = -3e38F;
+  const std::string ply = write_scene(folder.file("scene.ply"), cloud), levels = folder.file("levels.rgs");
+  const ProgramResult run = rgs_convert({"--lod", "--on-bad", "refuse", ply, levels});
+  CAPTURE(run.err);
+  REQUIRE(run.exit_code == 0);
+  const Bytes bytes = read_bytes(levels);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  CHECK(file->head().header().n_gaussians == 5000);
+  CHECK(validate(*file));
+}
+
 TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any format") {
   const TemporaryFolder folder;
   const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 2)),
@@ -257,6 +303,75 @@ TEST_CASE("any level, and the finest cut of so many Gaussians, goes into any for
   CHECK(rgs_convert({"--level-of-detail", "0", plain, folder.file("no.ply")}).exit_code == 2);
   CHECK(rgs_convert({"--level-of-detail", "1", ply, folder.file("no.rgs")}).exit_code == 2);
   CHECK_FALSE(std::filesystem::exists(folder.file("no.ply")));
+}
+
+TEST_CASE("--max-count of a file with levels is of those that --crop and --min-opacity keep") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(12000, 1, 7)),
+                    plain = folder.file("plain.rgs"), out = folder.file("out.ply"), all = folder.file("all.ply");
+  REQUIRE(rgs_convert({"--profile", "direct", "--chunk-size", "64", ply, plain}).exit_code == 0);
+  const std::string levels = write_file(folder.file("levels.rgs"), with_levels(plain, Profile::packed));
+  const SplatCloud cloud = read_splats(plain).value().cloud;
+  std::vector<float> x, opacity;
+  for (std::uint64_t i = 0; i < cloud.size(); ++i) {
+    x.push_back(cloud.mean[3 * i]);
+    opacity.push_back(opacity_from_logit(cloud.opacity_logit[i]));
+  }
+  std::nth_element(x.begin(), x.begin() + 4000, x.end());
+  std::nth_element(opacity.begin(), opacity.begin() + 6000, opacity.end());
+  const std::string middle = std::to_string(x[4000]), moved = std::to_string(x[4000] + 500);
+  // A third of the scene; the same where it was moved to, which is far enough for an origin, and turned upside down; a half by opacity.
+  const std::vector<std::vector<std::string>> filters{
+      {"--crop=-1e6,-1e6,-1e6," + middle + ",1e6,1e6"},
+      {"--translate=500,0,0", "--crop=-1e6,-1e6,-1e6," + moved + ",1e6,1e6"},
+      {"--axes", "opengl", "--to-axes", "3dgs", "--crop=-1e6,-1e6,-1e6," + middle + ",1e6,1e6"},
+      {"--min-opacity", std::to_string(opacity[6000])}};
+  for (const std::vector<std::string>& filter : filters) {
+    CAPTURE(filter.back());
+    const auto convert = [&](std::vector<std::string> arguments, const std::string& to) {
+      arguments.insert(arguments.end(), filter.begin(), filter.end());
+      arguments.insert(arguments.end(), {levels, to});
+      const ProgramResult run = rgs_convert(arguments);
+      CAPTURE(run.err);
+      REQUIRE(run.exit_code == 0);
+      return size_of(to);
+    };
+    // In this tree errors are those of levels: a cut is a level.
+    for (const char* level : {"0", "1"}) {
+      const std::uint64_t n = convert({"--level-of-detail", level}, all);
+      REQUIRE(n > 200);
+      CHECK(convert({"--max-count", std::to_string(n)}, out) == n);
+      CHECK(read_bytes(out) == read_bytes(all));
+    }
+  }
+}
+
+TEST_CASE("pages of which nothing is kept are not read for a cut") {
+  const TemporaryFolder folder;
+  const std::string ply = write_scene(folder.file("scene.ply"), ordinary_cloud(3000, 1, 8)),
+                    plain = folder.file("plain.rgs"), out = folder.file("out.ply");
+  REQUIRE(rgs_convert({"--profile", "direct", "--chunk-size", "64", ply, plain}).exit_code == 0);
+  const std::string levels = write_file(folder.file("levels.rgs"), with_levels(plain, Profile::packed));
+  const Bytes bytes = read_bytes(levels);
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  REQUIRE_FALSE(file->has_source_index());
+  ReadOptions options;
+  options.max_count = 3000;
+  options.page_counts.assign(file->n_pages(), 0);
+  CHECK(read_splats(levels, options).value().cloud.size() == 0);
+  const std::uint32_t last = lod::pages_of_level(file->pages(), 0).back();
+  for (std::uint32_t i = last; i != lod::kNoPage; i = file->pages()[i].parent) options.page_counts[i] = 5;
+  for (const std::uint64_t count : {5u, 3000u}) {  // by a cut, and without one
+    options.max_count = count;
+    CHECK(read_splats(levels, options).value().cloud.size() == file->pages()[last].count);
+  }
+  options.page_counts.pop_back();
+  CHECK(read_splats(levels, options).error().code == Errc::bad_argument);
+  // All of the coarsest level is in the crop, and the error says which of them count.
+  const ProgramResult none = rgs_convert({"--max-count", "10", "--crop=-1e6,-1e6,-1e6,1e6,1e6,1e6", levels, out});
+  CHECK(none.exit_code == 2);
+  CHECK(none.err.find("are kept (--crop") != std::string::npos);
 }
 
 TEST_CASE("of a file whose end is missing only levels that are there are converted") {

@@ -402,6 +402,29 @@ TEST_CASE("a signal that the caller ignores stays ignored") {
   CHECK(same_contents(out, long_sample().rgs));
 }
 
+TEST_CASE("a pipe that is closed under the progress ends the program by SIGPIPE and leaves nothing") {
+  const TemporaryFolder folder;
+  const std::string out = folder.file("out.rgs");
+  int reader = -1, writer = -1;
+  const auto program = stop_midway(
+      {RGS_CONVERT, "--no-sync", long_sample().ply, out}, folder.path(),
+      [&] {
+        fs::remove(out);
+        if (reader >= 0) ::close(reader), ::close(writer);
+        int ends[2];
+        REQUIRE(::pipe2(ends, O_CLOEXEC) == 0);
+        reader = ends[0], writer = ends[1];
+      },
+      [&] { ::dup2(writer, STDERR_FILENO); });
+  REQUIRE(program);
+  ::close(reader);
+  ::close(writer);
+  program->send(SIGCONT);
+  CHECK(program->wait().signal == SIGPIPE);
+  CHECK_FALSE(fs::exists(out));
+  CHECK(temporaries(folder.path()).empty());
+}
+
 TEST_CASE("SIGINT and SIGKILL at random points leave the old output, none, or the complete new one") {
   REQUIRE(is_valid_rgs(long_sample().rgs));
   const TemporaryFolder folder;

@@ -189,6 +189,83 @@ TEST_CASE("a floater far away gets a page of its own") {
   check_levels(build_levels(cloud.view(), options), cloud, options);
 }
 
+TEST_CASE("levels do not mind how far away or how large Gaussians are") {
+  const BuildOptions options = small_pages();
+  for (const float farthest : {1e9F, 3e10F, 1e12F, 1e19F, 1e37F, 3e38F}) {
+    for (const std::uint64_t n_far : {1U, 3U, 300U, 4096U}) {
+      for (const float log_scale : {-5.F, 20.F, 60.F}) {
+        INFO("farthest ", farthest, " far ", n_far, " log_scale ", log_scale);
+        rgs::test::SplitMix random(n_far);
+        rgs::SplatCloud cloud = rgs::test::wall(64, 0, random);
+        for (std::uint64_t j = 0; j < n_far; ++j) {
+          const std::uint64_t i = j * cloud.size() / n_far;
+          for (std::size_t k = 0; k < 3; ++k) cloud.mean[3 * i + k] = farthest * random.dyadic(-1, 1);
+          cloud.log_scale[3 * i + j % 3] = log_scale;
+        }
+        const Levels levels = build_levels(cloud.view(), options);
+        check_levels(levels, cloud, options);
+        for (const float x : levels.splats.mean) REQUIRE(std::isfinite(x));
+        for (const float x : levels.splats.rotation) REQUIRE(std::isfinite(x));
+      }
+    }
+  }
+}
+
+// Of 1,024 Gaussians, in a box of any.
+std::vector<Page> wide_leaves() {
+  std::vector<Page> leaves(4);
+  for (std::uint64_t i = 0; i < 4; ++i) {
+    leaves[i].first = 256 * i;
+    leaves[i].count = 256;
+    leaves[i].bounds = {{-1e38F, -1e38F, -1e38F}, {1e38F, 1e38F, 1e38F}};
+  }
+  return leaves;
+}
+
+TEST_CASE("what is far from a group neither goes nor spoils the group") {
+  const BuildOptions options = small_pages();
+  rgs::test::SplitMix random(8);
+  rgs::SplatCloud cloud = rgs::test::wall(32, 0, random);  // 1,024 in four pages, which become one
+  const Levels without = build_levels(cloud.view(), options);
+  for (const std::uint64_t at : {0U, 500U}) {
+    rgs::SplatCloud with = cloud;
+    for (std::size_t k = 0; k < 3; ++k) with.mean[3 * at + k] = -1e37F;
+    rgs::SplatCloud root;
+    const Page page = build_page(with.view(), wide_leaves(), 0, 4, options, root);
+    CHECK(page.count == without.pages.front().count);
+    CHECK(page.error == doctest::Approx(without.pages.front().error).epsilon(0.1));
+    CHECK(std::count(root.mean.begin(), root.mean.end(), -1e37F) == 3);
+    CHECK(std::count_if(root.mean.begin(), root.mean.end(), [](float x) { return x > 0.5F && x < 1.5F; }) >
+          page.count / 2);  // x of the right half and y of the lower one
+  }
+}
+
+TEST_CASE("a scene that is far from one of its Gaussians is simplified all the same") {
+  const BuildOptions options = small_pages();
+  rgs::test::SplitMix random(9);
+  rgs::SplatCloud cloud = rgs::test::wall(32, 0, random);
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      cloud.mean[3 * i + k] = 2e10F + 1e6F * cloud.mean[3 * i + k];
+      cloud.log_scale[3 * i + k] += std::log(1e6F);
+    }
+  }
+  for (const std::uint64_t at : {0U, 500U}) {
+    rgs::SplatCloud with = cloud;
+    for (std::size_t k = 0; k < 3; ++k) with.mean[3 * at + k] = 0;
+    rgs::SplatCloud root;
+    const Page page = build_page(with.view(), wide_leaves(), 0, 4, options, root);
+    // Merged ones are larger than any that were there.
+    const float largest = *std::max_element(with.log_scale.begin(), with.log_scale.end());
+    std::uint64_t n_merged = 0;
+    for (std::uint64_t i = 0; i < page.count; ++i) {
+      const float* scale = &root.log_scale[3 * i];
+      n_merged += std::max({scale[0], scale[1], scale[2]}) > largest ? 1U : 0U;
+    }
+    CHECK(n_merged > page.count / 2);
+  }
+}
+
 TEST_CASE("equal Gaussians, and those that do not show, become levels") {
   const BuildOptions options = small_pages();
   rgs::SplatCloud cloud;

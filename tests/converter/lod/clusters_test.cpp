@@ -4,9 +4,11 @@
 
 #include <doctest/doctest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
+#include "clusters_simd.hpp"
 #include "lod_scenes.hpp"
 
 namespace {
@@ -92,4 +94,27 @@ TEST_CASE("neighbours of one colour are merged before those of two") {
     CHECK(c.first / 2 == c.last / 2);
     CHECK(c.first / 2 % 2 == 1);  // of one colour
   }
+}
+
+TEST_CASE("where many lie in one place, a round can merge them in pairs") {
+  constexpr std::uint32_t kAlike = 3000, kOthers = 1000;
+  rgs::test::SplitMix random(5);
+  std::vector<Cluster> clusters(kAlike + kOthers);
+  for (std::uint32_t i = 0; i < clusters.size(); ++i) {
+    for (float& x : clusters[i].mean) x = i < kAlike ? 0.25F : random.dyadic(-1, 1);
+  }
+  std::vector<Neighbours> nearest;
+  nearest_clusters(clusters, nearest);
+  std::vector<char> used(clusters.size(), 0);
+  std::uint32_t n_pairs = 0;
+  for (std::uint32_t i = 0; i < kAlike; ++i) {
+    for (const std::uint32_t j : nearest[i]) {
+      REQUIRE(j < kAlike);
+      CHECK(j != i);
+      if (used[i] != 0 || used[j] != 0) continue;
+      used[i] = used[j] = 1;
+      ++n_pairs;
+    }
+  }
+  CHECK(n_pairs > kAlike / 4);  // five, if all had the same neighbours
 }

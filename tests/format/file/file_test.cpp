@@ -160,7 +160,7 @@ TEST_CASE("moving an output keeps exactly one owner of the temporary") {
 }
 
 TEST_CASE("signals remove unfinished outputs and still end the process") {
-  for (const int signal_number : {SIGINT, SIGTERM, SIGHUP}) {
+  for (const int signal_number : {SIGINT, SIGTERM, SIGHUP, SIGPIPE}) {
     const TemporaryFolder folder;
     const pid_t child = ::fork();
     REQUIRE(child >= 0);

@@ -23,25 +23,18 @@
 #include "rgs/levels_writer.hpp"
 #include "stream/streamed_state.hpp"
 #include "trivial_levels.hpp"
+#include "value_or_stop.hpp"
 
 namespace {
 
 using namespace rgs;
+using test::value_or_stop;
 using Clock = std::chrono::steady_clock;
 using Bytes = std::vector<std::byte>;
 
 constexpr float kDetail = 0.5F;                           // px
 constexpr int kTurns = 3;                                 // of which the best counts
 constexpr auto kFrame = std::chrono::microseconds(2500);  // that a renderer takes
-
-template <class T>
-T value_or_stop(Result<T> result, const char* what) {
-  if (!result) {
-    std::fprintf(stderr, "rgs_measure_choosing: %s: %s\n", what, result.error().what);
-    std::exit(exit_code(result.error().code));
-  }
-  return *std::move(result);
-}
 
 /// A ground of 400 x 400 with `n` Gaussians.
 Bytes make_town(int n) {

@@ -164,15 +164,18 @@ TEST_CASE("what is nested deeper than any frame is refused as such") {
             .what == std::string(kTooDeep));
 }
 
-TEST_CASE("a JPEG is the picture, at every size") {
+TEST_CASE("a JPEG is the picture, at every size, also from an encoder that has made a larger one") {
   const rgs::test::TemporaryFolder folder;
-  for (const auto& [width, height] : {std::pair(1, 1), std::pair(2, 3), std::pair(17, 16), std::pair(97, 61)}) {
+  rgs::view::JpegEncoder encoder;
+  for (const auto& [width, height] :
+       {std::pair(1, 1), std::pair(2, 3), std::pair(97, 61), std::pair(17, 16), std::pair(1, 1)}) {
     std::vector<std::uint8_t> rgb;
     for (int y = 0; y < height; ++y)
       for (int x = 0; x < width; ++x)
         for (int c = 0; c < 3; ++c) rgb.push_back(static_cast<std::uint8_t>(20 + x + y + 30 * c));
-    const auto file = rgs::view::encode_jpeg(rgb, width, height, 95);
+    const auto file = encoder.encode(rgb, width, height, 95);
     REQUIRE(file);
+    CHECK(file->ends_with("\xFF\xD9"));  // nothing behind its end
     rgs::test::write_text(folder.file("a.jpg"), *file);
     const auto image = rgs::read_image(folder.file("a.jpg"));
     REQUIRE(image);

@@ -48,6 +48,8 @@ const kLeastDetRatio = 0.000025;
 // The definition projects Gaussians beyond the picture's edge as if they stood there, the engine does not.
 const kFovClamp = 1.3;
 
+// By the engine's formula a Gaussian that is round on the picture, or longest along its rows, has no direction, and is not drawn.
+
 // The engine lets a Gaussian end at 2.83 standard deviations, moved down to reach 0 there. The definition lets it end where its
 // alpha is 1/255, at most 3.33 standard deviations away, and alpha at 0.99.
 const kGlsl: readonly Change[] = [
@@ -65,6 +67,12 @@ const kGlsl: readonly Change[] = [
   ["gsplatCornerVS", "diagonal2 = cov[1][1] + 0.3", `diagonal2 = cov[1][1] + ${kUniform}.x`],
   ["gsplatCornerVS", "(cov[0][0] + 0.3) * (cov[1][1] + 0.3)", `(cov[0][0] + ${kUniform}.x) * (cov[1][1] + ${kUniform}.x)`],
   ["gsplatCornerVS", "sqrt(max(detOrig / detBlur, 0.0))", `${kUniform}.y > 0.0 ? sqrt(max(detOrig / detBlur, ${kLeastDetRatio})) : 1.0`],
+  [
+    "gsplatCornerVS",
+    "vec2 diagonalVector = normalize(vec2(offDiagonal, lambda1 - diagonal1));",
+    `vec2 longest = vec2(offDiagonal, lambda1 - diagonal1);
+    vec2 diagonalVector = longest == vec2(0.0) ? vec2(1.0, 0.0) : normalize(longest);`,
+  ],
   ["gsplatCommonVS", "min(1.0, sqrt(", "min(1.2, sqrt("],
   ["gsplatPS", "if (A > 1.0)", "if (A > 1.44)"],
   ["gsplatPS", "(exp(x * -4.0) - EXP4) * INV_EXP4", "exp(x * -4.0)"],
@@ -88,6 +96,12 @@ const kWgsl: readonly Change[] = [
     "gsplatCornerVS",
     "half(sqrt(max(detOrig / detBlur, 0.0)))",
     `half(select(1.0, sqrt(max(detOrig / detBlur, ${kLeastDetRatio})), uniform.${kUniform}.y > 0.0))`,
+  ],
+  [
+    "gsplatCornerVS",
+    "let diagonalVector = normalize(vec2f(offDiagonal, lambda1 - diagonal1));",
+    `let longest = vec2f(offDiagonal, lambda1 - diagonal1);
+    let diagonalVector = select(vec2f(1.0, 0.0), normalize(longest), any(longest != vec2f(0.0)));`,
   ],
   ["gsplatCommonVS", "min(half(1.0), sqrt(", "min(half(1.2), sqrt("],
   ["gsplatPS", "if (A > half(1.0))", "if (A > half(1.44))"],

@@ -32,6 +32,8 @@ export interface OpenOptions extends ReadOptions {
   worker?: () => Worker;
 }
 
+/** docs/FORMAT.md, "Shape of the file". */
+const kMagic = [0x89, 0x52, 0x47, 0x53, 0x0d, 0x0a, 0x1a, 0x0a];
 const kFirstBytes = 1 << 16;
 const kPieceBytes = 1 << 22;
 /** Requests at a time. */
@@ -384,6 +386,12 @@ async function inPieces(
   }
 }
 
+/** What the worker would say of the file, before all of it has come from a server without ranges. */
+function checkMagic(beginning: Uint8Array): void {
+  const offset = kMagic.findIndex((byte, i) => i < beginning.length && beginning[i] !== byte);
+  if (offset >= 0) throw new RgsError({ code: "bad_magic", text: "not an .rgs file (wrong magic bytes)", offset });
+}
+
 async function sourceOf(source: Source, options: OpenOptions): Promise<RangeSource> {
   if (source instanceof ArrayBuffer) return new MemorySource(new Uint8Array(source));
   if (ArrayBuffer.isView(source)) {
@@ -391,8 +399,10 @@ async function sourceOf(source: Source, options: OpenOptions): Promise<RangeSour
   }
   if (typeof Blob !== "undefined" && source instanceof Blob) return new BlobSource(source);
   if (typeof source === "string" || source instanceof URL) {
-    const onProgress = (done: number, total: number | undefined): void =>
-      options.onProgress?.({ phase: "read", done, total });
+    const onProgress = (soFar: Uint8Array, total: number | undefined): void => {
+      checkMagic(soFar);
+      options.onProgress?.({ phase: "read", done: soFar.length, total });
+    };
     return UrlSource.open(String(source), options.url ?? {}, options.signal, onProgress, options.limits?.maxFileBytes);
   }
   // What it gives may be part of something that it keeps, and buffers are handed over whole.

@@ -76,12 +76,15 @@ export class UrlSource implements RangeSource {
     private readonly first: Uint8Array,
   ) {}
 
-  /** Asks for the beginning of the file. A server without ranges sends all of it, which is kept, up to `maxBytes`. */
+  /**
+   * Asks for the beginning of the file. A server without ranges sends all of it, which is kept, up to `maxBytes`: `onProgress` is
+   * called with all that has come so far, and ends it by throwing an RgsError.
+   */
   static async open(
     url: string,
     options: UrlOptions,
     signal?: AbortSignal,
-    onProgress?: (bytes: number, total: number | undefined) => void,
+    onProgress?: (soFar: Uint8Array, total: number | undefined) => void,
     maxBytes = Infinity,
   ): Promise<RangeSource> {
     return retried(options, signal, async (timed) => {
@@ -93,7 +96,7 @@ export class UrlSource implements RangeSource {
       if (answer.status === 200) {
         const length = lengthOf(answer);
         const most = Math.min(kMostWhole, maxBytes);
-        const bytes = await readBody(answer, length, most, timed, (done) => onProgress?.(done, length), kTooLarge);
+        const bytes = await readBody(answer, length, most, timed, (soFar) => onProgress?.(soFar, length), kTooLarge);
         return new MemorySource(bytes);
       }
       const range = rangeOf(answer);
@@ -258,7 +261,7 @@ async function readBody(
   bytes: number | undefined,
   most: number,
   timed: Timed,
-  onProgress?: (done: number) => void,
+  onProgress?: (soFar: Uint8Array) => void,
   tooLarge?: string,
 ): Promise<Uint8Array> {
   if (tooLarge !== undefined && bytes !== undefined && bytes > most) {
@@ -285,7 +288,7 @@ async function readBody(
     }
     out.set(next.value, done);
     done += next.value.length;
-    onProgress?.(done);
+    onProgress?.(out.subarray(0, done));
   }
   if (bytes !== undefined && done < bytes) throw new Passing(`the answer ends after ${done} of ${bytes} bytes`);
   return done === out.length ? out : out.slice(0, done);

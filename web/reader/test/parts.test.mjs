@@ -127,14 +127,35 @@ test("damage in the first part is said as readStored() says it, though more is u
   bytes[offset + (storedBytes >> 3)] ^= 1;
   let goOn;
   const going = new Promise((resolve) => (goOn = resolve));
-  // The second part comes last, when the worker has found the damage long since and the rest is there.
+  // The second part is under way until the worker has found the damage.
   let held = 0;
-  const source = counted(bytes, async () => source.given > bytes.length / 4 && (held += 1) <= 3 && going);
+  let isFound = false;
+  const asked = [];
+  const source = counted(bytes, async (at) => {
+    if (isFound) asked.push(at);
+    if (source.given > bytes.length / 4 && (held += 1) <= 3) await going;
+  });
   const file = await open(source);
-  const refused = assert.rejects(file.storedParts().next(), { code: "checksum_mismatch", offset });
-  setTimeout(goOn, 500);
-  await refused;
-  assert.ok(held > 3);
+  const { client } = file;
+  const call = client.call.bind(client);
+  let askedEarly;
+  client.call = (name, ...rest) => {
+    const answer = call(name, ...rest);
+    if (name === "nextEarly") {
+      answer.catch(() => {
+        isFound = true;
+        // Whoever waits for the answer has had his turn by then.
+        setImmediate(() => {
+          askedEarly = [...asked];
+          goOn();
+        });
+      });
+    }
+    return answer;
+  };
+  await assert.rejects(file.storedParts().next(), { code: "checksum_mismatch", offset });
+  assert.deepEqual(askedEarly, [], "the rest is asked for when what is under way is there");
+  assert.ok(asked.length > 0);
   file.close();
 });
 

@@ -86,16 +86,27 @@ export async function startHostileServer() {
   const script = fileURLToPath(new URL("../../../tests/support/hostile_server.py", import.meta.url));
   const child = spawn(process.env.RGS_PYTHON ?? "/usr/bin/python3", ["-B", script], { stdio: ["ignore", "pipe", "inherit"] });
   const lines = [];
-  let arrived;
-  const first = new Promise((resolve) => (arrived = resolve));
+  const waiting = new Map();
+  /** The first line with this text. */
+  const arrival = (text) => new Promise((resolve) => waiting.set(text, resolve));
+  const first = arrival("port ");
   createInterface({ input: child.stdout }).on("line", (line) => {
     lines.push(line);
-    arrived(line);
+    for (const [text, resolve] of waiting) if (line.includes(text)) resolve(line);
   });
   const port = (await first).split(" ")[1];
+  const url = (path) => `http://127.0.0.1:${port}${path}`;
+  let nMarks = 0;
   return {
-    url: (path) => `http://127.0.0.1:${port}${path}`,
-    requests: (text) => lines.filter((line) => line.startsWith("GET ") && line.includes(text)).length,
+    url,
+    /** How many with this text there have been. An answer may be here before the server's line is: a last request's line comes behind all. */
+    async requests(text) {
+      const mark = `/plain?mark=${(nMarks += 1)}`;
+      const marked = arrival(`${mark} `);
+      await (await fetch(url(mark))).arrayBuffer();
+      await marked;
+      return lines.filter((line) => line.startsWith("GET ") && line.includes(text)).length;
+    },
     async end() {
       child.kill("SIGTERM");
       await ended(child);

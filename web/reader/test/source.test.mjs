@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
 import { copyFileSync, readFileSync, writeFileSync } from "node:fs";
+import { createServer } from "node:http";
 import { join } from "node:path";
 import test from "node:test";
 import { open, RgsError } from "@roofgs/reader";
@@ -319,7 +320,7 @@ test("a server that lies is found out, and one that stumbles is asked again", as
       assert.ok(error instanceof RgsError, `${path}: ${error}`);
       assert.equal(error.code, outcome, `${path}: ${error}`);
     }
-    assert.ok(server.requests(`GET ${address} `) <= (path === "/loop?" ? 63 : 3), path); // 20 redirects are followed
+    assert.ok((await server.requests(`GET ${address} `)) <= (path === "/loop?" ? 63 : 3), path); // 20 redirects are followed
   }
 });
 
@@ -330,9 +331,32 @@ test("a server without ranges sends no more than is allowed", async (t) => {
   for (const path of ["/no_ranges", "/no_ranges_chunked", "/no_ranges_unknown_length"]) {
     const address = server.url(`${path}?file=${file}`);
     const error = await failure(open(address, { limits: { maxFileBytes: packed.length - 1 } }));
-    assert.deepEqual([error.code, server.requests(`GET ${path}?`)], ["limit_exceeded", 1], `${path}: ${error}`);
+    assert.deepEqual([error.code, await server.requests(`GET ${path}?`)], ["limit_exceeded", 1], `${path}: ${error}`);
     assert.match(error.message, /no ranges/);
     assert.deepEqual(await meansOf(address, { limits: { maxFileBytes: packed.length } }), expected, path);
+  }
+});
+
+test("what is no .rgs is refused by its first bytes, though a server without ranges sends on", async (t) => {
+  const other = Buffer.from("ply\nformat binary_little_endian 1.0\n");
+  const damaged = Buffer.from(packed.subarray(0, 1000));
+  damaged[6] ^= 1;
+  for (const beginning of [other, damaged]) {
+    let ended = 0;
+    // It never ends: whoever waits for all of it is told that the server is silent.
+    const server = createServer((_, answer) => {
+      answer.on("close", () => (ended += 1));
+      answer.writeHead(200, { "Content-Length": 1e9 });
+      // The magic in two pieces.
+      answer.write(beginning.subarray(0, 3), () => answer.write(beginning.subarray(3)));
+    });
+    await new Promise((resolve) => server.listen(0, "127.0.0.1", resolve));
+    t.after(() => server.close());
+    const url = `http://127.0.0.1:${server.address().port}/`;
+    const found = await failure(open(url, { url: { attempts: 1, silenceMs: 5000 } }));
+    const inMemory = await failure(open(new Uint8Array(beginning)));
+    assert.deepEqual([found.message, found.code, found.offset], [inMemory.message, "bad_magic", beginning === other ? 0 : 6]);
+    while (ended === 0) await new Promise(setImmediate);
   }
 });
 

@@ -61,20 +61,18 @@ export class Compare {
       }, kFlickerMs);
     }
     this.showSides();
-    for (const button of document.querySelectorAll<HTMLButtonElement>("#modes button")) {
-      button.setAttribute("aria-checked", String(button.value === mode));
-    }
+    for (const choice of document.querySelectorAll<HTMLInputElement>("#modes input")) choice.checked = choice.value === mode;
     this.map.hidden = this.psnr.hidden = true;
     this.run += 1;
     if (mode === "difference") this.rest();
     this.on.changed();
   }
 
-  /** The view moves: the map is of another view. */
-  moving(): void {
+  /** What is shown has changed: the map is of something else. */
+  outdate(): void {
     if (this.mode !== "difference") return;
     this.run += 1;
-    this.map.hidden = true;
+    this.map.hidden = this.psnr.hidden = true;
   }
 
   /** The view is at rest: the map is drawn anew. */
@@ -118,11 +116,12 @@ export class Compare {
       ["difference", "Difference"],
     ];
     for (const [mode, text] of names) {
-      const button = document.createElement("button");
-      Object.assign(button, { type: "button", value: mode, textContent: text });
-      button.setAttribute("role", "radio");
-      button.addEventListener("click", () => this.setMode(mode));
-      element("modes", HTMLElement).append(button);
+      const choice = document.createElement("input");
+      Object.assign(choice, { type: "radio", name: "mode", value: mode });
+      choice.addEventListener("change", () => this.setMode(mode));
+      const label = document.createElement("label");
+      label.append(choice, ` ${text}`);
+      element("modes", HTMLElement).append(label);
     }
   }
 }

@@ -9,6 +9,9 @@ const kPressSeconds = 1 / 30;
 /** Radians a second of a gamepad's stick, and how far a stick at rest may be off. */
 const kLook = 1.5;
 const kDeadZone = 0.15;
+/** Of a double tap: milliseconds from the first finger's going to the second's, and pixels between them and within each. */
+const kDoubleTapMs = 350;
+const kTapPx = 24;
 /** No nearer to straight up or down than this, cosine. */
 const kUpright = 0.995;
 
@@ -23,7 +26,9 @@ export function orbited(view: ViewState, world: World, right: number, down: numb
   const [x, y, z] = [axisOf(view.rotation, 0), axisOf(view.rotation, 1), axisOf(view.rotation, 2)] as const;
   const turn = (v: readonly number[]): number[] => turned(v, world.up, -right);
   let pitched = (v: readonly number[]): number[] => turned(v, x, -down);
-  if (Math.abs(dot(pitched(z), world.up)) > kUpright) pitched = (v) => [...v];
+  const steep = Math.abs(dot(pitched(z), world.up));
+  // Back from where a camera looks straight down one may come.
+  if (steep > kUpright && steep > Math.abs(dot(z, world.up))) pitched = (v) => [...v];
   const all = (v: readonly number[]): number[] => turn(pitched(v));
   const [newX, newZ] = [normalised(all(x)), normalised(all(z))];
   const rotation = fromAxes(newX, length(y) > 0 ? cross(newZ, newX) : y, newZ);
@@ -71,6 +76,10 @@ export class Controls {
   private readonly held = new Set<string>();
   private isPadHeld = false;
   private readonly fingers = new Map<number, { x: number; y: number }>();
+  /** A finger that has not moved since it came down; the tap before it; and when there were two. */
+  private touched: { id: number; x: number; y: number } | undefined;
+  private tapped: { x: number; y: number; at: number } | undefined;
+  private doubleTapped = -Infinity;
 
   constructor(
     private readonly element: HTMLElement,
@@ -85,13 +94,19 @@ export class Controls {
     element.addEventListener("pointerdown", (event) => {
       element.setPointerCapture(event.pointerId);
       this.fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+      const isAlone = event.pointerType === "touch" && this.fingers.size === 1;
+      this.touched = isAlone ? { id: event.pointerId, x: event.offsetX, y: event.offsetY } : undefined;
     });
+    element.addEventListener("pointerup", (event) => this.tap(event));
     element.addEventListener("pointermove", (event) => this.drag(event));
     for (const name of ["pointerup", "pointercancel"] as const) {
       element.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     }
     element.addEventListener("contextmenu", (event) => event.preventDefault());
-    element.addEventListener("dblclick", (event) => page.focus(event.offsetX, event.offsetY));
+    element.addEventListener("dblclick", (event) => {
+      // Some browsers tell of two taps, others do not.
+      if (event.timeStamp - this.doubleTapped > kDoubleTapMs) page.focus(event.offsetX, event.offsetY);
+    });
     element.addEventListener(
       "wheel",
       (event) => {
@@ -147,6 +162,19 @@ export class Controls {
     const turn = kArrows[code];
     if (by) this.change((view) => moved(view, by.map((value) => value * world.speed * seconds)));
     if (turn) this.change((view) => orbited(view, world, turn[0] * kArrow * seconds, turn[1] * kArrow * seconds, "pivot"));
+  }
+
+  private tap(event: PointerEvent): void {
+    const { touched, tapped } = this;
+    const { offsetX: x, offsetY: y, timeStamp: at } = event;
+    this.touched = this.tapped = undefined;
+    if (touched?.id !== event.pointerId || Math.hypot(x - touched.x, y - touched.y) > kTapPx) return;
+    if (!tapped || at - tapped.at > kDoubleTapMs || Math.hypot(x - tapped.x, y - tapped.y) > kTapPx) {
+      this.tapped = { x, y, at };
+      return;
+    }
+    this.doubleTapped = at;
+    this.page.focus(x, y);
   }
 
   private drag(event: PointerEvent): void {

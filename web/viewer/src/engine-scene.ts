@@ -41,6 +41,22 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
   const filename = `scene${(nAssets += 1)}.${kind}`;
   const asset = new Asset(name, "gsplat", { url: filename, filename, contents } as object);
   const { assets } = stage.app;
+  // The engine asks the page's own server for images that a SOG lacks.
+  const images: Asset[] = [];
+  const missing: string[] = [];
+  const withhold = (added: Asset): void => {
+    if (added.type !== "texture") return;
+    images.push(added);
+    const file = added.file as { contents?: ArrayBuffer };
+    if (file.contents) return;
+    missing.push(added.name);
+    file.contents = new ArrayBuffer(0);
+  };
+  const end = (): void => {
+    assets.remove(asset);
+    asset.unload();
+  };
+  assets.on("add", withhold);
   try {
     await new Promise<void>((resolve, reject) => {
       asset.on("progress", onProgress);
@@ -49,14 +65,15 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
       assets.add(asset);
       assets.load(asset);
     });
+    if (missing.length > 0) throw lacking(missing);
   } catch (error) {
-    assets.remove(asset);
-    throw error;
+    end();
+    // Those of a scene that is there go with it.
+    for (const image of images) assets.remove(image);
+    throw missing.length > 0 ? lacking(missing) : error;
+  } finally {
+    assets.off("add", withhold);
   }
-  const end = (): void => {
-    assets.remove(asset);
-    asset.unload();
-  };
   const resource = asset.resource as GSplatResourceBase;
   const { comments = [], meta } = resource.gsplatData as { comments?: string[]; meta?: object };
   try {
@@ -67,13 +84,21 @@ async function makeAsset(stage: Stage, { name, kind, answer, onProgress }: OpenE
   }
 }
 
+/** The code is the one that rgs-convert has for it. */
+function lacking(images: readonly string[]): Error {
+  return Object.assign(new Error(), { code: "missing_section", text: `the zip archive lacks ${images.join(", ")}, which its meta.json names` });
+}
+
 /** What the engine throws where it takes a damaged file for a sound one says nothing to people. */
 function asSentence(kind: EngineKind, error: unknown): Error {
   if (error instanceof TypeError || error instanceof RangeError) {
     const parts = kind === "sog" ? "the zip archive or its meta.json" : "the file";
     return Object.assign(new Error(), { code: "bad_header", text: `${parts} lacks what ${kind.toUpperCase()} must have` });
   }
-  return error instanceof Error ? error : new Error(String(error).replace(/^Error: /, ""));
+  const text = String((error as { message?: string } | null)?.message ?? error).replace(/^Error: /, "");
+  // It says so wherever a PLY ends too early.
+  if (/^Stream finished before end of header/.test(text)) return Object.assign(new Error(), { code: "truncated", text: "the file ends before the last Gaussian that its header counts" });
+  return error instanceof Error ? error : new Error(text);
 }
 
 export class EngineScene extends Scene {
@@ -86,6 +111,10 @@ export class EngineScene extends Scene {
   static async open(stage: Stage, options: OpenEngineScene): Promise<Scene> {
     const bytes = Number(options.answer.headers.get("content-length") ?? 0);
     const made = await (options.kind === "spz" ? makeSpz(stage, options.answer) : makeAsset(stage, options));
+    if (!((made.resource.numSplats as number) > 0)) {
+      made.end();
+      throw new Error("it holds no Gaussians");
+    }
     return new EngineScene(options.name, bytes, made, stage, options.side);
   }
 

@@ -5,11 +5,12 @@ import { add, axisOf, type CameraEntry, cross, dot, length, looking, normalised,
 import { buildCameras } from "./cameras-panel.js";
 import { Compare } from "./compare.js";
 import { Controls, type World } from "./controls.js";
+import { difference } from "./difference.js";
 import { type Frame, type FrameRequest, Frames } from "./frames.js";
-import { type Mode, readLink, writeLink } from "./link.js";
-import { type Manifest, nameOf, readInside, readManifest } from "./manifest.js";
+import { type Mode, type PageState, readLink, writeLink } from "./link.js";
+import { type Manifest, readInside, readManifest } from "./manifest.js";
 import { bytesText, countText, kLost, kNoGraphics, kNotAsDefined, sentence } from "./messages.js";
-import { element, hideLoading, say, showError, showLoading, showProgress } from "./page.js";
+import { element, hideLoading, say, showError, showLoading, showProgress, withdrawError } from "./page.js";
 import { openScene, type Read, readFile } from "./open-scene.js";
 import type { Scene, Tint } from "./scene.js";
 import { type Side, Stage } from "./stage.js";
@@ -17,8 +18,12 @@ import { type Side, Stage } from "./stage.js";
 /** Milliseconds without a change after which the view is at rest. */
 const kRestMs = 200;
 const kFieldOfView = Math.PI / 3;
+/** Distance from which on Gaussians are drawn: docs/RENDERING.md, "A Gaussian on the image". */
+const kNear = 0.2;
 /** Seconds from one camera to the next. */
 const kPathSeconds = 2;
+
+const kTitle = "RoofGS viewer";
 
 const input = (id: string): HTMLInputElement => element(id, HTMLInputElement);
 
@@ -36,6 +41,8 @@ class Page {
   private restTimer = 0;
   private frames: Frames | undefined;
   private frame: Frame | undefined;
+  /** Of the scenes, when it was noticed last. */
+  private nChanges = 0;
   private speed: { at: number; frames: number; rate: number } = { at: 0, frames: 0, rate: 0 };
   /** Scenes that are being opened. It never rejects. */
   private opening: Promise<void> = Promise.resolve();
@@ -85,13 +92,7 @@ class Page {
     if (settings?.background) this.setBackground(settings.background);
     if (settings?.sh_degree !== undefined) input("sh").value = String(settings.sh_degree);
     const link = readLink(location.hash);
-    if (link.background) this.setBackground(link.background);
-    if (link.shDegree !== undefined) input("sh").value = String(link.shDegree);
-    if (link.detailPx !== undefined) input("detail").value = String(link.detailPx);
-    if (link.budget !== undefined) input("budget").value = String(Math.log10(link.budget));
-    if (link.split !== undefined) this.compare.split = link.split;
-    this.view = link.view;
-    this.showValues();
+    this.restore(link);
     // What is dropped meanwhile comes after it.
     if (cameras !== null) void this.inTurn(() => this.fetchCameras(cameras));
     for (const [trueScene, { name }] of scenes.entries()) {
@@ -99,6 +100,24 @@ class Page {
     }
     await this.opening;
     if (!this.scenes[1]) this.compare.setMode(this.compare.mode === "single" ? (link.mode ?? "single") : this.compare.mode);
+  }
+
+  private restore(link: Partial<PageState>): void {
+    if (link.background) this.setBackground(link.background);
+    if (link.shDegree !== undefined) input("sh").value = String(link.shDegree);
+    if (link.detailPx !== undefined) input("detail").value = String(link.detailPx);
+    if (link.budget !== undefined) input("budget").value = String(Math.log10(link.budget));
+    if (link.split !== undefined) this.compare.split = link.split;
+    if (link.view) this.view = link.view;
+    this.applySettings();
+  }
+
+  /** Somebody has put a link into the address bar. */
+  private follow(link: Partial<PageState>): void {
+    if (this.playing !== undefined) this.play();
+    this.restore(link);
+    this.compare.setMode(link.mode ?? this.compare.mode);
+    this.refreshView();
   }
 
   /** Files of a drop or a choice: cameras, and scenes for the first free side, the right one if none is. */
@@ -186,6 +205,7 @@ class Page {
     for (const each of this.scenes) each?.place(left?.origin ?? each.origin);
     if (scene) {
       scene.setShDegree(Number(input("sh").value));
+      scene.setTint(this.tint);
       this.setAntiAliasing();
       this.setView(this.view ?? this.firstView(scene));
     }
@@ -205,10 +225,11 @@ class Page {
   private nameScenes(): void {
     const [left, right] = this.scenes;
     const names = [left?.name, this.trueShown ? `${left?.name ?? ""}, true picture` : right?.name].filter((name) => name !== undefined);
-    element("title", HTMLElement).textContent = names.join(" | ") || "RoofGS viewer";
+    element("title", HTMLElement).textContent = names.join(" | ") || kTitle;
+    document.title = [...names, kTitle].join(" | ");
     element("left", HTMLElement).textContent = left?.name ?? "";
     element("right", HTMLElement).textContent = this.trueShown ? (names.at(-1) ?? "") : (right?.name ?? "");
-    const what = left ? `${left.name}, ${countText(left.nGaussians)} Gaussians${names[1] ? `, beside ${names[1]}` : ""}` : "No scene yet";
+    const what = left ? `${left.name}, ${countText(left.nGaussians)} ${left.nGaussians === 1 ? "Gaussian" : "Gaussians"}${names[1] ? `, beside ${names[1]}` : ""}` : "No scene yet";
     this.canvas.setAttribute("aria-label", what);
     say(what);
     element("tint", HTMLSelectElement).disabled = !this.scenes.some((scene) => scene?.hasPages);
@@ -234,8 +255,9 @@ class Page {
     if (length(front) < 0.1) front = cross(up, [0, 1, 0]);
     front = normalised(front);
     const away = normalised(add(front, up, Math.tan(Math.PI / 9)));
-    const radius = length(add(max, min, -1)) / 2;
-    const position = add(middle, away, radius / Math.sin(kFieldOfView / 2));
+    // Of one Gaussian the box is a point; nothing nearer than kNear is drawn.
+    const radius = length(add(max, min, -1)) / 2 || 1;
+    const position = add(middle, away, Math.max(radius / Math.sin(kFieldOfView / 2), radius + 2 * kNear));
     const rotation = looking(add(middle, position, -1), up);
     return { position, rotation, focal: 0.5 / Math.tan(kFieldOfView / 2), aspect: 1, offset: [0, 0], pivot: middle };
   }
@@ -248,7 +270,7 @@ class Page {
   private setView(view: ViewState): void {
     this.view = view;
     this.stage.setView(view);
-    this.compare.moving();
+    this.compare.outdate();
     this.changed();
     if (this.trueShown) this.askTrue(true);
   }
@@ -271,20 +293,26 @@ class Page {
   /** Goes around what is under the pointer: of the Gaussians near its ray the nearest. */
   private focus(x: number, y: number): void {
     const { view, canvas } = this;
-    const scene = this.scenes[0];
+    const { mode, split } = this.compare;
+    const isRight = mode === "slider" && this.scenes[1] !== undefined && x > split * canvas.clientWidth;
+    const scene = this.scenes[isRight ? 1 : 0];
     if (!view || !scene) return;
     const { fx, fy, cx = 0, cy = 0 } = pinholeOf(view, canvas.clientWidth, canvas.clientHeight);
     const direction = [(x - cx) / fx, (y - cy) / fy, 1];
     const ray = normalised([0, 1, 2].map((row) => dot(view.rotation[row] as number[], direction)));
-    const eye = add(view.position, scene.origin, -1);
+    const [rx, ry, rz] = ray as [number, number, number];
+    const [ex, ey, ez] = add(view.position, scene.origin, -1) as [number, number, number];
     let best = Infinity;
     let depth = 0;
+    // Of millions: nothing is allocated.
     for (const means of scene.centres()) {
       for (let i = 0; i < means.length; i += 3) {
-        const to = [0, 1, 2].map((c) => (means[i + c] as number) - (eye[c] as number));
-        const along = dot(to, ray);
-        if (along <= 0.2) continue;
-        const aside = Math.sqrt(Math.max(0, dot(to, to) - along * along)) / along;
+        const tx = (means[i] as number) - ex;
+        const ty = (means[i + 1] as number) - ey;
+        const tz = (means[i + 2] as number) - ez;
+        const along = tx * rx + ty * ry + tz * rz;
+        if (along <= kNear) continue;
+        const aside = Math.sqrt(Math.max(0, tx * tx + ty * ty + tz * tz - along * along)) / along;
         // Half a degree aside counts as much as a third of the way.
         const cost = along * (1 + (aside / 0.009) ** 2 / 3);
         if (aside < 0.03 && cost < best) {
@@ -349,7 +377,9 @@ class Page {
       const position = add(view.position, scene.origin, -1);
       scene.look({ position, focalPx: view.focal * width, detailPx: Number(input("detail").value), budget }, performance.now());
     }
-    if (input("boxes").checked) this.drawBoxes();
+    this.notice();
+    // They last for one frame.
+    if (input("boxes").checked && this.stage.isToDraw) this.drawBoxes();
     this.showNumbers();
   }
 
@@ -359,7 +389,15 @@ class Page {
       const shift = add(scene.origin, this.scenes[0]?.origin ?? [0, 0, 0], -1);
       for (const { min, max } of scene.boxes()) this.stage.drawBox(add(min, shift), add(max, shift), [1, 0.8, 0.1]);
     }
-    this.stage.request();
+  }
+
+  /** What scenes draw has changed: pages have come, for instance. */
+  private notice(): void {
+    const changes = this.scenes.reduce((sum, scene) => sum + (scene?.nChanges ?? 0), 0);
+    if (changes === this.nChanges) return;
+    this.nChanges = changes;
+    this.compare.outdate();
+    this.changed();
   }
 
   private showNumbers(): void {
@@ -388,6 +426,10 @@ class Page {
 
   // Settings -----------------------------------------------------------------------------------------------------------
 
+  private get tint(): Tint {
+    return element("tint", HTMLSelectElement).value as Tint;
+  }
+
   private get budget(): number {
     return Math.round(10 ** Number(input("budget").value));
   }
@@ -397,6 +439,13 @@ class Page {
     const hex = rgb.map((value) => Math.round(255 * value).toString(16).padStart(2, "0")).join("");
     input("background").value = `#${hex}`;
     this.stage.setBackground(rgb);
+  }
+
+  private applySettings(): void {
+    this.showValues();
+    this.setAntiAliasing();
+    for (const scene of this.scenes) scene?.setShDegree(Number(input("sh").value));
+    this.stage.request();
   }
 
   private showValues(): void {
@@ -415,31 +464,36 @@ class Page {
       const shown = element("panel", HTMLElement).classList.toggle("shown");
       element("menu", HTMLButtonElement).setAttribute("aria-expanded", String(shown));
     });
+    // Until it is pressed the system's choice holds.
+    const system = matchMedia("(prefers-color-scheme: dark)");
+    const root = document.documentElement;
+    const isDark = (): boolean => (root.dataset["theme"] ?? (system.matches ? "dark" : "light")) === "dark";
+    const showTheme = (): void => element("theme", HTMLButtonElement).setAttribute("aria-pressed", String(isDark()));
     click("theme", () => {
-      const dark = document.documentElement.dataset["theme"] !== "dark";
-      document.documentElement.dataset["theme"] = dark ? "dark" : "light";
-      element("theme", HTMLButtonElement).setAttribute("aria-pressed", String(dark));
+      root.dataset["theme"] = isDark() ? "light" : "dark";
+      showTheme();
     });
+    system.addEventListener("change", showTheme);
+    showTheme();
     input("file").addEventListener("change", () => {
       void this.openFiles([...(input("file").files ?? [])]);
       input("file").value = "";
     });
     input("background").addEventListener("input", () => {
       this.setBackground([1, 3, 5].map((at) => parseInt(input("background").value.slice(at, at + 2), 16) / 255));
+      this.compare.outdate();
       this.changed();
     });
     for (const id of ["sh", "detail", "budget"]) {
       input(id).addEventListener("input", () => {
-        this.showValues();
-        if (id === "detail") this.setAntiAliasing();
-        if (id === "sh") for (const scene of this.scenes) scene?.setShDegree(Number(input("sh").value));
-        this.stage.request();
+        this.applySettings();
         this.changed();
       });
     }
+    window.addEventListener("hashchange", () => this.follow(readLink(location.hash)));
     for (const id of ["stats", "boxes"]) input(id).addEventListener("change", () => this.stage.request());
     element("tint", HTMLSelectElement).addEventListener("change", () => {
-      for (const scene of this.scenes) scene?.setTint(element("tint", HTMLSelectElement).value as Tint);
+      for (const scene of this.scenes) scene?.setTint(this.tint);
     });
     input("true").addEventListener("change", () => {
       this.nameScenes();
@@ -456,8 +510,9 @@ class Page {
   }
 
   private key(event: KeyboardEvent): void {
-    const typing = event.target instanceof HTMLInputElement && event.target.type !== "checkbox" && event.target.type !== "range";
-    if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+    const { target } = event;
+    const typing = target instanceof HTMLSelectElement || (target instanceof HTMLInputElement && !["checkbox", "radio", "range"].includes(target.type));
+    if (typing || event.repeat || event.ctrlKey || event.metaKey || event.altKey) return;
     const toggle = (id: string): void => input(id).click();
     const mode = (name: "flicker" | "difference" | "slider"): void => this.compare.setMode(this.compare.mode === name ? "single" : name);
     const n = this.cameras.length;
@@ -562,18 +617,26 @@ class Page {
     const { mode, split } = this.compare;
     const two = this.trueShown || this.scenes[1] !== undefined;
     const border = mode === "slider" && two ? Math.round(split * width) : this.trueShown && mode === "single" ? 0 : width;
-    if (!this.view) return;
+    if (!this.scenes[0]) {
+      showError("There is nothing to save yet: open a scene first.");
+      return;
+    }
     const canvas = new OffscreenCanvas(width, height);
     const context = canvas.getContext("2d") as OffscreenCanvasRenderingContext2D;
-    const put = async (side: "left" | "right", from: number, to: number): Promise<void> => {
-      if (from === to) return;
-      const pixels = new ImageData(await this.captureSide(side, width, height), width, height);
-      context.putImageData(pixels, 0, 0, from, 0, to - from, height);
-    };
-    await Promise.all([put("left", 0, border), put("right", border, width)]);
+    if (mode === "difference") {
+      const { map } = difference(await this.captureSide("left", width, height), await this.captureSide("right", width, height));
+      context.putImageData(new ImageData(map, width, height), 0, 0);
+    } else {
+      const put = async (side: "left" | "right", from: number, to: number): Promise<void> => {
+        if (from === to) return;
+        const pixels = new ImageData(await this.captureSide(side, width, height), width, height);
+        context.putImageData(pixels, 0, 0, from, 0, to - from, height);
+      };
+      await Promise.all([put("left", 0, border), put("right", border, width)]);
+    }
     const link = document.createElement("a");
     link.href = URL.createObjectURL(await canvas.convertToBlob({ type: "image/png" }));
-    link.download = `${nameOf(this.scenes[0]?.name ?? "scene")}.png`;
+    link.download = `${this.scenes[0].name}.png`;
     link.click();
     URL.revokeObjectURL(link.href);
   }
@@ -598,7 +661,10 @@ async function main(): Promise<void> {
       frame: (seconds) => page?.step(seconds),
       resized: () => page?.refreshView(),
       lost: () => showError(kLost),
-      restored: () => say("The graphics device is back"),
+      restored: () => {
+        withdrawError(kLost);
+        say("The graphics device is back");
+      },
     });
   } catch {
     showError(kNoGraphics);

@@ -23,6 +23,11 @@ export function showError(sentence: string): void {
   while (list.children.length > 4) list.firstElementChild?.remove();
 }
 
+/** It no longer holds. */
+export function withdrawError(sentence: string): void {
+  for (const line of [...element("errors", HTMLElement).children]) if (line.firstChild?.textContent === sentence) line.remove();
+}
+
 /** For screen readers. */
 export function say(text: string): void {
   element("status", HTMLElement).textContent = text;

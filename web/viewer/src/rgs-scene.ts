@@ -77,6 +77,8 @@ export class RgsScene extends Scene {
   private read = 0;
   private reported = false;
   private view: CutView | undefined;
+  /** Of the colours by error. */
+  private tinted: CutView | undefined;
 
   constructor(
     name: string,
@@ -140,11 +142,13 @@ export class RgsScene extends Scene {
   }
 
   setShDegree(shDegree: number): void {
+    if (shDegree === this.shown.shDegree) return;
     this.shown = { ...this.shown, shDegree };
     this.setTable();
   }
 
   override setTint(tint: Tint): void {
+    if (tint === this.shown.tint) return;
     this.shown = { ...this.shown, tint };
     this.setTable();
   }
@@ -157,6 +161,7 @@ export class RgsScene extends Scene {
     this.view = view;
     const cut = this.plan();
     if (!cut) return;
+    this.tintAnew(view, now);
     const same = cut.draw.length === this.drawn.length && cut.draw.every((index, i) => index === this.drawn[i]);
     if (same || cut.draw.length === 0) return;
     if (now - this.rebuilt < kRebuildMs) {
@@ -166,6 +171,16 @@ export class RgsScene extends Scene {
     this.rebuilt = now;
     this.rebuild(cut.draw);
     this.forget(view.budget);
+  }
+
+  /** What error shows depends on the view. */
+  private tintAnew(view: CutView, now: number): void {
+    const { tinted } = this;
+    if (this.shown.tint !== "error" || now - this.rebuilt < kRebuildMs) return;
+    if (tinted && tinted.focalPx === view.focalPx && tinted.position.every((value, i) => value === view.position[i])) return;
+    this.tinted = view;
+    this.rebuilt = now;
+    this.setTable();
   }
 
   override destroy(): void {

@@ -25,6 +25,8 @@ export abstract class Scene {
   readonly up: readonly number[] | null = null;
   readonly origin: readonly number[] = [0, 0, 0];
   readonly hasPages: boolean = false;
+  /** How often something else has been drawn. */
+  nChanges = 0;
   private readonly entity: Entity;
   /** What draws resources, a part of the scene each. */
   private readonly drawing: Entity[] = [];
@@ -98,7 +100,7 @@ export abstract class Scene {
     entity.addComponent("gsplat", { layers: [this.stage.layers[this.side]], resource });
     this.entity.addChild(entity);
     this.drawing.push(entity);
-    this.stage.request();
+    this.hasChanged();
   }
 
   /** Draws a resource in place of the one before. */
@@ -111,12 +113,17 @@ export abstract class Scene {
     const before = gsplat.resource as GSplatResourceBase | null;
     gsplat.resource = resource;
     before?.destroy();
-    this.stage.request();
+    this.hasChanged();
   }
 
   /** Tables of resources have changed. */
   protected refresh(): void {
     for (const { gsplat } of this.drawing) if (gsplat) gsplat.workBufferUpdate = WORKBUFFER_UPDATE_ONCE;
+    this.hasChanged();
+  }
+
+  private hasChanged(): void {
+    this.nChanges += 1;
     this.stage.request();
   }
 }

@@ -102,57 +102,93 @@ async function readFolded(bytes: Uint8Array<ArrayBuffer>): Promise<[Header, Uint
 }
 
 const kZstd = 0xfd2fb528;
-/** Of what a frame looks back to, as libzstd has it unless told otherwise. */
-const kMostWindow = 2 ** 27;
+/** Frames that are not to be decoded begin with one of sixteen numbers from this one on. */
+const kSkippable = 0x184d2a50;
+/** The largest exponent of a window that libzstd takes, less 10. */
+const kMostWindowExponent = 21;
 
-/** Of bytes that are one frame of Zstandard and nothing else, RFC 8878, of `size` bytes where it says so. Null of others. */
-function frameOf(bytes: Uint8Array, size: number): { checksum: number | null } | null {
+interface ZstdFrame {
+  /** With its checksum. */
+  end: number;
+  /** What it unfolds to, null where it does not say. */
+  size: number | null;
+  checksum: number | null;
+  /** Its descriptor lies behind the magic and one byte; null: it is the frame's size. */
+  window: number | null;
+}
+
+/** The frame of Zstandard that begins at `begin`, RFC 8878. Null if none is there, or one that needs a dictionary. */
+function frameAt(bytes: Uint8Array, begin: number): ZstdFrame | null {
   const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
-  if (bytes.length < 6 || view.getUint32(0, true) !== kZstd) return null;
-  const descriptor = bytes[4] as number;
+  if (bytes.length - begin < 6 || view.getUint32(begin, true) !== kZstd) return null;
+  const descriptor = bytes[begin + 4] as number;
   const [sizeFlag, isSingle, hasChecksum] = [descriptor >> 6, (descriptor & 0x20) !== 0, (descriptor & 4) !== 0];
   if ((descriptor & 0x0b) !== 0) return null; // a dictionary, a reserved bit
-  const sizeAt = isSingle ? 5 : 6;
+  const window = isSingle ? null : (bytes[begin + 5] as number);
+  if (window !== null && window >> 3 > kMostWindowExponent) return null;
+  const sizeAt = begin + (isSingle ? 5 : 6);
   const sizeBytes = sizeFlag > 0 ? 1 << sizeFlag : isSingle ? 1 : 0;
-  const window = 2 ** (10 + ((bytes[5] as number) >> 3)) * (1 + ((bytes[5] as number) & 7) / 8);
-  if (!isSingle && window > kMostWindow) return null;
   let at = sizeAt + sizeBytes;
   if (at > bytes.length) return null;
-  let stated = 0;
-  for (let i = sizeBytes - 1; i >= 0; --i) stated = 256 * stated + (bytes[sizeAt + i] as number);
-  if (sizeBytes > 0 && stated + (sizeBytes === 2 ? 256 : 0) !== size) return null;
+  let size = sizeBytes === 2 ? 256 : 0;
+  for (let i = 0; i < sizeBytes; ++i) size += (bytes[sizeAt + i] as number) * 256 ** i;
   for (let isLast = false; !isLast; ) {
     if (at + 3 > bytes.length) return null;
     const head = (bytes[at] as number) | ((bytes[at + 1] as number) << 8) | ((bytes[at + 2] as number) << 16);
     isLast = (head & 1) !== 0;
     at += 3 + (((head >> 1) & 3) === 1 ? 1 : head >> 3);
   }
-  if (at + (hasChecksum ? 4 : 0) !== bytes.length) return null;
-  return { checksum: hasChecksum ? view.getUint32(at, true) : null };
+  const end = at + (hasChecksum ? 4 : 0);
+  if (end > bytes.length) return null;
+  return { end, size: sizeBytes > 0 ? size : null, checksum: hasChecksum ? view.getUint32(at, true) : null, window };
 }
 
-/** Null if it is not what unfolds to `size` bytes. */
-function unfoldFrame(bytes: Uint8Array, size: number): Uint8Array | null {
-  const frame = frameOf(bytes, size);
-  if (!frame) return null;
-  const out = new Uint8Array(size);
-  let at = 0;
-  const stream = new Decompress((piece) => {
-    if (piece.length > size - at) throw new RangeError("more than was promised");
-    out.set(piece, at);
-    at += piece.length;
-  });
-  try {
-    stream.push(bytes, true);
-  } catch {
-    return null;
+/** Unfolds a frame, and nothing else, to the beginning of `out`: how many bytes. Throws if it is damaged or unfolds to more. */
+function unfoldFrame(frame: Uint8Array<ArrayBuffer>, window: number | null, out: Uint8Array): number {
+  // Nothing lies further back than the stream's begin, and the decoder takes memory for the whole window.
+  const enough = Math.max(0, Math.ceil(Math.log2(Math.max(1, out.length))) - 10) << 3;
+  if (window !== null && window > enough) {
+    frame = frame.slice();
+    frame[5] = enough;
   }
-  // The decoder skips it.
-  if (frame.checksum !== null && checksumOf(out) !== frame.checksum) return null;
-  return at === size ? out : null;
+  let done = 0;
+  new Decompress((piece) => {
+    if (piece.length > out.length - done) throw new RangeError("more than was promised");
+    out.set(piece, done);
+    done += piece.length;
+  }).push(frame, true);
+  return done;
 }
 
-/** Version 4: a table of streams, each of them one of Zstandard; streams without bytes are not there. */
+/** One frame or several, as the reference library takes them; those that may be skipped are. Null if they do not unfold to `size` bytes. */
+function unfoldFrames(bytes: Uint8Array<ArrayBuffer>, size: number): Uint8Array | null {
+  const out = new Uint8Array(size);
+  const view = new DataView(bytes.buffer, bytes.byteOffset, bytes.byteLength);
+  let at = 0;
+  let done = 0;
+  while (at < bytes.length) {
+    if (bytes.length - at >= 8 && ((view.getUint32(at, true) & 0xfffffff0) >>> 0) === kSkippable) {
+      at += 8 + view.getUint32(at + 4, true);
+      continue;
+    }
+    const frame = frameAt(bytes, at);
+    if (!frame || (frame.size ?? 0) > size - done) return null;
+    let n: number;
+    try {
+      n = unfoldFrame(bytes.subarray(at, frame.end), frame.window, out.subarray(done));
+    } catch {
+      return null;
+    }
+    if (frame.size !== null && n !== frame.size) return null;
+    // The decoder skips it.
+    if (frame.checksum !== null && checksumOf(out.subarray(done, done + n)) !== frame.checksum) return null;
+    at = frame.end;
+    done += n;
+  }
+  return at === bytes.length && done === size ? out : null;
+}
+
+/** Version 4: a table of streams, each of them frames of Zstandard; streams without bytes are not there. */
 function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
   const header = parseHeader(bytes, bytes.length);
   if (header.version !== 4) throw refuse("unsupported_version", "versions 2 and 3 are gzip streams", 4);
@@ -173,7 +209,7 @@ function readStreams(bytes: Uint8Array<ArrayBuffer>): [Header, Uint8Array[]] {
     const begin = at;
     at += stored;
     if (size === 0) return new Uint8Array(0);
-    const stream = unfoldFrame(bytes.subarray(begin, at), size);
+    const stream = unfoldFrames(bytes.subarray(begin, at), size);
     if (!stream) throw refuse("corrupt_data", "a stream is not what unfolds to its size", begin);
     return stream;
   });

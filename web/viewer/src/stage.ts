@@ -15,10 +15,10 @@ import {
   PIXELFORMAT_RGBA8,
   RenderTarget,
   Texture,
-  Vec3,
   Vec4,
 } from "playcanvas";
 import { pinholeOf, type ViewState } from "./cameras.js";
+import { pictureSize } from "./picture-size.js";
 
 export type Side = 0 | 1;
 
@@ -55,6 +55,8 @@ export class Stage {
     this.cameras = this.layers.map((layer, side) => {
       const entity = new Entity(`camera ${side}`);
       entity.addComponent("camera", { layers: [layer, LAYERID_IMMEDIATE], priority: side, farClip: 1e5, clearColor: new Color(0, 0, 0, 1) });
+      // Otherwise the engine has no use for scissorRect.
+      if (entity.camera) (entity.camera.camera as unknown as { _scissorRectClear: boolean })._scissorRectClear = true;
       app.root.addChild(entity);
       return entity;
     }) as unknown as [Entity, Entity];
@@ -66,11 +68,11 @@ export class Stage {
     });
     app.systems.gsplat?.on("frame:request", () => (this.more = Math.max(this.more, 1)));
     app.on("update", (seconds: number) => {
-      this.on.frame(seconds);
       if (this.more > 0) {
         this.more -= 1;
         this.request();
       }
+      this.on.frame(seconds);
     });
     app.on("postrender", () => (this.frames += 1));
     app.autoRender = false;
@@ -113,6 +115,11 @@ export class Stage {
     this.app.renderNextFrame = true;
   }
 
+  /** Whether there will be a frame. */
+  get isToDraw(): boolean {
+    return this.app.renderNextFrame;
+  }
+
   get size(): { width: number; height: number } {
     const { width, height } = this.canvas;
     return { width, height };
@@ -137,7 +144,9 @@ export class Stage {
     this.cameras.forEach(({ camera }, side) => {
       if (!camera) return;
       camera.enabled = side === 0 ? split > 0 : split < 1;
-      camera.scissorRect = side === 0 ? new Vec4(0, 0, split, 1) : new Vec4(split, 0, 1 - split, 1);
+      // The right one is drawn over the left one, so that no rounding leaves a gap.
+      const border = Math.round(split * this.size.width) / this.size.width;
+      camera.scissorRect = side === 0 ? new Vec4(0, 0, 1, 1) : new Vec4(border, 0, 1, 1);
     });
     this.request();
   }
@@ -150,10 +159,11 @@ export class Stage {
 
   /** A box's edges, in the coordinates of what is drawn, for one frame. */
   drawBox(min: readonly number[], max: readonly number[], colour: readonly number[]): void {
-    const [r, g, b] = colour as [number, number, number];
-    // Its declared type has no parameters.
-    const draw = this.app.drawWireAlignedBox as (min: Vec3, max: Vec3, color: Color, depthTest: boolean) => void;
-    draw.call(this.app, new Vec3([...min]), new Vec3([...max]), new Color(r, g, b), false);
+    // Each edge goes from a corner to the one that differs in one more bit.
+    const corner = (bits: number): number[] => [0, 1, 2].map((axis) => ((bits >> axis) & 1 ? max : min)[axis] as number);
+    const ends = [0, 1, 2, 3, 4, 5, 6, 7].flatMap((from) => [1, 2, 4].filter((bit) => (from & bit) === 0).flatMap((bit) => [...corner(from), ...corner(from | bit)]));
+    const colours = Array.from({ length: ends.length / 3 }, () => [...colour, 1]).flat();
+    this.app.drawLineArrays(ends, colours, false);
   }
 
   /** RGBA, upper row first, of one side alone in a size of its own; one at a time. */
@@ -223,9 +233,8 @@ export class Stage {
   }
 
   private resize(): void {
-    const scale = Math.min(devicePixelRatio, 2);
     const { clientWidth, clientHeight } = this.canvas;
-    const [width, height] = [Math.max(1, Math.round(clientWidth * scale)), Math.max(1, Math.round(clientHeight * scale))];
+    const { width, height } = pictureSize({ width: clientWidth, height: clientHeight }, devicePixelRatio, this.app.graphicsDevice.maxTextureSize);
     if (width === this.size.width && height === this.size.height) return;
     this.app.graphicsDevice.setResolution(width, height);
     this.on.resized();

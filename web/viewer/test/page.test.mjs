@@ -33,12 +33,12 @@ after(async () => {
 const scene = (name) => ({ name, url: `scenes/0/${name}`, bytes: 1 });
 
 /** One test with a page of its own; `problems` are what the console complains of. */
-function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges = true, size = kSize, address = "", allowed = [], waits = true }, body) {
+function inBrowser(name, { view = null, files = {}, frame = null, hold, ranges = true, size = kSize, hasTouch = false, address = "", allowed = [], waits = true }, body) {
   test(name, async (t) => {
     if (!browser) return skip(t, "chromium is not installed");
     if (!existsSync(dist)) throw new Error("web/viewer is not built: sh scripts/test_web.sh");
     const server = await startServer({ view, files, frame, hold, ranges });
-    const context = await browser.newContext({ viewport: size, acceptDownloads: true });
+    const context = await browser.newContext({ viewport: size, hasTouch, acceptDownloads: true });
     const page = await context.newPage();
     page.setDefaultTimeout(kPatienceMs);
     const problems = [];
@@ -125,6 +125,47 @@ inBrowser("the slider moves by keys and pointer", { ...two, files: two.files() }
   await page.waitForFunction(() => /mode=slider&split=0\.2/.test(location.hash));
 });
 
+const leftAndLevels = { view: { ...two.view, scenes: [scene("packed.rgs"), { name: "levels.rgs", url: "scenes/1/levels.rgs", bytes: 1 }] } };
+inBrowser("the slider has one scene on its left and the other on its right", { ...leftAndLevels, files: { ...two.files(), "scenes/1/levels.rgs": join(scenes(), "levels.rgs") } }, async ({ page }) => {
+  // The right one alone has pages, and so colours of them.
+  await page.locator("#tint").selectOption("level");
+  const at = async (split) => {
+    await page.locator("#split").fill(String(split));
+    let last = "";
+    for (let shot = ""; last === "" || shot !== last; ) {
+      [last, shot] = [shot, (await page.locator("#picture").screenshot()).toString("base64")];
+    }
+    return last;
+  };
+  const [left, right, both] = [await at(1000), await at(0), await at(400)];
+  // Apart from the tags and the slider, which lie over the picture.
+  const differing = await page.evaluate(async (all) => {
+    const [left, right, both] = await Promise.all(
+      all.map(async (base64) => {
+        const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+        const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+        context.drawImage(bitmap, 0, 0);
+        const [y, rows] = [Math.round(bitmap.height / 4), Math.round(bitmap.height / 2)];
+        return { width: bitmap.width, rows, pixels: new Uint32Array(context.getImageData(0, y, bitmap.width, rows).data.buffer) };
+      }),
+    );
+    const { width, rows } = both;
+    const border = 0.4 * width;
+    const n = { left: 0, right: 0, scenes: 0 };
+    for (let x = 0; x < width; ++x) {
+      for (let y = 0; y < rows; ++y) {
+        const i = y * width + x;
+        n.scenes += left.pixels[i] !== right.pixels[i];
+        if (x < border - 1) n.left += both.pixels[i] !== left.pixels[i];
+        if (x > border + 1) n.right += both.pixels[i] !== right.pixels[i];
+      }
+    }
+    return { left: n.left, right: n.right, share: n.scenes / (width * rows) };
+  }, [left, right, both]);
+  assert.ok(differing.share > 0.9, `${differing.share}`);
+  assert.deepEqual([differing.left, differing.right], [0, 0]);
+});
+
 inBrowser("the difference says how many dB", { ...two, files: two.files() }, async ({ page }) => {
   await page.getByRole("radio", { name: "Difference" }).click();
   await page.locator("#map").waitFor();
@@ -136,6 +177,44 @@ inBrowser("the difference says how many dB", { ...two, files: two.files() }, asy
   await page.locator("#map").waitFor({ state: "hidden" });
 });
 
+inBrowser("the difference is of what the settings say, and is what a screenshot saves", { ...two, files: two.files() }, async ({ page }) => {
+  await page.getByRole("radio", { name: "Difference" }).click();
+  await page.locator("#map").waitFor();
+  for (const [id, value] of [["sh", "0"], ["background", "#ffffff"]]) {
+    await page.evaluate(() => (document.getElementById("psnr").textContent = "of before"));
+    await page.locator(`#${id}`).fill(value);
+    await page.waitForFunction(() => !document.getElementById("map").hidden && /dB$/.test(document.getElementById("psnr").textContent));
+  }
+  // Where both are equal, black: most of it.
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
+  const png = readFileSync(await download.path()).toString("base64");
+  const same = await page.evaluate(async (base64) => {
+    const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+    const map = document.getElementById("map");
+    const pixels = [bitmap, map].map((image) => {
+      const context = new OffscreenCanvas(map.width, map.height).getContext("2d");
+      context.drawImage(image, 0, 0);
+      return new Uint32Array(context.getImageData(0, 0, map.width, map.height).data.buffer);
+    });
+    return pixels[0].every((value, i) => value === pixels[1][i]);
+  }, png);
+  assert.ok(same);
+});
+
+inBrowser("a comparison is chosen by arrow keys, and letters in a list are the list's", { ...two, files: { ...two.files(), "scenes/1/low.rgs": join(scenes(), "levels.rgs") } }, async ({ page }) => {
+  await page.getByRole("radio", { name: "One" }).focus();
+  await page.keyboard.press("ArrowDown");
+  assert.ok(await page.getByRole("radio", { name: "Slider" }).isChecked());
+  await page.locator("#split").waitFor();
+  await page.locator("#tint").focus();
+  for (const key of ["f", "x", "n"]) await page.keyboard.press(key);
+  assert.ok(await page.getByRole("radio", { name: "Slider" }).isChecked());
+  // Held down a key is pressed once.
+  await page.locator("#picture").focus();
+  for (let i = 0; i < 3; ++i) await page.keyboard.down("i");
+  assert.ok(await page.locator("#stats").isChecked());
+});
+
 inBrowser("flicker shows one after the other", { ...two, files: two.files() }, async ({ page }) => {
   await page.locator("#picture").focus();
   await page.keyboard.press("f");
@@ -144,7 +223,7 @@ inBrowser("flicker shows one after the other", { ...two, files: two.files() }, a
   await page.waitForFunction((was) => document.getElementById("left").hidden === was, first);
   await page.waitForFunction((was) => document.getElementById("left").hidden !== was, first);
   await page.keyboard.press("f");
-  assert.equal(await page.getByRole("radio", { name: "One" }).getAttribute("aria-checked"), "true");
+  assert.ok(await page.getByRole("radio", { name: "One" }).isChecked());
 });
 
 inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ page, server, context }) => {
@@ -158,14 +237,51 @@ inBrowser("a link restores the view", { ...one, files: one.files() }, async ({ p
   const [, camera] = readCameras(join(scenes(), "cameras.json"));
   const at = new URLSearchParams(hash.slice(1)).get("at").split(",").map(Number);
   camera.position.forEach((value, i) => assert.ok(Math.abs(value - at[i]) < 1e-5, `${at}`));
+  await context.grantPermissions(["clipboard-read", "clipboard-write"]);
   const other = await context.newPage();
   other.setDefaultTimeout(kPatienceMs);
   await other.goto(`${server.url}${hash}`);
   await other.waitForSelector("html[data-ready]", { state: "attached" });
   assert.equal(await other.locator("#sh").inputValue(), "1");
   assert.equal(await other.locator("#background").inputValue(), "#336699");
-  await other.waitForFunction((expected) => location.hash === expected, hash);
+  // What is behind # is the address's own until the page writes it anew.
+  await other.evaluate(() => history.replaceState(null, "", location.pathname));
+  await other.locator("#link").click();
+  assert.equal(new URL(other.url()).hash, hash);
+  await other.waitForFunction(() => document.getElementById("status").textContent === "Link copied");
+  assert.equal(await other.evaluate(() => navigator.clipboard.readText()), other.url());
+  // In a page that is there already, too.
+  await other.locator("#picture").focus();
+  await other.keyboard.press("n");
+  await other.locator("#sh").fill("3");
+  await other.waitForFunction((was) => location.hash !== was && /sh=3/.test(location.hash), hash);
+  await other.evaluate((hash) => (location.hash = hash), hash);
+  await other.waitForFunction(() => document.getElementById("sh").value === "1");
+  await other.evaluate(() => history.replaceState(null, "", location.pathname));
+  await other.locator("#link").click();
+  assert.equal(new URL(other.url()).hash, hash);
 });
+
+/** `window.nDrawn` counts what is drawn from now on. */
+async function untilNothingIsDrawn(page) {
+  const drawnIn30Frames = () =>
+    page.evaluate(async () => {
+      const before = window.nDrawn;
+      for (let i = 0; i < 30; ++i) await new Promise(requestAnimationFrame);
+      return window.nDrawn - before;
+    });
+  await page.evaluate(() => {
+    if (window.nDrawn !== undefined) return;
+    window.nDrawn = 0;
+    const { prototype } = WebGL2RenderingContext;
+    const { clear } = prototype;
+    prototype.clear = function (...mask) {
+      window.nDrawn += 1;
+      return clear.apply(this, mask);
+    };
+  });
+  for (let i = 0; (await drawnIn30Frames()) > 0; ++i) assert.ok(i < 100, "it is drawn for ever");
+}
 
 inBrowser("keys and pointer move the view, and only then is drawn", { ...one, files: one.files() }, async ({ page }) => {
   await page.waitForFunction(() => location.hash !== "");
@@ -175,8 +291,14 @@ inBrowser("keys and pointer move the view, and only then is drawn", { ...one, fi
     await action();
     await page.waitForFunction((url) => location.href !== url, was);
   };
+  await untilNothingIsDrawn(page);
   await page.locator("#picture").focus();
   await changed(() => page.keyboard.press("ArrowLeft", { delay: 100 }));
+  assert.ok((await page.evaluate(() => window.nDrawn)) > 0);
+  // Bounds are drawn with the picture, and with nothing else.
+  await page.locator("#boxes").check();
+  await untilNothingIsDrawn(page);
+  await page.locator("#picture").focus();
   await changed(() => page.keyboard.press("w", { delay: 100 }));
   await changed(() => page.keyboard.press("+"));
   await changed(async () => {
@@ -321,7 +443,7 @@ inBrowser("a second scene is beside the first as soon as a part of it is there",
   second.open();
   await page.locator("#map").waitFor();
   assert.equal(await text(page, "#psnr"), "equal");
-  assert.equal(await page.getByRole("radio", { name: "Difference" }).getAttribute("aria-checked"), "true");
+  assert.ok(await page.getByRole("radio", { name: "Difference" }).isChecked());
   // So is what is saved.
   const late = await save();
   assert.ok(readFileSync(await early.saved).equals(readFileSync(await late.saved)));
@@ -369,6 +491,13 @@ inBrowser("a server without ranges is asked for a PLY no more often than one wit
   assert.equal(server.requests.filter((line) => line === "GET scenes/0/scene.ply").length, 2);
 });
 
+const misnamed = { view: { ...one.view, scenes: [scene("a.rgs")] }, ranges: false };
+inBrowser("a PLY with the name of an .rgs is opened from a server without ranges", { ...misnamed, files: { "scenes/0/a.rgs": join(scenes(), "scene.ply"), "cameras.json": join(scenes(), "cameras.json") } }, async ({ page }) => {
+  assert.equal(await text(page, "#title"), "a.rgs");
+  assert.match(await page.getAttribute("#picture", "aria-label"), /60k Gaussians/);
+  assert.deepEqual(await errors(page), []);
+});
+
 let asked;
 const secondOfTwo = { view: { ...two.view, scenes: [{ ...scene("missing.rgs") }, { ...scene("packed.rgs"), url: "scenes/1/packed.rgs" }], frames: { url: "frame", backend: "cpu" } } };
 const refusesAndTells = async ({ scene }) => {
@@ -396,7 +525,7 @@ inBrowser("a mode that is chosen while a scene is opened stays", { ...chosen, fr
   await page.keyboard.press("f");
   whole.open();
   await page.waitForSelector("html[data-ready]", { state: "attached" });
-  assert.equal(await page.getByRole("radio", { name: "Flicker" }).getAttribute("aria-checked"), "true");
+  assert.ok(await page.getByRole("radio", { name: "Flicker" }).isChecked());
 });
 
 inBrowser("what turns out damaged goes again, and what was there stays", { allowed: [k404] }, async ({ page }) => {
@@ -516,6 +645,63 @@ inBrowser("a zip that is no SOG, and an empty list of cameras, are said in sente
   assert.match(await refused("c.json", "[]"), /^c\.json could not be opened: the camera file holds no cameras\./);
 });
 
+inBrowser("images that a SOG lacks are named, and asked for nowhere", { allowed: [k404, /scene\d+\.sog-gsplat|means_l\.webp|createImageBitmap/] }, async ({ page, server }) => {
+  const images = { means: ["means_l.webp", "../means_u.webp"], scales: ["scales.webp"], quats: ["quats.webp"], sh0: ["sh0.webp"] };
+  const meta = { version: 2, count: 1, ...Object.fromEntries(Object.entries(images).map(([name, files]) => [name, { files }])) };
+  const before = server.requests.length;
+  await drop(page, "a.sog", zipOf("meta.json", JSON.stringify(meta)));
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^a\.sog is damaged: the zip archive lacks means_l\.webp, \.\.\/means_u\.webp, scales\.webp, quats\.webp, sh0\.webp, which its meta\.json names \(missing_section\)/);
+  assert.deepEqual(server.requests.slice(before), []);
+});
+
+/** A PLY of Gaussians of one size, [x, y, z] each. */
+function plyOf(means, scale) {
+  const names = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+  const header = ["ply", "format binary_little_endian 1.0", `element vertex ${means.length}`, ...names.map((name) => `property float ${name}`), "end_header", ""];
+  const rows = new Float32Array(means.flatMap((mean) => [...mean, 1, 0.5, -0.5, 3, ...Array(3).fill(Math.log(scale)), 1, 0, 0, 0]));
+  return Buffer.concat([Buffer.from(header.join("\n")), Buffer.from(rows.buffer)]);
+}
+
+inBrowser("a single Gaussian is seen, and a scene smaller than what is too near to be drawn", { allowed: [k404] }, async ({ page }) => {
+  const open = async (name, bytes) => {
+    await page.reload();
+    await page.evaluate(() => history.replaceState(null, "", location.pathname));
+    await page.reload();
+    await page.waitForSelector("html[data-ready]", { state: "attached" });
+    await drop(page, name, bytes);
+    await page.waitForFunction((name) => document.getElementById("title").textContent === name, name);
+    await assertDrawn(page, 30);
+  };
+  const asRgs = (ply) => {
+    const [from, to] = ["few.ply", "few.rgs"].map((name) => join(folder, name));
+    writeFileSync(from, ply);
+    execFileSync(program("rgs-convert"), ["--quiet", "--overwrite", from, to]);
+    return readFileSync(to);
+  };
+  const single = plyOf([[1, 2, 3]], 0.3);
+  const tiny = plyOf(Array.from({ length: 20 }, (_, i) => [0.01 * Math.sin(i), 0.01 * Math.cos(i), 0.01 * Math.sin(3 * i)]), 0.004);
+  await open("a.ply", single);
+  assert.match(await page.getAttribute("#picture", "aria-label"), /1 Gaussian$/);
+  await open("a.rgs", asRgs(single));
+  await open("b.ply", tiny);
+  await open("b.rgs", asRgs(tiny));
+});
+
+inBrowser("a PLY that ends too early is said to be damaged", { allowed: [k404, /scene1\.ply-gsplat/] }, async ({ page }) => {
+  const whole = plyOf([[1, 2, 3], [4, 5, 6]], 1);
+  await drop(page, "a.ply", whole.subarray(0, whole.length - 1));
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^a\.ply is damaged: the file ends before the last Gaussian that its header counts \(truncated\)/);
+});
+
+inBrowser("a PLY without Gaussians is no scene", { allowed: [k404] }, async ({ page }) => {
+  await drop(page, "a.ply", plyOf([], 1));
+  await page.waitForFunction(() => document.querySelectorAll("#errors p").length > 0);
+  assert.match((await errors(page))[0], /^a\.ply could not be opened: it holds no Gaussians\./);
+  assert.ok(await page.locator("#welcome").isVisible());
+});
+
 inBrowser("two PLY are two", { allowed: [k404] }, async ({ page }) => {
   const path = join(scenes(), "scene.ply");
   await drop(page, "a.ply", firstOf(path, 2000));
@@ -577,6 +763,45 @@ inBrowser("a scene is dropped, and a second one beside it", { allowed: [k404] },
   assert.ok(await page.locator("#split").isVisible());
 });
 
+inBrowser("fingers move the view, and two taps focus", { ...one, files: one.files(), size: { width: 360, height: 640 }, hasTouch: true }, async ({ page }) => {
+  const link = async () => {
+    await page.evaluate(() => history.replaceState(null, "", location.pathname));
+    await page.locator("#link").evaluate((button) => button.click());
+    return new URLSearchParams(new URL(page.url()).hash.slice(1));
+  };
+  const box = await page.locator("#picture").boundingBox();
+  const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+  const devtools = await page.context().newCDPSession(page);
+  const touch = (type, points) => devtools.send("Input.dispatchTouchEvent", { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+  const before = await link();
+  await touch("touchStart", [[x, y]]);
+  await touch("touchMove", [[x + 60, y]]);
+  await touch("touchEnd", []);
+  const turned = await link();
+  assert.notEqual(turned.get("axes"), before.get("axes"));
+  assert.equal(turned.get("pivot"), before.get("pivot"));
+  const away = (state) => Math.hypot(...state.get("at").split(",").map((value, i) => value - state.get("pivot").split(",")[i]));
+  await touch("touchStart", [[x - 40, y], [x + 40, y]]);
+  await touch("touchMove", [[x - 80, y], [x + 80, y]]);
+  await touch("touchEnd", []);
+  const near = await link();
+  assert.ok(Math.abs(away(near) / away(turned) - 0.5) < 0.01, `${away(near)} of ${away(turned)}`);
+  // One tap does nothing, a second one beside it focuses.
+  const tap = async () => {
+    await touch("touchStart", [[x + 20, y + 10]]);
+    await touch("touchEnd", []);
+  };
+  await tap();
+  assert.equal(`${await link()}`, `${near}`);
+  const pivot = async () => (await link()).get("pivot");
+  // Two are one of a slow machine's many.
+  for (let i = 0; (await pivot()) === near.get("pivot"); ++i) {
+    assert.ok(i < 20);
+    await tap();
+    await tap();
+  }
+});
+
 inBrowser("a phone has the picture above its settings", { ...one, files: one.files(), size: { width: 360, height: 640 } }, async ({ page }) => {
   const box = await page.locator("#stage").boundingBox();
   assert.equal(box.width, 360);
@@ -599,6 +824,14 @@ inBrowser("everything has a name for screen readers, and dark is not light", { .
   const dark = await colour();
   await page.locator("#theme").click();
   assert.notEqual(await colour(), dark);
+  // Where the system is dark, the first press makes it light.
+  await page.emulateMedia({ colorScheme: "dark" });
+  await page.reload();
+  assert.equal(await colour(), dark);
+  assert.equal(await page.getAttribute("#theme", "aria-pressed"), "true");
+  await page.locator("#theme").click();
+  assert.notEqual(await colour(), dark);
+  assert.equal(await page.getAttribute("#theme", "aria-pressed"), "false");
 });
 
 const levelsFile = () => join(scenes(), "levels.rgs");
@@ -646,6 +879,56 @@ inBrowser("of a file with levels the coarsest page comes first", { ...levelsOnly
   await page.locator("#tint").selectOption("level");
   await page.locator("#boxes").check();
   assert.notEqual(await shot(), plain);
+});
+
+inBrowser("bounds are drawn over the picture, and stay there", { allowed: [k404] }, async ({ page }) => {
+  const yellow = async () => {
+    await untilNothingIsDrawn(page);
+    const shot = (await page.locator("#picture").screenshot()).toString("base64");
+    return page.evaluate(async (base64) => {
+      const bitmap = await createImageBitmap(new Blob([Uint8Array.from(atob(base64), (c) => c.charCodeAt(0))]));
+      const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d");
+      context.drawImage(bitmap, 0, 0);
+      const { data } = context.getImageData(0, 0, bitmap.width, bitmap.height);
+      let n = 0;
+      for (let i = 0; i < data.length; i += 4) n += data[i] > 200 && data[i + 1] > 150 && data[i + 2] < 80;
+      return n;
+    }, shot);
+  };
+  // Two small Gaussians in corners of their box.
+  await drop(page, "a.ply", plyOf([[0, 0, 0], [1, 1, 1]], 0.01));
+  await page.waitForFunction(() => document.getElementById("title").textContent === "a.ply");
+  const without = await yellow();
+  await page.locator("#boxes").check();
+  assert.ok((await yellow()) > without + 300, `${await yellow()} of ${without}`);
+  await page.locator("#boxes").uncheck();
+  assert.equal(await yellow(), without);
+});
+
+inBrowser("colours by error are of the view that is shown", levelsOnly, async ({ page }) => {
+  const still = async () => {
+    let last = "";
+    for (let now = await shot(); now !== last; now = await shot()) last = now;
+    return last;
+  };
+  const shot = async () => {
+    await untilNothingIsDrawn(page);
+    return (await page.locator("#picture").screenshot()).toString("base64");
+  };
+  // So far away that the coarsest page alone is drawn, with an error of less than four pixels.
+  await page.locator("#detail").fill("16");
+  await page.locator("#picture").focus();
+  for (let i = 0; i < 12; ++i) await page.keyboard.press("-");
+  await page.locator("#tint").selectOption("error");
+  const near = await still();
+  await page.locator("#picture").focus();
+  for (let i = 0; i < 4; ++i) await page.keyboard.press("-");
+  const far = await still();
+  await page.locator("#tint").selectOption("none");
+  assert.notEqual(await still(), far);
+  await page.locator("#tint").selectOption("error");
+  assert.equal(await still(), far);
+  assert.notEqual(far, near);
 });
 
 inBrowser("a server that goes away is said, and what is there stays", { ...levelsOnly, hold: heldForEver.hold, allowed: [/ERR_(CONNECTION|EMPTY)/] }, async ({ page, server }) => {
@@ -775,6 +1058,7 @@ inBrowser("a lost device is said, and comes back", { ...one, files: one.files(),
   assert.match((await errors(page))[0], /^The graphics device was lost/);
   await page.evaluate(() => window.lose.restoreContext());
   await page.waitForFunction(() => document.getElementById("status").textContent === "The graphics device is back");
+  assert.deepEqual(await errors(page), []);
   await assertDrawn(page);
 });
 
@@ -788,6 +1072,17 @@ test("a browser without WebGL 2 is told so", async (t) => {
   await page.goto(server.url);
   await page.waitForSelector("#errors p");
   assert.match((await errors(page))[0], /^This browser has no WebGL 2/);
+});
+
+inBrowser("a screenshot is named as the scene is, whatever that is", { allowed: [k404] }, async ({ page }) => {
+  await page.locator("#screenshot").click();
+  assert.match((await errors(page))[0], /^There is nothing to save yet: open a scene first\./);
+  const name = "a scene #1, 100%41.rgs";
+  await drop(page, name, readFileSync(join(golden, "degree3.rgs")));
+  await page.waitForFunction((name) => document.getElementById("title").textContent === name, name);
+  assert.equal(await page.title(), `${name} | RoofGS viewer`);
+  const [download] = await Promise.all([page.waitForEvent("download"), page.locator("#screenshot").click()]);
+  assert.equal(download.suggestedFilename(), `${name}.png`);
 });
 
 inBrowser("a screenshot has the picture's size", { ...one, files: one.files() }, async ({ page }) => {

@@ -1,19 +1,21 @@
 // units.test.mjs - what of the page needs no browser: links, cameras, the cut, the difference, sentences.
 // SPDX-License-Identifier: Apache-2.0
 import assert from "node:assert/strict";
-import { mkdtempSync, rmSync } from "node:fs";
+import { spawnSync } from "node:child_process";
+import { mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import test, { after, before } from "node:test";
 import { fileURLToPath } from "node:url";
 import { gzipSync } from "node:zlib";
 import { build } from "vite";
+import { program } from "../../playcanvas/test/pictures.mjs";
 
 let folder;
 const modules = {};
 before(async () => {
   folder = mkdtempSync(join(tmpdir(), "rgs-web-units-"));
-  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "levels", "link", "manifest", "messages", "spz"];
+  const names = ["cameras", "checksum", "controls", "declared", "difference", "kind", "levels", "link", "manifest", "messages", "picture-size", "spz"];
   const input = Object.fromEntries(names.map((name) => [name, fileURLToPath(new URL(`../src/${name}.ts`, import.meta.url))]));
   const output = { entryFileNames: "[name].mjs" };
   await build({ configFile: false, logLevel: "error", build: { outDir: folder, lib: { entry: input, formats: ["es"] }, rollupOptions: { output } } });
@@ -71,8 +73,25 @@ test("orbiting keeps the distance and stays upright", () => {
   assert.ok(Math.abs(Math.hypot(...steep.position) - 5) < 1e-6);
   assert.ok(Math.abs(steep.rotation[1][0]) < 1e-6, "right is level");
   assert.ok(steep.rotation[1][1] > 0 && Math.abs(steep.rotation[1][2]) > 0.9, "nearly straight down, never over");
+  // A camera may begin steeper than that, and comes back.
+  const down = { ...start, position: [0, -5, 0], rotation: [[1, 0, 0], [0, 0, 1], [0, -1, 0]] };
+  const back = orbited(down, world, 0, -0.05, "pivot");
+  assert.ok(Math.abs(back.rotation[1][2] - Math.cos(0.05)) < 1e-9, `${back.rotation}`);
   assert.deepEqual(moved(start, [1, 2, 3]).position, [1, 2, -2]);
   assert.deepEqual(approached(start, 0.5).position, [0, 0, -2.5]);
+});
+
+test("a picture is no larger than browsers draw", () => {
+  const { pictureSize } = modules["picture-size"];
+  const of = (width, height, ratio, most = 16384) => Object.values(pictureSize({ width, height }, ratio, most));
+  assert.deepEqual(of(800, 360, 1), [800, 360]);
+  assert.deepEqual(of(360, 640, 3), [720, 1280]);
+  assert.deepEqual(of(3840, 2160, 2), [7680, 4320]);
+  assert.deepEqual(of(0, 0, 1), [1, 1]);
+  assert.deepEqual(of(9000, 100, 1, 8192), [8192, 91]);
+  const [width, height] = of(9500, 6400, 1);
+  assert.ok(width * height <= 7680 * 4320 && width * height > 0.99 * 7680 * 4320, `${width}x${height}`);
+  assert.ok(Math.abs(width / height - 9500 / 6400) < 1e-3);
 });
 
 test("the difference of two pictures", () => {
@@ -206,11 +225,28 @@ const versionFour = (edit = (bytes) => frameOf(bytes)) => {
   return Buffer.concat([kSpzHeader(4, 1, { streams: 5 }), table, ...frames]);
 };
 
-test("a stream of an SPZ is one frame that unfolds to its size, and nothing else", async () => {
-  for (const edit of [frameOf, (bytes) => frameOf(bytes, { size: null }), (bytes) => frameOf(bytes, { checksum: kChecksum })]) {
+/** What a decoder passes over: RFC 8878, 3.1.2. */
+const skippable = (bytes) => {
+  const head = Buffer.from([0x5a, 0x2a, 0x4d, 0x18, 0, 0, 0, 0]);
+  head.writeUInt32LE(bytes.length, 4);
+  return Buffer.concat([head, bytes]);
+};
+
+// The reference library unfolds them with ZSTD_decompress, as rgs-convert does: the program says so below.
+test("a stream of an SPZ is frames that unfold to its size, and nothing else", async () => {
+  const sound = {
+    "a size": frameOf,
+    "no size": (bytes) => frameOf(bytes, { size: null }),
+    "a checksum": (bytes) => frameOf(bytes, { checksum: kChecksum }),
+    "a window of 2 GB": (bytes) => frameOf(bytes, { size: null, window: 0xa8 }),
+    "two frames": (bytes) => Buffer.concat([frameOf(bytes.subarray(0, 4)), frameOf(bytes.subarray(4), { size: null })]),
+    "a frame of nothing": (bytes) => Buffer.concat([frameOf(bytes.subarray(0, 0)), frameOf(bytes, { checksum: kChecksum })]),
+    "frames that may be skipped": (bytes) => Buffer.concat([skippable(Buffer.alloc(3)), frameOf(bytes), skippable(Buffer.alloc(0))]),
+  };
+  for (const [what, edit] of Object.entries(sound)) {
     const { streams } = await unfold(versionFour((bytes) => edit(bytes)));
-    assert.deepEqual([...streams.positions], Array(9).fill(1));
-    assert.deepEqual([...streams.rotations], Array(4).fill(5));
+    assert.deepEqual([...streams.positions], Array(9).fill(1), what);
+    assert.deepEqual([...streams.rotations], Array(4).fill(5), what);
   }
   const bad = {
     "too few": (bytes) => frameOf(bytes.subarray(1)),
@@ -218,17 +254,30 @@ test("a stream of an SPZ is one frame that unfolds to its size, and nothing else
     "too many": () => frameOf(Buffer.alloc(10)),
     "too many, unsaid": () => frameOf(Buffer.alloc(10), { size: null }),
     "another size than it says": (bytes) => frameOf(bytes, { size: 10 }),
-    "two frames": (bytes) => Buffer.concat([frameOf(bytes.subarray(0, 4)), frameOf(bytes.subarray(4))]),
+    "two frames of too many": (bytes) => Buffer.concat([frameOf(bytes), frameOf(bytes.subarray(0, 1))]),
+    "two frames of too many, unsaid": (bytes) => Buffer.concat([frameOf(bytes), frameOf(bytes.subarray(0, 1), { size: null })]),
+    "two frames of too few": (bytes) => Buffer.concat([frameOf(bytes.subarray(0, 4)), frameOf(bytes.subarray(5))]),
+    "a wrong checksum of the second": (bytes) => Buffer.concat([frameOf(bytes.subarray(0, 0)), frameOf(bytes, { checksum: [0xb3, 0x36, 0x9c, 0xe9] })]),
     "bytes behind it": (bytes) => Buffer.concat([frameOf(bytes), Buffer.alloc(1)]),
-    "a window of 2 TB": (bytes) => frameOf(bytes, { size: null, window: 0xf8 }),
+    "a skippable frame beyond its end": (bytes) => Buffer.concat([frameOf(bytes), skippable(Buffer.alloc(4)).subarray(0, 10)]),
+    "a dictionary": (bytes) => Buffer.from(frameOf(bytes).map((byte, i) => (i === 4 ? byte | 1 : byte))),
+    "a window of 4 GB": (bytes) => frameOf(bytes, { size: null, window: 0xb0 }),
     "a wrong checksum": (bytes) => frameOf(bytes, { checksum: [0xb3, 0x36, 0x9c, 0xe9] }),
     "half a checksum": (bytes) => frameOf(bytes, { checksum: [0xb2, 0x36] }),
     "half of it": (bytes) => frameOf(bytes).subarray(0, 12),
     "no frame": () => Buffer.alloc(20),
   };
   for (const [what, edit] of Object.entries(bad)) await assert.rejects(unfold(versionFour(edit)), { code: "corrupt_data", offset: 112 }, what);
-  const sound = versionFour();
-  await assert.rejects(unfold(Buffer.concat([sound, Buffer.alloc(1)])), { code: "trailing_bytes", offset: sound.length });
+  const whole = versionFour();
+  await assert.rejects(unfold(Buffer.concat([whole, Buffer.alloc(1)])), { code: "trailing_bytes", offset: whole.length });
+  const path = join(folder, "a.spz");
+  for (const [all, expected] of [[sound, 0], [bad, 4]]) {
+    for (const [what, edit] of Object.entries(all)) {
+      writeFileSync(path, versionFour((bytes) => edit(bytes)));
+      const { status } = spawnSync(program("rgs-convert"), ["--quiet", "--overwrite", path, join(folder, "a.ply")]);
+      assert.equal(status, expected, `rgs-convert: ${what}`);
+    }
+  }
 });
 
 test("the checksum of a frame is that of zstd", () => {
@@ -237,6 +286,13 @@ test("the checksum of a frame is that of zstd", () => {
   for (const [n, sum] of Object.entries(known)) {
     assert.equal(modules.checksum.checksumOf(Uint8Array.from({ length: Number(n) }, (_, i) => 7 * i + 3)), sum, `${n} bytes`);
   }
+  // Of so many that every carry is there, and not at an even address.
+  const many = new Uint8Array(100_004);
+  for (let i = 1, x = 1; i < many.length; ++i) {
+    x = (Math.imul(x, 1664525) + 1013904223) >>> 0;
+    many[i] = x >>> 24;
+  }
+  assert.equal(modules.checksum.checksumOf(many.subarray(1)), 0xc3b87809);
 });
 
 test("a rotation of three bytes is the one of four", () => {

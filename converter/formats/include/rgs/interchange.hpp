@@ -87,11 +87,15 @@ struct ReadOptions {
   /// without levels are read as a whole whatever max_count is.
   std::optional<std::uint32_t> level_of_detail = std::nullopt;
   std::optional<std::uint64_t> max_count = std::nullopt;
+  /// [pages] how many Gaussians of each page count towards max_count, for who keeps only some of them; empty: all. Pages of which
+  /// none counts are not read, but of a file that has places in its source where it fits as a whole.
+  std::vector<std::uint32_t> page_counts = {};
 };
 
 /// Reads a whole file of any format. Memory: a constant times the size of the file (decompressed sizes are checked
 /// against it before they are allocated, see docs/INTERCHANGE.md). Values are passed on as they are stored, NaN too.
-/// Errors: read_failed (also if the file is written to meanwhile); bad_argument (no such level, or none of so few Gaussians); pages_missing (the
+/// Errors: read_failed (also if the file is written to meanwhile); bad_argument (no such level, none of so few Gaussians, or
+/// page_counts of another file); pages_missing (the
 /// end of an .rgs with levels is missing, and with it some of what is asked for); those of PlyFile::open, FileView::open() and PagedFile::open(); for the other formats bad_magic, unsupported_version,
 /// unsupported_feature, reserved_bits, bad_header, bad_syntax, bad_value, truncated, size_mismatch, trailing_bytes,
 /// checksum_mismatch, missing_section, limit_exceeded, each with the byte offset in the file (inside SOG: in the image
