@@ -2,6 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
+#include <cassert>
 #include <cstddef>
 #include <cstdint>
 
@@ -21,7 +22,9 @@ struct Pieces {
   std::uint32_t bytes[kMost];
   std::uint32_t n = 0;
 
+  /// n < kMost.
   void add(void* at, const void* source, std::size_t size) {
+    assert(n < kMost);
     to[n] = at, from[n] = source, bytes[n] = static_cast<std::uint32_t>(size);
     ++n;
   }

@@ -73,8 +73,8 @@ class OwnedStream {
   cudaStream_t stream_ = nullptr;
 };
 
-/// Copies what is on the device to any host memory, and returns once it is there. As long as cudaMemcpy() copies, launches of other threads
-/// wait, and where the memory is not page-locked those do, too, that cudaMemcpyAsync() copies on the default stream. Errors: device_failed.
+/// Copies what is on the device to any host memory, and returns once it is there. Launches of other threads wait while cudaMemcpy() copies.
+/// Where the memory is not page-locked, they also wait while cudaMemcpyAsync() copies on the default stream. Errors: device_failed.
 inline Status copy_to_host(void* to, const void* from, std::uint64_t bytes, const OwnedStream& stream,
                            const char* what) {
   const Status copied = device_status(cudaMemcpyAsync(to, from, bytes, cudaMemcpyDeviceToHost, stream.get()), what);

@@ -6,12 +6,26 @@
 #include <utility>
 
 #include "common/bring.hpp"
+#include "common/device_code.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "page_sections.hpp"
+#include "rgs/splat_cloud.hpp"
 #include "stream/stream_times.hpp"
 
 namespace rgs::detail {
 namespace {
+
+// Pieces are whole rows: of Gaussians, those of whole chunks, of which each has a multiple of kMinChunkSize.
+constexpr bool pieces_are_whole() {
+  for (int degree = 0; degree <= kMaxShDegree; ++degree) {
+    const auto row = section_row_bytes(degree);
+    for (std::size_t k = 0; k < row.size(); ++k) {
+      if ((k < 3 ? kMinChunkSize : 1) * row[k] % cuda::Pieces::kAlignment != 0) return false;
+    }
+  }
+  return true;
+}
+static_assert(pieces_are_whole());
 
 /// The pool's device is the current one of a thread as long as this lives, then the one that was before. Where the thread has it
 /// already nothing is set: cudaSetDevice() makes a context, of hundreds of megabytes, on a device that has none.
@@ -53,6 +67,7 @@ Result<std::shared_ptr<DeviceSlots>> DeviceSlots::create(const SlotShape& shape,
     return make_error(Errc::unavailable, Error::kNone,
                       "no CUDA device answers, so that a pool cannot have a device's memory");
   }
+  if (const Status ok = cuda::check_device_code(); !ok) return tl::unexpected(ok.error());
   void* memory = nullptr;
   const cudaError_t error = cudaMalloc(&memory, plan->bytes);
   if (error == cudaErrorMemoryAllocation) {

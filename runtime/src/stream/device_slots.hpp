@@ -17,7 +17,7 @@ namespace rgs::detail {
 /// taken it. But for stay_on_device(), these functions and those of writers leave the caller's current device as it is.
 class DeviceSlots {
  public:
-  /// Errors: those of plan_slots(); unavailable (not built, or no device answers), device_out_of_memory, device_failed.
+  /// Errors: those of plan_slots(); unavailable (not built, no device answers, or no code for it), device_out_of_memory, device_failed.
   static Result<std::shared_ptr<DeviceSlots>> create(const SlotShape& shape, std::uint64_t device_memory);
   DeviceSlots(const DeviceSlots&) = delete;
   DeviceSlots& operator=(const DeviceSlots&) = delete;

@@ -43,8 +43,8 @@ struct SlotPlan {
 /// takes).
 Result<SlotPlan> plan_slots(const SlotShape& shape, std::uint64_t budget);
 
-/// Page-locked memory of a thread that brings pages to slots, in pages of the largest size: some are copied while the next are made. As many
-/// where the host's budget allows it, which are two groups of the usual size; and at least.
+/// Page-locked memory of a thread that brings pages to slots, in pages of the largest size: some are copied while the next are made. A thread has
+/// kStagedPages of them, two groups of the usual size, or fewer where the host's budget is small, but never fewer than kLeastStagedPages.
 inline constexpr std::uint32_t kStagedPages = 8, kLeastStagedPages = 2;
 /// What a section, and a page of such sections, takes of it: each begins at a multiple of 256.
 std::uint64_t staged_section_bytes(std::uint64_t bytes);

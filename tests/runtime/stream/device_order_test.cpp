@@ -240,6 +240,62 @@ TEST_CASE("a pool is of the device that was current when its first scene came, a
   CHECK(cuda.pinned_bytes == 0);
 }
 
+TEST_CASE("a writer's launches are of its device, whatever device is the caller's") {
+  const Bytes bytes = town();
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const detail::SlotShape shape = detail::SlotShape::of(*file);
+  constexpr std::uint32_t kSlots = 40;
+  FakeCuda cuda(FakeCuda::Pace::late);
+  {
+    REQUIRE(cudaSetDevice(1) == cudaSuccess);
+    const auto slots = detail::DeviceSlots::create(shape, kSlots * shape.bytes() + 5 * 256);
+    REQUIRE(slots);
+    REQUIRE(cudaSetDevice(0) == cudaSuccess);
+    auto writer = detail::SlotWriter::create(*slots, detail::kStagedPages);
+    REQUIRE(writer);
+    PageDecoder decoder(*file);
+    std::vector<std::byte> memory(file->decoded_bytes(0));
+    const auto rows = decoder.decode(0, file->bytes(0), memory);
+    REQUIRE(rows);
+    const auto leaves_callers_device = [&] {
+      int device = -1;
+      return cudaGetDevice(&device) == cudaSuccess && device == 0 && cuda.n_faults == 0;
+    };
+    // Where there is no room for a page, write() sends what was taken.
+    for (std::uint32_t slot = 0; cuda.n_batches == 0; ++slot) {
+      REQUIRE(slot < kSlots);
+      REQUIRE(writer->write(*rows, slot));
+    }
+    CHECK(leaves_callers_device());
+    REQUIRE(writer->send());
+    CHECK(cuda.n_batches == 2);
+    CHECK(leaves_callers_device());
+    REQUIRE(writer->finish());
+    REQUIRE(writer->write(*rows, 0));
+    REQUIRE(writer->finish());
+    CHECK(cuda.n_batches == 3);
+    CHECK(leaves_callers_device());
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("a device that the build has no code for is named as such when a pool's first scene opens") {
+  const Bytes bytes = town();
+  FakeCuda cuda(FakeCuda::Pace::late);
+  cuda.device_without_code = 1;
+  const StreamPool pool = device_pool(8 << 20);
+  REQUIRE(cudaSetDevice(1) == cudaSuccess);
+  const auto refused = try_streaming(bytes, std::make_shared<Script>(), {.pool = pool});
+  REQUIRE(!refused);
+  CHECK(refused.error().code == Errc::unavailable);
+  CHECK(cuda.n_allocations == 0);
+  CHECK(pool.host_bytes() == 0);
+  REQUIRE(cudaSetDevice(0) == cudaSuccess);
+  CHECK(try_streaming(bytes, std::make_shared<Script>(), {.pool = pool}));
+  CHECK(cuda.n_faults == 0);
+}
+
 TEST_CASE("what has no room but for a frame at work waits for it, on the host and on a device") {
   const Bytes bytes = town({.n = 60000, .sh_degree = 0, .page_chunks = 1});
   for (const std::uint64_t device_memory : {std::uint64_t{0}, std::uint64_t{8} << 20}) {

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "common/bring.hpp"
+#include "common/device_code.hpp"
 
 struct CUstream_st {
   struct Work {
@@ -23,6 +24,7 @@ struct CUstream_st {
     std::size_t bytes = 0;
   };
   int device = 0;
+  bool is_at_once = false;
   mutable std::mutex mutex;
   std::condition_variable done_one;
   std::deque<Work> queue;  // the first is at work if is_busy
@@ -30,9 +32,21 @@ struct CUstream_st {
   std::uint64_t n_queued = 0, n_done = 0;
 
   std::uint64_t add(Work work) {
+    std::uint64_t ticket = 0;
+    {
+      const std::scoped_lock lock(mutex);
+      queue.push_back(std::move(work));
+      ticket = ++n_queued;
+    }
+    if (is_at_once) finish(ticket);
+    return ticket;
+  }
+  // Each ends with an event, which is no copy.
+  int n_sent() const {
     const std::scoped_lock lock(mutex);
-    queue.push_back(std::move(work));
-    return ++n_queued;
+    int n = 0;
+    for (const Work& work : queue) n += work.bytes == 0;
+    return n;
   }
   // The work itself is done without the lock: what races with it is seen to.
   bool do_one() {
@@ -107,7 +121,7 @@ struct FakeCuda::Impl {
   Memory device, pinned;
   std::vector<CUstream_st*> streams;
   std::uint64_t device_memory = 0;
-  bool is_stopping = false;
+  bool is_stopping = false, is_at_once = false;
   std::mt19937 random;
   std::thread engine;
 
@@ -135,6 +149,7 @@ FakeCuda::FakeCuda(Pace pace, std::uint64_t device_memory, unsigned seed) : impl
   impl->random.seed(seed);
   the_device = this;
   the_current = 0;
+  impl->is_at_once = pace == Pace::at_once;
   if (pace == Pace::any_time) impl->engine = std::thread([this] { impl->work(); });
 }
 
@@ -260,8 +275,10 @@ cudaError_t cudaHostGetDevicePointer(void** on_device, void* memory, unsigned) {
 
 cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaMemcpyKind kind, cudaStream_t stream) {
   FakeCuda& cuda = *FakeCuda::current();
-  if (cuda.fails_next > 0 && !rgs::test::count_down(cuda.passes_next) && rgs::test::count_down(cuda.fails_next))
+  if (cuda.fails_next > 0 && !rgs::test::count_down(cuda.passes_next) && rgs::test::count_down(cuda.fails_next)) {
+    cuda.n_sent_at_failure = stream->n_sent();
     return cudaErrorUnknown;
+  }
   auto* const target = static_cast<std::byte*>(to);
   const auto* const source = static_cast<const std::byte*>(from);
   // What is on its way to a slot comes first, also where streams would have it so: nobody else knows that it is.
@@ -279,11 +296,16 @@ cudaError_t cudaMemcpyAsync(void* to, const void* from, std::size_t bytes, cudaM
   return cudaSuccess;
 }
 
+rgs::Status rgs::cuda::check_device_code() {
+  if (FakeCuda::current()->device_without_code != rgs::test::the_current) return {};
+  return make_error(Errc::unavailable, Error::kNone, "the test's build has no code for this device");
+}
+
 // In any order among themselves: the last comes first here.
 rgs::Status rgs::cuda::launch_bring(const Pieces& pieces, Stream stream) {
   FakeCuda& cuda = *FakeCuda::current();
   ++cuda.n_batches;
-  if (pieces.n == 0 || pieces.n > Pieces::kMost) ++cuda.n_faults;
+  if (pieces.n == 0 || pieces.n > Pieces::kMost || stream->device != rgs::test::the_current) ++cuda.n_faults;
   for (std::uint32_t i = pieces.n; i-- > 0;) {
     const auto is_whole = [](const void* at) { return reinterpret_cast<std::uintptr_t>(at) % Pieces::kAlignment == 0; };
     if (pieces.bytes[i] == 0 || pieces.bytes[i] % Pieces::kAlignment != 0 || !is_whole(pieces.from[i]) ||
@@ -303,6 +325,7 @@ rgs::Status rgs::cuda::launch_bring(const Pieces& pieces, Stream stream) {
 cudaError_t cudaStreamCreateWithPriority(cudaStream_t* stream, unsigned, int) {
   *stream = new CUstream_st;
   (*stream)->device = rgs::test::the_current;
+  (*stream)->is_at_once = FakeCuda::current()->impl->is_at_once;
   const std::scoped_lock lock(FakeCuda::current()->impl->mutex);
   FakeCuda::current()->impl->streams.push_back(*stream);
   return cudaSuccess;
@@ -323,9 +346,15 @@ cudaError_t cudaStreamSynchronize(cudaStream_t stream) {
     const std::scoped_lock lock(stream->mutex);
     ticket = stream->n_queued;
   }
+  const int n_sent = stream->n_sent();
   stream->finish(ticket);
   FakeCuda* const cuda = FakeCuda::current();
-  return cuda != nullptr && rgs::test::count_down(cuda->sync_fails_next) ? cudaErrorUnknown : cudaSuccess;
+  if (cuda == nullptr || cuda->sync_fails_next == 0 || rgs::test::count_down(cuda->sync_passes_next) ||
+      !rgs::test::count_down(cuda->sync_fails_next)) {
+    return cudaSuccess;
+  }
+  cuda->n_sent_at_failure = n_sent;
+  return cudaErrorUnknown;
 }
 cudaError_t cudaStreamWaitEvent(cudaStream_t stream, cudaEvent_t event) {
   stream->add({[event] { cudaEventSynchronize(event); }});

@@ -53,7 +53,7 @@ TEST_CASE("a ring gives places that nobody has, in one piece, and refuses only w
       if (!at) {
         ++n_refused;
         REQUIRE(!held.empty());
-        // As one who has the ring's bytes before him sees it, no gap is large enough; or bytes were lost at its end.
+        // Counted byte by byte, no gap is large enough; or bytes were lost at the ring's end.
         std::uint64_t largest = 0;
         std::vector<bool> is_held(bytes / 256);
         for (const Taken& each : held)
