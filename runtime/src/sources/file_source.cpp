@@ -59,7 +59,8 @@ class FileSource final : public ByteSource {
 
   Traits traits() const override {
     Traits traits;
-    // A frame is drawn beside them: without a processor of its own its thread waits for theirs, and theirs for what it holds.
+    // A frame is drawn beside them: without a processor of its own its thread waits for theirs, and theirs for what it holds. With four
+    // processors or fewer it has none: a disk wants four reads at once.
     const unsigned n = std::max(std::thread::hardware_concurrency(), 1U) - 1;
     traits.reads_at_once = static_cast<int>(std::clamp(n, 4U, kMostThreads));
     return traits;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <limits>
+#include <optional>
 #include <utility>
 
 #include "rgs/guard_memory.hpp"
@@ -262,13 +263,13 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     // A frame has the lock for as long as it chooses its pages, a millisecond or two: meanwhile the next group is decoded.
     if (goes_on && there == told) continue;
     std::unique_lock lock(pool->mutex, std::defer_lock);
-    StreamTimer timer(StreamStep::lock);
+    std::optional<StreamTimer> timer(std::in_place, StreamStep::lock);
     if (goes_on) {
       if (!lock.try_lock()) continue;
     } else {
       lock.lock();
     }
-    timer.next(StreamStep::tell);
+    timer->next(StreamStep::tell);
     stats.bytes_read += reader.take_bytes_read();
     if (told < there) {
       readable = known;
@@ -295,6 +296,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     }
     const int n_times = residency->n_failed(group);
     lock.unlock();
+    timer.reset();  // what follows waits and reads
     return fail(reader, read, {group, run.first + run.n - group}, n_times, begun);
   }
 }

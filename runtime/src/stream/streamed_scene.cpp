@@ -109,18 +109,17 @@ Status StreamedState::make_room_for_pages() {
   auto n = static_cast<std::uint64_t>(std::clamp(traits.reads_at_once, 1, kMostThreads));
   std::uint32_t n_staged = kStagedPages;
   const auto reader_bytes = [&] { return PageReader::bytes(*file, read_bytes, slots.get(), n_staged); };
-  while (n > 1 && n * reader_bytes() > share) {
+  while (n * reader_bytes() > share) {
     if (slots != nullptr && n_staged > kLeastStagedPages) {
       n_staged /= 2;
     } else if (read_bytes / 2 >= std::max(least, kLeastReadBytes)) {
       read_bytes /= 2;
-    } else {
+    } else if (n > 1) {
       n -= 1;
+    } else {
+      read_bytes = least;
+      break;
     }
-  }
-  if (reader_bytes() > share) {
-    read_bytes = least;
-    n_staged = kLeastStagedPages;
   }
   traits.most_bytes = read_bytes;
   if (Status taken = take(n * reader_bytes()); !taken) return taken;

@@ -15,6 +15,7 @@
 #include "fake_cuda.hpp"
 #include "opened_state.hpp"
 #include "page_sections.hpp"
+#include "stream/page_reader.hpp"
 #include "streamed_fixture.hpp"
 
 using namespace rgs;
@@ -350,19 +351,22 @@ TEST_CASE("a copy that fails is made again, a damaged page is not, and its slot 
     CAPTURE(static_cast<int>(pace));
     FakeCuda cuda(pace);
     {
-      // The first one, and one of a group that others are sent before.
-      for (const int n_before : {0, 12, 33, 70}) {
+      // The first one, and some of groups that others are sent before.
+      int most_sent = 0;
+      for (const int n_before : {0, 12, 33, 70, 120}) {
         CAPTURE(n_before);
         const StreamedScene scene =
-            streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kTraits});
+            streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
         cuda.passes_next = n_before;
         cuda.fails_next = 1;
         Renderer renderer = device_renderer(), reference = cpu_renderer(1);
         CHECK(renderer.refine(scene, camera, kLong, at_detail(0)) == true);
         CHECK(cuda.fails_next == 0);
+        most_sent = std::max<int>(most_sent, cuda.n_sent_at_failure);
         CHECK(scene.status());
         CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0)), draw(reference, all, camera, at_detail(0))));
       }
+      if (pace == FakeCuda::Pace::late) CHECK(most_sent >= 1);  // and not told yet
       const StreamPool pool = device_pool(8 << 20);
       Renderer renderer = device_renderer();
 
@@ -393,10 +397,13 @@ TEST_CASE(
     FakeCuda cuda(FakeCuda::Pace::late);
     const StreamedScene scene =
         streamed(bytes, std::make_shared<Script>(), {.pool = device_pool(8 << 20), .traits = kLongRuns});
+    // The first run is of one group.
+    cuda.sync_passes_next = 1;
     (is_asked ? cuda.query_fails_next : cuda.sync_fails_next) = 1;
     Renderer renderer = device_renderer(), reference = cpu_renderer(1);
     CHECK(renderer.refine(scene, camera, kLong, at_detail(0.02F)) == true);
     CHECK(cuda.query_fails_next + cuda.sync_fails_next == 0);
+    if (!is_asked) REQUIRE(cuda.n_sent_at_failure > 1);
     CHECK(cuda.n_faults == 0);
     CHECK(is_same_picture(draw(renderer, scene, camera, at_detail(0.02F)),
                           draw(reference, all, camera, at_detail(0.02F))));
@@ -548,6 +555,78 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     REQUIRE(writer->finish());
     CHECK(cuda.is_allocated((*slots)->at(0, 2), 12));
     CHECK(std::equal((*slots)->at(0, 2), (*slots)->at(0, 2) + rows->means.size(), rows->means.data()));
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("so many sends are on their way at most: one more waits for the first") {
+  const Bytes bytes = town();
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const detail::SlotShape shape = detail::SlotShape::of(*file);
+  constexpr std::uint32_t kMostSent = 16;
+  std::uint32_t least = 0;
+  for (std::uint32_t page = 0; page < file->n_pages(); ++page)
+    if (file->pages()[page].count < file->pages()[least].count) least = page;
+  FakeCuda cuda(FakeCuda::Pace::late);
+  {
+    const auto slots = detail::DeviceSlots::create(shape, (kMostSent + 1) * shape.bytes() + 5 * 256);
+    REQUIRE(slots);
+    auto writer = detail::SlotWriter::create(*slots, kMostSent + 1);  // the ring has room for more
+    REQUIRE(writer);
+    PageDecoder decoder(*file);
+    std::vector<std::byte> memory(file->decoded_bytes(least));
+    const auto rows = decoder.decode(least, file->bytes(least), memory);
+    REQUIRE(rows);
+    std::vector<detail::SlotWriter::Ticket> tickets;
+    for (std::uint32_t slot = 0; slot <= kMostSent; ++slot) {
+      REQUIRE(writer->write(*rows, slot));
+      if (slot == kMostSent) CHECK(writer->is_there(tickets[0]) == false);
+      const auto ticket = writer->send();
+      REQUIRE(ticket);
+      tickets.push_back(*ticket);
+    }
+    CHECK(cuda.n_pending() == kMostSent * 5);
+    CHECK(writer->is_there(tickets[0]) == true);
+    CHECK(writer->is_there(tickets[1]) == false);
+    REQUIRE(writer->finish());
+    for (std::uint32_t slot = 0; slot <= kMostSent; ++slot)
+      CHECK(std::equal(rows->means.begin(), rows->means.end(), (*slots)->at(0, slot)));
+  }
+  CHECK(cuda.n_faults == 0);
+}
+
+TEST_CASE("groups of a run that have arrived are drawn while the last one is still being read") {
+  const Bytes bytes = town({.n = 30000});
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  // The last page of the third level comes damaged, and is read once more alone.
+  const std::vector<lod::Page>& pages = file->pages();
+  const lod::Page& above = pages[pages[0].first_child + pages[0].n_children - 1];
+  REQUIRE(above.n_children > 0);
+  const StoredPage& last = file->stored(above.first_child + above.n_children - 1);
+  const auto script = std::make_shared<Script>();
+  script->flip_from = last.offset + 40, script->flip_to = last.offset + 41, script->flips_once = true;
+  FakeCuda cuda(FakeCuda::Pace::at_once);
+  {
+    const StreamedScene scene = streamed(bytes, script, {.pool = device_pool(8 << 20), .traits = kLongRuns});
+    script->shut_from = last.offset, script->shut_to = last.offset + last.stored_bytes;
+    script->is_shut = true;
+    Renderer renderer = device_renderer();
+    auto complete = std::async(std::launch::async, [&] { return renderer.refine(scene, over(), kLong, at_detail(0)); });
+    const auto waits_at = [&](int n_flipped) {
+      return comes([&] {
+        const std::scoped_lock lock(script->mutex);
+        return script->n_held == 1 && script->n_allowed == 0 && script->n_flipped == n_flipped;
+      });
+    };
+    CHECK(waits_at(0));
+    const std::uint64_t before = scene.stats().bytes_uploaded;
+    script->let_one_go();
+    CHECK(waits_at(1));
+    CHECK(scene.stats().bytes_uploaded > before);
+    script->open_gate();
+    CHECK(complete.get() == true);
   }
   CHECK(cuda.n_faults == 0);
 }
@@ -708,6 +787,24 @@ TEST_CASE("a pool with a device holds no more of the host than its budget, by th
       CHECK(live_bytes() - before <= kBeside);
     }
   }
+}
+
+TEST_CASE("one thread gives up page-locked memory for its budget first, and reads as much as ever") {
+  const Bytes bytes = town();
+  const auto file = PagedFile::open(bytes);
+  REQUIRE(file);
+  const std::uint64_t page = detail::staging_bytes(detail::SlotShape::of(*file), 1);
+  constexpr std::uint64_t kReadersShare = 8;  // of the budget, that threads may take
+  FakeCuda cuda(FakeCuda::Pace::late);
+  for (const std::uint32_t n_staged : {detail::kStagedPages, detail::kStagedPages / 2, detail::kLeastStagedPages}) {
+    CAPTURE(n_staged);
+    const std::uint64_t reader = detail::PageReader::bytes(*file, kLongRuns.most_bytes, nullptr, 0) + n_staged * page;
+    const Opened opened(bytes, false, 1, kLongRuns.most_bytes, 0,
+                        std::make_shared<detail::StreamPoolState>(kReadersShare * reader, 8 << 20));
+    CHECK(cuda.pinned_bytes == n_staged * page);
+    CHECK(opened.state->traits.most_bytes == kLongRuns.most_bytes);
+  }
+  CHECK(cuda.n_faults == 0);
 }
 
 TEST_CASE("page-locked memory and tables are of the host's budget") {

@@ -36,14 +36,14 @@ class FakeCuda {
   /// Of the caller: bytes that are nobody's, memory freed while it is in use, a stream or an event of another device, a launch while another
   /// device is current.
   std::atomic<int> n_faults{0};
-  std::atomic<int> passes_next{0};                     ///< so many copies are not refused first
-  std::atomic<int> fails_next{0};                      ///< then so many are
-  std::atomic<int> query_fails_next{0};                ///< so many questions after events
-  std::atomic<int> sync_passes_next{0};                ///< so many waits for a stream end well first
-  std::atomic<int> sync_fails_next{0};                 ///< then so many end with an error, the stream's work done
-  std::atomic<int> n_sent_at_failure{0};               ///< sends that were on their way when a copy or a wait failed last
-  std::atomic<int> device_without_code{-1};            ///< by its number
-  std::atomic<int> n_batches{0};                       ///< launches that bring pages
+  std::atomic<int> passes_next{0};           ///< so many copies are not refused first
+  std::atomic<int> fails_next{0};            ///< then so many are
+  std::atomic<int> query_fails_next{0};      ///< so many questions after events
+  std::atomic<int> sync_passes_next{0};      ///< so many waits for a stream end well first
+  std::atomic<int> sync_fails_next{0};       ///< then so many end with an error, the stream's work done
+  std::atomic<int> n_sent_at_failure{0};     ///< sends that were on their way when a copy or a wait failed last
+  std::atomic<int> device_without_code{-1};  ///< by its number
+  std::atomic<int> n_batches{0};             ///< launches that bring pages
   std::atomic<int> n_seen_done{0}, n_seen_at_work{0};  ///< answers about events
   std::atomic<int> n_set_device{0};                    ///< calls of cudaSetDevice()
   std::atomic<int> n_on_second{0};                     ///< allocations of the second device's memory, ever
