@@ -345,7 +345,7 @@ RoomInBox::RoomInBox(const Box& box, int scale_exponent)
                std::ldexp(1.F, -scale_exponent),
                std::ldexp(1.F, scale_exponent)} {}
 
-std::uint64_t RoomInBox::not_quickly(const std::byte* means, const std::byte* geometry, std::size_t count) const {
+std::uint64_t RoomInBox::undecided(const std::byte* means, const std::byte* geometry, std::size_t count) const {
   const std::uint64_t all = ~std::uint64_t{0} >> (64 - count);
   return all & ~row_kernels().in_box(in_fp32_, means, geometry, count);
 }

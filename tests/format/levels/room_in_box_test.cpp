@@ -68,7 +68,7 @@ std::uint64_t enough_together(const RoomInBox& room, std::span<const Row> rows) 
     geometry.insert(geometry.end(), row.geometry_bytes(), row.geometry_bytes() + kGeometryBytes);
   }
   means.shrink_to_fit(), geometry.shrink_to_fit();
-  const std::uint64_t left = room.not_quickly(means.data() + 1, geometry.data() + 1, rows.size());
+  const std::uint64_t left = room.undecided(means.data() + 1, geometry.data() + 1, rows.size());
   CHECK((rows.size() == 64 ? 0 : left >> rows.size()) == 0);
   return ~left & ~std::uint64_t{0} >> (64 - rows.size());
 }
