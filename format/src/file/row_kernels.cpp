@@ -58,7 +58,8 @@ HWY_INLINE hn::Vec<D8> load(const std::byte* p) {
   return hn::LoadU(d8, reinterpret_cast<const std::uint8_t*>(p));
 }
 
-// FP16 in the lower and in the upper half of a word, exactly: see float_from_half().
+// FP16 in the lower and in the upper half of a word, exactly, as float_from_half() does it; but infinity and NaN, 0x7C00 and above, become
+// finite numbers from 65,536 to 131,008. scan_codes() relies on that: Max could lose a NaN, and none of these is lost.
 HWY_INLINE Floats magnitude_below(Words w) {
   const Words bits = hn::ShiftLeft<13>(hn::And(w, hn::Set(d32, 0x7FFFu)));
   return hn::Mul(hn::BitCast(df, bits), hn::Set(df, 0x1p112f));
@@ -178,7 +179,8 @@ HWY_INLINE bool scan_sh(const std::byte* rows, std::size_t bytes, const ShRowMas
 //
 // So the reach is less than is found, but for what kShare has to spare, plus 128 u of s, which leaves enough for extent_of(), too, that rounds in
 // binary64. Where numbers become so small that they lose bits, these are less than u of the least scale that is not 0; where they
-// overflow, there is room for any scale. 3 s 2^-E is exact, and rounding keeps order, so that this comparison alone needs nothing of it.
+// overflow, there is room for any scale. 3 s 2^-E is exact; a room may be rounded up to it that is smaller, by u of it, which is within
+// what kExtentShare has to spare.
 HWY_INLINE hn::Mask<DF> have_room(const BoxInFp32& box, const std::byte* means, const std::byte* geometry) {
   constexpr float kShare = 1 - 0x1p-11f, kSlack = 128 * 0x1p-24f;
   Floats room[3];

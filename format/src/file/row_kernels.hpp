@@ -43,8 +43,8 @@ struct RowKernels {
   bool (*check)(const std::byte* means, const std::byte* geometry, std::size_t n, RowSummary& summary);
   /// Whether SH rows of `bytes` bytes have no bits but the mask's, and no code is -128.
   bool (*check_sh)(const std::byte* rows, std::size_t bytes, const ShRowMask& mask);
-  /// Bit i, of `count` <= 64 legal rows: kExtentShare of Gaussian i's extent is in the box, however extent_of() is rounded. No bit says
-  /// that it is not.
+  /// Bit i, of `count` <= 64 legal rows: kExtentShare of Gaussian i's extent is in the box, however extent_of() is rounded. A bit
+  /// that is not set says nothing.
   std::uint64_t (*in_box)(const BoxInFp32& box, const std::byte* means, const std::byte* geometry, std::size_t count);
 };
 

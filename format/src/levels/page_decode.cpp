@@ -224,8 +224,8 @@ Status detail::check_page_rows(const PagedFile& file, std::uint32_t page, const 
   const RoomInBox room(box, rows.scale_exponent);
   const std::byte *const means = rows.means.data(), *const geometry = rows.geometry.data();
   for (std::uint64_t first = 0; first < rows.n; first += 64) {
-    std::uint64_t left = room.not_quickly(means + first * kMeanBytes, geometry + first * kGeometryBytes,
-                                          std::min<std::uint64_t>(64, rows.n - first));
+    std::uint64_t left = room.undecided(means + first * kMeanBytes, geometry + first * kGeometryBytes,
+                                        std::min<std::uint64_t>(64, rows.n - first));
     for (; left != 0; left &= left - 1) {
       const std::uint64_t i = first + static_cast<std::uint64_t>(std::countr_zero(left));
       const std::byte *const mean = means + i * kMeanBytes, *const row = geometry + i * kGeometryBytes;

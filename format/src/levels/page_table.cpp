@@ -345,14 +345,22 @@ RoomInBox::RoomInBox(const Box& box, int scale_exponent)
                std::ldexp(1.F, -scale_exponent),
                std::ldexp(1.F, scale_exponent)} {}
 
-std::uint64_t RoomInBox::not_quickly(const std::byte* means, const std::byte* geometry, std::size_t count) const {
+std::uint64_t RoomInBox::undecided(const std::byte* means, const std::byte* geometry, std::size_t count) const {
   const std::uint64_t all = ~std::uint64_t{0} >> (64 - count);
   return all & ~row_kernels().in_box(in_fp32_, means, geometry, count);
 }
 
+// What rounding can cost, to first order, with u = 2^-53 and s the largest scale. What does not shrink with the reach is taken off the room; the
+// rest is a few u of the reach or of the room, which the space between kShare and kExtentShare holds many times over.
+//
+//   here         as in row_kernels.cpp, where the same is done in binary32: 75 u of s
+//   extent_of()  |q|^2: 3 u of it; w, x, y, z: 4 u of each; their products: 9 u; r on its diagonal: yy + zz, at most 1, is wrong by 10 u of
+//                it, so twice that and u for the difference: 21 u; r elsewhere: 9 u of |xy| + |wz|, at most 1/2, and u / 2 for the sum, all
+//                twice: 10 u; r s: 22 u of s; |r s|, three of them: sqrt(3) * 22 u = 39 u of s; reach: 117 u of s
+//
+// 192 u of s in all. Nothing becomes so small here that it loses bits.
 bool RoomInBox::is_enough(const std::byte* mean, const std::byte* geometry) const {
-  // Halfway to kExtentShare: next to a scale 2^40 times as large, rounding moves a reach by less than 2^-12.
-  constexpr double kShare = 1 - 0x1p-11, kSquaredShare = 9 * kShare * kShare;
+  constexpr double kShare = 1 - 0x1p-11, kSquaredShare = 9 * kShare * kShare, kSlack = 192 * 0x1p-53;
   float position[3];
   std::uint16_t row[8];
   std::memcpy(position, mean, sizeof position);
@@ -364,8 +372,9 @@ bool RoomInBox::is_enough(const std::byte* mean, const std::byte* geometry) cons
   }
   const auto scale = [&](std::uint16_t code) { return static_cast<double>(float_from_half(code)) * scale_unit_; };
   // Farther it reaches in no direction. FP16 bits of numbers that are not negative order as the numbers do.
-  const double farthest = 3 * scale(std::max({row[4], row[5], row[6]}));
+  const double largest = scale(std::max({row[4], row[5], row[6]})), farthest = 3 * largest;
   if (farthest <= room[0] && farthest <= room[1] && farthest <= room[2]) return true;
+  for (double& left : room) left -= kSlack * largest;
   if (!(room[0] >= 0 && room[1] >= 0 && room[2] >= 0)) return false;
   double q[4], squared = 0;
   for (std::size_t i = 0; i < 4; ++i) {

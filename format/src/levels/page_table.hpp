@@ -83,8 +83,8 @@ class RoomInBox {
   RoomInBox(const Box& box, int scale_exponent);
   /// Of a row of MEAN and of GEOM.
   bool is_enough(const std::byte* mean, const std::byte* geometry) const;
-  /// Of 1 to 64 rows: bit i where that is not found of row i at once, in binary32, by vectors.
-  std::uint64_t not_quickly(const std::byte* means, const std::byte* geometry, std::size_t count) const;
+  /// Of 1 to 64 rows, by vectors in binary32: bit i is set where these cannot say yes of row i, which is_enough() may.
+  std::uint64_t undecided(const std::byte* means, const std::byte* geometry, std::size_t count) const;
 
  private:
   const Box& box_;
