@@ -25,6 +25,9 @@ done
 # Sources by the names that CMake has for them.
 portable=$(sed -nE '/^set\(RGS_FORMAT_PORTABLE/,/^\)/s/^ +(src.*\.cpp)$/\1/p' "$root/format/CMakeLists.txt")
 stand_ins=$(sed -nE 's/^set\(RGS_FORMAT_STAND_INS (.*)\)$/\1/p' "$root/format/CMakeLists.txt")
+# The package has little room: what reads heads and tables, and says what is wrong, is small and not fast.
+small=" src/archive/archive_tables.cpp src/file/layout_io.cpp src/file/open.cpp src/file/validate.cpp \
+src/levels/page.cpp src/levels/page_table.cpp src/levels/paged_file.cpp "
 decoder="common/debug common/entropy_common common/error_private common/fse_decompress common/xxhash common/zstd_common
   decompress/huf_decompress decompress/zstd_ddict decompress/zstd_decompress_block decompress/zstd_decompress"
 
@@ -39,7 +42,7 @@ decoder="common/debug common/entropy_common common/error_private common/fse_deco
   echo "c_flags = -std=c11 -isystem /usr/include/wasm32-wasi -I$zstd -DZSTD_DISABLE_ASM -DZSTD_LEGACY_SUPPORT=0 $
     -DZSTD_STRIP_ERROR_STRINGS -DXXH_NAMESPACE=ZSTD_ -DDEBUGLEVEL=0 -Wno-unused-parameter -Wno-unused-function"
   echo "rule cxx
-  command = \$launcher clang++-19 \$flags \$cxx_flags -MMD -MF \$out.d -c \$in -o \$out
+  command = \$launcher clang++-19 \$flags \$cxx_flags \$size -MMD -MF \$out.d -c \$in -o \$out
   depfile = \$out.d
   deps = gcc
 rule c
@@ -53,6 +56,7 @@ rule link
   objects=
   for source in $portable $stand_ins; do
     echo "build $build/$source.o: cxx $root/format/$source"
+    case $small in *" $source "*) echo "  size = -Os" ;; esac
     objects="$objects $build/$source.o"
   done
   for source in reader no_console; do
