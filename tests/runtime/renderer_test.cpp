@@ -14,6 +14,7 @@
 #include <numeric>
 #include <thread>
 
+#include "instruction_sets.hpp"
 #include "random_cloud.hpp"
 #include "renderer_fixture.hpp"
 #include "rgs/encode.hpp"
@@ -244,16 +245,12 @@ TEST_CASE("every instruction set that the machine can run follows the definition
   const Camera camera = front_camera(150, 70);
   const Arithmetic options{.exponent = Exponent::folded};
   const Frame expected = render(scene, camera, options, kScalar);
-  for (std::int64_t left = hwy::SupportedTargets(); left != 0; left &= left - 1) {
-    hwy::SetSupportedTargetsForTest(left & -left);
-    hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+  with_each_instruction_set([&] {
     const Frame frame = render(scene, camera, options, kVector);
-    CAPTURE(hwy::TargetName(left & -left));
+    CAPTURE(hwy::TargetName(hwy::SupportedTargets()));
     CHECK(largest_difference(frame.rgb, expected.rgb) <= 1.0 / 255);
     CHECK(psnr(frame.rgb, expected.rgb) >= 70);
-  }
-  hwy::SetSupportedTargetsForTest(0);
-  hwy::GetChosenTarget().Update(hwy::SupportedTargets());
+  });
 }
 
 TEST_CASE("the number of threads changes nothing, and a renderer can be used again for another scene and size") {

@@ -41,6 +41,23 @@ StreamPool device_pool(std::uint64_t device_memory, std::uint64_t host_memory = 
   return *std::move(pool);
 }
 
+/// A page of a file, decoded.
+struct OnePage {
+  OnePage(const PagedFile& file, std::uint32_t page) : memory(file.decoded_bytes(page)) {
+    const auto decoded = PageDecoder(file).decode(page, file.bytes(page), memory);
+    REQUIRE(decoded);
+    rows = *decoded;
+  }
+
+  std::vector<std::byte> memory;
+  PageRows rows;
+};
+
+std::uint32_t smallest_page(const PagedFile& file) {
+  const auto smallest = std::ranges::min_element(file.pages(), {}, &lod::Page::count);
+  return static_cast<std::uint32_t>(smallest - file.pages().begin());
+}
+
 }  // namespace
 
 TEST_CASE("on a device, too, a refined picture is that of the whole file, byte for byte, in every profile") {
@@ -255,10 +272,7 @@ TEST_CASE("a writer's launches are of its device, whatever device is the caller'
     REQUIRE(cudaSetDevice(0) == cudaSuccess);
     auto writer = detail::SlotWriter::create(*slots, detail::kStagedPages);
     REQUIRE(writer);
-    PageDecoder decoder(*file);
-    std::vector<std::byte> memory(file->decoded_bytes(0));
-    const auto rows = decoder.decode(0, file->bytes(0), memory);
-    REQUIRE(rows);
+    const OnePage page(*file, 0);
     const auto leaves_callers_device = [&] {
       int device = -1;
       return cudaGetDevice(&device) == cudaSuccess && device == 0 && cuda.n_faults == 0;
@@ -266,14 +280,14 @@ TEST_CASE("a writer's launches are of its device, whatever device is the caller'
     // Where there is no room for a page, write() sends what was taken.
     for (std::uint32_t slot = 0; cuda.n_batches == 0; ++slot) {
       REQUIRE(slot < kSlots);
-      REQUIRE(writer->write(*rows, slot));
+      REQUIRE(writer->write(page.rows, slot));
     }
     CHECK(leaves_callers_device());
     REQUIRE(writer->send());
     CHECK(cuda.n_batches == 2);
     CHECK(leaves_callers_device());
     REQUIRE(writer->finish());
-    REQUIRE(writer->write(*rows, 0));
+    REQUIRE(writer->write(page.rows, 0));
     REQUIRE(writer->finish());
     CHECK(cuda.n_batches == 3);
     CHECK(leaves_callers_device());
@@ -487,9 +501,7 @@ TEST_CASE("small pages, of which a ring holds many: no more go together than one
   REQUIRE(file);
   const detail::SlotShape shape = detail::SlotShape::of(*file);
   constexpr std::uint32_t kSlots = 60;
-  std::uint32_t least = 0;
-  for (std::uint32_t page = 0; page < file->n_pages(); ++page)
-    if (file->pages()[page].count < file->pages()[least].count) least = page;
+  const std::uint32_t least = smallest_page(*file);
   REQUIRE(file->pages()[least].count <= shape.chunk_size);
   FakeCuda cuda(FakeCuda::Pace::late);
   {
@@ -497,15 +509,12 @@ TEST_CASE("small pages, of which a ring holds many: no more go together than one
     REQUIRE(slots);
     auto writer = detail::SlotWriter::create(*slots, detail::kStagedPages);
     REQUIRE(writer);
-    PageDecoder decoder(*file);
-    std::vector<std::byte> memory(file->decoded_bytes(least));
-    const auto rows = decoder.decode(least, file->bytes(least), memory);
-    REQUIRE(rows);
-    for (std::uint32_t slot = 0; slot < kSlots; ++slot) REQUIRE(writer->write(*rows, slot));
+    const OnePage page(*file, least);
+    for (std::uint32_t slot = 0; slot < kSlots; ++slot) REQUIRE(writer->write(page.rows, slot));
     CHECK(cuda.n_pending() > detail::kStagedPages * 5);  // more than there would be room for of large ones
     REQUIRE(writer->finish());
     for (std::uint32_t slot = 0; slot < kSlots; ++slot)
-      CHECK(std::equal(rows->means.begin(), rows->means.end(), (*slots)->at(0, slot)));
+      CHECK(std::equal(page.rows.means.begin(), page.rows.means.end(), (*slots)->at(0, slot)));
   }
   CHECK(cuda.n_faults == 0);
 }
@@ -521,11 +530,8 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     REQUIRE(slots);
     auto writer = detail::SlotWriter::create(*slots, detail::kStagedPages);
     REQUIRE(writer);
-    PageDecoder decoder(*file);
-    std::vector<std::byte> memory(file->decoded_bytes(0));
-    const auto rows = decoder.decode(0, file->bytes(0), memory);
-    REQUIRE(rows);
-    REQUIRE(writer->write(*rows, 1));
+    const OnePage page(*file, 0);
+    REQUIRE(writer->write(page.rows, 1));
     CHECK(cuda.n_pending() == 0);  // taken, and not sent
     const auto ticket = writer->send();
     REQUIRE(ticket);
@@ -542,7 +548,7 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     CHECK(cuda.n_pending() == 0);
     CHECK(writer->is_there(*ticket) == true);
     // A copy that is refused is of this send() alone.
-    REQUIRE(writer->write(*rows, 2));
+    REQUIRE(writer->write(page.rows, 2));
     cuda.passes_next = 2;
     cuda.fails_next = 1;
     const auto refused = writer->send();
@@ -551,10 +557,10 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     CHECK(cuda.n_pending() == 2);
     CHECK(writer->finish());
     CHECK(cuda.n_pending() == 0);
-    REQUIRE(writer->write(*rows, 2));
+    REQUIRE(writer->write(page.rows, 2));
     REQUIRE(writer->finish());
     CHECK(cuda.is_allocated((*slots)->at(0, 2), 12));
-    CHECK(std::equal((*slots)->at(0, 2), (*slots)->at(0, 2) + rows->means.size(), rows->means.data()));
+    CHECK(std::equal((*slots)->at(0, 2), (*slots)->at(0, 2) + page.rows.means.size(), page.rows.means.data()));
   }
   CHECK(cuda.n_faults == 0);
 }
@@ -565,22 +571,17 @@ TEST_CASE("so many sends are on their way at most: one more waits for the first"
   REQUIRE(file);
   const detail::SlotShape shape = detail::SlotShape::of(*file);
   constexpr std::uint32_t kMostSent = 16;
-  std::uint32_t least = 0;
-  for (std::uint32_t page = 0; page < file->n_pages(); ++page)
-    if (file->pages()[page].count < file->pages()[least].count) least = page;
+  const std::uint32_t least = smallest_page(*file);
   FakeCuda cuda(FakeCuda::Pace::late);
   {
     const auto slots = detail::DeviceSlots::create(shape, (kMostSent + 1) * shape.bytes() + 5 * 256);
     REQUIRE(slots);
     auto writer = detail::SlotWriter::create(*slots, kMostSent + 1);  // the ring has room for more
     REQUIRE(writer);
-    PageDecoder decoder(*file);
-    std::vector<std::byte> memory(file->decoded_bytes(least));
-    const auto rows = decoder.decode(least, file->bytes(least), memory);
-    REQUIRE(rows);
+    const OnePage page(*file, least);
     std::vector<detail::SlotWriter::Ticket> tickets;
     for (std::uint32_t slot = 0; slot <= kMostSent; ++slot) {
-      REQUIRE(writer->write(*rows, slot));
+      REQUIRE(writer->write(page.rows, slot));
       if (slot == kMostSent) CHECK(writer->is_there(tickets[0]) == false);
       const auto ticket = writer->send();
       REQUIRE(ticket);
@@ -591,7 +592,7 @@ TEST_CASE("so many sends are on their way at most: one more waits for the first"
     CHECK(writer->is_there(tickets[1]) == false);
     REQUIRE(writer->finish());
     for (std::uint32_t slot = 0; slot <= kMostSent; ++slot)
-      CHECK(std::equal(rows->means.begin(), rows->means.end(), (*slots)->at(0, slot)));
+      CHECK(std::equal(page.rows.means.begin(), page.rows.means.end(), (*slots)->at(0, slot)));
   }
   CHECK(cuda.n_faults == 0);
 }
