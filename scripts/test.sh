@@ -16,9 +16,16 @@ quiet build cmake --build "build/$preset" --parallel "$jobs" ${RGS_TARGETS:+--ta
 set -- ctest --preset "$preset" --parallel "$jobs" "$@"
 # ThreadSanitizer of gcc 12 and clang 14 needs fewer random address bits than Linux 6 uses.
 [ "$preset" != tsan ] || set -- setarch "$(uname -m)" --addr-no-randomize "$@"
-# The counts, also of a run with so many failures that the end of its log does not hold them.
+# What the first failed tests said and the counts, also where the end of the log holds neither.
 counts='^[0-9]+% tests passed'
-trap 'tail -n "${RGS_TAIL:-60}" "$log_folder/test.log" | grep -qE "$counts" || grep -E "$counts" "$log_folder/test.log" || :' EXIT
+failures() {
+  awk '/^ *[0-9]+\/[0-9]+ Test +#/ || /^ +Start +[0-9]+: / || /^[0-9]+% tests passed/ {
+         left = /\*\*\*/ && !/\*\*\*Skipped/ && failed++ < 4 ? 30 : 0
+       }
+       left-- > 0' "$log_folder/test.log"
+  tail -n "${RGS_TAIL:-60}" "$log_folder/test.log" | grep -qE "$counts" || grep -E "$counts" "$log_folder/test.log" || :
+}
+trap failures EXIT
 rm -f "$log_folder/test.log"
 quiet test "$@"
 trap - EXIT
