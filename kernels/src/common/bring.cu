@@ -1,4 +1,5 @@
 // bring.cu - pieces of page-locked memory to their places on the device; a block a piece.
+// SPDX-License-Identifier: Apache-2.0
 //
 // Many threads bring pages, and their calls of the driver wait for each other there. A launch takes a thread 10 us; that the driver copies as
 // many pieces, even asked with one call, 60 to 120 us (docs/EXPERIMENTS.md).
