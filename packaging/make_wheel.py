@@ -92,7 +92,7 @@ def main():
             f"Metadata-Version: 2.1\nName: roofgs\nVersion: {arguments.version}\n"
             "Summary: Compact files for 3D Gaussian splats, and a renderer of them\nLicense: Apache-2.0\n"
             f"Requires-Python: =={python[2]}.{python[3:]}.*\nRequires-Dist: numpy\nDescription-Content-Type: text/markdown\n\n"
-            + (ROOT / "docs/PYTHON.md").read_text())
+            + (ROOT / "docs/user/PYTHON.md").read_text())
         (info / "top_level.txt").write_text("roofgs\n")
         files = sorted(path for path in tree.rglob("*") if path.is_file())
         rows = io.StringIO()

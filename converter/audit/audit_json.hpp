@@ -1,4 +1,4 @@
-// audit_json.hpp - an audit for programs; docs/AUDIT_JSON.md describes it.
+// audit_json.hpp - an audit for programs; docs/user/AUDIT_JSON.md describes it.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -23,7 +23,7 @@ struct RenderInputs {
   std::optional<Declarations> declared = {}, source_stated = {};
 };
 
-/// The image's definition by Kerbl et al. 2023 (docs/RENDERING.md), as steps, for its parts to be changed one by one: what
+/// The image's definition by Kerbl et al. 2023 (docs/format/RENDERING.md), as steps, for its parts to be changed one by one: what
 /// source and asset are compared in. Of levels of detail the leaves. `declared`: anti-aliasing and low-pass.
 RenderOptions reference_arithmetic(const std::optional<Declarations>& declared);
 

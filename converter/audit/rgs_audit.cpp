@@ -278,10 +278,10 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option("asset", o.asset,
                  "What was made from it, of any of these formats; or a folder of files of the same names")
       ->required();
-  app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/CAMERAS.md)");
+  app.add_option("--cameras,-c", o.cameras, "Views to compare in: camera file or COLMAP folder (docs/user/CAMERAS.md)");
   app.add_option("--photos", o.photos, "Folder of the cameras' undistorted photographs, by name")->needs("--cameras");
   app.add_option("--report,-o", a.report, "Write the report as one HTML file; for two folders, a folder");
-  app.add_option("--json", a.json, "Write the results as JSON (docs/AUDIT_JSON.md); - for standard output");
+  app.add_option("--json", a.json, "Write the results as JSON (docs/user/AUDIT_JSON.md); - for standard output");
   app.add_option("--junit", a.junit, "Write each condition of each scene as a test case of JUnit XML, for CI systems")
       ->option_text("FILE");
   app.add_option("--fail-below", a.conditions, "Conditions such as psnr=50,loss=0.03; exit code 5 if one does not hold")

@@ -1,4 +1,4 @@
-// batch_state.hpp - what a folder of outputs was made from: the memory of conversions of many scenes (docs/BATCH.md).
+// batch_state.hpp - what a folder of outputs was made from: the memory of conversions of many scenes (docs/user/BATCH.md).
 // SPDX-License-Identifier: Apache-2.0
 //
 // A file of JSON lines in the folder of the outputs, only ever appended to: a program that is killed leaves at most one

@@ -37,7 +37,7 @@ struct ConvertOptions {
   std::vector<Camera> cameras;  ///< depth range as these see the scene; empty: encode.depth, or the scene's extent
   std::optional<float> z_near, z_far;  ///< override one end or both of whatever range was found
   int spz_version = WriteOptions{}.spz_version;
-  /// Levels of detail beside the Gaussians of an .rgs (docs/LEVELS.md).
+  /// Levels of detail beside the Gaussians of an .rgs (docs/develop/LEVELS.md).
   std::optional<lod::Quality> levels;
   lod::BuildOptions build;                           ///< of levels, but its quality and chunks
   std::uint64_t memory_bytes = lod::kDefaultMemory;  ///< for levels, see lod::StreamOptions

@@ -10,7 +10,7 @@ namespace rgs {
 
 /// Lines for a person, "\n" after each.
 std::string summary_text(const ConvertSummary& summary);
-/// Schema "rgs-convert/1": docs/CONVERT_JSON.md.
+/// Schema "rgs-convert/1": docs/user/CONVERT_JSON.md.
 std::string summary_json(const ConvertSummary& summary);
 
 }  // namespace rgs

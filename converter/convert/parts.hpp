@@ -1,4 +1,4 @@
-// parts.hpp - one scene with levels of detail, converted by many processes that share a folder. docs/CLUSTER.md "One scene".
+// parts.hpp - one scene with levels of detail, converted by many processes that share a folder. docs/user/CLUSTER.md "One scene".
 // SPDX-License-Identifier: Apache-2.0
 //
 // The steps and the files of the folder that they make; each may be killed and run again, and knows what is there already:
@@ -117,7 +117,7 @@ struct StretchRange {
 };
 StretchRange stretches_of_range(std::size_t n_stretches, std::size_t range, std::size_t n_ranges);
 
-/// The state of the work as JSON: inputs and ranges, and of each whether it is done; see docs/CLUSTER.md.
+/// The state of the work as JSON: inputs and ranges, and of each whether it is done; see docs/user/CLUSTER.md.
 Outcome<std::string> list_parts(const PartsRun& run);
 
 }  // namespace rgs

@@ -911,7 +911,7 @@ void add_archive_options(CLI::App& app, Arguments& a) {
 }
 
 void add_batch_options(CLI::App& app, Arguments& a) {
-  const std::string group = "Many scenes (docs/BATCH.md)";
+  const std::string group = "Many scenes (docs/user/BATCH.md)";
   app.add_option(
          "--list", a.list,
          "Convert the inputs in this file, one a line, each perhaps with a tab and its output in the folder; - for "
@@ -935,7 +935,7 @@ void add_batch_options(CLI::App& app, Arguments& a) {
 }
 
 void add_parts_options(CLI::App& app, Arguments& a) {
-  const std::string group = "One scene of many processes (docs/CLUSTER.md)";
+  const std::string group = "One scene of many processes (docs/user/CLUSTER.md)";
   auto* partition =
       app.add_option("--lod-partition", a.parts.partition,
                      "Begin in this folder to convert the inputs as --lod does, or go on: scan them, plan, "
@@ -1001,7 +1001,7 @@ void add_options(CLI::App& app, Arguments& a) {
       ->option_text("rgs|ply|compressed.ply|spz|splat|glb");
   app.add_option("--spz-version", a.convert.spz_version,
                  "Version of an SPZ [3]: Spark reads 2 and 3, GaussianSplats3D 2, PlayCanvas's engine 4 "
-                 "(docs/INTERCHANGE.md)")
+                 "(docs/user/INTERCHANGE.md)")
       ->check(CLI::IsMember({2, 3, 4}))
       ->option_text("2|3|4")
       ->each([&a](const std::string&) { a.spz_version_given = true; });
@@ -1012,7 +1012,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_option_function<std::string>(
          "--profile", [&a](const std::string& name) { choose_profile(name, a); },
          "packed (the default), or direct: as the GPU reads it; same Gaussians. archive:high or archive:small: lossy "
-         "within stated bounds, a fifth of packed's size and less (docs/PROFILES.md)")
+         "within stated bounds, a fifth of packed's size and less (docs/user/PROFILES.md)")
       ->check(CLI::IsMember({"packed", "direct", "archive", "archive:high", "archive:small"}))
       ->option_text("packed|direct|archive:high|archive:small")
       ->trigger_on_parse();
@@ -1023,7 +1023,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
   app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
   app.add_flag("--file-scales", a.file_scales, "One set of SH scales for the file instead of one per chunk");
-  app.add_flag("--lod", a.lod, "Levels of detail beside the Gaussians (docs/LEVELS.md)");
+  app.add_flag("--lod", a.lod, "Levels of detail beside the Gaussians (docs/develop/LEVELS.md)");
   app.add_option("--lod-quality", a.lod_quality, "How long levels are fitted [fast]")
       ->transform(tool::one_of(std::map<std::string, rgs::lod::Quality>{{"fast", rgs::lod::Quality::fast},
                                                                         {"best", rgs::lod::Quality::best}}));
@@ -1042,7 +1042,7 @@ void add_options(CLI::App& app, Arguments& a) {
                "Write nothing (exit code 4) if Gaussians are damaged or beyond the range of the output's format")
       ->excludes("--on-bad");
   app.add_option("--cameras", a.cameras,
-                 "Depth range of the sort key as these cameras see the scene (docs/CAMERAS.md)");
+                 "Depth range of the sort key as these cameras see the scene (docs/user/CAMERAS.md)");
   app.add_option("--near", a.convert.z_near, "Near end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--far", a.convert.z_far, "Far end of the depth range, world units")->check(CLI::PositiveNumber);
   app.add_option("--depth-map", a.asked.depth_mapping,
@@ -1053,7 +1053,8 @@ void add_options(CLI::App& app, Arguments& a) {
                  "Where the input's +x,+y,+z point, if not where its format says: 3dgs (right,down,forward), opengl "
                  "(right,up,backward), gltf (left,up,forward), undeclared, or three directions")
       ->each([&a](const std::string&) { a.axes_given = true; });
-  app.add_option("--to-axes", a.to_axes, "Turn the scene so that its axes point there; default: docs/INTERCHANGE.md")
+  app.add_option("--to-axes", a.to_axes,
+                 "Turn the scene so that its axes point there; default: docs/user/INTERCHANGE.md")
       ->each([&a](const std::string&) { a.to_axes_given = true; });
   app.add_option("--translate", a.translate,
                  "Move each input, or the first, the second, ...: x,y,z in the output's axes")
@@ -1088,7 +1089,7 @@ void add_options(CLI::App& app, Arguments& a) {
                "Replace an existing output; of many scenes, convert all again");
   app.add_flag("--no-sync", a.no_sync, "Do not wait until the output is on disk");
   app.add_option("--threads", a.threads, "Threads; default: all")->check(CLI::Range(1, 1024));
-  app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/CONVERT_JSON.md)");
+  app.add_flag("--json", a.json, "Summary as JSON on standard output (docs/user/CONVERT_JSON.md)");
   app.add_flag("--quiet,-q", a.quiet, "No progress, no summary");
   add_batch_options(app, a);
   add_parts_options(app, a);

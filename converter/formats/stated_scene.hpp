@@ -1,5 +1,5 @@
 // stated_scene.hpp - what files other than .rgs say of their scene in words: comments of a PLY, extras of a glTF
-// primitive. docs/INTERCHANGE.md "Declarations" lists them.
+// primitive. docs/user/INTERCHANGE.md "Declarations" lists them.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

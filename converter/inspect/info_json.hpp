@@ -1,4 +1,4 @@
-// info_json.hpp - the report of rgs-info for programs; docs/INFO_JSON.md describes it.
+// info_json.hpp - the report of rgs-info for programs; docs/user/INFO_JSON.md describes it.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -54,7 +54,7 @@ int body(int argc, char** argv) {
   app.set_version_flag("--version", "rgs-info " RGS_VERSION);
   app.add_option("FILE", arguments.path, "an .rgs file; rgs-convert makes one of other formats")->required();
   app.add_flag("--verify", arguments.options.verify, "check every checksum and every stored value");
-  app.add_flag("--json", arguments.json, "one JSON document (schema rgs-info/1, docs/INFO_JSON.md)");
+  app.add_flag("--json", arguments.json, "one JSON document (schema rgs-info/1, docs/user/INFO_JSON.md)");
   app.add_option("--chunk", chunk, "report chunk N (from 0) instead of the file")->type_name("N");
   app.add_option("--page", page, "report page N (from 0) of a file with levels of detail instead of the file")
       ->type_name("N")

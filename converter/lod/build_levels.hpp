@@ -1,4 +1,4 @@
-// build_levels.hpp - levels of detail: from a scene's Gaussians to a tree of pages. docs/LEVELS.md says how and how well.
+// build_levels.hpp - levels of detail: from a scene's Gaussians to a tree of pages. docs/develop/LEVELS.md says how and how well.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Floaters and Gaussians of the sky would make a page seem near that is not: what little of a page is nearer than its core is drawn
-// as coarse as the rest. docs/LEVELS.md, "Error".
+// as coarse as the rest. docs/develop/LEVELS.md, "Error".
 #include "core_box.hpp"
 
 #include <algorithm>

@@ -7,7 +7,7 @@
 
 namespace rgs::lod {
 
-/// How levels are drawn: docs/LEVELS.md.
+/// How levels are drawn: docs/develop/LEVELS.md.
 inline constexpr Filter kDrawn{0.1F, true};
 inline constexpr int kSupersampling = 4;  ///< of what counts as the truth
 

@@ -1,7 +1,7 @@
 // pictures.hpp - small parallel-projection pictures of a group of Gaussians, what each gave to them, and their gradients.
 // SPDX-License-Identifier: Apache-2.0
 //
-// The picture is the renderer's (docs/RENDERING.md): low-pass, with or without compensated opacity, depth order by the mean,
+// The picture is the renderer's (docs/format/RENDERING.md): low-pass, with or without compensated opacity, depth order by the mean,
 // alpha between 1/255 and 0.99. There is no perspective, no end of a pixel before the last Gaussian, and no background:
 // pixels hold what is in front of it, and how much of it remains. Same bits on every machine: lanes are summed in one order.
 #pragma once
@@ -30,7 +30,7 @@ struct Frame {
 
 struct Filter {
   float low_pass;    ///< px^2
-  bool compensated;  ///< opacity falls as the low-pass widens: docs/RENDERING.md, mip
+  bool compensated;  ///< opacity falls as the low-pass widens: docs/format/RENDERING.md, mip
 };
 
 /// Premultiplied r, g, b and the transmittance, planes of [height][stride].

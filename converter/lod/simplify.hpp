@@ -12,7 +12,7 @@ namespace rgs::lod {
 struct Simplified {
   Gaussians gaussians;
   /// Footprint of a pixel, world units, from which on they may be drawn for the group: the squared difference of their
-  /// pictures from the supersampled ones is then at most allowed_squared(). docs/LEVELS.md, "Error".
+  /// pictures from the supersampled ones is then at most allowed_squared(). docs/develop/LEVELS.md, "Error".
   float error = 0;
 };
 

@@ -1,4 +1,4 @@
-// prune.hpp - which Gaussians to keep of a scene, by what they gave to pictures of it: docs/PRUNING.md.
+// prune.hpp - which Gaussians to keep of a scene, by what they gave to pictures of it: docs/user/PRUNING.md.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -281,7 +281,7 @@ void add_options(CLI::App& app, Options& o) {
   using rgs::prune::Score;
   app.add_option("input", o.input, "scene, " RGS_SCENE_FORMATS "; its content decides")->required();
   app.add_option("output", o.output, "what is kept of it, .ply or .rgs")->required();
-  app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/CAMERAS.md)")->required();
+  app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/user/CAMERAS.md)")->required();
   app.add_option("--split", o.split, "only these cameras; train leaves the test cameras to judge the result")
       ->check(CLI::IsMember({"train", "test"}));
   app.add_option("--view", o.view, "camera by name or index in the split, or all")->capture_default_str();

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Values are what 3DGS trains on: photographs' sRGB-encoded values, 0 to 1. They are ready for display and are written
-// as they are, tagged as sRGB; nothing here applies a transfer curve. docs/RENDERING.md says more.
+// as they are, tagged as sRGB; nothing here applies a transfer curve. docs/format/RENDERING.md says more.
 #pragma once
 
 #include <cstddef>

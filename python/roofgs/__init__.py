@@ -6,7 +6,7 @@
 >>> roofgs.Renderer(device="cpu").render(scene, camera).shape
 (48, 64, 3)
 
-docs/PYTHON.md is the way in; the docstrings are the manual.
+docs/user/PYTHON.md is the way in; the docstrings are the manual.
 """
 # SPDX-License-Identifier: Apache-2.0
 from . import cameras

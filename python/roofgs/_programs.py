@@ -46,7 +46,7 @@ def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = Fa
     Returns
     -------
     dict
-        What was done: docs/CONVERT_JSON.md.
+        What was done: docs/user/CONVERT_JSON.md.
 
     >>> done = convert(examples / "scene.ply", folder / "small.rgs", sh_degree=1, min_opacity=0.05)
     >>> done["output"]["sh_degree"], done["filtered"] + done["output"]["gaussians"]
@@ -92,7 +92,7 @@ def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, floa
 
 
 class Audit(Dict[str, Any]):
-    """What :func:`audit` measured: the object of docs/AUDIT_JSON.md, with what is asked for most as attributes."""
+    """What :func:`audit` measured: the object of docs/user/AUDIT_JSON.md, with what is asked for most as attributes."""
 
     @property
     def verdict(self) -> str:

@@ -38,7 +38,7 @@ class Renderer:
     device : "auto", "cpu" or "cuda"
         "auto" is a GPU where there is one.
     pipeline : "automatic", "baseline", "paper" or "turbo"
-        By which method; docs/RENDERING.md. "automatic" is the image's definition on the CPU, and turbo on a GPU.
+        By which method; docs/format/RENDERING.md. "automatic" is the image's definition on the CPU, and turbo on a GPU.
     threads : int
         Of the CPU; 0 are all. Pictures do not depend on it.
 

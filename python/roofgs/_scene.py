@@ -422,7 +422,7 @@ def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Option
 
 def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
          max_expansion: Optional[int] = None) -> Dict[str, Any]:
-    """What an .rgs file holds and declares: the object of ``rgs-info --json`` (docs/INFO_JSON.md). With `verify` every checksum
+    """What an .rgs file holds and declares: the object of ``rgs-info --json`` (docs/user/INFO_JSON.md). With `verify` every checksum
     and value is checked; what is wrong is raised.
 
     statistics : bool, optional

@@ -2,7 +2,7 @@
 
 A camera's axes are OpenCV's and COLMAP's: x right, y down, z forward. ``world_to_camera`` takes a point of the world to
 them; it is what gsplat calls a view matrix. Pixel (i, j) covers [i, i + 1) x [j, j + 1), so that
-``cx = width / 2`` is the middle of the picture. docs/CAMERAS.md has the files.
+``cx = width / 2`` is the middle of the picture. docs/user/CAMERAS.md has the files.
 """
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
@@ -68,7 +68,7 @@ def load(path: Path) -> CameraList:
 
 
 def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: bool = False) -> None:
-    """Writes cameras as the JSON list of docs/CAMERAS.md, whole or not at all; those of a :class:`CameraList` with the split that
+    """Writes cameras as the JSON list of docs/user/CAMERAS.md, whole or not at all; those of a :class:`CameraList` with the split that
     it declares. A file that is there is kept without `overwrite`.
 
     >>> save(folder / "two.json", orbit(roofgs.load(examples / "scene.rgs"), 2))

@@ -1,4 +1,4 @@
-"""Each snippet of docs/PYTHON.md, in its order. SPDX-License-Identifier: Apache-2.0"""
+"""Each snippet of docs/user/PYTHON.md, in its order. SPDX-License-Identifier: Apache-2.0"""
 import re
 import shutil
 

@@ -118,7 +118,7 @@ constexpr Ops kTurboOps{2 * (3 / kTurboColumn + 2) + 1 + 1 + 6, 3 / kTurboColumn
 constexpr double kTurboSharedBytes = 2 * 16;  // six coefficients, colour in FP16
 
 // By matrix products, whose exponents and colours are not counted: they have units of their own, which are busy for a
-// shorter time than those of the exponentials (docs/MEASUREMENTS.md, "Roofline"). A lane has 16 (pixel, Gaussian) pairs of a row
+// shorter time than those of the exponentials (docs/records/MEASUREMENTS.md, "Roofline"). A lane has 16 (pixel, Gaussian) pairs of a row
 // and 32 Gaussians, two in an instruction: eight times the test's FMA, opacity, weight and what it lets through, but the
 // first of a chain has its weight already; eight products with the chain's transmittance; seven products and two
 // selections over the chains. ex2.approx.f16x2 takes the special function units twice, once a pair.

@@ -124,9 +124,9 @@ StressRow stress_row(const SizeReport& size, const Report& report);
 /// Views that do not pass, "NAME at WIDTHxHEIGHT (TURBO ms, paper PAPER ms)"; none: the gate is passed.
 std::vector<std::string> failed_views(const Report& report);
 
-/// Schema "rgs-bench/2": docs/BENCH_JSON.md.
+/// Schema "rgs-bench/2": docs/user/BENCH_JSON.md.
 std::string report_json(const Report& report);
-/// A line for each size and mode under a line of names; fields that were not measured are empty. docs/BENCH_JSON.md.
+/// A line for each size and mode under a line of names; fields that were not measured are empty. docs/user/BENCH_JSON.md.
 std::string report_csv(const Report& report);
 
 /// Text tables, "\n" after each line. The ablation comes line by line, as rows are measured.

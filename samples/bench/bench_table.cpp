@@ -155,7 +155,7 @@ std::string coarse_depth_text(const SizeReport& size, std::size_t row, const Rep
   return fmt::format(
       "rgs-bench: {}{}{}x{}, {}: the key of {} bits tells depths apart that differ by {:.2g} of the depth, coarser "
       "than "
-      "{:g}: Gaussians may change places (docs/RENDERING.md, \"Depth resolution\")\n",
+      "{:g}: Gaussians may change places (docs/format/RENDERING.md, \"Depth resolution\")\n",
       size.view, size.view.empty() ? "" : " at ", size.width, size.height, report.modes[row].configuration.name,
       s.depth_bits, s.depth_resolution, kCoarseDepthResolution);
 }

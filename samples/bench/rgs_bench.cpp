@@ -406,11 +406,11 @@ int main(int argc, char** argv) {
     tool::add_max_expansion(app, o.limits);
     app.add_option("--source", o.source,
                    "3DGS .ply (or .rgs) that the file was made of, for the baseline [the file itself]");
-    app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/CAMERAS.md); --views stress does without");
+    app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/user/CAMERAS.md); --views stress does without");
     app.add_option(
            "--views", o.views,
            "cameras: as they are; stress: a fixed list made of them, from afar, of odd shapes and more, in which "
-           "turbo must not be slower than paper (docs/BENCH_JSON.md)")
+           "turbo must not be slower than paper (docs/user/BENCH_JSON.md)")
         ->check(CLI::IsMember({"cameras", "stress"}))
         ->capture_default_str();
     app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");
@@ -428,7 +428,7 @@ int main(int argc, char** argv) {
     app.add_option(
            "--detail", o.detail_px,
            "of a scene with levels of detail, the error that is drawn, px; 0: its leaves, which alone baseline and "
-           "--ablate draw (docs/LEVELS.md)")
+           "--ablate draw (docs/develop/LEVELS.md)")
         ->check(CLI::NonNegativeNumber)
         ->capture_default_str();
     app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
@@ -443,7 +443,7 @@ int main(int argc, char** argv) {
         ->check(CLI::Range(-90.0, 90.0))
         ->capture_default_str();
     app.add_flag("--roofline", o.roofline, "measure the device's rates and compare each stage with its floor");
-    app.add_option("--json", o.json, "write all of it as JSON (docs/BENCH_JSON.md); - is standard output");
+    app.add_option("--json", o.json, "write all of it as JSON (docs/user/BENCH_JSON.md); - is standard output");
     app.add_option("--csv", o.csv, "write a line for each size and mode");
     app.add_option("--svg", o.svg, "write the roofline as a picture; implies --roofline");
     app.add_flag("--overwrite", o.overwrite, "replace outputs that exist");

@@ -603,7 +603,7 @@ int main(int argc, char** argv) {
                  "rgs-bench-flight"};
     app.set_version_flag("--version", "rgs-bench-flight " RGS_VERSION);
     app.add_option("FILE", o.scene, ".rgs file with levels of detail, or its http(s) address")->required();
-    app.add_option("--path", o.path, "cameras along which it flies (docs/CAMERAS.md)")->required();
+    app.add_option("--path", o.path, "cameras along which it flies (docs/user/CAMERAS.md)")->required();
     app.add_option("--frames", o.frames, "frames of the flight")
         ->check(CLI::Range(1, 1'000'000))
         ->capture_default_str();
@@ -625,7 +625,7 @@ int main(int argc, char** argv) {
         ->check(CLI::Range(0.0, 1e6))
         ->capture_default_str();
     app.add_flag("--cold", o.is_cold, "take the file out of the page cache before it is opened and before each jump");
-    app.add_option("--json", o.json, "write all of it as JSON (docs/BENCH_JSON.md); - is standard output");
+    app.add_option("--json", o.json, "write all of it as JSON (docs/user/BENCH_JSON.md); - is standard output");
     app.add_flag("--overwrite", o.overwrite, "replace an output that exists");
     app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;

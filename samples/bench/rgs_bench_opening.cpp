@@ -287,7 +287,8 @@ int main(int argc, char** argv) {
     app.set_version_flag("--version", "rgs-bench-opening " RGS_VERSION);
     app.add_option("FILE", o.files, ".rgs files")->required();
     tool::add_max_expansion(app, o.limits);
-    app.add_option("--cameras,-c", o.cameras, "the first of these draws (docs/CAMERAS.md) [a view of the whole scene]");
+    app.add_option("--cameras,-c", o.cameras,
+                   "the first of these draws (docs/user/CAMERAS.md) [a view of the whole scene]");
     app.add_option("--size", o.size, "WxH of the picture")->capture_default_str();
     app.add_option("--runs", o.runs, "openings that are measured, after one that is not")
         ->check(CLI::Range(1, 10000))
@@ -297,7 +298,7 @@ int main(int argc, char** argv) {
         ->check(CLI::IsMember({"device", "host"}))
         ->capture_default_str();
     app.add_flag("--cold", o.is_cold, "take the file out of the page cache before each run");
-    app.add_option("--json", o.json, "write all of it as JSON (docs/BENCH_JSON.md); - is standard output");
+    app.add_option("--json", o.json, "write all of it as JSON (docs/user/BENCH_JSON.md); - is standard output");
     app.add_flag("--overwrite", o.overwrite, "replace an output that exists");
     app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;

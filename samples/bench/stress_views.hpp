@@ -35,7 +35,7 @@ struct StressView {
 };
 
 /// The fixed list, each view from each of `cameras`, of which no more than eight are taken, evenly; without any, from
-/// default_view(). docs/BENCH_JSON.md, "Stress views", has it.
+/// default_view(). docs/user/BENCH_JSON.md, "Stress views", has it.
 std::vector<StressView> stress_views(std::span<const Camera> cameras, const StressScene& scene);
 
 /// How many frames that take `ms` each fit into `seconds`: 1 to `most`.

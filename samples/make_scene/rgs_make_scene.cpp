@@ -251,7 +251,8 @@ int parse_and_make_scene(int argc, char** argv) {
       "Writes a deterministic synthetic scene (a house in a garden, or a town) as a 3DGS PLY, or as an "
       ".rgs with levels of detail.",
       "rgs-make-scene"};
-  app.add_option("output", options.output, "file to write: .rgs with levels of detail (docs/LEVELS.md), else PLY")
+  app.add_option("output", options.output,
+                 "file to write: .rgs with levels of detail (docs/develop/LEVELS.md), else PLY")
       ->required();
   app.add_option("--seed", options.seed, "another seed, another scene")->capture_default_str();
   app.add_option("--gaussians", options.gaussians,

@@ -1,4 +1,4 @@
-// scene_cameras.hpp - the cameras of synthetic scenes as the project's JSON list (docs/CAMERAS.md).
+// scene_cameras.hpp - the cameras of synthetic scenes as the project's JSON list (docs/user/CAMERAS.md).
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

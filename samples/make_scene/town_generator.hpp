@@ -70,7 +70,7 @@ class TownGenerator {
   std::shared_ptr<const Layout> layout_;
 };
 
-/// Eight views as a camera list (docs/CAMERAS.md), as scene_cameras_json() writes it: three from a street, one over
+/// Eight views as a camera list (docs/user/CAMERAS.md), as scene_cameras_json() writes it: three from a street, one over
 /// gardens, two over the roofs, one from 500 m away, one from above.
 std::string town_cameras_json(std::uint64_t seed, int width = 1280, int height = 720, const Origin& origin = kNoOrigin);
 

@@ -393,7 +393,7 @@ void warn_of_coarse_depths(const std::vector<Frame>& frames) {
   if (s.depth_resolution < rgs::kCoarseDepthResolution) return;
   tool::print_error(fmt::format(
       "rgs-render: {}: the key of {} bits tells depths apart that differ by {:.2g} of the depth, coarser than {:g}: "
-      "Gaussians may change places (docs/RENDERING.md, \"Depth resolution\")\n",
+      "Gaussians may change places (docs/format/RENDERING.md, \"Depth resolution\")\n",
       tool::printable(coarsest->shot->camera.name), s.depth_bits, s.depth_resolution, rgs::kCoarseDepthResolution));
 }
 
@@ -580,7 +580,7 @@ void add_options(CLI::App& app, Options& o) {
                  "; its content decides. Or the http(s) address of an .rgs with levels of detail")
       ->required();
   app.add_option("--out,-o", o.out, "picture (.png .jpg .tif .exr) or folder for pictures")->required();
-  app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/CAMERAS.md)");
+  app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/user/CAMERAS.md)");
   app.add_option("--view", o.view, "camera by name or index in the split, or all [all for a folder, 0 for a file]");
   app.add_option("--split", o.split, "only these cameras")->check(CLI::IsMember({"train", "test"}));
   app.add_option("--size", o.size, "WxH pixels, e.g. 1920x1080; keeps the horizontal field of view");
@@ -597,7 +597,7 @@ void add_options(CLI::App& app, Options& o) {
   app.add_flag("--alpha", o.alpha, "transparent background: pictures with an alpha channel (.png .tif .exr)");
   app.add_flag("--overwrite", o.overwrite, "replace existing pictures");
 
-  const std::string stream = "Streaming, of .rgs files with levels of detail (docs/STREAMING.md)";
+  const std::string stream = "Streaming, of .rgs files with levels of detail (docs/develop/STREAMING.md)";
   app.add_option(
          "--host-memory", o.host_memory,
          "read of the file what the views need, within so much memory [of addresses 2GiB; of paths all is read]")
@@ -635,8 +635,9 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::Range(0, rgs::kMaxShDegree))
       ->capture_default_str()
       ->group(image);
-  app.add_option("--detail", o.render.detail_px,
-                 "Of a scene with levels of detail, the error that is drawn, px [1]; 0: its leaves (docs/LEVELS.md)")
+  app.add_option(
+         "--detail", o.render.detail_px,
+         "Of a scene with levels of detail, the error that is drawn, px [1]; 0: its leaves (docs/develop/LEVELS.md)")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--low-pass", o.render.low_pass,
                  "px^2 added to projected covariances [what the file states, else 0.3, mip 0.1]")
@@ -649,7 +650,7 @@ void add_options(CLI::App& app, Options& o) {
                                               {"mip-splatting", AntiAliasing::mip_splatting}}))
       ->group(image);
 
-  const std::string arithmetic = "Arithmetic (docs/RENDERING.md)";
+  const std::string arithmetic = "Arithmetic (docs/format/RENDERING.md)";
   auto* const mode =
       app.add_option("--mode", o.render.pipeline, "all of these at once: baseline (3DGS), paper, turbo [turbo on CUDA]")
           ->transform(tool::one_of<rgs::Pipeline>({{"baseline", rgs::Pipeline::baseline},

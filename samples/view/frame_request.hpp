@@ -23,7 +23,7 @@ struct FrameRequest {
   int quality = kDefaultJpegQuality;      ///< of JPEG, 1..100
 };
 
-/// From the JSON object that docs/VIEW.md describes. Errors: bad_syntax (no JSON object, with the byte; no such field, a value of another
+/// From the JSON object that docs/user/VIEW.md describes. Errors: bad_syntax (no JSON object, with the byte; no such field, a value of another
 /// type), bad_argument (a value out of its range, no such scene); those of parse_camera_json().
 Result<FrameRequest> parse_frame_request(std::string_view body, std::size_t n_scenes);
 

@@ -317,8 +317,8 @@ int export_page(const Options& options, Shown& shown) {
 void add_options(CLI::App& app, Options& o) {
   app.add_option("scene", o.scene, "scene to look at: " RGS_PAGE_FORMATS)->required();
   app.add_option("other", o.other, "a second one, to compare it with");
-  auto* const cameras =
-      app.add_option("--cameras,-c", o.cameras, "cameras to jump to: camera file or COLMAP folder (docs/CAMERAS.md)");
+  auto* const cameras = app.add_option("--cameras,-c", o.cameras,
+                                       "cameras to jump to: camera file or COLMAP folder (docs/user/CAMERAS.md)");
   app.add_option("--photos", o.photos, "folder of the cameras' photographs, by name; PNG or JPEG")->needs(cameras);
 
   const std::string single = "One file instead of a server";
@@ -333,7 +333,7 @@ void add_options(CLI::App& app, Options& o) {
       ->group(single);
   app.add_flag("--overwrite", o.overwrite, "replace an existing page")->needs(export_to)->group(single);
 
-  const std::string frames = "Frames of this machine's renderer (docs/VIEW.md)";
+  const std::string frames = "Frames of this machine's renderer (docs/user/VIEW.md)";
   app.add_option("--backend", o.backend, "draw true pictures for the page: cpu, cuda [none]")
       ->transform(tool::one_of<rgs::Backend>({{"cpu", rgs::Backend::cpu}, {"cuda", rgs::Backend::cuda}}))
       ->group(frames);

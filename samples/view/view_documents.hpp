@@ -1,4 +1,4 @@
-// view_documents.hpp - what the page is told: view.json and cameras.json. docs/VIEW.md has every field.
+// view_documents.hpp - what the page is told: view.json and cameras.json. docs/user/VIEW.md has every field.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -1,5 +1,5 @@
 // measure_levels.cpp - what levels of detail look like from 1 to 8 times as far, against the supersampled truth: prints the
-// tables of docs/LEVELS.md.
+// tables of docs/develop/LEVELS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best [PHOTOS]]
@@ -113,7 +113,7 @@ class Measure {
   std::map<std::pair<std::size_t, int>, std::vector<float>> truth_;
 };
 
-// Footprint of a page in a view: docs/LEVELS.md.
+// Footprint of a page in a view: docs/develop/LEVELS.md.
 float footprint(const Page& page, const Camera& camera) {
   const auto eye = rgs::camera_centre(camera);
   return static_cast<float>(

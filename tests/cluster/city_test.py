@@ -1,4 +1,4 @@
-# city_test.py - samples/cluster/city and "One scene" of docs/CLUSTER.md: city_test.py CASE, or --list. Programs: RGS_BIN.
+# city_test.py - samples/cluster/city and "One scene" of docs/user/CLUSTER.md: city_test.py CASE, or --list. Programs: RGS_BIN.
 # SPDX-License-Identifier: Apache-2.0
 import contextlib
 import itertools

@@ -1,4 +1,4 @@
-# cluster_test.py - samples/cluster and docs/CLUSTER.md: cluster_test.py CASE, or --list. Programs under test: RGS_BIN.
+# cluster_test.py - samples/cluster and docs/user/CLUSTER.md: cluster_test.py CASE, or --list. Programs under test: RGS_BIN.
 # SPDX-License-Identifier: Apache-2.0
 import contextlib
 import json
@@ -38,10 +38,10 @@ def environment(**more):
 
 
 def page_block(name):
-    """The commands below <!-- name --> of docs/CLUSTER.md."""
-    with open(f"{ROOT}/docs/CLUSTER.md", encoding="utf-8") as page:
+    """The commands below <!-- name --> of docs/user/CLUSTER.md."""
+    with open(f"{ROOT}/docs/user/CLUSTER.md", encoding="utf-8") as page:
         found = re.search(rf"<!-- {name} -->\n((?:    .*\n|\n)+)", page.read())
-    assert found, f"docs/CLUSTER.md has no commands '{name}'"
+    assert found, f"docs/user/CLUSTER.md has no commands '{name}'"
     return found[1]
 
 

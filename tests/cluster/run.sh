@@ -1,5 +1,5 @@
 #!/bin/sh
-# run.sh - samples/cluster on this machine, on a real Slurm, and the commands of docs/CLUSTER.md:
+# run.sh - samples/cluster on this machine, on a real Slurm, and the commands of docs/user/CLUSTER.md:
 #   sh tests/cluster/run.sh [--if-changed] [CTEST-ARGUMENTS...]
 # Installs Snakemake, Slurm and GNU parallel (300 MB) unless RGS_SKIP_INSTALL=1; a test whose programs are missing is skipped, or with
 # RGS_REQUIRE_TOOLS=1 fails. The programs under test are in RGS_BIN; without it build/release is built as far as needed.
@@ -13,7 +13,7 @@ is_changed() {
   base=$(git merge-base HEAD origin/main 2>/dev/null) || base=
   [ -n "$base" ] && [ "$base" != "$(git rev-parse HEAD)" ] || base=HEAD^
   # Without a commit to compare with, everything is new.
-  ! git diff --quiet "$base" -- samples/cluster tests/cluster docs/CLUSTER.md 2>/dev/null
+  ! git diff --quiet "$base" -- samples/cluster tests/cluster docs/user/CLUSTER.md 2>/dev/null
 }
 
 if [ "${1:-}" = --if-changed ]; then

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# independent_reader_test.py - the reader written from docs/FORMAT.md and the library agree on every golden file.
+# independent_reader_test.py - the reader written from docs/format/FORMAT.md and the library agree on every golden file.
 # SPDX-License-Identifier: Apache-2.0
 """independent_reader_test.py RGS_DUMP_FILE GOLDEN_FOLDER
 

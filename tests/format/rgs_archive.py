@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-# rgs_archive.py - frames of codec 2 to rows, for rgs_reader.py; written from docs/ARCHIVE.md alone; needs numpy.
+# rgs_archive.py - frames of codec 2 to rows, for rgs_reader.py; written from docs/format/ARCHIVE.md alone; needs numpy.
 # SPDX-License-Identifier: Apache-2.0
 """Draco's kd-tree in a few lines, the entropy coder, and the way from codes to rows of MEAN, GEOM and SHI8.
 

@@ -1,8 +1,8 @@
 #!/usr/bin/python3
-# rgs_reader.py - an independent reader of .rgs files, written from docs/FORMAT.md and docs/ARCHIVE.md alone; needs numpy,
+# rgs_reader.py - an independent reader of .rgs files, written from docs/format/FORMAT.md and docs/format/ARCHIVE.md alone; needs numpy,
 # xxhash, zstandard.
 # SPDX-License-Identifier: Apache-2.0
-"""Reads an .rgs file, checks every rule of docs/FORMAT.md, and gives every value as a numpy array.
+"""Reads an .rgs file, checks every rule of docs/format/FORMAT.md, and gives every value as a numpy array.
 
     scene = rgs_reader.read(open("scene.rgs", "rb").read())     # raises RgsError(code, offset, text)
     scene.means, scene.rotations, scene.scales, scene.opacities, scene.sh
@@ -932,7 +932,7 @@ def read_file(path: str) -> Scene:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description="Check an .rgs file against docs/FORMAT.md and print or dump it.")
+    parser = argparse.ArgumentParser(description="Check an .rgs file against docs/format/FORMAT.md and print or dump it.")
     parser.add_argument("file")
     parser.add_argument("--dump", metavar="OUT.npz", help="write all arrays")
     parser.add_argument("--json", action="store_true", help="print header, section table, declarations, provenance")

@@ -53,7 +53,7 @@ inline SplatCloud golden_cloud(std::uint64_t n, int sh_degree, std::uint64_t see
   return cloud;
 }
 
-/// Two Gaussians whose every stored value is known by hand; docs/FORMAT_EXAMPLE.md prints their file.
+/// Two Gaussians whose every stored value is known by hand; docs/format/FORMAT_EXAMPLE.md prints their file.
 inline SplatCloud two_cloud() {
   SplatCloud cloud;
   cloud.resize(2, 0);

@@ -65,7 +65,7 @@ def main():
     import kernel_resources
     ours = [str(file) for file in (SOURCE / "kernels/src").rglob("*.cu")]
     assert len(ours) > 10, ours
-    assert not kernel_resources.dynamic_shared(ours), "see docs/KERNELS.md, Limits"
+    assert not kernel_resources.dynamic_shared(ours), "see docs/develop/KERNELS.md, Limits"
 
 
 if __name__ == "__main__":

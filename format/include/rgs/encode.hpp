@@ -47,7 +47,7 @@ struct ArchiveOptions {
 
   bool operator==(const ArchiveOptions&) const = default;
 };
-/// Presets; what they cost is in docs/PROFILES.md.
+/// Presets; what they cost is in docs/user/PROFILES.md.
 ArchiveOptions archive_high();
 ArchiveOptions archive_small();
 inline constexpr int kMaxLevel = 19;
@@ -55,7 +55,7 @@ inline constexpr int kMaxLevel = 19;
 struct EncodeOptions {
   Profile profile = Profile::direct;
   ArchiveOptions archive;
-  int level = 1;                   ///< packed: effort, 1 to kMaxLevel; see docs/PROFILES.md
+  int level = 1;                   ///< packed: effort, 1 to kMaxLevel; see docs/user/PROFILES.md
   std::uint32_t chunk_size = 256;  ///< Gaussians per chunk, a multiple of 32 in [32, 2^16]
   bool chunk_step_sets = true;     ///< SH steps per chunk; false: one set for the file (the paper's scheme)
   Order order = Order::morton;

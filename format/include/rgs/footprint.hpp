@@ -1,5 +1,5 @@
 // footprint.hpp - what a pixel covers where a page is nearest, and whether the page will do there: for host and device, to
-// the bit the same. docs/FORMAT.md "Error and cut".
+// the bit the same. docs/format/FORMAT.md "Error and cut".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

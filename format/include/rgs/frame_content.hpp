@@ -1,5 +1,5 @@
 // frame_content.hpp - frames of Codec::planes with their Zstandard undone and nothing else, and the checks that are left
-// when somebody else checks the Gaussians: for readers that decode on a device. docs/FORMAT.md "Coded sections".
+// when somebody else checks the Gaussians: for readers that decode on a device. docs/format/FORMAT.md "Coded sections".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

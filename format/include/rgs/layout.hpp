@@ -2,7 +2,7 @@
 // versions, record sizes, section types, codecs, limits), and a struct for each of its records as parsed (header, section
 // and frame tables, declarations, chunks, SH steps, archive parameters, provenance). The structs are not the bytes:
 // file/layout_io.cpp reads and writes those field by field. Gaussians are in splat_cloud.hpp, their quantisation in
-// quantize.hpp. docs/FORMAT.md is the specification; where they differ, it wins.
+// quantize.hpp. docs/format/FORMAT.md is the specification; where they differ, it wins.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -62,7 +62,7 @@ enum class SectionType : std::uint32_t {
   means = four_cc("MEAN"),         ///< FP32 [n, 3]
   geometry = four_cc("GEOM"),      ///< FP16 [n, 8]
   sh = four_cc("SHI8"),            ///< INT8 [n, sh_bytes]
-  archive = four_cc("ARCH"),       ///< with Codec::archive: its parameters, docs/ARCHIVE.md
+  archive = four_cc("ARCH"),       ///< with Codec::archive: its parameters, docs/format/ARCHIVE.md
   permutation = four_cc("PERM"),   ///< optional: position in the source, u32 [n], u64 [n] above 2^32 source Gaussians
   provenance = four_cc("PROV"),    ///< optional: Provenance
   levels = four_cc("LODS"),        ///< of a file with levels of detail: its tree of pages, see paged_file.hpp
@@ -72,7 +72,7 @@ enum class SectionType : std::uint32_t {
 enum class Codec : std::uint32_t {
   none = 0,    ///< stored bytes are the decoded bytes
   planes = 1,  ///< a frame table and frames: rows transformed into byte planes, Zstandard; for those of coded_type()
-  archive = 2  ///< a frame table and frames: lossy codes, docs/ARCHIVE.md; MEAN, GEOM and SHI8 together
+  archive = 2  ///< a frame table and frames: lossy codes, docs/format/ARCHIVE.md; MEAN, GEOM and SHI8 together
 };
 
 /// Section types that may have Codec::planes.

@@ -1,4 +1,4 @@
-// page.hpp - levels of detail: a scene as a tree of pages, in memory. docs/FORMAT.md "Levels of detail".
+// page.hpp - levels of detail: a scene as a tree of pages, in memory. docs/format/FORMAT.md "Levels of detail".
 //
 // Leaves are the scene's Gaussians in the order in which a file without levels holds them. Every other page is a simpler
 // picture of its children, up to one root. A page that is drawn replaces all that is below it.

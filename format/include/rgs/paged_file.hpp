@@ -1,5 +1,5 @@
 // paged_file.hpp - reading files with levels of detail: the tree of pages, pages, levels, all Gaussians of the finest.
-// docs/FORMAT.md "Levels of detail".
+// docs/format/FORMAT.md "Levels of detail".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

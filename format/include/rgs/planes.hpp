@@ -1,5 +1,5 @@
 // planes.hpp - what Codec::planes makes of words, of geometry and of SH, on values, for host and device;
-// docs/FORMAT.md "Coded sections". The loops over whole frames are elsewhere: in format/src/packed for the host, in
+// docs/format/FORMAT.md "Coded sections". The loops over whole frames are elsewhere: in format/src/packed for the host, in
 // kernels/src/common/unpack.cu for the device.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once

@@ -1,5 +1,5 @@
 // stored_values.hpp - which stored values are legal, and those at the ends of their range, which the declarations count;
-// for host and device. docs/FORMAT.md "Attributes".
+// for host and device. docs/format/FORMAT.md "Attributes".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -1,5 +1,5 @@
 // archive_codec.hpp - frames of Codec::archive: codes of Gaussians, their contexts, and the rows that they stand for;
-// docs/ARCHIVE.md.
+// docs/format/ARCHIVE.md.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -100,7 +100,7 @@ OctaveScale scale_of_octaves(std::int32_t octaves);
 /// Row of GEOM.
 void geometry_row(const ArchiveParameters& p, const FrameCodes& f, std::size_t i, int scale_exponent,
                   std::uint16_t row[8]);
-/// (2 g + S) div (2 S) of docs/ARCHIVE.md "DC": the code that is expected after two values.
+/// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "DC": the code that is expected after two values.
 std::int64_t expected_dc(const std::int16_t weights[2], std::int64_t before, std::int64_t before_that,
                          std::int64_t step);
 /// DC's values [3, n] in 1/65536.

@@ -1,4 +1,4 @@
-// archive_formulas.hpp - docs/ARCHIVE.md "From codes to rows", number by number, without branches: loops over them become vectors.
+// archive_formulas.hpp - docs/format/ARCHIVE.md "From codes to rows", number by number, without branches: loops over them become vectors.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -1,4 +1,4 @@
-// archive_kernels.hpp - inner loops of the archive's decoder, compiled for several instruction sets; docs/ARCHIVE.md "From codes to rows".
+// archive_kernels.hpp - inner loops of the archive's decoder, compiled for several instruction sets; docs/format/ARCHIVE.md "From codes to rows".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

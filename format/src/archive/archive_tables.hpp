@@ -1,4 +1,4 @@
-// archive_tables.hpp - section ARCH: parameters, transforms and distributions of Codec::archive; docs/ARCHIVE.md.
+// archive_tables.hpp - section ARCH: parameters, transforms and distributions of Codec::archive; docs/format/ARCHIVE.md.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

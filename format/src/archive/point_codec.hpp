@@ -1,4 +1,4 @@
-// point_codec.hpp - points with integer coordinates as streams of Draco's kd-tree; docs/ARCHIVE.md "MEAN".
+// point_codec.hpp - points with integer coordinates as streams of Draco's kd-tree; docs/format/ARCHIVE.md "MEAN".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

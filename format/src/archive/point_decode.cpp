@@ -1,4 +1,4 @@
-// point_decode.cpp - Draco's kd-tree (Devillers and Gandoin 2000) to points, from docs/ARCHIVE.md "Tree".
+// point_decode.cpp - Draco's kd-tree (Devillers and Gandoin 2000) to points, from docs/format/ARCHIVE.md "Tree".
 //
 // Not through Draco's library: this takes no exceptions and no memory, believes nothing that the stream says, and one reader
 // of the format fits where that library does not.

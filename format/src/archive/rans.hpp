@@ -1,4 +1,4 @@
-// rans.hpp - entropy coder of Codec::archive: eight interleaved rANS states over one stream; docs/ARCHIVE.md "Streams".
+// rans.hpp - entropy coder of Codec::archive: eight interleaved rANS states over one stream; docs/format/ARCHIVE.md "Streams".
 //
 // Range asymmetric numeral systems (Duda 2013) with 12-bit frequencies, 32-bit states and 16-bit words, interleaved as in
 // Giesen 2014: consecutive numbers use different states, so that the processor works on several at once.

@@ -1,4 +1,4 @@
-// layout_io.cpp - header, section table and fixed records to bytes and back; see docs/FORMAT.md for each offset.
+// layout_io.cpp - header, section table and fixed records to bytes and back; see docs/format/FORMAT.md for each offset.
 // SPDX-License-Identifier: Apache-2.0
 #include "file/layout_io.hpp"
 

@@ -1,4 +1,4 @@
-// page_table.cpp - section LODS. The order of its checks is that of docs/FORMAT.md "Reading levels safely".
+// page_table.cpp - section LODS. The order of its checks is that of docs/format/FORMAT.md "Reading levels safely".
 // SPDX-License-Identifier: Apache-2.0
 #include "levels/page_table.hpp"
 

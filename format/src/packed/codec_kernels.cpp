@@ -1,7 +1,7 @@
 // codec_kernels.cpp - the codec's loops of codec_kernels.hpp, compiled for each instruction set and chosen at run time.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Integer operations are those of docs/FORMAT.md, mod 2^16; FP32 operations are rounded once each. So every instruction
+// Integer operations are those of docs/format/FORMAT.md, mod 2^16; FP32 operations are rounded once each. So every instruction
 // set gives the same bits.
 
 // Vectors without a size at compile time do not fit in arrays, which hold the sums here.

@@ -1,4 +1,4 @@
-// frame_codec.hpp - rows of a section to one coded frame and back; docs/FORMAT.md "Coded sections".
+// frame_codec.hpp - rows of a section to one coded frame and back; docs/format/FORMAT.md "Coded sections".
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -17,7 +17,7 @@ struct Fp32Attributes {
   int sh_degree;
 };
 
-/// The sections of an .rgs file as they lie on disk (docs/FORMAT.md), 76 bytes a Gaussian at SH degree 3. Every pointer
+/// The sections of an .rgs file as they lie on disk (docs/format/FORMAT.md), 76 bytes a Gaussian at SH degree 3. Every pointer
 /// is 16-byte aligned.
 struct CompactAttributes {
   const float* mean;              ///< MEAN [n, 3]

@@ -2,7 +2,7 @@
 // SPDX-License-Identifier: Apache-2.0
 //
 // Many threads bring pages, and their calls of the driver wait for each other there. A launch takes a thread 10 us; that the driver copies as
-// many pieces, even asked with one call, 60 to 120 us (docs/EXPERIMENTS.md).
+// many pieces, even asked with one call, 60 to 120 us (docs/records/EXPERIMENTS.md).
 //
 // Math    none
 // In/Out  n pieces of host memory -> the device's, 16 bytes at a time

@@ -12,8 +12,9 @@
 namespace rgs::cuda {
 
 struct CheckedValues {
-  ValueCounts counts;       ///< of all rows of GEOM
-  std::uint64_t n_damaged;  ///< chunks that break a rule of docs/FORMAT.md or contradict their entry of the chunk table
+  ValueCounts counts;  ///< of all rows of GEOM
+  std::uint64_t
+      n_damaged;  ///< chunks that break a rule of docs/format/FORMAT.md or contradict their entry of the chunk table
 };
 
 /// Adds to `out` what n Gaussians hold; 0 < n < 2^31. The caller has zeroed it, and has checked the chunk table itself:

@@ -1,7 +1,7 @@
 // cut.cu - which pages a frame draws: a thread a page, decided by its own record and its parent's.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/footprint.hpp; docs/FORMAT.md "Error and cut"
+// Math    rgs/footprint.hpp; docs/format/FORMAT.md "Error and cut"
 // In/Out  pages [n] -> chunks [drawn], counts
 // Cost    96 B a page, half of them a parent's, which neighbours share; twice. About 60 FP64 operations. 4 B written a chunk
 //         that is drawn

@@ -1,4 +1,4 @@
-// unpack.cu - contents of coded frames -> rows of MEAN, GEOM and SHI8; docs/FORMAT.md "Coded sections".
+// unpack.cu - contents of coded frames -> rows of MEAN, GEOM and SHI8; docs/format/FORMAT.md "Coded sections".
 // SPDX-License-Identifier: Apache-2.0
 //
 // Math    rgs/planes.hpp, which the decoder on the host calls as well

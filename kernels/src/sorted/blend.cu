@@ -1,7 +1,7 @@
 // blend.cu - tile by tile, sorted Gaussians to pixels: the original's loop and its variants, a block a tile.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/blend.hpp; docs/RENDERING.md "A pixel"; the paper, III-B1
+// Math    rgs/math/blend.hpp; docs/format/RENDERING.md "A pixel"; the paper, III-B1
 // In/Out  ranges, sorted Gaussians, splats -> pixels
 // Cost    48 B gathered a pair, mostly from L2; about 25 instructions a (pixel, Gaussian) pair evaluated
 // Launch  a block a tile; 256 threads of one pixel or 128 of two, (x, y) and (x, y + 1)

@@ -1,7 +1,7 @@
 // project.cu - the original's front end: one kernel projects, one writes (tile, Gaussian) pairs; one thread a Gaussian.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; docs/RENDERING.md "A Gaussian on the image"
+// Math    rgs/math/projection.hpp, coverage.hpp, sh.hpp; docs/format/RENDERING.md "A Gaussian on the image"
 // In/Out  attributes [n] -> splats [n], covers [n], tiles [n]; then covers, sums of tiles -> pairs
 // Cost    project: 236 B (FP32) or 76 B (compact) read, 48 + 16 or 44 + 4 B written; about 500 flops: memory-bound
 //         duplicate: 12 or 8 B written a pair, uncoalesced: each thread writes its own run

@@ -1,7 +1,7 @@
 // turbo_blend.cu - blends the cells in FP32, with depth and counts if they are wanted: a warp a cell.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/blend.hpp: fold(), its polynomial by columns; docs/RENDERING.md "A pixel"
+// Math    rgs/math/blend.hpp: fold(), its polynomial by columns; docs/format/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane, 32 B of shared memory to each lane, and about 12
 //         instructions a pixel

@@ -1,7 +1,7 @@
 // turbo_tensor.cu - blends the cells by matrix products in FP16: a block a cell, or several.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Math    rgs/math/blend.hpp: fold(); docs/RENDERING.md "A pixel"
+// Math    rgs/math/blend.hpp: fold(); docs/format/RENDERING.md "A pixel"
 // In/Out  cells, cell_gaussians, splats -> pixels
 // Cost    a Gaussian of a cell: 52 B gathered by one lane; a (pixel, Gaussian) pair: 24 multiply-adds of matrix
 //         products, padding included, and one exponential; two pairs: about six instructions on two FP16 numbers each

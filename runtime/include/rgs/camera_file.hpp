@@ -1,4 +1,4 @@
-// camera_file.hpp - reading cameras from the files that capture and training programs write; formats: docs/CAMERAS.md.
+// camera_file.hpp - reading cameras from the files that capture and training programs write; formats: docs/user/CAMERAS.md.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

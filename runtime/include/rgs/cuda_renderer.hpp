@@ -48,7 +48,7 @@ struct UploadOptions {
   CudaStream stream = nullptr;  ///< for the copies and what is made of them
   /// Return once the copies are queued. What is uploaded must keep its place and its values, and the stream must live,
   /// until the stream has done its work. Frames on any stream wait for the upload, on the device. The scene holds the 4 bytes
-  /// a Gaussian that its tie order (docs/RENDERING.md) takes to make until the first frame that begins after it.
+  /// a Gaussian that its tie order (docs/format/RENDERING.md) takes to make until the first frame that begins after it.
   bool asynchronous = false;
   DeviceAllocator allocator = {};
   /// Of a FileView alone. validate: as LoadOptions has it; without, the file has been validated before.

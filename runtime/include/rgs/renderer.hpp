@@ -40,7 +40,7 @@ enum class Pipeline : std::uint8_t {
 };
 
 /// Steps of the paper's method, each of which can be switched alone; the defaults are the paper. Pipeline::paper reads
-/// them and no other. docs/RENDERING.md has the equations and the measured effect of each.
+/// them and no other. docs/format/RENDERING.md has the equations and the measured effect of each.
 struct PaperSteps {
   enum class FrontEnd : std::uint8_t {
     separate,  ///< kernels of their own for projection, sum and duplication: the original
@@ -59,7 +59,7 @@ struct PaperSteps {
   FrontEnd front_end = FrontEnd::fused;  ///< CUDA
   int pixels_per_thread = 2;             ///< CUDA: 1 (the original) or 2 (the paper)
   /// CUDA: same bytes on every run, whatever the order of the file: Gaussians that share a depth bin are drawn in tie order
-  /// (docs/RENDERING.md), as they are by every other pipeline. Otherwise the fused front end lists them in the order in which
+  /// (docs/format/RENDERING.md), as they are by every other pipeline. Otherwise the fused front end lists them in the order in which
   /// its blocks happen to run, which is the paper's, and saves some time.
   bool deterministic = true;
 };
@@ -68,7 +68,7 @@ struct PaperSteps {
 struct TurboOptions {
   /// Blends by matrix products in FP16, and in FP32 where depth or counts are wanted or the low-pass is below 0.1. These
   /// products stop a pixel at a transmittance of 2^-11 in place of 1e-4: up to an eighth of an 8-bit step of a white
-  /// behind it is lost. docs/KERNELS.md has what this changes.
+  /// behind it is lost. docs/develop/KERNELS.md has what this changes.
   bool tensor_cores = true;
   /// CudaRenderer::render() waits for nothing and returns when the frame is queued; its counts are 0. A frame that needs
   /// more workspace than there is lacks tiles or all of them until the renderer's next call makes it again: see
@@ -84,7 +84,7 @@ struct MeasureOptions {
   bool count_pairs = false;  ///< wait for the frame and count evaluated and blended pairs, at a cost in time
 };
 
-/// RenderOptions::detail_px of scenes with levels of detail: docs/LEVELS.md has what it costs and saves.
+/// RenderOptions::detail_px of scenes with levels of detail: docs/develop/LEVELS.md has what it costs and saves.
 inline constexpr float kDefaultDetailPx = 1;
 
 /// What a frame shows, and how it is made.
@@ -97,7 +97,7 @@ struct RenderOptions {
   /// anti-aliasing is asked for than it declares.
   std::optional<float> low_pass = std::nullopt;
   std::optional<math::AntiAliasing> anti_aliasing = std::nullopt;  ///< absent: as the scene declares, else classic
-  /// Of a scene with levels of detail, px: pages are drawn whose error is at most so many pixels (docs/FORMAT.md, "Error and cut"),
+  /// Of a scene with levels of detail, px: pages are drawn whose error is at most so many pixels (docs/format/FORMAT.md, "Error and cut"),
   /// with Mip-Splatting's opacities and a low-pass of 0.1 px^2, by which they were fitted, unless these options say otherwise.
   /// 0: its leaves, as a file without levels is drawn. Absent: kDefaultDetailPx; 0 for Pipeline::baseline, which draws leaves alone, and
   /// where contributions are counted. Other scenes ignore it.
@@ -125,7 +125,7 @@ PaperSteps steps_of(const RenderOptions& options, Backend backend);
 
 /// FrameStats::depth_resolution from which programs warn: Gaussians nearer to each other than this share of their depth may
 /// change places. On a trained scene a logarithmic key gives 66 dB at 1.3e-5, 57 dB here, 51 dB at 4e-4, where channels are
-/// off by 121/255: docs/RENDERING.md, "Depth resolution".
+/// off by 121/255: docs/format/RENDERING.md, "Depth resolution".
 inline constexpr double kCoarseDepthResolution = 1e-4;
 
 /// What one frame cost. Counts are exact; times are wall clock of the calling thread, or of the device's stream.

@@ -30,7 +30,7 @@ struct SceneView {
   Origin origin = kNoOrigin;        ///< in the world
 };
 
-/// Gaussians to be drawn, which never change. Of a file with levels of detail (docs/FORMAT.md) they are the leaves, or, if its end
+/// Gaussians to be drawn, which never change. Of a file with levels of detail (docs/format/FORMAT.md) they are the leaves, or, if its end
 /// is missing, the finest that is there. Copies share them; reading is thread-safe. The CPU draws FP32 arrays of
 /// activated attributes, the GPU an .rgs file's attributes as they lie in it: each is made when it is first asked for.
 class Scene {

@@ -65,14 +65,14 @@ struct StreamStats {
   std::uint64_t bytes_decoded = 0;   ///< of pages as a GPU reads them
   std::uint64_t bytes_uploaded = 0;  ///< of these, to a device
   std::uint64_t bytes_evicted = 0;   ///< of decoded pages that gave room to others
-  /// Largest error of a page drawn in view, px: error over footprint (docs/FORMAT.md, "Error and cut"). At most the detail asked
+  /// Largest error of a page drawn in view, px: error over footprint (docs/format/FORMAT.md, "Error and cut"). At most the detail asked
   /// for once nothing is missing.
   double detail_reached_px = 0;
 };
 
 /// A file with levels of detail of which a part is in memory: the coarsest pages always, others as cameras need them. Frames draw what is there and
 /// wait for nothing; threads of the scene read and decode what is missing, the largest projected error first. Copies share it; several renderers
-/// may draw it at once. The last copy that goes cancels the source and waits for the threads. docs/STREAMING.md.
+/// may draw it at once. The last copy that goes cancels the source and waits for the threads. docs/develop/STREAMING.md.
 class StreamedScene {
  public:
   /// Reads the head, the beginning of the table of pages and the root, and starts the threads. Errors: those of open_source() and

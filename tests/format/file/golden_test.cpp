@@ -295,7 +295,7 @@ TEST_CASE("golden files have the scale sets and optional sections that they are 
 }
 
 TEST_CASE("the example of the specification is the golden file of two Gaussians") {
-  std::ifstream document(fs::path(RGS_SOURCE_DIR) / "docs/FORMAT_EXAMPLE.md");
+  std::ifstream document(fs::path(RGS_SOURCE_DIR) / "docs/format/FORMAT_EXAMPLE.md");
   REQUIRE(document);
   // Dump lines: indent, offset of 8 hex digits, up to 16 bytes of 2, two spaces, explanation. Omitted lines are zero.
   Bytes bytes(golden("two").size());

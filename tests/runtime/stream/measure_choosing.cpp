@@ -1,5 +1,5 @@
 // measure_choosing.cpp - how many pages a second a streamed scene's threads choose and place where reading and decoding take no processor
-// time, only a sleep: what the pool's lock, the order of wants and waiting for pages above leave of so many cores. Prints figures of docs/EXPERIMENTS.md.
+// time, only a sleep: what the pool's lock, the order of wants and waiting for pages above leave of so many cores. Prints figures of docs/records/EXPERIMENTS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_choosing GAUSSIANS US_A_PAGE THREADS...

@@ -1,4 +1,4 @@
-// as-defined.ts - what the engine must be told to draw the image that docs/RENDERING.md defines.
+// as-defined.ts - what the engine must be told to draw the image that docs/format/RENDERING.md defines.
 // SPDX-License-Identifier: Apache-2.0
 import type { Declarations } from "@roofgs/reader";
 import {
@@ -14,7 +14,7 @@ import {
   TONEMAP_NONE,
 } from "playcanvas";
 
-/** What keeps Gaussians from being smaller than pixels: docs/RENDERING.md, "Low-pass". */
+/** What keeps Gaussians from being smaller than pixels: docs/format/RENDERING.md, "Low-pass". */
 export interface AntiAliasing {
   /** Added to the diagonal of the screen-space covariance, square pixels. */
   readonly lowPassPx2: number;

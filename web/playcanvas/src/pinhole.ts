@@ -1,4 +1,4 @@
-// pinhole.ts - a camera of docs/CAMERAS.md as the engine's.
+// pinhole.ts - a camera of docs/user/CAMERAS.md as the engine's.
 // SPDX-License-Identifier: Apache-2.0
 import { ASPECT_MANUAL, type Entity, Mat4, Quat, Vec2 } from "playcanvas";
 

@@ -21,7 +21,7 @@ export interface Gaussians {
   readonly shN: Float32Array;
 }
 
-/** Gaussians as a GPU reads them: docs/FORMAT.md, "Attributes". */
+/** Gaussians as a GPU reads them: docs/format/FORMAT.md, "Attributes". */
 export interface StoredGaussians {
   readonly n: number;
   readonly shDegree: number;

@@ -35,7 +35,7 @@ export interface Header {
   readonly scaleExponent: number;
 }
 
-/** What a viewer must not have to guess: docs/FORMAT.md, "Declarations". */
+/** What a viewer must not have to guess: docs/format/FORMAT.md, "Declarations". */
 export interface Declarations {
   /** Where +x, +y and +z point. */
   readonly axes: readonly [Axis, Axis, Axis];

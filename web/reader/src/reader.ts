@@ -32,7 +32,7 @@ export interface OpenOptions extends ReadOptions {
   worker?: () => Worker;
 }
 
-/** docs/FORMAT.md, "Shape of the file". */
+/** docs/format/FORMAT.md, "Shape of the file". */
 const kMagic = [0x89, 0x52, 0x47, 0x53, 0x0d, 0x0a, 0x1a, 0x0a];
 const kFirstBytes = 1 << 16;
 const kPieceBytes = 1 << 22;

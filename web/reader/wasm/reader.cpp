@@ -96,7 +96,7 @@ std::span<const std::byte> beginning_of(const File& file) {
   return most;
 }
 
-// Bytes of the whole file. Where nobody knows (-1), as of servers that do not say, what the header has for it: docs/FORMAT.md,
+// Bytes of the whole file. Where nobody knows (-1), as of servers that do not say, what the header has for it: docs/format/FORMAT.md,
 // "Header".
 std::uint64_t whole_bytes(const File& file, double file_bytes) {
   if (file_bytes >= 0) return static_cast<std::uint64_t>(file_bytes);

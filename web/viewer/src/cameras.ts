@@ -1,4 +1,4 @@
-// cameras.ts - cameras of docs/CAMERAS.md, the page's own view, and a way through cameras.
+// cameras.ts - cameras of docs/user/CAMERAS.md, the page's own view, and a way through cameras.
 // SPDX-License-Identifier: Apache-2.0
 import type { Pinhole } from "@roofgs/playcanvas";
 
@@ -55,7 +55,7 @@ export function looking(forward: Vector, up: Vector): number[][] {
   return fromAxes(right, cross(ahead, right), ahead);
 }
 
-/** The project's own list, or that of 3DGS programs: docs/CAMERAS.md. */
+/** The project's own list, or that of 3DGS programs: docs/user/CAMERAS.md. */
 export function parseCameras(text: string): CameraEntry[] {
   const found: unknown = JSON.parse(text);
   if (!Array.isArray(found)) throw new Error("the camera file is no list of cameras");
@@ -91,7 +91,7 @@ export function pinholeOf(view: ViewState, width: number, height: number): Camer
   return { id: 0, img_name: "view", width, height, fx, fy: fx * aspect, cx, cy, position, rotation };
 }
 
-/** Centripetal Catmull-Rom spline through positions, at `t` of 0 to 1; ends are doubled (docs/CAMERAS.md). */
+/** Centripetal Catmull-Rom spline through positions, at `t` of 0 to 1; ends are doubled (docs/user/CAMERAS.md). */
 export function pathPosition(points: readonly Vector[], t: number): { position: number[]; segment: number; share: number } {
   const last = points.length - 1;
   const segment = Math.min(last - 1, Math.max(0, Math.floor(t * last)));

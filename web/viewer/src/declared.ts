@@ -1,4 +1,4 @@
-// declared.ts - what PLY and SOG declare of anti-aliasing, as rgs-convert reads it: docs/INTERCHANGE.md, "Declarations".
+// declared.ts - what PLY and SOG declare of anti-aliasing, as rgs-convert reads it: docs/user/INTERCHANGE.md, "Declarations".
 // SPDX-License-Identifier: Apache-2.0
 import type { DeclaredAntiAliasing } from "@roofgs/playcanvas";
 

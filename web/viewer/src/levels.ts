@@ -1,4 +1,4 @@
-// levels.ts - which pages of a file with levels of detail a view needs: docs/LEVELS.md, "The cut".
+// levels.ts - which pages of a file with levels of detail a view needs: docs/develop/LEVELS.md, "The cut".
 // SPDX-License-Identifier: Apache-2.0
 import type { Page } from "@roofgs/reader";
 

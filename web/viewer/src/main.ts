@@ -18,7 +18,7 @@ import { type Side, Stage } from "./stage.js";
 /** Milliseconds without a change after which the view is at rest. */
 const kRestMs = 200;
 const kFieldOfView = Math.PI / 3;
-/** Distance from which on Gaussians are drawn: docs/RENDERING.md, "A Gaussian on the image". */
+/** Distance from which on Gaussians are drawn: docs/format/RENDERING.md, "A Gaussian on the image". */
 const kNear = 0.2;
 /** Seconds from one camera to the next. */
 const kPathSeconds = 2;
@@ -244,7 +244,7 @@ class Page {
     return { up: normalised(up && length(up) > 0.1 ? up : (this.scenes[0]?.up ?? [0, -1, 0])), speed: 0.15 * size };
   }
 
-  /** From the first camera, else from the front and 20 degrees above (docs/CAMERAS.md). */
+  /** From the first camera, else from the front and 20 degrees above (docs/user/CAMERAS.md). */
   private firstView(scene: Scene): ViewState {
     const { min, max } = scene.box;
     const middle = min.map((value, i) => (value + (max[i] as number)) / 2);

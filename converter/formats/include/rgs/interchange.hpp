@@ -19,7 +19,7 @@
 
 namespace RGS_API rgs {
 
-/// docs/INTERCHANGE.md says what each format keeps and what it loses.
+/// docs/user/INTERCHANGE.md says what each format keeps and what it loses.
 enum class SplatFormat : std::uint8_t {
   unknown,
   rgs,
@@ -93,7 +93,7 @@ struct ReadOptions {
 };
 
 /// Reads a whole file of any format. Memory: a constant times the size of the file (decompressed sizes are checked
-/// against it before they are allocated, see docs/INTERCHANGE.md). Values are passed on as they are stored, NaN too.
+/// against it before they are allocated, see docs/user/INTERCHANGE.md). Values are passed on as they are stored, NaN too.
 /// Errors: read_failed (also if the file is written to meanwhile); bad_argument (no such level, none of so few Gaussians, or
 /// page_counts of another file); pages_missing (the
 /// end of an .rgs with levels is missing, and with it some of what is asked for); those of PlyFile::open, FileView::open() and PagedFile::open(); for the other formats bad_magic, unsupported_version,
@@ -113,7 +113,7 @@ struct WriteOptions {
   /// Of the Gaussians; ply and glb keep it, others hold FP32 positions: position_rounding().
   Origin origin = kNoOrigin;
   bool keep_order = false;  ///< compressed.ply: do not gather near Gaussians in its chunks of 256
-  int spz_version = 3;      ///< 2, 3 or 4; docs/INTERCHANGE.md says which viewer reads which
+  int spz_version = 3;      ///< 2, 3 or 4; docs/user/INTERCHANGE.md says which viewer reads which
   /// Refuse to clamp: bad_value if WriteReport::any(), or if an origin has no place.
   bool strict = false;
 };
@@ -125,7 +125,7 @@ struct Clamped {
 };
 
 /// What a format's ranges did to a scene, by attribute. Rounding to the nearest code is not clamping: it is in
-/// docs/INTERCHANGE.md and for all Gaussians alike.
+/// docs/user/INTERCHANGE.md and for all Gaussians alike.
 struct WriteReport {
   Clamped mean;           ///< spz: moved farther than usual, since some means are far out; world units
   Clamped log_scale;      ///< spz, compressed.ply

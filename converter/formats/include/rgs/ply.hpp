@@ -47,7 +47,7 @@ class PlyFile {
   int sh_degree() const;                      ///< 0..3, by the number of f_rest properties: 0, 9, 24, 45
   std::uint64_t bytes() const;                ///< size of the source
   std::span<const std::byte> source() const;  ///< the source's bytes as they lie on disk (for hashing)
-  /// What the header's comments state (docs/INTERCHANGE.md): axes, colour space, anti-aliasing, low-pass, metres per
+  /// What the header's comments state (docs/user/INTERCHANGE.md): axes, colour space, anti-aliasing, low-pass, metres per
   /// unit; all else is as in the original 3DGS code.
   const Declarations& declarations() const;
 
