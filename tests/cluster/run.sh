@@ -1,28 +1,11 @@
 #!/bin/sh
 # run.sh - samples/cluster on this machine, on a real Slurm, and the commands of docs/user/CLUSTER.md:
-#   sh tests/cluster/run.sh [--if-changed] [CTEST-ARGUMENTS...]
+#   sh tests/cluster/run.sh [CTEST-ARGUMENTS...]
 # Installs Snakemake, Slurm and GNU parallel (300 MB) unless RGS_SKIP_INSTALL=1; a test whose programs are missing is skipped, or with
 # RGS_REQUIRE_TOOLS=1 fails. The programs under test are in RGS_BIN; without it build/release is built as far as needed.
-# --if-changed: only if the change to origin/main, or there the last commit, touches what is tested here, or with RGS_CI_ALL=1.
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 cd "$(dirname "$0")/../.."
-
-is_changed() {
-  [ "${RGS_CI_ALL:-0}" != 1 ] || return 0
-  base=$(git merge-base HEAD origin/main 2>/dev/null) || base=
-  [ -n "$base" ] && [ "$base" != "$(git rev-parse HEAD)" ] || base=HEAD^
-  # Without a commit to compare with, everything is new.
-  ! git diff --quiet "$base" -- samples/cluster tests/cluster docs/user/CLUSTER.md 2>/dev/null
-}
-
-if [ "${1:-}" = --if-changed ]; then
-  shift
-  if ! is_changed; then
-    echo "skipped: samples/cluster, its tests and its page have not changed; RGS_CI_ALL=1 tests them nevertheless"
-    exit 0
-  fi
-fi
 
 packages="snakemake slurm-wlm munge parallel"
 if [ "${RGS_SKIP_INSTALL:-0}" != 1 ]; then

@@ -6,11 +6,10 @@
 
 namespace rgs::test {
 
-/// $RGS_DATA_DIR, or ../shared/data beside the source tree; it may not exist (see skip_without_data).
+/// $RGS_DATA_DIR; without it a folder that does not exist (see skip_without_data).
 inline std::filesystem::path data_folder() {
   const char* folder = std::getenv("RGS_DATA_DIR");
-  return folder != nullptr && *folder != '\0' ? std::filesystem::path(folder)
-                                              : std::filesystem::path(RGS_SOURCE_DIR) / ".." / "shared" / "data";
+  return folder != nullptr && *folder != '\0' ? folder : "RGS_DATA_DIR is not set";
 }
 
 }  // namespace rgs::test
