@@ -66,7 +66,7 @@ while(listing MATCHES "^([^\n]*)\n(.*)$")
     set(cost " RUN_SERIAL TRUE")
   endif()
   string(APPEND script "add_test([==[${LABEL}: ${name}]==] [==[${PROGRAM}]==] --first=${number} --last=${number})\n"
-    "set_tests_properties([==[${LABEL}: ${name}]==] PROPERTIES LABELS ${LABEL} TIMEOUT 300${cost}\n"
+    "set_tests_properties([==[${LABEL}: ${name}]==] PROPERTIES LABELS ${LABEL} TIMEOUT 3600${cost}\n"
     "  ENVIRONMENT RGS_SKIP_RETURN_CODE=77 SKIP_RETURN_CODE 77)\n")
 endwhile()
 file(WRITE ${TESTS} "${script}")
