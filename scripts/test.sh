@@ -7,6 +7,7 @@ set -eu
 cd "$(dirname "$0")/.."
 preset=${1:-${RGS_PRESET:-release}}
 [ $# = 0 ] || shift
+[ $# != 0 ] || set -- -LE '^growth$' # under valgrind: sh scripts/test.sh release -L growth
 . scripts/quiet.sh
 
 quiet packages sh scripts/install-deps.sh test

@@ -166,7 +166,7 @@ TEST_CASE("what a format clamps is what comes back farther away than half its st
   }
 }
 
-TEST_CASE("all formats are read and written in linear time, coincident Gaussians and outliers too") {
+TEST_CASE("growth: all formats are read and written in linear time, coincident Gaussians and outliers too") {
   const auto ordinary = [](std::uint64_t n) { return ordinary_cloud(n, 1, 5); };
   const auto coincident = [](std::uint64_t n) {
     SplatCloud one = ordinary_cloud(1, 1, 5), cloud;

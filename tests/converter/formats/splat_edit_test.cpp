@@ -276,7 +276,7 @@ TEST_CASE("cleaning applies the damage policies of encode()") {
   CHECK(clean_splats(cloud, options).error().code == Errc::too_many_bad);
 }
 
-TEST_CASE("appending piece by piece is linear in all pieces together, and fills missing harmonics with zeros") {
+TEST_CASE("growth: appending piece by piece is linear in all pieces together") {
   const SplatCloud piece = ordinary_cloud(1, 0, 1);
   const auto append = [&](std::uint64_t n) {
     SplatCloud all;
@@ -285,7 +285,9 @@ TEST_CASE("appending piece by piece is linear in all pieces together, and fills 
   };
   CHECK(growth(
             3000, [](std::uint64_t n) { return n; }, append) < kLinearGrowth);
+}
 
+TEST_CASE("appending fills missing harmonics with zeros") {
   SplatCloud all = ordinary_cloud(3, 1, 2);
   const SplatCloud narrow = all, wide = ordinary_cloud(2, 2, 3), none = ordinary_cloud(1, 0, 4);
   append_splats(all, wide);

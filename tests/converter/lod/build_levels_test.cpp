@@ -278,7 +278,7 @@ TEST_CASE("equal Gaussians, and those that do not show, become levels") {
   check_levels(build_levels(cloud.view(), options), cloud, options);
 }
 
-TEST_CASE("building levels takes time in proportion to the Gaussians") {
+TEST_CASE("growth: building levels is linear in the Gaussians") {
   const double growth = rgs::test::growth(
       1024,
       [](std::uint64_t n) {

@@ -512,7 +512,7 @@ TEST_CASE("a page takes 120 bytes of memory, and never more than twice that whil
   CHECK(reserved->memory_bytes() == all);
 }
 
-TEST_CASE("reading a table in pieces takes time by its size") {
+TEST_CASE("growth: reading a table in pieces is linear in its size") {
   const auto prepare = [](std::uint64_t n) { return many_pages(32 * n); };
   const auto work = [](const Bytes& bytes) {
     const FilePart part{0, std::span(bytes).first(section_of(bytes, "LODS") + 64 + 112)};
