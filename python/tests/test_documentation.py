@@ -7,7 +7,7 @@ from conftest import ROOT
 
 import roofgs
 
-PAGE = ROOT / "docs" / "PYTHON.md"
+PAGE = ROOT / "docs" / "user" / "PYTHON.md"
 
 
 def test_snippets_run(examples, tmp_path, monkeypatch):
