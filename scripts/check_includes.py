@@ -20,7 +20,6 @@ ROOMS = {
     "converter/inspect": "inspect",
     "converter/audit": "audit",
     "converter/prune": "prune",
-    "converter/lod": "lod",
     "converter/tool": "tool",
     "python": "python",
 }
@@ -32,12 +31,11 @@ BUILDS_ON = {
     "cameras": ["format"],
     "runtime": ["kernels", "cameras"],
     "formats": ["format", "math"],
-    "lod": ["format", "math"],
+    "lod": ["math"],
     "convert": ["formats", "cameras", "lod"],
     "inspect": ["formats"],
     "audit": ["inspect", "formats", "runtime"],
     "prune": ["convert", "runtime"],
-    "lod": ["math"],
     "tool": ["formats", "runtime"],
     "python": ["convert", "inspect", "tool"],
 }
