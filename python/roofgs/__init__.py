@@ -1,4 +1,4 @@
-"""RoofGS: compact files for 3D Gaussian splats, and a renderer of them.
+"""RoofGS: compact files for 3D Gaussian splats, and a renderer for them.
 
 >>> import roofgs
 >>> scene = roofgs.load(examples / "scene.rgs")
@@ -6,7 +6,7 @@
 >>> roofgs.Renderer(device="cpu").render(scene, camera).shape
 (48, 64, 3)
 
-docs/user/PYTHON.md is the way in; the docstrings are the manual.
+Start with docs/user/PYTHON.md; the docstrings are the manual.
 """
 # SPDX-License-Identifier: Apache-2.0
 from . import cameras

@@ -1,4 +1,4 @@
-"""Arrays of others as NumPy's: of anything with DLPack, __array__ or a buffer, torch tensors on a GPU too."""
+"""Converts anything with DLPack, __array__ or a buffer, torch tensors on a GPU included, to NumPy arrays."""
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DLPACK_CPU, _DLPACK_CUDA_HOST = 1, 3
 
 
 def is_tensor(value: Any) -> bool:
-    """Whether `value` is a torch.Tensor; torch is never imported for that."""
+    """Whether `value` is a torch.Tensor, without importing torch."""
     return type(value).__module__.partition(".")[0] == "torch" and hasattr(value, "detach")
 
 
@@ -28,12 +28,12 @@ def _refuse_gradient(tensor: Any, name: str) -> None:
 
 
 def _is_bfloat16(tensor: Any) -> bool:
-    """Whether a tensor is of the type that NumPy does not have."""
+    """Whether a tensor is bfloat16, which NumPy does not have."""
     return str(getattr(tensor, "dtype", "")) == "torch.bfloat16"
 
 
 def host_array(value: Any, name: str) -> "NDArray[Any]":
-    """`value` as an array in the host's memory, without a copy where it lies there already."""
+    """`value` as an array in host memory; no copy if it is there already."""
     if isinstance(value, np.ndarray):
         return value
     if is_tensor(value):
@@ -48,50 +48,49 @@ def host_array(value: Any, name: str) -> "NDArray[Any]":
         if kind in (_DLPACK_CPU, _DLPACK_CUDA_HOST):
             return np.from_dlpack(value)
         if not hasattr(value, "get"):  # CuPy's way to the host
-            raise argument_error(f"{name} is on a device from which it cannot be copied here: pass it in the host's memory")
+            raise argument_error(f"{name} is on a device that cannot be read from here: pass it in host memory")
         return np.asarray(value.get())
     return np.asarray(value)
 
 
 def float_array(value: Any, name: str, shape: Sequence[Optional[int]]) -> FloatArray:
-    """`value` as C-contiguous float32 in this machine's byte order, of this shape; None stands for any length."""
+    """`value` as C-contiguous float32 in native byte order, of this shape; None is any length."""
     array = host_array(value, name)
     if array.dtype.kind not in "fiu":
         raise argument_error(f"{name} holds {array.dtype}, not numbers")
     if array.ndim != len(shape) or any(want is not None and want != have for want, have in zip(shape, array.shape)):
         wanted = ", ".join("n" if length is None else str(length) for length in shape)
         raise argument_error(f"{name} has the shape {list(array.shape)}, not [{wanted}]")
-    with np.errstate(over="ignore"):  # what is beyond float32 becomes infinite, and is refused as such
+    with np.errstate(over="ignore"):  # beyond float32 values become infinite and are rejected
         return np.ascontiguousarray(array, dtype=np.float32)
 
 
 def output_array(value: Any, name: str) -> "NDArray[Any]":
-    """The memory of an output: an array, or a torch tensor on the CPU."""
+    """The memory of an output array or CPU tensor."""
     if isinstance(value, np.ndarray):
         return value
     if is_tensor(value) and value.device.type == "cpu":
         _refuse_gradient(value, name)
         if _is_bfloat16(value):
-            raise argument_error(f"{name} holds {value.dtype}; outputs are float32 or, of images alone, uint8")
+            raise argument_error(f"{name} holds {value.dtype}; outputs are float32; images may be uint8")
         array: NDArray[Any] = value.detach().numpy()
         return array
-    raise argument_error(f"{name} is neither a NumPy array, nor a torch tensor, nor an array on a GPU")
+    raise argument_error(f"{name} is not a NumPy array, a torch tensor or an array on a GPU")
 
 
 class DeviceOutput(NamedTuple):
-    """An output in a GPU's memory, as the extension module takes it."""
+    """An output in GPU memory, as the extension module takes it."""
 
     array: Any
     address: int
     shape: Tuple[int, ...]
-    format: str  #: "f" float32, "B" uint8, else something that no output is
+    format: str  #: "f" float32, "B" uint8; anything else is rejected
     contiguous: bool
     readonly: bool
 
 
 def device_output(value: Any, name: str) -> "Optional[Tuple[DeviceOutput, int]]":
-    """An output in a GPU's memory with the stream on which it is ready: a torch tensor, or whatever has
-    ``__cuda_array_interface__``. None for others."""
+    """A torch tensor or other ``__cuda_array_interface__`` in GPU memory, with the stream on which it is ready; else None."""
     if is_tensor(value):
         if value.device.type != "cuda":
             return None

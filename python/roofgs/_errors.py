@@ -1,4 +1,4 @@
-"""What goes wrong, as exceptions."""
+"""The exceptions."""
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from ._paths import Path, encoded, is_address, shown
 
 
 class Error(Exception):
-    """Whatever RoofGS refuses or cannot do. Each kind is also the usual exception of its sort, as the classes below say.
+    """Base of all RoofGS errors. Each subclass is also the standard exception of its kind.
 
     Attributes
     ----------
     code : str
         Stable name of the failure: ``"checksum_mismatch"``, ``"bad_camera"``, ... (``Errc`` in ``rgs/result.hpp``).
     file : str or None
-        The file that it is about, or the address without user, password and query.
+        The file, or the address without user, password and query.
     offset : int or None
-        Byte in that file where it was noticed.
+        Byte of the file.
     expected, found : int or None
-        What should have been there, and what was: a count, a size, a hash.
+        The expected and actual count, size or hash.
     errno : int or None
-        Of the system call that failed.
+        Of the failed system call.
     hint : str
-        What can be done about it; may be empty.
+        What to do; may be empty.
 
     >>> import roofgs
     >>> try:
@@ -39,7 +39,7 @@ class Error(Exception):
     offset: Optional[int]
     expected: Optional[int]
     found: Optional[int]
-    errno: Any  # int or None, which OSError does not know
+    errno: Any  # OSError does not allow None
     hint: str
 
     def __init__(self, message: str = "", *, code: str = "internal", file: Optional[str] = None,
@@ -60,7 +60,7 @@ class Error(Exception):
         text += f" [{self.code}]"
         return f"{text}\n  hint: {self.hint}" if self.hint else text
 
-    # Of OSError this would be (errno, text), and nothing else would reach another process.
+    # OSError would pickle (errno, text) alone.
     def __reduce__(self) -> "tuple[Any, ...]":
         return _again, (type(self), self.message, self.code, self.file, self.offset, self.expected, self.found,
                         self.errno, self.hint)
@@ -76,14 +76,14 @@ class InternalError(Error, RuntimeError):
 
 
 class ArgumentError(Error, ValueError):
-    """An argument is out of its documented range, or a camera is none."""
+    """An argument is out of its documented range, or a camera is invalid."""
 
 
 class UnavailableError(Error, RuntimeError):
-    """The device is not there, or this build cannot use it."""
+    """There is no such device, or this build cannot use it."""
 
 
-# An OSError is made in __new__, from arguments that it counts.
+# OSError.__new__ counts its arguments.
 class _SystemError(Error, OSError):
     def __new__(cls, *args: Any, **keywords: Any) -> "_SystemError":
         return OSError.__new__(cls)
@@ -94,23 +94,23 @@ class InputOutputError(_SystemError):
 
 
 class MissingFileError(InputOutputError, FileNotFoundError):
-    """There is no such file."""
+    """The file does not exist."""
 
 
 class OutputExistsError(InputOutputError, FileExistsError):
-    """The output is there already, and ``overwrite=True`` was not given."""
+    """The output exists, and ``overwrite=True`` was not given."""
 
 
 class DeviceError(Error, RuntimeError):
-    """A call of the GPU's driver failed."""
+    """A call to the GPU driver failed."""
 
 
 class OutOfMemoryError(Error, MemoryError):
-    """The host or the device has no more memory."""
+    """The host or the device is out of memory."""
 
 
 class FormatError(Error, ValueError):
-    """A file is damaged, or of a kind that is not read."""
+    """A file is damaged or of an unsupported kind."""
 
 
 class QualityError(Error):
@@ -123,7 +123,7 @@ class QualityError(Error):
 
 
 class IncompleteError(Error, ValueError):
-    """The end of a file with levels of detail is missing, and with it what was asked for."""
+    """The requested data lie in the missing end of a file with levels of detail."""
 
 
 _KINDS = {
@@ -150,7 +150,7 @@ _FLAGS = {"overwrite", "strict", "merge", "lod", "keep_permutation", "keep_order
 
 
 def _as_python(text: str) -> str:
-    """Options of the programs as arguments of the functions: --overwrite as overwrite=True."""
+    """Rewrites program options as keyword arguments: --overwrite becomes overwrite=True."""
 
     def argument(match: "re.Match[str]") -> str:
         name = match[1].replace("-", "_")
@@ -167,7 +167,7 @@ def _as_python(text: str) -> str:
 
 def make(code: str, message: str, hint: str = "", file: Optional[str] = None, offset: Optional[int] = None,
          expected: Optional[int] = None, found: Optional[int] = None, errno: Optional[int] = 0) -> Error:
-    """The exception for a failure of the library."""
+    """The exception for a library failure."""
     kind: Type[Error] = _KINDS.get(code, FormatError)
     if kind is InputOutputError and (errno == _ENOENT or (found == _NOT_FOUND and file is not None and is_address(file))):
         kind = MissingFileError
@@ -180,8 +180,8 @@ def argument_error(message: str, file: Optional[str] = None) -> Error:
 
 
 def local_name(path: Path) -> bytes:
-    """The bytes of a path where an address has no place."""
+    """The bytes of a path; addresses are rejected."""
     name = encoded(path)
     if is_address(name):
-        raise argument_error("is an address, which roofgs.load() and StreamedScene alone read", shown(name))
+        raise argument_error("is an address; only roofgs.load() and StreamedScene read addresses", shown(name))
     return name

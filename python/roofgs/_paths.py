@@ -1,4 +1,4 @@
-"""Names of files as the library takes them."""
+"""File names as the library takes them."""
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Path = Union[str, bytes, "os.PathLike[str]", "os.PathLike[bytes]"]
 
 
 def encoded(path: Path) -> bytes:
-    """The bytes of a path or address; ValueError for one with a zero byte, at which the system would end it."""
+    """The bytes of a path or address; ValueError if it contains a zero byte."""
     name = os.fsencode(path)
     if b"\0" in name:
         raise ValueError("embedded null byte")

@@ -1,7 +1,7 @@
 """convert(), prune() and audit(): the programs of RoofGS as functions.
 
-They run rgs-convert, rgs-prune and rgs-audit, which say on standard error, in JSON, how far they are and what is wrong
-(converter/tool/console.hpp). A program of its own needs no lock of Python's, ends at once on Ctrl-C and leaves no unfinished file.
+They run rgs-convert, rgs-prune and rgs-audit, which report progress and errors as JSON on standard error
+(converter/tool/console.hpp). A process of its own does not hold the GIL, ends at once on Ctrl-C and leaves no unfinished file.
 """
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
@@ -25,28 +25,28 @@ from ._roofgs import Camera
 Cameras = Union[None, Path, Camera, Iterable[Camera]]
 
 _CLASSES = {2: "bad_argument", 3: "read_failed", 4: "bad_value", 5: "gate_failed", 6: "pages_missing"}
-# What prints something else, or is of many scenes.
+# Options that print something else or take many scenes.
 _NOT_HERE = {"json", "quiet", "help", "version", "list", "report", "shard", "jobs", "junit", "audit", "keep_going"}
 
 
 def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = False, progress: Progress = None,
             cameras: Cameras = None, **options: Any) -> Dict[str, Any]:
-    """Converts a splat file to the format that the name of `dst` ends in; several are merged.
+    """Converts a splat file; the ending of `dst` names the format. Several inputs are merged.
 
     Parameters
     ----------
     cameras : path, or cameras, optional
-        An .rgs declares the range of depths that these see.
+        An .rgs declares the depth range that these see.
     progress : True or a function
         A bar, or ``function(stage, done, total, unit)``.
     options
         Those of ``rgs-convert --help``, with underscores: ``profile="archive:high"``, ``lod=True``, ``sh_degree=1``,
-        ``crop=(0, 0, 0, 1, 2, 1)``, ``on_bad="repair"``. Those of whole folders are the program's alone.
+        ``crop=(0, 0, 0, 1, 2, 1)``, ``on_bad="repair"``. Options for whole folders belong to the program alone.
 
     Returns
     -------
     dict
-        What was done: docs/user/CONVERT_JSON.md.
+        The report: docs/user/CONVERT_JSON.md.
 
     >>> done = convert(examples / "scene.ply", folder / "small.rgs", sh_degree=1, min_opacity=0.05)
     >>> done["output"]["sh_degree"], done["filtered"] + done["output"]["gaussians"]
@@ -55,7 +55,7 @@ def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = Fa
     single = isinstance(src, (str, bytes, os.PathLike))
     sources: List[Path] = [src] if single else list(src)  # type: ignore[arg-type, list-item]
     if any(os.path.isdir(source) for source in sources):
-        raise argument_error("a folder of scenes is converted by the program rgs-convert")
+        raise argument_error("convert() takes one scene; use the program rgs-convert for a folder")
     if len(sources) > 1:
         options.setdefault("merge", True)
     with _camera_file(cameras) as camera_file:
@@ -65,12 +65,12 @@ def convert(src: Union[Path, Sequence[Path]], dst: Path, *, overwrite: bool = Fa
 
 def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, float, str] = None, overwrite: bool = False,
           progress: Progress = None, **options: Any) -> Dict[str, Any]:
-    """Keeps the Gaussians that give most to the pictures of `cameras`, in a .ply or an .rgs.
+    """Keeps the Gaussians that contribute most to the views of `cameras`, as a .ply or an .rgs.
 
     Parameters
     ----------
     keep : int, float or str
-        How many: a number, a share of 0 to 1, or "20%". Or `min_contribution`.
+        A count, a share from 0 to 1, or "20%". Alternatively `min_contribution`.
     options
         Those of ``rgs-prune --help``: ``split="train"``, ``score="max"``, ``size=(640, 480)``, ...
 
@@ -82,7 +82,7 @@ def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, floa
         keep = given.tolist()
     if isinstance(keep, float):
         if not 0 <= keep <= 1:
-            raise argument_error(f"keep is a share of 0 to 1 as a float, a number as an int; not {keep}")
+            raise argument_error(f"keep is a share (float, 0 to 1) or a count (int), not {keep}")
         keep = f"{100 * keep:.12g}%"
     if isinstance(options.get("size"), tuple):
         options["size"] = "x".join(str(side) for side in options["size"])
@@ -92,7 +92,7 @@ def prune(src: Path, dst: Path, cameras: Cameras, *, keep: Union[None, int, floa
 
 
 class Audit(Dict[str, Any]):
-    """What :func:`audit` measured: the object of docs/user/AUDIT_JSON.md, with what is asked for most as attributes."""
+    """The result of :func:`audit`: the object of docs/user/AUDIT_JSON.md, with common fields as attributes."""
 
     @property
     def verdict(self) -> str:
@@ -111,7 +111,7 @@ class Audit(Dict[str, Any]):
 
     @property
     def measured(self) -> Mapping[str, Optional[float]]:
-        """By the names of conditions: "psnr", "ratio", ... None is infinite, what was not measured is absent."""
+        """By condition: "psnr", "ratio", ... None is infinite; unmeasured ones are absent."""
         values: Mapping[str, Optional[float]] = self["measured"]
         return values
 
@@ -132,12 +132,12 @@ def audit(src: Path, asset: Path, *, cameras: Cameras = None, fail_below: Union[
     Parameters
     ----------
     cameras : path, or cameras, optional
-        Views that are compared; without any, eight from a circle around the scene.
+        Views to compare; by default eight on a circle around the scene.
     fail_below : dict or str
-        Conditions: ``{"psnr": 50, "loss": 0.03}``. One that does not hold raises :class:`QualityError`, whose `report` is the
+        Conditions: ``{"psnr": 50, "loss": 0.03}``. One that fails raises :class:`QualityError`, whose `report` is the
         audit.
     report : path, optional
-        Also write it as a page of HTML.
+        Also write an HTML page.
     options
         Those of ``rgs-audit --help``: ``photos="photos/"``, ``size=(640, 480)``, ``no_render=True``, ...
 
@@ -146,7 +146,7 @@ def audit(src: Path, asset: Path, *, cameras: Cameras = None, fail_below: Union[
     (True, 2000)
     """
     if os.path.isdir(src) or os.path.isdir(asset):
-        raise argument_error("folders of scenes are audited by the program rgs-audit")
+        raise argument_error("audit() takes one pair of files; use the program rgs-audit for folders")
     if isinstance(fail_below, Mapping):
         fail_below = ",".join(f"{name.replace('_', '-')}={float(limit)!r}" for name, limit in fail_below.items()) or None
     if isinstance(options.get("size"), tuple):
@@ -180,12 +180,12 @@ def find_program(name: str) -> str:
             return os.path.join(folder, name)
     found = shutil.which(name)
     if found is None:
-        raise make("unavailable", f"the program {name} is not installed: put its folder on PATH, or into ROOFGS_PROGRAMS")
+        raise make("unavailable", f"the program {name} is not installed: add its folder to PATH or set ROOFGS_PROGRAMS")
     return found
 
 
 def _name(path: Path) -> bytes:
-    """A path as an argument: neither an option nor a standard stream."""
+    """A path as an argument that is read neither as an option nor as a standard stream."""
     name = local_name(path)
     return b"./" + name if name.startswith(b"-") else name
 
@@ -194,7 +194,7 @@ def _arguments(options: Mapping[str, Any], not_here: "set[str]") -> List[bytes]:
     arguments: List[bytes] = []
     for name, value in options.items():
         if name in not_here:
-            raise argument_error(f"{name}= is of the program alone")
+            raise argument_error(f"{name}= is an option of the program alone")
         if value is None or value is False:
             continue
         option = b"--" + name.replace("_", "-").encode()
@@ -216,7 +216,7 @@ def _text(value: Any) -> bytes:
 
 
 class _camera_file:
-    """The path of a camera file; of cameras in memory that of a temporary one."""
+    """The path of a camera file; cameras in memory are written to a temporary one."""
 
     def __init__(self, cameras: Cameras) -> None:
         self._cameras = cameras
@@ -248,7 +248,7 @@ def _run(name: str, arguments: Sequence[bytes], progress: Progress) -> bytes:
 
 
 def _run_to_end(name: str, arguments: Sequence[bytes], progress: Progress) -> Tuple[int, bytes, Error]:
-    """Exit code, standard output and, of a failure, the exception for it."""
+    """Exit code, standard output and the exception for a failure."""
     command: List[Any] = [find_program(name), *arguments]
     environment = {**os.environ, "RGS_MESSAGES": "json"}
     output: List[bytes] = []
@@ -265,7 +265,7 @@ def _run_to_end(name: str, arguments: Sequence[bytes], progress: Progress) -> Tu
                 heard.take(line, callback)
             reader.join()
             code = process.wait()
-        except BaseException:  # Ctrl-C above all, and what the callback raises
+        except BaseException:  # Ctrl-C, or an exception from the callback
             if process is not None:
                 _end(process)
             raise
@@ -282,7 +282,7 @@ def _read(stream: IO[bytes], into: List[bytes]) -> None:
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:
-    """Ends a program, which removes its unfinished outputs."""
+    """Stops a program, which removes its unfinished outputs."""
     process.terminate()
     try:
         process.wait(10)
@@ -292,7 +292,7 @@ def _end(process: "subprocess.Popen[bytes]") -> None:
 
 
 class _Messages:
-    """What a program says on standard error."""
+    """Reads a program's standard error."""
 
     def __init__(self) -> None:
         self._error: Optional[Dict[str, Any]] = None

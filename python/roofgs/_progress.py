@@ -1,4 +1,4 @@
-"""How far a long call is: a function of the caller's, or a bar in a terminal or notebook."""
+"""Progress of a long call: the caller's function, or a bar in a terminal or notebook."""
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Any, Callable, Optional, Union
 
-#: Called with the stage's name, units done, units in all (0: nobody knows) and the unit ("B" are bytes).
+#: Called with the stage's name, units done, units in all (0: unknown) and the unit ("B": bytes).
 Callback = Callable[[str, int, int, str], None]
 Progress = Union[None, bool, Callback]
 
@@ -21,13 +21,13 @@ def _amount(units: float, unit: str) -> str:
 
 
 class Bar:
-    """Draws the running stage on one line of standard error, or of a notebook's cell. Silent in logs and pipes."""
+    """Draws the current stage on one line of standard error or of a notebook cell. Silent in logs and pipes."""
 
     def __init__(self) -> None:
         self._notebook: Any = _notebook_display()
         self._terminal = sys.stderr is not None and sys.stderr.isatty()
         self._drawn = False
-        self._next = time.monotonic() + 0.2  # nothing for what is done at once
+        self._next = time.monotonic() + 0.2  # short stages show nothing
 
     def __call__(self, stage: str, done: int, total: int, unit: str) -> None:
         now = time.monotonic()
@@ -62,7 +62,7 @@ class Bar:
 
 
 class _Line:
-    """One line of a notebook's cell that is written again."""
+    """One line of a notebook cell, rewritten in place."""
 
     def __init__(self, display: Any) -> None:
         self._display = display
@@ -85,7 +85,7 @@ def _notebook_display() -> Optional[_Line]:
 
 
 class Reporting:
-    """The callback for `progress`: True is a bar, None or False nothing."""
+    """The callback for `progress`: True is a bar, None or False is silence."""
 
     def __init__(self, progress: Progress) -> None:
         self._bar = Bar() if progress is True else None

@@ -20,17 +20,17 @@ from ._scene import Scene
 
 _SH0 = 0.28209479177387814  # Y of degree 0
 _MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
-_NEWER = {"global_z_order": True}  # arguments of later versions of gsplat whose default is neither None nor False
+_NEWER = {"global_z_order": True}  # arguments of later gsplat versions with a default other than None or False
 _local = threading.local()
 
 Floats = NDArray[np.float32]
 
 
 class Meta(Dict[str, Any]):
-    """The sizes of a call. What gsplat puts here besides is of its own stages: KeyError says so."""
+    """The sizes of a call. KeyError for what only gsplat's own stages have."""
 
     def __missing__(self, key: str) -> Any:
-        raise KeyError(f"{key!r}: RoofGS does not have gsplat's stages, so that meta holds {', '.join(self)} alone")
+        raise KeyError(f"{key!r}: RoofGS does not have gsplat's stages; meta holds {', '.join(self)} alone")
 
 
 def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: Any, viewmats: Any, Ks: Any, width: int,
@@ -42,47 +42,47 @@ def rasterization(means: Any, quats: Any, scales: Any, opacities: Any, colors: A
                   **others: Any) -> Tuple[Any, Any, Meta]:
     """Pictures of Gaussians, with the arguments, shapes and conventions of ``gsplat.rasterization``.
 
-    A script for inference runs with ``from roofgs import rasterization``. There are no gradients: an input that requires one
-    is refused, but under ``torch.no_grad()``. Torch tensors give torch tensors on their device, all else NumPy arrays.
+    A script for inference runs with ``from roofgs import rasterization``. Not differentiable: tensors that require gradients are
+    rejected outside ``torch.no_grad()``. Torch tensors give torch tensors on their device, everything else NumPy arrays.
 
     Parameters
     ----------
     means : [..., N, 3]
     quats : [..., N, 4]
-        w, x, y, z; need not be normalised.
+        w, x, y, z; normalised if they are not.
     scales : [..., N, 3]
         Standard deviations, not their logarithms.
     opacities : [..., N]
         0 to 1, not logits.
     colors : [..., (C,) N, D], or with `sh_degree` [..., (C,) N, K, 3]
-        Colours or other features, of any number of channels and either sign; or coefficients of spherical harmonics. A channel
-        with values below 0 is exact to a millionth of its lowest value.
+        Colours or other features, any number of channels, either sign; or coefficients of spherical harmonics. A channel
+        with negative values is exact to a millionth of its lowest value.
     viewmats : [..., C, 4, 4]
         World to camera, OpenCV axes.
     Ks : [..., C, 3, 3]
     eps2d : float
         px^2 added to projected covariances.
     sh_degree : int, optional
-        Degree that is used, 0 to 3; K is at least (sh_degree + 1)^2.
+        Degree to use, 0 to 3; K is at least (sh_degree + 1)^2.
     backgrounds : [..., C, D], optional
     render_mode : "RGB", "D", "ED", "RGB+D" or "RGB+ED"
-        D is the accumulated depth, the sum of weight times z; ED is that over alpha.
+        D is the accumulated depth, the sum of weight times z; ED is D / alpha.
     rasterize_mode : "classic" or "antialiased"
     packed, tile_size, channel_chunk, segmented
-        Without effect: how gsplat computes.
-    radius_clip, sparse_grad, absgrad, distributed, camera_model, covars, and what gsplat has besides
-        Only their defaults.
+        Ignored: they say how gsplat computes.
+    radius_clip, sparse_grad, absgrad, distributed, camera_model, covars, and gsplat's other arguments
+        Only their defaults are accepted.
 
     Returns
     -------
     colors : [..., C, height, width, X]
-        X is D, 1 or D + 1 channels, depth last. No background is put behind depth.
+        X is D, 1 or D + 1 channels, depth last. Depth has no background.
     alphas : [..., C, height, width, 1]
     meta : dict
         "width", "height", "n_cameras", "n_batches".
 
-    A Gaussian ends where its alpha is below 1/255, alpha is at most 0.99, and a pixel stops at a transmittance of 1e-4: pictures
-    differ from gsplat's where a version of it has other thresholds.
+    A Gaussian ends where its alpha falls below 1/255, alpha is at most 0.99, and a pixel stops at a transmittance of 1e-4.
+    Pictures differ from those of a gsplat version with other thresholds.
 
     >>> colors, alphas, meta = rasterization(
     ...     means=np.array([[0.0, 0.0, 2.0]]), quats=np.array([[1.0, 0, 0, 0]]), scales=np.full((1, 3), 0.1),
@@ -168,7 +168,7 @@ def _render_one(sets: List[Scene], view: Camera, behind: Floats, with_colour: bo
 
 
 def _renderer() -> Renderer:
-    """One for each thread: its memory is used again by the next call."""
+    """One for each thread; the next call reuses its memory."""
     if not hasattr(_local, "renderer"):
         _local.renderer = Renderer()
     renderer: Renderer = _local.renderer
@@ -179,19 +179,19 @@ def _refuse_absent(arguments: Dict[str, Tuple[Any, Any]]) -> None:
     for name, (value, usual) in arguments.items():
         if value is usual or (usual is not None and value == usual):
             continue
-        why = "there are no gradients" if name in ("sparse_grad", "absgrad") else "RoofGS does not have it"
+        why = "not differentiable" if name in ("sparse_grad", "absgrad") else "RoofGS does not have it"
         raise NotImplementedError(f"{name}={reprlib.repr(value)}: {why}; leave it at {usual!r}, or call gsplat")
 
 
 def _flat(value: Any, name: str, batch: Tuple[int, ...], own: Tuple[int, ...]) -> Floats:
     """[..., own] as [n_batches, own]."""
-    return float_array(value, name, (*batch, *own)).reshape(int(np.prod(batch, dtype=int)), *own)  # -1 is no length of what is empty
+    return float_array(value, name, (*batch, *own)).reshape(int(np.prod(batch, dtype=int)), *own)  # reshape(-1) fails on empty arrays
 
 
 def _harmonics(colors: "NDArray[Any]", batch: Tuple[int, ...], n_cameras: int, n: int,
                sh_degree: Optional[int]) -> Tuple[List[List[List[Floats]]], Floats, int]:
-    """Coefficients [N, K, 3] by batch, camera (one for all, unless they differ) and three channels; what they were raised by
-    so that nothing is below 0, which the renderer takes for black, [batch, camera, channel]; and channels in all."""
+    """Coefficients [N, K, 3] by batch, camera (one for all unless they differ) and three channels; what was added to them,
+    because the renderer clamps at 0, [batch, camera, channel]; and the number of channels."""
     shape = colors.shape
     own = 2 if sh_degree is None else 3
     per_camera = len(shape) == len(batch) + own + 1
@@ -213,7 +213,7 @@ def _harmonics(colors: "NDArray[Any]", batch: Tuple[int, ...], n_cameras: int, n
         sh = (np.pad(values - lowest[:, :, None], padding) - np.float32(0.5)) / np.float32(_SH0)
     too_wide = np.flatnonzero(~np.isfinite(sh).all(axis=tuple(range(sh.ndim - 1))))
     if len(too_wide):
-        raise argument_error(f"colors has values too far apart, or too large, in channel {too_wide[0]}: their coefficients of "
+        raise argument_error(f"colors has values too large or too far apart in channel {too_wide[0]}: their coefficients of "
                              "spherical harmonics are beyond float32")
     return ([[[each[:, None, first:first + 3] for first in range(0, each.shape[-1], 3)] for each in of_batch]
              for of_batch in sh], lowest, n_channels)
@@ -222,5 +222,5 @@ def _harmonics(colors: "NDArray[Any]", batch: Tuple[int, ...], n_cameras: int, n
 def _like(tensor: Any, array: Floats) -> Any:
     if tensor is None:
         return array
-    torch: Any = sys.modules["torch"]  # a tensor is there
+    torch: Any = sys.modules["torch"]  # torch is loaded: a tensor exists
     return torch.from_numpy(array).to(tensor.device)

@@ -23,24 +23,24 @@ _PIPELINES = ("automatic", "baseline", "paper", "turbo")
 
 
 class Frame(NamedTuple):
-    """What :meth:`Renderer.render` gives where alpha or depth is asked for."""
+    """The result of :meth:`Renderer.render` with alpha or depth."""
 
     image: Any  #: [height, width, 3] colour over the background, float32 or uint8
-    alpha: Any  #: [height, width] 1 - transmittance; None unless it was asked for
-    depth: Any  #: [height, width] expected z in the camera's axes, world units; 0 where nothing is
+    alpha: Any  #: [height, width] 1 - transmittance; None unless requested
+    depth: Any  #: [height, width] expected z in the camera's axes, world units; 0 where the picture is empty
 
 
 class Renderer:
-    """Renders pictures on the CPU or on an NVIDIA GPU. It holds memory that it uses again; threads that share one take turns.
+    """Renders pictures on the CPU or on an NVIDIA GPU. It reuses its memory; threads that share one take turns.
 
     Parameters
     ----------
     device : "auto", "cpu" or "cuda"
-        "auto" is a GPU where there is one.
+        "auto" is the GPU if there is one.
     pipeline : "automatic", "baseline", "paper" or "turbo"
-        By which method; docs/format/RENDERING.md. "automatic" is the image's definition on the CPU, and turbo on a GPU.
+        The method; docs/format/RENDERING.md. "automatic" is the image's definition on the CPU and turbo on a GPU.
     threads : int
-        Of the CPU; 0 are all. Pictures do not depend on it.
+        CPU threads; 0 is all. Pictures do not depend on it.
 
     >>> import roofgs
     >>> scene = roofgs.load(examples / "scene.rgs")
@@ -72,21 +72,21 @@ class Renderer:
 
     @property
     def name(self) -> str:
-        """Of the device: "cpu AVX2", "cuda NVIDIA H100 80GB HBM3"."""
+        """The device: "cpu AVX2", "cuda NVIDIA H100 80GB HBM3"."""
         return self._native.name
 
     @property
     def pipeline(self) -> str:
-        """As it was made with."""
+        """The pipeline it was made with."""
         return self._pipeline
 
     @property
     def stats(self) -> List[Dict[str, float]]:
-        """What each picture of the last call cost: ``total_ms``, ``visible``, ``instances``, ..."""
+        """The cost of each picture of the last call: ``total_ms``, ``visible``, ``instances``, ..."""
         return self._native.stats()
 
     def __reduce__(self) -> Any:
-        raise TypeError("a roofgs.Renderer is neither copied nor pickled: make another")
+        raise TypeError("a roofgs.Renderer cannot be copied or pickled: make another")
 
     def __repr__(self) -> str:
         return f"<roofgs.Renderer {self.name}, pipeline {self._pipeline}>"
@@ -124,42 +124,42 @@ class Renderer:
                near_plane: Optional[float] = None, far_plane: Optional[float] = None, sh_degree: int = 3,
                low_pass: Optional[float] = None, anti_aliasing: Optional[str] = None,
                detail: Optional[float] = None) -> Any:
-        """A picture, or one for each of several cameras, whose pictures must have one size.
+        """Draws a picture, or one for each of several cameras of one picture size.
 
         Parameters
         ----------
         camera : Camera or several
-            With several, a leading axis of all results counts them.
+            Several cameras add a leading axis to all results.
         out : array, or Frame or tuple of arrays
-            Filled instead of new arrays: C-contiguous, float32 or, of the image, uint8; with `alpha` or `depth` a tuple
-            (image, alpha, depth). NumPy arrays and torch tensors on the CPU; on "cuda" also torch tensors on the GPU and other
-            arrays with ``__cuda_array_interface__``, all of them or none.
+            Filled instead of new arrays: C-contiguous, float32, the image also uint8; with `alpha` or `depth` a tuple
+            (image, alpha, depth). NumPy arrays and CPU tensors; on "cuda" also GPU tensors and other arrays with
+            ``__cuda_array_interface__``, all of them or none.
         dtype : "float32" or "uint8"
-            Of the image; that of `out`, else float32. 8-bit codes are round(255 clamp(v, 0, 1)).
+            Type of the image; by default that of `out`, else float32. 8-bit codes are round(255 clamp(v, 0, 1)).
         alpha, depth : bool
-            Give these, too, in a :class:`Frame`.
+            Return these, too, in a :class:`Frame`.
         on_device : bool
-            On "cuda": new arrays are in the GPU's memory, as :class:`DeviceArray`, which ``torch.from_dlpack()`` takes.
+            On "cuda": return arrays in GPU memory, :class:`DeviceArray`, for ``torch.from_dlpack()``.
         background : three numbers
             The colour behind everything.
         near_plane, far_plane : float, optional
-            Gaussians whose centre is nearer than this (0.2), or farther (no limit), are not drawn. World units.
+            Gaussians with a centre nearer than this (0.2) or farther (no limit) are not drawn. World units.
         sh_degree : int
             Higher degrees are ignored.
         low_pass, anti_aliasing : optional
             As the scene declares; px^2, "classic" or "mip".
         detail : float, optional
-            Of scenes with levels of detail: pages are drawn whose error is at most so many pixels. 1 unless it is given; 0
-            draws all Gaussians.
+            For scenes with levels of detail: the largest projected error of drawn pages, in pixels [1]; 0 draws all
+            Gaussians.
 
-        What is in the GPU's memory is written after what torch's current stream (or the one that the array names) holds by then,
-        and complete on return. Python's lock is not held. Ctrl-C is seen between two pictures of a call, on "cuda" between 64.
-        Several small pictures of one call take less time there than as many calls.
+        Outputs in GPU memory are written after the work queued on torch's current stream (or the stream that the array names),
+        and are complete on return. The GIL is released. Ctrl-C takes effect between two pictures of a call, on "cuda" between 64.
+        On "cuda" one call for several small pictures is faster than several calls.
         """
         _check_scene(scene)
         single = isinstance(camera, Camera)
         if isinstance(camera, (str, bytes, os.PathLike)):
-            raise TypeError("camera is a roofgs.Camera, or several; roofgs.cameras.load() reads files")
+            raise TypeError("camera is a roofgs.Camera or several of them; roofgs.cameras.load() reads files")
         cameras: List[Camera] = [camera] if isinstance(camera, Camera) else list(camera)
         given, outputs, stream = _outputs(out, alpha or depth, on_device)
         eight_bit = _is_eight_bit(dtype, outputs[0])
@@ -169,23 +169,23 @@ class Renderer:
             made = self._native.render(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, options)
         else:
             if isinstance(scene, StreamedScene):
-                raise argument_error("streamed scenes are drawn into the host's memory")
+                raise argument_error("streamed scenes are drawn into host memory")
             made = self._native.render_on_device(scene._native, cameras, not single, *outputs, eight_bit, alpha, depth, stream,
                                                  options)
-        # What was given comes back as it was given: a torch tensor, not the array of its memory.
+        # Return the caller's own tensor, not an array of its memory.
         image, alphas, depths = (new if new is None or old is None else old for new, old in zip(made, given))
         return Frame(image, alphas, depths) if alpha or depth else image
 
     def refine(self, scene: StreamedScene, camera: Camera, seconds: float = 60.0, *,
                detail: Optional[float] = None) -> bool:
-        """Waits until all is there that this view of a streamed scene wants. :meth:`render` then gives the picture of the whole
-        file. False: the time is over, or the scene's budget has no room for the rest. Ctrl-C ends it."""
+        """Waits until every page that this view of a streamed scene wants is resident. :meth:`render` then draws the picture of
+        the whole file. False: time ran out, or the budget has no room for the rest. Ctrl-C ends it."""
         _check_scene(scene)
         options = self._options_of((0.0, 0.0, 0.0), None, None, 3, None, None, detail)
         return self._native.refine(scene._native, camera, float(seconds), options)
 
     def prepare(self, scene: Scene) -> None:
-        """Brings a scene to where it is drawn, which the first picture does otherwise."""
+        """Uploads a scene now; otherwise the first picture does."""
         _check_scene(scene)
         self._native.prepare(scene._native)
 
@@ -193,7 +193,7 @@ class Renderer:
                     far_plane: Optional[float], sh_degree: int, low_pass: Optional[float],
                     anti_aliasing: Optional[str], detail: Optional[float]) -> _roofgs.RenderOptions:
         red, green, blue = float_array(background, "background", (3,)).tolist()
-        sh_degree = operator.index(sh_degree)  # 3.0 is equal to 3, and would be found
+        sh_degree = operator.index(sh_degree)  # 3.0 == 3 would be accepted
         key = (red, green, blue, near_plane, far_plane, sh_degree, low_pass, anti_aliasing, detail)
         known = self._options.get(key)
         if known is not None:
@@ -205,7 +205,7 @@ class Renderer:
         options = _roofgs.RenderOptions((red, green, blue), near_plane,
                                         0.0 if far_plane is None else float(far_plane), sh_degree, low_pass,
                                         anti_aliasing, detail, self._pipeline)
-        if len(self._options) > 64:  # of callers with another background each time
+        if len(self._options) > 64:  # a caller may change the background every time
             self._options.clear()
         self._options[key] = options
         return options
@@ -217,8 +217,8 @@ def _check_scene(scene: Any) -> None:
 
 
 def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, ...], Tuple[Any, Any, Any], Optional[int]]:
-    """Image, alpha and depth to be filled, None where there is none, as the caller and as the extension module have them; of a
-    GPU's memory also the stream to begin after."""
+    """Image, alpha and depth to fill (or None), as the caller and as the extension module hold them; for GPU memory also
+    the stream to wait for."""
     given: Tuple[Any, ...] = (None, None, None)
     if out is not None and not several:
         given = (out.image if isinstance(out, Frame) else out, None, None)
@@ -233,7 +233,7 @@ def _outputs(out: Any, several: bool, on_device: bool) -> Tuple[Tuple[Any, ...],
         image, alpha, depth = (None if each is None else output_array(each, name) for each, name in zip(given, names))
         return given, (image, alpha, depth), None
     if any(each is not None and place is None for each, place in zip(given, found)):
-        raise argument_error("outputs are on the GPU or in the host's memory, all of them")
+        raise argument_error("outputs are on the GPU or in host memory, all of them")
     first, second, third = (None if place is None else place[0] for place in found)
     return given, (first, second, third), next((place[1] for place in found if place is not None), 0)
 

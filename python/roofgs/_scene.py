@@ -1,4 +1,4 @@
-"""Scenes in memory, and scenes that are drawn while they are read."""
+"""Scenes in memory, and streamed scenes."""
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ _PROFILES = ("packed", "direct", "archive", "archive:high", "archive:small")
 
 
 class Scene:
-    """Gaussians to be drawn, which never change.
+    """An immutable set of Gaussians.
 
-    Made by :func:`load`, or of arrays, which are copied: NumPy's, torch tensors, or anything else with DLPack, in the host's
+    Made by :func:`load` or from arrays, which are copied: NumPy arrays, torch tensors, or anything else with DLPack, in host
     memory or on a GPU. Values are activated, as gsplat's ``rasterization()`` takes them.
 
     Parameters
@@ -36,7 +36,7 @@ class Scene:
     means : array [n, 3]
         Centres relative to `origin`, world units.
     quats : array [n, 4]
-        Rotations w, x, y, z. Normalised if they are not; 0 is no rotation.
+        Rotations w, x, y, z; normalised if they are not. 0 is no rotation.
     scales : array [n, 3]
         Standard deviations along the local axes, world units, 0 and above.
     opacities : array [n]
@@ -44,11 +44,11 @@ class Scene:
     sh0 : array [n, 1, 3] or [n, 3]
         Coefficients of spherical harmonics of degree 0, in the basis of 3DGS: colour = 0.5 + 0.2820948 sh0.
     shN : array [n, 3 or 8 or 15, 3], optional
-        Those of degrees 1 to 1, 2 or 3.
+        Coefficients of degrees 1 to 1, 2 or 3.
     origin : three numbers
-        What means are measured from, in the world: for scenes so far away that float32 would round them.
+        The world point that means are relative to, for scenes so far away that float32 would round them.
     anti_aliasing : "classic" or "mip"
-        That the scene was trained with.
+        How the scene was trained.
     low_pass : float, optional
         px^2 added to projected covariances in training; 0.3, or 0.1 with "mip".
 
@@ -96,12 +96,12 @@ class Scene:
         return self
 
     def __reduce__(self) -> Any:
-        raise TypeError("a roofgs.Scene is not pickled: give the other process its path, and load it there")
+        raise TypeError("a roofgs.Scene cannot be pickled: pass its path and load it in the other process")
 
     @classmethod
     def _of_sh(cls, means: FloatArray, quats: FloatArray, scales: FloatArray, opacities: FloatArray, sh: FloatArray,
                anti_aliasing: str, low_pass: float) -> "Scene":
-        """Of arrays that float_array() gave, with all coefficients in one."""
+        """From arrays of float_array(), all coefficients in one."""
         return cls._of(_from_arrays(means, quats, scales, opacities, np.ascontiguousarray(sh), _DEGREES[sh.shape[1] - 1],
                                     (0.0, 0.0, 0.0), anti_aliasing, low_pass))
 
@@ -114,14 +114,14 @@ class Scene:
     def means(self) -> FloatArray:
         """[n, 3] centres relative to :attr:`origin`, world units.
 
-        This and the other arrays are read-only views of the scene's memory, which lives as long as they do. The first that is
-        asked for makes all of them: 236 bytes a Gaussian at SH degree 3.
+        This and the other arrays are read-only views that keep the scene's memory alive. The first access makes all of
+        them: 236 bytes a Gaussian at SH degree 3.
         """
         return self._native.means
 
     @property
     def quats(self) -> FloatArray:
-        """[n, 4] unit quaternions w, x, y, z; of a file as it stores them, in FP16."""
+        """[n, 4] unit quaternions w, x, y, z, as precise as the file stores them (FP16)."""
         return self._native.quats
 
     @property
@@ -141,12 +141,12 @@ class Scene:
 
     @property
     def sh0(self) -> FloatArray:
-        """[n, 1, 3] those of degree 0."""
+        """[n, 1, 3] coefficients of degree 0."""
         return self._native.sh0
 
     @property
     def shN(self) -> FloatArray:
-        """[n, (degree + 1)^2 - 1, 3] those of the other degrees."""
+        """[n, (degree + 1)^2 - 1, 3] coefficients of the other degrees."""
         return self._native.shN
 
     @property
@@ -156,7 +156,7 @@ class Scene:
 
     @property
     def origin(self) -> "NDArray[np.float64]":
-        """[3] what means are measured from, in the world."""
+        """[3] the world point that means are relative to."""
         return np.array(self._native.origin, dtype=np.float64)
 
     @property
@@ -166,12 +166,12 @@ class Scene:
 
     @property
     def low_pass(self) -> float:
-        """px^2 that are added to projected covariances: what the scene declares, else 0.3, or 0.1 with "mip"."""
+        """px^2 added to projected covariances: as the scene declares, else 0.3, or 0.1 with "mip"."""
         return self._native.low_pass
 
     @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
-        """Two corners of a box in the world that holds most of the means: floaters far away do not count."""
+        """Two corners of a world box that holds most means; far floaters do not count."""
         return self._native.bounds
 
     @property
@@ -181,17 +181,17 @@ class Scene:
 
     @property
     def levels(self) -> int:
-        """Levels of detail that the file has; 0 without."""
+        """Number of levels of detail in the file; 0 without."""
         return self._native.n_levels
 
     @property
     def format(self) -> Optional[str]:
-        """Of the file it came from: "rgs", "ply", "spz", ...; None for one that was made of arrays."""
+        """Format of its file: "rgs", "ply", "spz", ...; None if it was made from arrays."""
         return self._native.format
 
     @property
     def path(self) -> Optional[str]:
-        """Where it came from: a path, or an address without user, password and query."""
+        """Its path, or its address without user, password and query."""
         return shown(self._native.path) or None
 
     # ---- saving
@@ -204,13 +204,13 @@ class Scene:
         Parameters
         ----------
         profile : "packed", "direct", "archive:high" or "archive:small"
-            Of an .rgs: the smaller form, the form that a GPU reads as it lies on disk, or lossy within stated bounds.
+            For .rgs: the small form, the form that a GPU reads as it lies on disk, or lossy within stated bounds.
         lod : bool, "fast" or "best"
-            Of an .rgs: with levels of detail.
+            For .rgs: with levels of detail.
         overwrite : bool
-            Replace what is there, the scene's own file too; otherwise :class:`OutputExistsError`.
+            Replace an existing file, the scene's own too; otherwise :class:`OutputExistsError`.
         sync : bool
-            Wait until the disk has it.
+            Wait until it is on the disk.
         strict : bool
             Refuse values that the format cannot hold, instead of clamping them.
         progress : True or a function
@@ -244,16 +244,15 @@ class Scene:
 
 
 class StreamPool:
-    """A budget of memory that streamed scenes share: what shows the largest error in pixels gets room first, whichever scene it
-    is of.
+    """A memory budget shared by streamed scenes: the largest error in pixels gets room first, whichever scene shows it.
 
     Parameters
     ----------
     host_memory : int
-        Bytes that all of its scenes may take in the host's memory.
+        Bytes of host memory for all of its scenes.
     device_memory : int
-        Bytes of the GPU that their pages take instead, as one piece while there are scenes: those are drawn by "cuda" alone, and
-        have one SH degree, chunk size and page size. 0: pages are in the host's memory, and drawn by "cpu" alone.
+        Bytes of GPU memory for their pages, one allocation while there are scenes; then only "cuda" draws them, and
+        they share SH degree, chunk size and page size. 0: pages are in host memory, and only "cpu" draws them.
 
     >>> pool = StreamPool(host_memory=1 << 28)
     >>> with StreamedScene(examples / "levels.rgs", pool=pool) as one, StreamedScene(examples / "levels.rgs", pool=pool):
@@ -290,21 +289,21 @@ class StreamPool:
 
 
 class StreamedScene:
-    """A file with levels of detail that is drawn while it is read: the coarsest part is in memory always, the rest as cameras
-    need it, within a budget.
+    """A file with levels of detail, drawn while it is read: the coarsest page is always resident, others as cameras want
+    them, within a budget.
 
     Parameters
     ----------
     path : path or address
-        An .rgs that was written with levels (``lod=True``).
+        An .rgs with levels (``lod=True``).
     host_memory, device_memory : int
-        Those of a :class:`StreamPool` of its own: 2 GiB and 0 unless they are given.
+        Budget of its own :class:`StreamPool` [2 GiB and 0].
     pool : StreamPool
-        In place of these, one that it shares with others.
+        A pool shared with other scenes, instead.
     prefetch : bool
-        Read also what a moving camera is about to see.
+        Also request what a moving camera is about to see.
 
-    Use it in a ``with`` statement, or call :meth:`close`: it has threads. Frames show what is there and wait for nothing;
+    Use it in a ``with`` statement, or call :meth:`close`: it has threads. Frames show resident pages and wait for nothing;
     :meth:`Renderer.refine` waits.
 
     >>> with StreamedScene(examples / "levels.rgs") as scene:
@@ -336,12 +335,12 @@ class StreamedScene:
 
     @property
     def origin(self) -> "NDArray[np.float64]":
-        """[3] what means are measured from, in the world."""
+        """[3] the world point that means are relative to."""
         return np.array(self._native.origin, dtype=np.float64)
 
     @property
     def bounds(self) -> Tuple[Vector3, Vector3]:
-        """Two corners of a box in the world that holds most of the means."""
+        """Two corners of a world box that holds most means."""
         return self._native.bounds
 
     @property
@@ -356,21 +355,20 @@ class StreamedScene:
 
     @property
     def pool(self) -> StreamPool:
-        """Whose budget it takes its memory from."""
+        """The pool that it takes memory from."""
         return self._pool
 
     @property
     def stats(self) -> Dict[str, float]:
-        """What has been done since it was opened, and what is there: ``pages_resident``, ``pages_missing`` (that the last view
-        wants), ``bytes_read``, ``bytes_decoded``, ``bytes_uploaded``, ``bytes_evicted``, ``detail_reached_px``."""
+        """Counts since it was opened: ``pages_resident``, ``pages_missing`` (wanted by the last view), ``bytes_read``, ``bytes_decoded``, ``bytes_uploaded``, ``bytes_evicted``, ``detail_reached_px``."""
         return self._native.stats()
 
     def check(self) -> None:
-        """Raises what has gone wrong with the file, if anything has: what is there is drawn all the same."""
+        """Raises the file's error, if there is one. Resident pages are drawn all the same."""
         self._native.check()
 
     def close(self) -> None:
-        """Ends its threads. Whatever uses the scene afterwards is an error."""
+        """Ends its threads. Any later use of the scene is an error."""
         self._native.close()
 
     @property
@@ -400,15 +398,15 @@ def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Option
     Parameters
     ----------
     path : path or address
-        An address (http, https) is read as a whole; :class:`StreamedScene` reads what is seen.
+        An address (http, https) is read whole; :class:`StreamedScene` reads what is seen.
     level_of_detail : int, optional
-        Of a file with levels: only this one, 0 being the finest.
+        For files with levels: only this level; 0 is the finest.
     max_count : int, optional
-        Of a file with levels: the finest cut through them that has no more Gaussians.
+        For files with levels: the finest cut of at most so many Gaussians.
     max_expansion : int, optional
-        What is compressed in a file may decode to so many times the file's size [1032].
+        Limit of the decompressed size, as a multiple of the file's [1032].
     progress : True or a function
-        A bar, or ``function(stage, done, total, unit)``; of addresses alone.
+        A bar, or ``function(stage, done, total, unit)``; for addresses alone.
 
     >>> scene = load(examples / "scene.rgs")
     >>> scene.means.shape, scene.shN.shape, scene.means.flags.writeable
@@ -422,11 +420,11 @@ def load(path: Path, *, level_of_detail: Optional[int] = None, max_count: Option
 
 def info(path: Path, *, verify: bool = False, statistics: Optional[bool] = None,
          max_expansion: Optional[int] = None) -> Dict[str, Any]:
-    """What an .rgs file holds and declares: the object of ``rgs-info --json`` (docs/user/INFO_JSON.md). With `verify` every checksum
-    and value is checked; what is wrong is raised.
+    """The contents and declarations of an .rgs file: the object of ``rgs-info --json`` (docs/user/INFO_JSON.md). `verify` checks
+    every checksum and value and raises what is wrong.
 
     statistics : bool, optional
-        Read all values for ranges and histograms; by default of files up to 1 GB.
+        Read all values for ranges and histograms; the default for files up to 1 GB.
 
     >>> info(examples / "scene.rgs")["header"]["n_gaussians"]
     2000
@@ -440,13 +438,13 @@ def _from_arrays(means: FloatArray, quats: FloatArray, scales: FloatArray, opaci
                  origin: Vector3, anti_aliasing: str, low_pass: Optional[float]) -> _roofgs.Scene:
     try:
         return _roofgs.Scene.from_arrays(means, quats, scales, opacities, sh, degree, origin, anti_aliasing, low_pass)
-    except FormatError as error:  # says which Gaussian alone
+    except FormatError as error:  # the library names only the Gaussian
         damage = _damage(means=means, quats=quats, scales=scales, opacities=opacities, sh0=sh[:, :1], shN=sh[:, 1:])
         raise damage or error from None
 
 
 def _damage(**arrays: FloatArray) -> Optional[Error]:
-    """What names the first value that no Gaussian has."""
+    """Names the first invalid value."""
     for name, array in arrays.items():
         low, high = _LEGAL.get(name, (-math.inf, math.inf))
         bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))

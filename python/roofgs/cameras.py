@@ -1,7 +1,7 @@
-"""Cameras: read from files, placed by hand, around a scene or along a path.
+"""Cameras from files, by hand, around a scene or along a path.
 
-A camera's axes are OpenCV's and COLMAP's: x right, y down, z forward. ``world_to_camera`` takes a point of the world to
-them; it is what gsplat calls a view matrix. Pixel (i, j) covers [i, i + 1) x [j, j + 1), so that
+A camera's axes are OpenCV's and COLMAP's: x right, y down, z forward. ``world_to_camera`` maps world points to
+camera axes; gsplat calls it a view matrix. Pixel (i, j) covers [i, i + 1) x [j, j + 1), so that
 ``cx = width / 2`` is the middle of the picture. docs/user/CAMERAS.md has the files.
 """
 # SPDX-License-Identifier: Apache-2.0
@@ -28,15 +28,15 @@ WORLD_UP = (0.0, -1.0, 0.0)
 
 
 class CameraList(List[Camera]):
-    """The cameras of a file, in its order. A slice of it is a plain list, which has no parts.
+    """The cameras of a file, in its order. A slice is a plain list without parts.
 
     Attributes
     ----------
     source : str
         ``"list"``, ``"training"`` (cameras.json of 3DGS), ``"transforms"`` (NeRF) or ``"colmap"``.
     split_declared : bool
-        Whether the file says of any camera whether it is for tests; the others are then for training. If it does not, every eighth in
-        the order of names is for tests.
+        Whether the file marks any camera as a test camera; the others are then for training. If not, every eighth by name is a
+        test camera.
     train, test : list of Camera
         The two parts.
     """
@@ -49,7 +49,7 @@ class CameraList(List[Camera]):
         self.test = [camera for camera, test in zip(self, is_test) if test]
 
     def named(self, name: str) -> Camera:
-        """The camera of this name; KeyError if there is none."""
+        """The camera with this name, else KeyError."""
         for camera in self:
             if camera.name == name:
                 return camera
@@ -57,7 +57,7 @@ class CameraList(List[Camera]):
 
 
 def load(path: Path) -> CameraList:
-    """Reads a JSON file of cameras or a folder with a COLMAP model.
+    """Reads a JSON camera file or a folder with a COLMAP model.
 
     >>> views = load(examples / "cameras.json")
     >>> len(views), views[0].width, views[0].height
@@ -68,8 +68,8 @@ def load(path: Path) -> CameraList:
 
 
 def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: bool = False) -> None:
-    """Writes cameras as the JSON list of docs/user/CAMERAS.md, whole or not at all; those of a :class:`CameraList` with the split that
-    it declares. A file that is there is kept without `overwrite`.
+    """Writes cameras as the JSON list of docs/user/CAMERAS.md, whole or not at all; a :class:`CameraList` keeps its declared
+    split. An existing file is kept unless `overwrite`.
 
     >>> save(folder / "two.json", orbit(roofgs.load(examples / "scene.rgs"), 2))
     >>> len(load(folder / "two.json"))
@@ -77,7 +77,7 @@ def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: boo
     """
     if isinstance(cameras, Camera):
         cameras = [cameras]
-    parts = {}  # by identity: two cameras that are equal may be of different parts
+    parts = {}  # by identity: equal cameras may belong to different parts
     if isinstance(cameras, CameraList) and cameras.split_declared:
         parts = {id(camera): split for split in ("train", "test") for camera in getattr(cameras, split)}
     rows = [{"name": camera.name, "width": camera.width, "height": camera.height, "fx": camera.fx, "fy": camera.fy,
@@ -89,7 +89,7 @@ def save(path: Path, cameras: Union[Camera, Iterable[Camera]], *, overwrite: boo
 
 def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 1280, height: int = 720,
             horizontal_fov: float = 60.0) -> Camera:
-    """A camera at `eye` that has `target` in the middle of its picture. Field of view in degrees.
+    """A camera at `eye` that looks at `target`. Field of view in degrees.
 
     >>> camera = look_at((0, 0, -2), (0, 0, 0), width=64, height=48)
     >>> (camera.world_to_camera @ [0, 0, 0, 1])[:3]
@@ -100,14 +100,14 @@ def look_at(eye: Vector, target: Vector, *, up: Vector = WORLD_UP, width: int = 
 
 def orbit(scene: "Union[Scene, StreamedScene]", n: int, *, width: int = 1280, height: int = 720,
           horizontal_fov: float = 60.0) -> List[Camera]:
-    """`n` cameras on a circle around the scene, which see all of it."""
+    """`n` cameras on a circle around the whole scene."""
     low, high = scene.bounds
     return _roofgs.orbit(low, high, int(n), scene.up, width, height, float(horizontal_fov))
 
 
 def default_view(scene: "Union[Scene, StreamedScene]", *, width: int = 1280, height: int = 720,
                  horizontal_fov: float = 60.0) -> Camera:
-    """The view of a scene without cameras: from the front and a little above."""
+    """A view of a scene without cameras, from the front and a little above."""
     return orbit(scene, 1, width=width, height=height, horizontal_fov=horizontal_fov)[0]
 
 
@@ -117,7 +117,7 @@ def path(keys: Iterable[Camera], n: int) -> List[Camera]:
 
 
 def from_matrices(viewmats: Any, Ks: Any, width: int, height: int) -> List[Camera]:
-    """Cameras of matrices in gsplat's conventions.
+    """Cameras from matrices in gsplat's conventions.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def from_matrices(viewmats: Any, Ks: Any, width: int, height: int) -> List[Camer
     cameras = []
     for view, k in zip(views.reshape(-1, 4, 4), intrinsics.reshape(-1, 3, 3)):
         if k[0, 1] != 0 or k[1, 0] != 0 or not np.array_equal(k[2], (0.0, 0.0, 1.0)):
-            raise argument_error("Ks with skew, or whose last row is not 0 0 1, are not rendered")
+            raise argument_error("Ks must have no skew and a last row of 0 0 1")
         cameras.append(Camera(width, height, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), view))
     return cameras
 

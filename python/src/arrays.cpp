@@ -1,4 +1,4 @@
-// arrays.cpp - memory of the library as arrays.
+// arrays.cpp - the library's memory as arrays.
 // SPDX-License-Identifier: Apache-2.0
 #include "arrays.hpp"
 
@@ -13,7 +13,7 @@ namespace py = pybind11;
 namespace rgs::python {
 namespace {
 
-// What such an array holds on to.
+// Keeps an array's memory alive.
 struct Memory {
   py::object owner;
   const float* data;

@@ -1,8 +1,8 @@
-// arrays.hpp - NumPy's arrays by the buffer protocol alone.
+// arrays.hpp - NumPy arrays through the buffer protocol alone.
 // SPDX-License-Identifier: Apache-2.0
 //
-// pybind11/numpy.h reads NumPy's own structures, which NumPy 2 has changed: what is built with a pybind11 before 2.12 gets wrong
-// strides there. The buffer protocol is Python's, and the same for all of them.
+// pybind11/numpy.h reads NumPy's own structures, which NumPy 2 changed: built with pybind11 before 2.12 it gets wrong strides. The
+// buffer protocol is the same for all versions.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -25,10 +25,10 @@ inline constexpr char kFormat<double> = 'd';
 template <>
 inline constexpr char kFormat<std::uint8_t> = 'B';
 
-/// Memory of an array, which stays where it is as long as this lives.
+/// An array's memory, pinned while this lives.
 class Elements {
  public:
-  /// Of any object with the buffer protocol; TypeError for others.
+  /// From any object with the buffer protocol, else TypeError.
   explicit Elements(const pybind11::object& array)
       : info_(pybind11::reinterpret_borrow<pybind11::buffer>(array).request()) {}
 
@@ -41,7 +41,7 @@ class Elements {
   bool is_readonly() const { return info_.readonly; }
   pybind11::ssize_t bytes() const { return info_.size * info_.itemsize; }
   void* data() const { return info_.ptr; }
-  /// Of contiguous ones.
+  /// Requires a contiguous array.
   template <class T>
   std::span<const T> as() const {
     return {static_cast<const T*>(info_.ptr), static_cast<std::size_t>(info_.size)};
@@ -58,7 +58,7 @@ pybind11::object new_array(const Shape& shape) {
   return pybind11::module_::import("numpy").attr("empty")(pybind11::tuple(pybind11::cast(shape)), format);
 }
 
-/// A read-only array of memory that `owner` keeps. Strides in bytes.
+/// A read-only array of memory that `owner` keeps alive. Strides in bytes.
 pybind11::object readonly_array(pybind11::object owner, const float* data, Shape shape, Shape strides);
 
 }  // namespace rgs::python

@@ -1,4 +1,4 @@
-// bindings.hpp - the parts of the extension module _roofgs, one file each; what Python programs call is python/roofgs.
+// bindings.hpp - the parts of the extension module _roofgs, one file each. The public API is python/roofgs.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 

@@ -54,7 +54,7 @@ Camera make(const py::object& width, const py::object& height, double fx, std::o
   return camera;
 }
 
-// COLMAP names images by bytes, which may be no text.
+// COLMAP names images by bytes, which need not be text.
 std::string as_text(const std::string& name) {
   return py::reinterpret_steal<py::str>(
       PyUnicode_DecodeUTF8(name.data(), static_cast<Py_ssize_t>(name.size()), "replace"));
@@ -112,20 +112,20 @@ name : str
       .def_readonly("cy", &Camera::cy, "Principal point, pixels from the upper edge.")
       .def_property_readonly("world_to_camera", &matrix_of, "[4, 4], a copy.")
       .def_property_readonly(
-          "centre", [](const Camera& c) { return array(camera_centre(c)); }, "Where it is in the world.")
+          "centre", [](const Camera& c) { return array(camera_centre(c)); }, "Position in the world.")
       .def(
           "axis",
           [](const Camera& c, int axis) {
             if (axis < 0 || axis > 2) refuse(Errc::bad_argument, "a camera's axes are 0, 1 and 2");
             return array(camera_axis(c, axis));
           },
-          "axis"_a, "Unit direction in the world of its axis 0 (right), 1 (down) or 2 (forward).")
+          "axis"_a, "World direction of its axis 0 (right), 1 (down) or 2 (forward), unit length.")
       .def(
           "resized",
           [](const Camera& c, const py::object& width, const py::object& height) {
             return resized(c, image_side(width), image_side(height));
           },
-          "width"_a, "height"_a, "The same view with other sides; the horizontal field of view is kept.")
+          "width"_a, "height"_a, "The same view in another size; keeps the horizontal field of view.")
       .def("__eq__",
            [](const Camera& a, const py::object& other) {
              if (!py::isinstance<Camera>(other)) return false;
@@ -150,7 +150,7 @@ name : str
       "read_cameras",
       [](const std::string& path) {
         static constexpr const char* kSources[] = {"list", "training", "transforms", "colmap"};
-        auto set = [&] {  // without threads: a process may fork after it
+        auto set = [&] {  // without threads, so that the process may fork afterwards
           const Unlocked unlocked;
           return take(read_camera_set(path), path);
         }();

@@ -1,4 +1,4 @@
-// camera_binding.hpp - numbers of cameras from Python.
+// camera_binding.hpp - camera values from Python.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -8,7 +8,7 @@
 
 namespace rgs::python {
 
-/// A side of an image, 1 to kMaxImageSide, of whatever is an integer; Failure (bad_camera) for others.
+/// An image side, 1 to kMaxImageSide, from any integer; Failure (bad_camera) otherwise.
 int image_side(const pybind11::handle& value);
 
 }  // namespace rgs::python

@@ -1,4 +1,4 @@
-// device_array.cpp - pictures in a GPU's memory as objects of Python.
+// device_array.cpp - pictures in GPU memory as Python objects.
 // SPDX-License-Identifier: Apache-2.0
 #include "device_array.hpp"
 
@@ -16,7 +16,7 @@ using namespace py::literals;
 namespace rgs::python {
 namespace {
 
-// What a consumer of the capsule holds until it calls the deleter.
+// Owned by the capsule's consumer until it calls the deleter.
 struct Managed {
   DLManagedTensor tensor{};
   std::vector<std::int64_t> shape;
@@ -27,13 +27,13 @@ void release(DLManagedTensor* tensor) {
   delete static_cast<Managed*>(tensor->manager_ctx);
 }
 
-// A capsule that nobody has taken; one that was is called "used_dltensor".
+// A capsule that was not consumed; a consumed one is named "used_dltensor".
 void release_unused(PyObject* capsule) {
   if (PyCapsule_IsValid(capsule, "dltensor") == 0) return;
   release(static_cast<DLManagedTensor*>(PyCapsule_GetPointer(capsule, "dltensor")));
 }
 
-// Its work is done: whatever stream the consumer names may read it at once.
+// The work is complete: any stream may read it at once.
 py::object dlpack(const DeviceArray& array, const py::object&, const py::object&, const py::object& device,
                   const py::object& copy) {
   if (!device.is_none() && !device.equal(py::make_tuple(int{kDLCUDA}, array.block.device)))
@@ -73,7 +73,7 @@ void bind_device_array(py::module_& module) {
 __cuda_array_interface__. They are complete. The memory lives as long as this or any array that was made of it.
 )")
       .def_property_readonly("shape", shape_of,
-                             "[height, width, 3] or [height, width], and several cameras' before that.")
+                             "[height, width, 3] or [height, width], after an axis for several cameras.")
       .def_property_readonly("dtype", dtype_of, "\"float32\" or \"uint8\".")
       .def_property_readonly(
           "nbytes", [](const DeviceArray& a) { return a.bytes(); }, "Bytes.")

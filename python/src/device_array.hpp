@@ -1,4 +1,4 @@
-// device_array.hpp - arrays in a GPU's memory: those of others, which describe themselves, and the module's own.
+// device_array.hpp - arrays in GPU memory: foreign ones, which describe themselves, and the module's own.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -11,7 +11,7 @@
 
 namespace rgs::python {
 
-/// Memory of the library's that other packages take over by DLPack or __cuda_array_interface__.
+/// The library's memory, exported by DLPack or __cuda_array_interface__.
 struct DeviceArray {
   DeviceBlock block;
   Shape shape;

@@ -1,4 +1,4 @@
-// render_binding.cpp - pictures of scenes, into arrays that Python holds.
+// render_binding.cpp - draws pictures into arrays that Python holds.
 // SPDX-License-Identifier: Apache-2.0
 #include <pybind11/stl.h>
 
@@ -41,7 +41,7 @@ const std::string& name_of(const PyStream& scene) {
   return scene.name();
 }
 
-// An array to be filled, and where it is.
+// An array to fill, and where it is.
 struct Output {
   py::object array = py::none();
   std::optional<Elements> memory = {};  // of the host's
@@ -49,12 +49,12 @@ struct Output {
   std::uint64_t bytes = 0;
 };
 
-// Arrays of a call: pictures follow each other.
+// The arrays of a call: one picture after the other.
 struct Outputs {
   Output image, alpha, depth;
 };
 
-// What an array says of itself; of one on a device Python has asked it.
+// Describes an array; Python has queried device arrays.
 struct Description {
   void* data;
   Shape shape;
@@ -62,14 +62,12 @@ struct Description {
 };
 
 void check(const Description& given, const Shape& shape) {
-  if (!given.is_of_type)
-    refuse(Errc::bad_argument, "an output has another data type than the picture: float32 or, of images alone, uint8");
+  if (!given.is_of_type) refuse(Errc::bad_argument, "an output has the wrong data type: float32; images may be uint8");
   if (given.shape != shape)
     refuse(Errc::bad_argument,
-           "an output has another shape than the pictures: [height, width, 3] for colour and [height, width] for alpha "
+           "an output has the wrong shape: [height, width, 3] for colour and [height, width] for alpha "
            "and depth, with the number of cameras before that for a list of cameras");
-  if (!given.is_contiguous)
-    refuse(Errc::bad_argument, "an output has gaps or another order of axes: it must be C-contiguous");
+  if (!given.is_contiguous) refuse(Errc::bad_argument, "an output must be C-contiguous");
   if (given.is_readonly) refuse(Errc::bad_argument, "an output is read-only");
 }
 
@@ -78,7 +76,7 @@ std::uint64_t bytes_of(const Shape& shape, std::uint64_t element_bytes) {
   return element_bytes;
 }
 
-// `given` is an array to fill, or None, for which one is made.
+// `given` is an array to fill; None makes a new one.
 template <class T>
 Output in_host_memory(py::object given, const Shape& shape) {
   Output out;
@@ -126,7 +124,7 @@ void refuse_overlap(const Outputs& out) {
     refuse(Errc::bad_argument, "two outputs share memory");
 }
 
-// What a call asks for.
+// A call's options.
 struct Request {
   std::vector<Camera> cameras;  // of one size
   Shape shape;                  // of alpha and depth
@@ -138,7 +136,7 @@ Request request_of(const std::vector<const Camera*>& cameras, bool batch) {
   for (const Camera* camera : cameras) {
     if (camera == nullptr) refuse(Errc::bad_camera, "None is no camera");
     if (camera->width != cameras.front()->width || camera->height != cameras.front()->height)
-      refuse(Errc::bad_argument, "the cameras of one call have pictures of one size: use Camera.resized()",
+      refuse(Errc::bad_argument, "the cameras of one call must have pictures of one size: use Camera.resized()",
              camera->name);
     request.cameras.push_back(*camera);
   }
@@ -203,7 +201,7 @@ class PyRenderer {
     return py::make_tuple(out.image.array, out.alpha.array, out.depth.array);
   }
 
-  // The same into memory of the device, after what is queued on a stream.
+  // The same into device memory, after the work queued on a stream.
   py::tuple render_on_device(const PyScene& scene, const std::vector<const Camera*>& cameras, bool batch,
                              const py::object& image, const py::object& alpha, const py::object& depth, bool eight_bit,
                              bool with_alpha, bool with_depth, std::uintptr_t stream, const RenderOptions& options) {
@@ -222,7 +220,7 @@ class PyRenderer {
     return py::make_tuple(out.image.array, out.alpha.array, out.depth.array);
   }
 
-  // Waits in steps, so that signals are seen. A step that ends early and without success has no room for the view. The scene as asked().
+  // Waits in steps, so that signals are handled. A step that ends early without success has no room for the view. The scene as in asked().
   bool refine(const PyStream& stream, const Camera& camera, double seconds, const RenderOptions& options) {
     using Clock = std::chrono::steady_clock;
     constexpr double kStep = 0.1;
@@ -254,7 +252,7 @@ class PyRenderer {
   }
 
   py::list stats() {
-    begin_work();  // another thread may have held the mutex when the process was forked
+    begin_work();  // another thread may have held the mutex at the fork
     std::vector<FrameStats> all;
     {
       const Unlocked unlocked;
@@ -273,7 +271,7 @@ class PyRenderer {
   }
 
  private:
-  // By parts, between which signals are looked at. The scene is a copy: another thread may close it.
+  // In parts, with signals handled between them. The scene is a copy: another thread may close it.
   void draw(const Scene& scene, const std::string& name, std::span<const Camera> cameras, const PictureArrays& arrays,
             const RenderOptions& options) {
     const std::size_t n_pixels = pixels_of(cameras), part = renderer_->backend() == Backend::cuda ? 64 : 1;
@@ -313,7 +311,7 @@ class PyRenderer {
     return static_cast<std::size_t>(cameras.front().width) * static_cast<std::size_t>(cameras.front().height);
   }
 
-  // Raises what a signal's handler raises. Not after the last picture: the interpreter looks itself as soon as it goes on.
+  // Raises a signal handler's exception. Not after the last picture, where the interpreter checks by itself.
   static void check_signals(bool last) {
     if (last) return;
     const Locked locked;

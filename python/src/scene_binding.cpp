@@ -1,4 +1,4 @@
-// scene_binding.cpp - scenes: read from files and addresses, made of arrays, saved; what rgs-info says of a file.
+// scene_binding.cpp - scenes from files, addresses and arrays; saving; info().
 // SPDX-License-Identifier: Apache-2.0
 #include "scene_binding.hpp"
 
@@ -40,7 +40,7 @@ struct LoadOptions {
   bool has_choice() const { return read.level_of_detail || read.max_count; }
 };
 
-// What is not an .rgs as it lies on the disk: Gaussians that were read, in the frame in which scenes are drawn.
+// Gaussians from a file other than .rgs, in the frame in which scenes are drawn.
 Result<SceneFile> scene_of(Result<SplatFile> file) {
   if (!file) return tl::unexpected(file.error());
   SceneFile out;
@@ -66,7 +66,7 @@ Result<SceneFile> load_path(const std::string& path, const LoadOptions& options)
 Result<SceneFile> load_url(ByteSource& source, const LoadOptions& options, Progress& progress) {
   constexpr std::uint64_t kPart = std::uint64_t{1} << 20;
   if (source.size() > options.read.limits.max_file_bytes)
-    return make_error(Errc::limit_exceeded, Error::kNone, "the file is larger than is allowed",
+    return make_error(Errc::limit_exceeded, Error::kNone, "the file is larger than the limit",
                       options.read.limits.max_file_bytes, source.size());
   std::vector<std::byte> bytes(source.size());
   progress.begin("read", bytes.size(), "B");
@@ -111,7 +111,7 @@ PyScene load(const std::string& name, std::optional<std::uint32_t> level_of_deta
 
 // ---- arrays
 
-// These are float32 and C-contiguous, and have shapes that agree: means [n, 3], quats [n, 4], scales [n, 3], opacities [n],
+// float32, C-contiguous, shapes that agree: means [n, 3], quats [n, 4], scales [n, 3], opacities [n],
 // sh [n, k, 3].
 PyScene from_arrays(const py::object& means, const py::object& quats, const py::object& scales,
                     const py::object& opacities, const py::object& sh, int sh_degree, const Origin& origin,
@@ -143,7 +143,7 @@ SceneView view_of(const PyScene& scene) {
   return take(scene.file.scene.view(), scene.path);
 }
 
-// A read-only array of the scene's memory, which lives as long as the array: of each Gaussian's `stride` numbers those of a row.
+// A read-only array that keeps the scene's memory alive: a row of each Gaussian's `stride` numbers.
 py::object array_of(const PyScene& scene, const float* data, Shape row, py::ssize_t stride) {
   static const float nothing = 0;
   Shape shape{static_cast<py::ssize_t>(scene.file.scene.size())};
@@ -167,7 +167,7 @@ py::object sh_of(const PyScene& scene, int first, int end) {
 
 // ---- saving
 
-// The scene in the parameters of training. What a file holds is given back such that it encodes to the same codes again.
+// The scene in training parameters. Values from a file encode to the same codes again.
 Result<SplatCloud> cloud_of(const Scene& scene) {
   SplatCloud cloud;
   cloud.resize(scene.size(), scene.sh_degree());
@@ -186,7 +186,7 @@ Result<SplatCloud> cloud_of(const Scene& scene) {
   if (!view) return tl::unexpected(view.error());
   float largest = 0;
   for (const float scale : view->scale) largest = std::max(largest, scale);
-  int exponent = 0;  // of the largest scale, so that a scale of 0 is far below all that are stored
+  int exponent = 0;  // relative to the largest scale, so that a scale of 0 is far below all stored ones
   (void)std::frexp(largest, &exponent);
   cloud.mean.assign(view->mean.begin(), view->mean.end());
   cloud.rotation.assign(view->rotation.begin(), view->rotation.end());
@@ -209,9 +209,9 @@ Result<ConvertSummary> save_scene(const Scene& scene, const std::string& path, S
     if (!cloud) return tl::unexpected(cloud.error());
     EncodeOptions& encode = options.convert.encode;
     if (scene.declarations()) encode = keep_declarations(std::move(encode), *scene.declarations());
-    // A scene that was made of arrays has no depth range of its own.
+    // A scene from arrays has no depth range of its own.
     if (scene.file() == nullptr && scene.levels() == nullptr) encode.depth.reset();
-    // Chunks as the file has them have the same steps, and so the same SH codes.
+    // The file's chunks keep their steps, and so their SH codes.
     if (scene.has_file()) {
       encode.chunk_size = scene.file()->header().chunk_size;
       encode.chunk_step_sets = scene.file()->header().n_step_sets == scene.file()->header().n_chunks;
@@ -235,16 +235,15 @@ Result<ConvertSummary> save_scene(const Scene& scene, const std::string& path, S
   });
 }
 
-// Bytes that were written.
+// Returns the bytes written.
 std::uint64_t save(const PyScene& scene, const std::string& path, const std::string& profile, const std::string& lod,
                    bool overwrite, bool sync, bool strict, py::object callback) {
   SaveOptions options;
   options.format = format_of_name(path);
   if (options.format == SplatFormat::unknown)
-    refuse(Errc::bad_argument,
-           "the format is told by the name: it ends in .rgs, .ply, .compressed.ply, .spz, .splat or .glb", path);
+    refuse(Errc::bad_argument, "the ending names the format: .rgs, .ply, .compressed.ply, .spz, .splat or .glb", path);
   if (options.format != SplatFormat::rgs && !is_writable(options.format))
-    refuse(Errc::bad_argument, "files of this format are only read", path);
+    refuse(Errc::bad_argument, "this format is read only", path);
   if (options.format != SplatFormat::rgs && (profile != "packed" || !lod.empty()))
     refuse(Errc::bad_argument, "profile= and lod= are for .rgs outputs", path);
   EncodeOptions& encode = options.convert.encode;
@@ -260,7 +259,7 @@ std::uint64_t save(const PyScene& scene, const std::string& path, const std::str
   const auto work = [held, path, options, progress]() -> Result<ConvertSummary> {
     try {
       return save_scene(held, path, options, progress->observer());
-    } catch (const GivenUp&) {
+    } catch (const Cancelled&) {
       return make_error(Errc::cancelled, Error::kNone, "given up");
     }
   };
@@ -287,7 +286,7 @@ std::string info(const std::string& path, bool verify, std::optional<bool> stati
     return Outcome{tool::info_json(report), report.error};
   };
   Outcome outcome = take(run(work, nullptr, {}), path);
-  // What is missing at the end of a file with levels of detail is in the report.
+  // The report says what a truncated file with levels lacks.
   if (outcome.error && outcome.error->code != Errc::pages_missing) throw Failure{*outcome.error, path};
   return outcome.json;
 }

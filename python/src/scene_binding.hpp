@@ -10,7 +10,7 @@ namespace rgs::python {
 
 struct PyScene {
   SceneFile file;
-  std::string path;  ///< or address; empty for one that was made of arrays
+  std::string path;  ///< or address; empty for a scene from arrays
 };
 
 }  // namespace rgs::python

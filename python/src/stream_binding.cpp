@@ -1,4 +1,4 @@
-// stream_binding.cpp - scenes that are drawn while they are read.
+// stream_binding.cpp - streamed scenes.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream_binding.hpp"
 
@@ -38,8 +38,8 @@ PyStream open(const std::string& name, const StreamPool& pool, bool prefetch,
   return {take(run_stoppable(work, nullptr, stop), name), name};
 }
 
-// What is asked under the lock of the pool, which a thread that was lost may have. The scene is a copy: another thread may close it,
-// and the last copy waits for threads when it goes, which is why it goes first.
+// A query under the pool's lock, which a thread lost in a fork may hold. The scene is a copy, because another thread may close it; the
+// last copy waits for threads, so it is destroyed first.
 template <class Value>
 Value asked(const PyStream& stream, Value (StreamedScene::*question)() const) {
   begin_work();
@@ -60,7 +60,7 @@ py::dict stats(const PyStream& stream) {
 }  // namespace
 
 void bind_stream(py::module_& module) {
-  // As asked().
+  // Like asked().
   const auto held = [](std::uint64_t (StreamPool::*bytes)() const) {
     return [bytes](const StreamPool& pool) {
       begin_work();

@@ -28,7 +28,7 @@ class PyStream {
   }
   const std::string& name() const { return name_; }
   bool closed() const { return scene_ == nullptr; }
-  /// Ends its threads. In a process that has lost them nobody can wait for them: what they hold stays.
+  /// Ends its threads. A forked process lost them and cannot wait: what they hold stays.
   void close() {
     if (!scene_) return;
     if (lost_threads()) {

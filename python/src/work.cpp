@@ -1,4 +1,4 @@
-// work.cpp - how calls from Python run.
+// work.cpp - runs the work of calls from Python.
 // SPDX-License-Identifier: Apache-2.0
 #include "work.hpp"
 
@@ -17,7 +17,7 @@ namespace {
 
 std::atomic<bool> g_has_threads{false}, g_lost_threads{false};
 
-// Never destroyed: a forked process has the entries but not the threads. Touched with Python's lock alone.
+// Never destroyed: a forked process has the entries but not the threads. Guarded by the GIL.
 struct Left {
   std::thread thread;
   std::shared_future<void> ended;
@@ -35,12 +35,12 @@ void join_ended() {
   });
 }
 
-// Before the interpreter goes, so that no thread outlives what it uses. Another Ctrl-C ends the wait, and the process without them.
+// Before the interpreter ends, so that no thread outlives what it uses. Another Ctrl-C ends the wait and the process.
 void wait_for_threads() {
   if (g_lost_threads) return;
   for (join_ended(); !left().empty(); join_ended()) {
     {
-      const std::shared_future<void> first = left().front().ended;  // its own: other threads may add and remove entries
+      const std::shared_future<void> first = left().front().ended;  // a copy: other threads may add and remove entries
       const Unlocked unlocked;
       first.wait_for(std::chrono::milliseconds(50));
     }
@@ -60,7 +60,7 @@ bool is_finalizing() {
 #endif
 }
 
-// The unwinding of a thread that Python ends stops here: it must not go through frames of C++, and cannot be caught and left.
+// Python ends a thread by unwinding it. That stops here: it must not pass C++ frames and cannot be swallowed.
 template <class Take>
 auto take_lock(Take take) noexcept {
   try {
@@ -96,10 +96,9 @@ Locked::Locked() : state_(take_lock([] { return PyGILState_Ensure(); })) {}
 
 void begin_work() {
   if (g_lost_threads) {
-    refuse(
-        Errc::unavailable,
-        "this process was forked after roofgs had started threads, which it does not have: start workers by 'spawn' or "
-        "'forkserver', or load scenes in the workers alone");
+    refuse(Errc::unavailable,
+           "this process was forked after roofgs had started threads, which a fork loses: start workers by 'spawn' or "
+           "'forkserver', or load scenes in the workers alone");
   }
   g_has_threads = true;
 }
@@ -108,9 +107,9 @@ bool lost_threads() {
   return g_lost_threads;
 }
 
-// Work that was left behind may be the last to hold it, on a thread without Python's lock.
+// Abandoned work may hold the last reference, on a thread without the GIL.
 Progress::~Progress() {
-  if (is_finalizing()) {  // nobody gets the lock any more
+  if (is_finalizing()) {  // the GIL is gone for good
     callback_.release();
     return;
   }
@@ -119,7 +118,7 @@ Progress::~Progress() {
 }
 
 void Progress::begin(const char* stage, std::uint64_t total, const char* unit) {
-  if (cancelled_) throw GivenUp();
+  if (cancelled_) throw Cancelled();
   const std::scoped_lock lock(mutex_);
   stage_ = {stage, total, unit, 0};
   done_ = 0;
@@ -137,7 +136,7 @@ StageObserver Progress::observer() {
   StageObserver observer;
   observer.begin = [this](const char* stage, std::uint64_t total, const char* unit) { begin(stage, total, unit); };
   observer.advance = [this](std::uint64_t units) {
-    if (cancelled_) throw GivenUp();
+    if (cancelled_) throw Cancelled();
     advance(units);
   };
   observer.finish = [this] { finish(); };

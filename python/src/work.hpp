@@ -1,4 +1,4 @@
-// work.hpp - how calls from Python run: errors as exceptions, no lock held, interrupts, progress, forked processes.
+// work.hpp - runs the work of calls from Python: errors as exceptions, the GIL released, interrupts, progress, forks.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -38,9 +38,9 @@ T take(Result<T>&& result, const std::string& file = {}) {
   throw Failure{{.code = code, .what = what}, file};
 }
 
-/// Gives Python's lock away for a scope, which must hold it. A thread that wants it back when the interpreter is at its end sleeps
-/// until the process ends: Python before 3.14 would unwind it, which std::terminate() answers in a destructor. pybind11's
-/// gil_scoped_release does not know that, nor does its gil_scoped_acquire.
+/// Releases the GIL for a scope that holds it. A thread that wants it back while the interpreter ends sleeps until the process
+/// ends: Python before 3.14 would unwind it, which in a destructor is std::terminate(). pybind11's gil_scoped_release and
+/// gil_scoped_acquire do not handle that.
 class Unlocked {
  public:
   Unlocked() : state_(PyEval_SaveThread()) {}
@@ -52,7 +52,7 @@ class Unlocked {
   PyThreadState* state_;
 };
 
-/// Takes Python's lock for a scope, on any thread.
+/// Acquires the GIL for a scope, on any thread.
 class Locked {
  public:
   Locked();
@@ -64,16 +64,15 @@ class Locked {
   PyGILState_STATE state_;
 };
 
-/// Before whatever may start threads, or wait for some. A process that was forked from one that had threads of the library has
-/// none of them: Failure (unavailable).
+/// Call before starting or waiting for threads. A fork of a process with library threads has lost them: Failure (unavailable).
 void begin_work();
-/// Whether this process is such a one. What would wait for threads there is left alone.
+/// Whether this process is such a fork, in which nothing may wait for threads.
 bool lost_threads();
 
-/// Thrown by an observer of Progress in the midst of work that was given up; the work catches it.
-struct GivenUp {};
+/// Thrown out of a progress observer when the work is cancelled; the work catches it.
+struct Cancelled {};
 
-/// Stages of some work, told to a Python function by the thread that waits for the work.
+/// Reports stages of work to a Python function, on the thread that waits for the work.
 class Progress {
  public:
   /// `callback` may be None.
@@ -82,12 +81,12 @@ class Progress {
   Progress(const Progress&) = delete;
   Progress& operator=(const Progress&) = delete;
 
-  /// For the work's threads; throws GivenUp after cancel().
+  /// For the work's threads; throws Cancelled after cancel().
   StageObserver observer();
   void begin(const char* stage, std::uint64_t total, const char* unit);
   void advance(std::uint64_t units) { done_.fetch_add(units, std::memory_order_relaxed); }
   void cancel() { cancelled_ = true; }
-  /// Calls the callback, with the lock of Python held: (stage, done, total, unit). total is 0 where nobody knows it.
+  /// Calls the callback with the GIL held: (stage, done, total, unit). total is 0 if unknown.
   void report();
 
  private:
@@ -108,12 +107,12 @@ class Progress {
   std::deque<Stage> finished_;
 };
 
-/// Keeps a thread that nobody waits for until the interpreter ends. `ended` is ready when all that the thread does is done.
+/// Keeps a detached thread until the interpreter ends. `ended` is ready when the thread has finished.
 void leave_behind(std::thread thread, std::future<void> ended);
 
-/// work(), which touches no Python object, on a thread of its own, while this one reports progress and looks for
-/// signals (KeyboardInterrupt). One is raised once `cancel` is called and the work has ended; without `cancel` at
-/// once, and the work, which must hold all that it uses, ends unheard.
+/// Runs work(), which touches no Python object, on a thread of its own, while this thread reports progress and handles signals
+/// (KeyboardInterrupt). An interrupt calls `cancel`, waits for the work and raises. Without `cancel` it raises at once; the
+/// abandoned work must own all that it uses.
 template <class Work>
 auto run(Work work, const std::shared_ptr<Progress>& progress, const std::function<void()>& cancel) {
   begin_work();
@@ -150,7 +149,7 @@ auto run(Work work, const std::shared_ptr<Progress>& progress, const std::functi
   return future.get();
 }
 
-/// run() without `cancel`; work that is left behind is asked to stop.
+/// run() without `cancel`; abandoned work is asked to stop.
 template <class Work>
 auto run_stoppable(Work work, const std::shared_ptr<Progress>& progress, std::stop_source stop) {
   try {
