@@ -14,13 +14,13 @@
 
 namespace rgs::bench {
 
-/// One row of a table: how frames are made, and from which of the two forms of the scene.
+/// One row of a table: options of frames and the form of the scene they read.
 struct Configuration {
   std::string name;
   RenderOptions options;
   bool compact = true;  ///< the file's attributes; false: FP32
   bool step = false;    ///< on the way between two modes
-  /// What frames that are timed write: packed pixels, or FP32 RGB.
+  /// Output of timed frames: packed pixels, or FP32 RGB.
   std::optional<math::PixelFormat> packed = std::nullopt;
 };
 /// "rgb32f", "rgba16f", "rgba8".
@@ -28,7 +28,7 @@ const char* pixel_format_name(const std::optional<math::PixelFormat>& packed);
 /// Of one pixel.
 std::uint64_t pixel_bytes(const std::optional<math::PixelFormat>& packed);
 
-/// What modes are made from: the file's declarations, and choices that replace parts of the paper's.
+/// Inputs of modes: the file's declarations, and choices that replace parts of the paper's.
 struct ModeInput {
   std::optional<Declarations> declared;
   std::optional<math::Exp> exp;

@@ -1,4 +1,4 @@
-// bench_report.hpp - what a run of rgs-bench found, and how it is written down: tables, JSON, CSV.
+// bench_report.hpp - the results of rgs-bench, as tables, JSON and CSV.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -18,7 +18,7 @@
 
 namespace rgs::bench {
 
-/// What the CUDA runtime tells about the device; 0 where it does not.
+/// Device facts from the CUDA runtime; 0 where it has none.
 struct DeviceInfo {
   std::string name;
   int capability_major = 0, capability_minor = 0, multiprocessors = 0;
@@ -27,8 +27,7 @@ struct DeviceInfo {
   int driver_version = 0, runtime_version = 0;  ///< of CUDA: 13000 is 13.0
 };
 
-/// What a frame takes a caller, who knows nothing of its stages: means over the cameras, in frames without the library's
-/// own events.
+/// A frame's time as a caller sees it: means over the cameras, in frames without the library's own events.
 struct OutsideTimes {
   /// One frame at a time: medians of the clock from before render() until the stream is done, and of the caller's events
   /// around render(). Both hold all that render() does before its first kernel and after its last one.
@@ -38,7 +37,7 @@ struct OutsideTimes {
   double queued_ms = 0;
 };
 
-/// What a frame of a scene with levels of detail was made of.
+/// Pages and Gaussians of a frame with levels of detail.
 struct DrawnLevels {
   std::string camera;
   std::uint64_t pages = 0, gaussians = 0;
@@ -82,7 +81,7 @@ struct OrbitReport {
   std::vector<OrbitRow> rows;  ///< the first is the baseline
 };
 
-/// What --views stress was made from.
+/// The facts behind --views stress.
 struct StressSource {
   double scene_size = 0;             ///< world units
   std::array<double, 3> dense = {};  ///< where its means are densest, in the world
@@ -133,9 +132,9 @@ std::string report_csv(const Report& report);
 std::string header_text(const Report& report);
 std::string size_text(const SizeReport& size, const Report& report);
 std::string row_text(const SizeReport& size, std::size_t row, const Report& report);
-/// What the size's frames take from outside the library, once all its rows are there.
+/// The size's frame times from outside the library, after its last row.
 std::string outside_text(const SizeReport& size, const Report& report);
-/// Pages and Gaussians that each camera draws, once all its rows are there; empty at detail 0 and without levels.
+/// Pages and Gaussians drawn by each camera, after the last row; empty at detail 0 and without levels.
 std::string drawn_text(const SizeReport& size, const Report& report);
 /// The head of the table of stress views, and a view's line.
 std::string stress_head_text(const Report& report);

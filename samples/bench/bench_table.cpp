@@ -153,9 +153,9 @@ std::string coarse_depth_text(const SizeReport& size, std::size_t row, const Rep
   const FrameStats& s = size.rows[row].timing.mean;
   if (s.depth_resolution < kCoarseDepthResolution) return {};
   return fmt::format(
-      "rgs-bench: {}{}{}x{}, {}: the key of {} bits tells depths apart that differ by {:.2g} of the depth, coarser "
+      "rgs-bench: {}{}{}x{}, {}: the depth key of {} bits resolves {:.2g} of the depth, coarser "
       "than "
-      "{:g}: Gaussians may change places (docs/format/RENDERING.md, \"Depth resolution\")\n",
+      "{:g}: Gaussians may be drawn out of order (docs/format/RENDERING.md, \"Depth resolution\")\n",
       size.view, size.view.empty() ? "" : " at ", size.width, size.height, report.modes[row].configuration.name,
       s.depth_bits, s.depth_resolution, kCoarseDepthResolution);
 }

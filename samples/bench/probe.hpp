@@ -1,4 +1,4 @@
-// probe.hpp - what the current device can do, measured: the roofs of a roofline.
+// probe.hpp - measures the current device: the roofs of a roofline.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -16,7 +16,7 @@ struct DeviceRates {
 };
 
 /// Takes about a quarter of a second and up to 2 GiB of device memory, which it frees; waits for the device. The best
-/// of several runs and sizes counts: what disturbs a run makes it slower, nothing makes it faster. Errors:
+/// of several runs and sizes counts, because disturbances only slow a run down. Errors:
 /// device_out_of_memory (not even 64 MiB twice), device_failed.
 Result<DeviceRates> measure_rates();
 

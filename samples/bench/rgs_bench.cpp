@@ -1,4 +1,4 @@
-// rgs_bench.cpp - rgs-bench: what each step of the method is worth on this GPU, in time and in quality.
+// rgs_bench.cpp - rgs-bench: the time and quality of each step of the method on this GPU.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/chrono.h>
 #include <fmt/format.h>
@@ -53,20 +53,20 @@ struct Options {
   bool is_stress() const { return views == "stress"; }
 };
 
-// An output is opened before anything is measured, so that a name that cannot be written costs no minutes.
+// Outputs are opened before anything is measured, so that a bad name costs no minutes.
 struct Output {
   std::string path;
   rgs::AtomicFile file;
   std::string (*text)(const Report&);
 };
 
-// A failure that has been reported already: the exit code.
+// The exit code of a failure already reported.
 using Step = tl::expected<void, int>;
 tl::unexpected<int> failed(const std::string& file, const rgs::Error& error) {
   return tl::unexpected<int>(tool::report(file, error));
 }
 
-// An .rgs file or a PLY, by its content: the readers of other formats would bring libraries to machines with a GPU.
+// An .rgs file or a PLY, by content: other readers would need more libraries on machines with a GPU.
 Result<rgs::Scene> load_source(const std::string& path, const rgs::DecodeLimits& limits) {
   auto scene = rgs::Scene::load(path, limits);
   if (scene || scene.error().code != rgs::Errc::bad_magic) return scene;
@@ -83,7 +83,7 @@ Result<rgs::Scene> load_source(const std::string& path, const rgs::DecodeLimits&
   return scene;
 }
 
-// `has_levels`: whether there is another way to draw the scene than by its leaves.
+// `has_levels`: whether the scene can be drawn by more than its leaves.
 std::vector<Configuration> configurations(const Options& o, const std::optional<rgs::Declarations>& declared,
                                           bool has_levels) {
   rgs::bench::ModeInput input{declared, {}, {}};
@@ -108,7 +108,7 @@ std::vector<Configuration> configurations(const Options& o, const std::optional<
   return rows;
 }
 
-// The scene on the device, in the forms that are drawn, and what stress views are made from.
+// The scene on the device in the forms to draw, and the facts behind stress views.
 struct LoadedScenes {
   rgs::bench::DeviceScenes device;
   rgs::bench::StressScene stress;
@@ -127,7 +127,7 @@ Result<rgs::DeviceScene> upload_levels(std::span<const std::byte> bytes, const O
   return rgs::DeviceScene::upload(*file);
 }
 
-// With what the report says about them, and the modes that draw them.
+// Fills in the report and the modes that draw them.
 tl::expected<LoadedScenes, int> load_scenes(const Options& o, Report& report) {
   LoadedScenes result;
   rgs::bench::DeviceScenes& scenes = result.device;
@@ -182,7 +182,7 @@ tl::expected<Views, int> load_views(const Options& o) {
     auto photo = rgs::bench::read_ppm(path);
     if (photo && (photo->width != camera.width || photo->height != camera.height)) {
       photo =
-          rgs::make_error(rgs::Errc::size_mismatch, rgs::Error::kNone, "the photograph is not of its camera's size");
+          rgs::make_error(rgs::Errc::size_mismatch, rgs::Error::kNone, "the photograph and its camera differ in size");
     }
     if (!photo) return failed(path, photo.error());
     views.photos.push_back(std::move(*photo));
@@ -323,7 +323,7 @@ tl::expected<std::vector<tool::ImageSize>, int> parse_sizes(const Options& o) {
   return sizes;
 }
 
-// Found before the device is asked for anything. A file that cannot be read is reported when it is its turn.
+// Checked before the device is used. An unreadable file is reported when it is read.
 bool asks_baseline_of_levels(const Options& o) {
   if (o.detail_px == 0 || !o.asks_baseline) return false;
   const auto file = rgs::MappedFile::open(o.scene);
@@ -361,7 +361,7 @@ int bench(const Options& o) {
   if (!views) return views.error();
   report.n_quality_cameras = views->cameras.size();
   const auto scenes = load_scenes(o, report);
-  // All is on the device now. That a file changed explains whatever was found wrong in it.
+  // Everything is on the device now. A changed file explains any error found in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scenes) return scenes.error();
   const bool floors = o.roofline || !o.svg.empty();
@@ -405,39 +405,38 @@ int main(int argc, char** argv) {
     app.add_option("SCENE", o.scene, ".rgs file")->required();
     tool::add_max_expansion(app, o.limits);
     app.add_option("--source", o.source,
-                   "3DGS .ply (or .rgs) that the file was made of, for the baseline [the file itself]");
+                   "3DGS .ply (or .rgs) the file was made from, for the baseline [the file itself]");
     app.add_option("--cameras,-c", o.cameras, "cameras to time (docs/user/CAMERAS.md); --views stress does without");
-    app.add_option(
-           "--views", o.views,
-           "cameras: as they are; stress: a fixed list made of them, from afar, of odd shapes and more, in which "
-           "turbo must not be slower than paper (docs/user/BENCH_JSON.md)")
+    app.add_option("--views", o.views,
+                   "cameras: as they are; stress: a fixed list derived from them (far away, odd shapes, ...), in which "
+                   "turbo must not be slower than paper (docs/user/BENCH_JSON.md)")
         ->check(CLI::IsMember({"cameras", "stress"}))
         ->capture_default_str();
-    app.add_option("--quality-cameras", o.quality_cameras, "cameras whose test split is compared with the baseline");
+    app.add_option("--quality-cameras", o.quality_cameras, "compare the test split of these cameras with the baseline");
     app.add_option("--photos", o.photos, "folder of photographs NAME.ppm of these cameras, binary PPM of their size");
     app.add_option("--size", o.sizes, "WxH,...")->delimiter(',')->capture_default_str();
     app.add_option("--mode", o.modes,
-                   "compared with the baseline, which is always measured (with paper above detail 0); with --views "
+                   "modes to compare with the baseline, which is always measured (paper above detail 0); with --views "
                    "stress beside paper and turbo")
         ->delimiter(',')
         ->check(CLI::IsMember(rgs::bench::mode_names()))
         ->capture_default_str();
-    app.add_option("--pixel-format", o.pixel_format, "of the frames that are timed: FP32 RGB or packed RGBA")
+    app.add_option("--pixel-format", o.pixel_format, "pixels of timed frames: FP32 RGB or packed RGBA")
         ->check(CLI::IsMember({"rgb32f", "rgba16f", "rgba8"}))
         ->capture_default_str();
-    app.add_option(
-           "--detail", o.detail_px,
-           "of a scene with levels of detail, the error that is drawn, px; 0: its leaves, which alone baseline and "
-           "--ablate draw (docs/develop/LEVELS.md)")
+    app.add_option("--detail", o.detail_px,
+                   "levels of detail: projected error allowed, px; 0 draws the leaves, the only choice of baseline and "
+                   "--ablate draw (docs/develop/LEVELS.md)")
         ->check(CLI::NonNegativeNumber)
         ->capture_default_str();
     app.add_flag("--ablate", o.ablate, "all steps between baseline and paper");
-    app.add_option("--frames", o.frames, "measured per camera; with --views stress at most, and 2 s a view and mode")
+    app.add_option("--frames", o.frames,
+                   "frames per camera; with --views stress at most so many, and 2 s a view and mode")
         ->check(CLI::Range(1, 100000))
         ->capture_default_str();
-    app.add_option("--exp", o.exp, "of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
+    app.add_option("--exp", o.exp, "exponential of paper mode")->check(CLI::IsMember({"paper", "zero-mean", "exact"}));
     app.add_option("--key", o.key, "depth mapping of paper mode [the file's]")->check(CLI::IsMember({"linear", "log"}));
-    app.add_option("--orbit", o.orbit, "also that many frames around what the first camera sees: is any mode popping?")
+    app.add_option("--orbit", o.orbit, "also orbit what the first camera sees in so many frames, to find popping")
         ->check(CLI::Range(3, 100000));
     app.add_option("--orbit-step", o.orbit_step, "degrees from frame to frame")
         ->check(CLI::Range(-90.0, 90.0))
@@ -446,18 +445,17 @@ int main(int argc, char** argv) {
     app.add_option("--json", o.json, "write all of it as JSON (docs/user/BENCH_JSON.md); - is standard output");
     app.add_option("--csv", o.csv, "write a line for each size and mode");
     app.add_option("--svg", o.svg, "write the roofline as a picture; implies --roofline");
-    app.add_flag("--overwrite", o.overwrite, "replace outputs that exist");
+    app.add_flag("--overwrite", o.overwrite, "replace existing outputs");
     app.footer(
         "Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input, 5 turbo is slower than "
         "paper in a stress view.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;
     const bool is_stress = o.is_stress();
-    if (!is_stress && o.cameras.empty())
-      return tool::report_usage("--cameras is missing: only --views stress does without");
+    if (!is_stress && o.cameras.empty()) return tool::report_usage("--cameras is required except with --views stress");
     for (const char* option :
          {"--size", "--ablate", "--orbit", "--quality-cameras", "--photos", "--roofline", "--svg"}) {
       if (is_stress && app.get_option(option)->count() > 0)
-        return tool::report_usage(fmt::format("--views stress has no {}: its list is fixed", option));
+        return tool::report_usage(fmt::format("--views stress takes no {}: its list is fixed", option));
     }
     const bool asks_modes = app.get_option("--mode")->count() > 0;
     o.asks_baseline =

@@ -55,21 +55,21 @@ struct Options {
   rgs::RenderOptions render;
 };
 
-// What of a picture counts as having arrived, dB against the complete one.
+// When a picture counts as arrived, dB against the complete one.
 constexpr double kGoodDb = 35, kVeryGoodDb = 40;
 
 double ms_since(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-// By an address without user, password, query and fragment.
+// An address without user, password, query and fragment.
 std::string shown_name(const std::string& scene) {
   if (!rgs::is_url(scene)) return std::filesystem::path(scene).filename().string();
   const std::string path = scene.substr(0, scene.find_first_of("?#"));
   return path.substr(path.rfind('/') + 1);
 }
 
-// Takes the file out of the page cache, as far as the system follows the advice.
+// Drops the file from the page cache, if the system follows the advice.
 rgs::Status forget(const std::string& path) {
   const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
   if (fd < 0) return rgs::make_error(rgs::Errc::open_failed, rgs::Error::kNone, "cannot be opened");
@@ -78,7 +78,7 @@ rgs::Status forget(const std::string& path) {
   return {};
 }
 
-// Of the device, by all programs; absent without one.
+// Device memory used by all programs; absent without a device.
 std::optional<std::uint64_t> driver_bytes() {
 #ifdef RGS_BENCH_CUDA
   std::size_t free = 0, total = 0;
@@ -88,7 +88,7 @@ std::optional<std::uint64_t> driver_bytes() {
   return std::nullopt;
 }
 
-// The value below which `share` of them are; of none 0.
+// The quantile `share`; 0 for none.
 double quantile(std::vector<double> values, double share) {
   if (values.empty()) return 0;
   std::ranges::sort(values);
@@ -96,8 +96,8 @@ double quantile(std::vector<double> values, double share) {
   return values[at];
 }
 
-// A picture whose memory is there before it is drawn, page-locked where a device draws: a copy then takes as long as the bus, and not
-// many frames for the system to find memory.
+// A picture allocated before it is drawn, page-locked where a device draws: a copy then takes as long as the bus, and no page
+// faults.
 class Picture {
  public:
   explicit Picture(const rgs::Camera& camera) : image_(rgs::Image::make(camera.width, camera.height, 3)) {
@@ -127,7 +127,7 @@ class Picture {
 #endif
 };
 
-// Pictures are made before they are needed, and used again.
+// Pictures are allocated ahead and reused.
 class Pictures {
  public:
   void stock(std::size_t n, const rgs::Camera& camera) {
@@ -145,7 +145,7 @@ class Pictures {
   std::vector<Picture> free_;
 };
 
-// Of an arrival, at most.
+// Kept of one arrival, at most.
 constexpr std::size_t kKeptPictures = 48;
 
 // Binary PPM, which needs no library.
@@ -162,13 +162,13 @@ rgs::Status write_ppm(const std::string& path, const rgs::Image& image, bool ove
   return committed ? rgs::Status() : tl::unexpected(committed.error());
 }
 
-// What is measured with.
+// The measurement's set-up.
 struct Bench {
   const Options& options;
   rgs::Renderer renderer;
   std::vector<rgs::Camera> cameras;
   Pictures pictures = {};
-  std::optional<Picture> shown = {};  ///< of frames that nobody compares: they write their pixels as others do
+  std::optional<Picture> shown = {};  ///< target of frames that are not compared
 
   Result<rgs::StreamedScene> open(const rgs::StreamPool& pool) const {
     return rgs::StreamedScene::open(options.scene, {.pool = pool});
@@ -178,7 +178,7 @@ struct Bench {
         {.host_memory = options.host_memory, .device_memory = options.device_memory.value_or(0)});
   }
   rgs::Status forget_file() const { return options.is_cold ? forget(options.scene) : rgs::Status(); }
-  /// A frame of what is there.
+  /// A frame of the resident pages.
   Result<rgs::FrameStats> draw(const rgs::StreamedScene& scene, const rgs::Camera& camera, Picture* picture) {
     rgs::RenderTarget target;
     target.rgb = (picture != nullptr ? *picture : *shown).image().pixels;
@@ -186,7 +186,7 @@ struct Bench {
   }
 };
 
-// The complete picture of a view; absent if it does not become complete in time.
+// The complete picture of a view; absent if it is not complete in time.
 Result<std::optional<Picture>> complete_picture(Bench& bench, const rgs::StreamedScene& scene,
                                                 const rgs::Camera& camera) {
   const auto refined = bench.renderer.refine(scene, camera, bench.options.wait, bench.options.render);
@@ -204,7 +204,7 @@ Result<double> psnr(const rgs::Image& a, const rgs::Image& b) {
   return far->psnr;
 }
 
-// JSON has no infinity: null are equal pictures.
+// JSON has no infinity: null means equal pictures.
 Json db_json(double db) {
   return std::isfinite(db) ? Json(db) : Json(nullptr);
 }
@@ -212,7 +212,7 @@ Json optional_json(const std::optional<double>& value) {
   return value ? Json(*value) : Json(nullptr);
 }
 
-// What the threads and frames of streamed scenes have done, all together; empty in builds without RGS_STREAM_TIMES.
+// Time of threads and frames of streamed scenes, summed; empty in builds without RGS_STREAM_TIMES.
 struct Steps {
 #ifdef RGS_STREAM_TIMES
   std::array<std::uint64_t, rgs::detail::kStreamSteps> ns{}, n{};
@@ -243,7 +243,7 @@ struct Steps {
 #endif
 };
 
-// From asking for a view until it is good, very good, complete; ms.
+// From asking for a view until 35 dB, 40 dB and complete; ms.
 struct Arrival {
   /// After a frame.
   struct Progress {
@@ -276,8 +276,8 @@ struct Arrival {
   }
 };
 
-// Draws until nothing is missing, and keeps some of the pictures, ever fewer of them, to compare them with the last one. Bench::pictures
-// has been stocked. `before`: of the scene at `start`.
+// Draws until nothing is missing and keeps some pictures, fewer and fewer, to compare with the last one. Needs a stock in
+// Bench::pictures. `before`: the scene's counts at `start`.
 Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs::Camera& camera,
                        Clock::time_point start, const rgs::StreamStats& before) {
   struct Kept {
@@ -326,7 +326,7 @@ Result<Arrival> arrive(Bench& bench, const rgs::StreamedScene& scene, const rgs:
   return arrival;
 }
 
-// Views far apart on the way, of n one after the other: none twice until all have been.
+// Views far apart on the path, n of them, each once before any repeats.
 std::size_t jump(int k, std::size_t n) {
   constexpr double kGolden = 0.6180339887498949;
   std::vector<bool> was(n);
@@ -343,7 +343,7 @@ std::size_t jump(int k, std::size_t n) {
 struct Frame {
   double render_ms, wall_ms, due_ms, begin_ms;
   rgs::FrameStats stats;
-  bool is_late;  ///< the next one was due before it began: nothing new was shown for a frame's time
+  bool is_late;  ///< the next one was due before it began: nothing new was shown for one frame
 };
 
 Json frame_json(const Frame& f) {
@@ -365,7 +365,7 @@ Json frame_json(const Frame& f) {
 
 using Print = void (*)(std::string_view);
 
-// The flight in its own time, and some of its pictures beside complete ones.
+// The flight in real time, with some pictures compared with complete ones.
 Result<Json> fly(Bench& bench, const rgs::StreamedScene& scene, Print print) {
   const Options& o = bench.options;
   std::vector<Frame> frames;
@@ -482,7 +482,7 @@ void print_arrival(const std::string& what, const Arrival& a, Print print) {
                     tool::format_bytes(a.bytes_decoded), steps));
 }
 
-// Jumps in a scene that has seen the first view alone.
+// Jumps in a scene that has shown only the first view.
 Result<Json> teleport(Bench& bench, Print print) {
   const auto pool = bench.pool();
   if (!pool) return tl::unexpected(pool.error());
@@ -507,11 +507,11 @@ Result<Json> teleport(Bench& bench, Print print) {
 int bench_flight(const Options& o) {
   const auto size = tool::parse_size(o.size);
   if (!size) return tool::report_usage("--size takes WxH, not '" + o.size + "'");
-  if (o.is_cold && rgs::is_url(o.scene)) return tool::report_usage("--cold is of files: a web server's are its own");
+  if (o.is_cold && rgs::is_url(o.scene)) return tool::report_usage("--cold needs a local file");
   if (o.device_memory == std::uint64_t{0} || o.host_memory == 0)
-    return tool::report_usage("a memory budget of 0 bytes holds no scene");
+    return tool::report_usage("a memory budget must be more than 0 bytes");
   if (!o.pictures.empty() && o.compare == 0)
-    return tool::report_usage("--pictures writes the frames that --compare compares");
+    return tool::report_usage("--pictures needs --compare: it writes the compared frames");
   tool::InputFiles inputs;
   if (!rgs::is_url(o.scene)) inputs.add_scene(o.scene);
   inputs.add_cameras(o.path);
@@ -603,30 +603,30 @@ int main(int argc, char** argv) {
                  "rgs-bench-flight"};
     app.set_version_flag("--version", "rgs-bench-flight " RGS_VERSION);
     app.add_option("FILE", o.scene, ".rgs file with levels of detail, or its http(s) address")->required();
-    app.add_option("--path", o.path, "cameras along which it flies (docs/user/CAMERAS.md)")->required();
+    app.add_option("--path", o.path, "cameras to fly along (docs/user/CAMERAS.md)")->required();
     app.add_option("--frames", o.frames, "frames of the flight")
         ->check(CLI::Range(1, 1'000'000))
         ->capture_default_str();
     app.add_option("--size", o.size, "WxH of the pictures")->capture_default_str();
     app.add_option("--fps", o.fps, "frames a second")->check(CLI::Range(0.001, 1e4))->capture_default_str();
-    app.add_option("--detail", o.render.detail_px, "error that is asked for, px [1]")->check(CLI::NonNegativeNumber);
-    app.add_option("--host-memory", o.host_memory, "budget of the host [2GiB]")
+    app.add_option("--detail", o.render.detail_px, "projected error allowed, px [1]")->check(CLI::NonNegativeNumber);
+    app.add_option("--host-memory", o.host_memory, "host memory budget [2GiB]")
         ->transform(CLI::AsSizeValue(false))
         ->option_text("BYTES");
-    app.add_option("--device-memory", o.device_memory, "draw on the GPU, pages in so much of its memory [on the CPU]")
+    app.add_option("--device-memory", o.device_memory, "draw on the GPU with this budget for pages [draw on the CPU]")
         ->transform(CLI::AsSizeValue(false))
         ->option_text("BYTES");
     app.add_option("--compare", o.compare, "also compare every Nth frame with the complete picture")
         ->check(CLI::Range(1, 1'000'000));
-    app.add_option("--pictures", o.pictures, "folder for these frames as they were drawn: frame_NNNN.ppm");
-    app.add_option("--teleport", o.teleport, "also jump to N views of the path, from a scene opened anew")
+    app.add_option("--pictures", o.pictures, "folder for the compared frames: frame_NNNN.ppm");
+    app.add_option("--teleport", o.teleport, "also jump to N views of the path in a newly opened scene")
         ->check(CLI::Range(1, 1'000'000));
-    app.add_option("--wait", o.wait, "seconds that a view may take to be complete")
+    app.add_option("--wait", o.wait, "seconds to wait for a complete view")
         ->check(CLI::Range(0.0, 1e6))
         ->capture_default_str();
-    app.add_flag("--cold", o.is_cold, "take the file out of the page cache before it is opened and before each jump");
+    app.add_flag("--cold", o.is_cold, "drop the file from the page cache before opening and before each jump");
     app.add_option("--json", o.json, "write all of it as JSON (docs/user/BENCH_JSON.md); - is standard output");
-    app.add_flag("--overwrite", o.overwrite, "replace an output that exists");
+    app.add_flag("--overwrite", o.overwrite, "replace an existing output");
     app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;
     o.render.measure.stage_timings = false;  // events between the kernels cost time themselves

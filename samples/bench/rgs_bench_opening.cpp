@@ -45,10 +45,10 @@ struct Options {
 
 /// Steps of one opening, one after the other, ms.
 struct Steps {
-  double open = 0;    ///< the file mapped, its head read and checked
+  double open = 0;    ///< file mapped, header read and checked
   double setup = 0;   ///< memory, streams
   double host = 0;    ///< read, decompressed, on its way to the device
-  double device = 0;  ///< copied, decoded and checked, as far as that was left
+  double device = 0;  ///< the rest of copying, decoding and checking
   double frame = 0;   ///< drawn and in host memory
   double total = 0;
 };
@@ -80,7 +80,7 @@ class Picture {
   std::vector<float> host_;
 };
 
-// What is measured with.
+// The measurement's set-up.
 struct Bench {
   const Options& options;
   tool::ImageSize size;
@@ -93,7 +93,7 @@ double ms_since(Clock::time_point start) {
   return std::chrono::duration<double, std::milli>(Clock::now() - start).count();
 }
 
-// Takes the file out of the page cache, as far as the system follows the advice.
+// Drops the file from the page cache, if the system follows the advice.
 rgs::Status forget(const std::string& path) {
   const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC);
   if (fd < 0) return rgs::make_error(rgs::Errc::open_failed, rgs::Error::kNone, "cannot be opened");
@@ -102,7 +102,7 @@ rgs::Status forget(const std::string& path) {
   return {};
 }
 
-// A file's head, with or without levels of detail.
+// A file's header, with or without levels of detail.
 struct Head {
   std::optional<rgs::PagedFile> levels;
   rgs::FileView view;  // without levels
@@ -288,18 +288,18 @@ int main(int argc, char** argv) {
     app.add_option("FILE", o.files, ".rgs files")->required();
     tool::add_max_expansion(app, o.limits);
     app.add_option("--cameras,-c", o.cameras,
-                   "the first of these draws (docs/user/CAMERAS.md) [a view of the whole scene]");
+                   "draw the first of these cameras (docs/user/CAMERAS.md) [a view of the whole scene]");
     app.add_option("--size", o.size, "WxH of the picture")->capture_default_str();
-    app.add_option("--runs", o.runs, "openings that are measured, after one that is not")
+    app.add_option("--runs", o.runs, "measured openings, after one warm-up")
         ->check(CLI::Range(1, 10000))
         ->capture_default_str();
-    app.add_option("--decode", o.decode, "where packed files are decoded: device, or host and copied then")
+    app.add_option("--decode", o.decode, "where packed files are decoded: device, or host and then copied")
         ->delimiter(',')
         ->check(CLI::IsMember({"device", "host"}))
         ->capture_default_str();
-    app.add_flag("--cold", o.is_cold, "take the file out of the page cache before each run");
+    app.add_flag("--cold", o.is_cold, "drop the file from the page cache before each run");
     app.add_option("--json", o.json, "write all of it as JSON (docs/user/BENCH_JSON.md); - is standard output");
-    app.add_flag("--overwrite", o.overwrite, "replace an output that exists");
+    app.add_flag("--overwrite", o.overwrite, "replace an existing output");
     app.footer("Exit codes: 0 done, 1 internal, 2 usage, 3 input/output or device, 4 malformed input.");
     if (const auto code = tool::parse(app, argc, argv)) return *code;
     return bench_opening(o);

@@ -12,7 +12,7 @@
 
 namespace rgs::bench {
 
-/// What the views are made from, in the world.
+/// The facts behind the views, in the world frame.
 struct StressScene {
   SceneBounds bulk;           ///< of nearly all means: its diagonal is the scene's size
   SceneBounds all;            ///< of all means

@@ -40,10 +40,10 @@ struct Options {
   bool town = false, overwrite = false, quiet = false, no_sync = false;
 };
 
-// A text beside the scene. Its file is there before the work begins, so that what is in its way shows then.
+// A text file beside the scene, created before the work begins so that an obstacle shows at once.
 class TextFile {
  public:
-  // The exit code, reported; an empty path is no file.
+  // Reports errors and returns the exit code; an empty path writes nothing.
   int create(const std::string& path, const rgs::AtomicFile::Options& options) {
     path_ = path;
     if (path.empty()) return tool::kSuccess;
@@ -93,7 +93,7 @@ rgs::Status write_batches(const Source& source, std::uint64_t first, std::uint64
   return status;
 }
 
-// The same for a town: ranges in parallel, and the batches of a range too, as there may be few of either.
+// The same for a town: ranges in parallel and the batches of a range in parallel, because either may be few.
 rgs::Status write_town(const rgs::TownGenerator& town, rgs::PlyWriter& writer, tool::Progress& progress) {
   rgs::Status status;
   std::mutex mutex;
@@ -104,7 +104,7 @@ rgs::Status write_town(const rgs::TownGenerator& town, rgs::PlyWriter& writer, t
         for (std::uint64_t k = ranges.begin(); k != ranges.end() && !context.is_group_execution_cancelled(); ++k) {
           const rgs::TownRange range = town.range(k);
           rgs::Status written;
-          // Isolated: a thread that waits for a range's batches does not begin another range meanwhile.
+          // Isolated: a thread that waits for a range's batches begins no other range.
           tbb::this_task_arena::isolate(
               [&] { written = write_batches(range, town.first(k), range.size(), writer, progress); });
           if (!written) {
@@ -118,7 +118,7 @@ rgs::Status write_town(const rgs::TownGenerator& town, rgs::PlyWriter& writer, t
   return status;
 }
 
-// The Gaussians of `source`, from place `before` in the stream on, block by block.
+// The Gaussians of `source` from stream position `before` on, block by block.
 template <class Source>
 rgs::Status visit_blocks(const Source& source, std::uint64_t before, std::uint64_t count,
                          const rgs::lod::SplatStream::Visit& visit) {
@@ -151,7 +151,7 @@ rgs::lod::SplatStream stream_of(const Options& options, std::uint64_t n) {
           }};
 }
 
-// The scene as an .rgs with levels, which is never there as a whole: it is made anew for each pass of the builder.
+// The scene as an .rgs with levels. It is never in memory as a whole: each pass of the builder makes it anew.
 int write_levels(const Options& options, std::uint64_t n, const rgs::AtomicFile::Options& file_options) {
   rgs::ConvertOptions convert;
   convert.encode.profile = rgs::Profile::packed;
@@ -201,8 +201,8 @@ int make_scene(const Options& options, std::uint64_t n) {
   if (!levels && (!options.scratch.empty() || options.memory_bytes != rgs::lod::kDefaultMemory))
     return tool::report_usage("--memory and --scratch are for .rgs outputs");
   const rgs::AtomicFile::Options file_options{options.overwrite, !options.no_sync};
-  const bool piped =
-      options.output == "-" || options.cameras == "-" || options.camera_path == "-";  // then text goes elsewhere
+  const bool piped = options.output == "-" || options.cameras == "-" ||
+                     options.camera_path == "-";  // then text goes to standard error
   const std::array<std::string, 4> outputs{options.output, options.cameras, options.camera_path,
                                            piped || options.quiet ? "" : "-"};
   if (const int code = tool::InputFiles().check_outputs(outputs); code != tool::kSuccess) return code;
@@ -216,7 +216,7 @@ int make_scene(const Options& options, std::uint64_t n) {
   if (const int code = cameras.create(options.cameras, file_options); code != tool::kSuccess) return code;
   if (const int code = camera_path.create(options.camera_path, file_options); code != tool::kSuccess) return code;
   if (levels) {
-    // Cameras first, as below, but not before it is clear that the scene can have its name.
+    // Cameras first, as below, once the scene's output is open.
     if (const auto probe = rgs::AtomicFile::create(options.output, file_options); !probe)
       return tool::report(options.output, probe.error());
     if (const int code = write_views(options, cameras, camera_path); code != tool::kSuccess) return code;
@@ -230,7 +230,7 @@ int make_scene(const Options& options, std::uint64_t n) {
       options.town ? write_town(rgs::TownGenerator(options.seed, n, options.degree, options.blocks), *writer, progress)
                    : write_batches(rgs::SceneGenerator(options.seed, n, options.degree), 0, n, *writer, progress);
   if (!rows) return tool::report(options.output, rows.error());
-  // Cameras first: a failure there leaves no scene without the cameras that were asked for.
+  // Cameras first: a failure there leaves no scene without its cameras.
   if (const int code = write_views(options, cameras, camera_path); code != tool::kSuccess) return code;
   if (rgs::Result<double> synced = writer->commit(); !synced) return tool::report(options.output, synced.error());
   progress.finish();
@@ -256,7 +256,7 @@ int parse_and_make_scene(int argc, char** argv) {
       ->required();
   app.add_option("--seed", options.seed, "another seed, another scene")->capture_default_str();
   app.add_option("--gaussians", options.gaussians,
-                 "number of Gaussians, 0 to 200M, of a town to 1G; suffixes k, M and G")
+                 "number of Gaussians, up to 200M, a town up to 1G; suffixes k, M and G")
       ->capture_default_str();
   auto* const town = app.add_flag("--town", options.town,
                                   "a town of streets, houses, gardens and trees under a wide sky, in metres; more "
@@ -271,18 +271,17 @@ int parse_and_make_scene(int argc, char** argv) {
       ->check(CLI::Range(0, rgs::kMaxShDegree))
       ->capture_default_str();
   app.add_option("--cameras", options.cameras, "also write eight views of the scene to this JSON file");
-  app.add_option(
-         "--camera-path", options.camera_path,
-         "also write the 600 cameras of a way through the town to this JSON file: along a street, then over the "
-         "roofs, 30 m/s at 60 frames a second")
+  app.add_option("--camera-path", options.camera_path,
+                 "also write 600 cameras of a flight through the town to this JSON file: along a street, then over the "
+                 "roofs, 30 m/s at 60 frames a second")
       ->needs(town);
   app.add_option("--origin", options.origin,
-                 "where the scene's middle lies in the world, x,y,z; then coordinates are double, as those of "
+                 "world position x,y,z of the scene's middle; then coordinates are double, as those of "
                  "georeferenced scenes")
       ->delimiter(',')
       ->check(CLI::Range(-rgs::kMaxOrigin, rgs::kMaxOrigin))
       ->option_text("X,Y,Z");
-  app.add_option("--memory", options.memory_bytes, "memory that an .rgs may take, 128MiB and more [2GiB]")
+  app.add_option("--memory", options.memory_bytes, "memory for building an .rgs, at least 128MiB [2GiB]")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES");
   app.add_option("--scratch", options.scratch, "folder for temporary files of an .rgs [the output's]");

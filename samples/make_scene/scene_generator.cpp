@@ -75,7 +75,7 @@ double part_area(const Part& part) {
     case Shape::half_ring: return 2 * kPi * kPi * a.x * a.y;
     case Shape::disc: return kPi * (a.y * a.y - a.x * a.x);
     case Shape::line: return glm::length(a) * 0.1;
-    // The background gets the share that trained outdoor scenes give it, whatever its true area.
+    // The background gets its share in trained outdoor scenes, whatever its true area.
     case Shape::far_disc: return 30;
     case Shape::ridge: return 10;
     case Shape::dome: return 16;
@@ -105,7 +105,7 @@ Point sample(const Part& part, double u, double v, const Dice& dice) {
       return {o + d * a, n, any_tangent(n), spacing, u * 2 * kPi * a.x, v * 2 * a.y};
     }
     case Shape::cone: {
-      // Even by area: the radius runs linearly with the height, so the height is the root of a quadratic.
+      // Uniform in area: the radius is linear in the height, so the height is the root of a quadratic.
       const double r0 = a.x, r1 = a.y, radius = std::sqrt(r0 * r0 + v * (r1 * r1 - r0 * r0));
       const double t = std::abs(r1 - r0) < 1e-9 ? v : (radius - r0) / (r1 - r0);
       const Vec out = turn(2 * kPi * u), n = glm::normalize(out * a.z + kUp * (r0 - r1));
@@ -166,7 +166,7 @@ struct Ball {
   double radius;
 };
 
-// A ball as the sun sees it: right and up in a plane that faces the sun, depth towards the sun.
+// A ball seen from the sun: right and up in a plane that faces the sun, depth towards the sun.
 struct Shade {
   double right, up, depth, radius;
 };
@@ -544,7 +544,7 @@ Splat SceneGenerator::Layout::splat(std::uint64_t i, int sh_degree) const {
     shine = Vec{1.0, 0.95, 0.85} * (3.2 * surface.gloss * sun);
   }
 
-  // Tail: one in sixteen is large, soft and faint, as densification leaves them behind.
+  // Tail: one in sixteen is large, soft and faint, as after densification.
   const double rare = dice.uniform(Use::rare);
   const bool large = rare<0.06, outlier = rare> 0.998 && material != Material::sky;
   const double size = std::log(q.spacing) + 0.22 * dice.normal(Use::size) + (large ? 0.25 + 1.1 * rare / 0.06 : 0) -

@@ -1,4 +1,4 @@
-// scene_math.hpp - what the synthetic scenes share: random numbers without a state, noise, rotations, harmonics.
+// scene_math.hpp - shared by the synthetic scenes: stateless random numbers, noise, rotations, harmonics.
 // SPDX-License-Identifier: Apache-2.0
 //
 // A random choice is a hash of (seed, index, purpose), so that every Gaussian can be made without the others.
@@ -37,7 +37,7 @@ constexpr double unit(std::uint64_t bits) {  // [0, 1)
   return static_cast<double>(bits >> 11) * 0x1p-53;
 }
 
-// What a random number is for; each purpose has its own stream.
+// The purpose of a random number; each has its own stream.
 enum class Use : std::uint64_t { spin, spin_sign, size, thin, flat, opacity, tone, hue, place, tilt, lean, rare, sh };
 
 // Random numbers of one Gaussian.
@@ -113,7 +113,7 @@ struct HalfSpace {  // dot(n, p) <= d
   double d;
 };
 
-// How far the ray from p to the sun runs through a convex body; negative if it misses it. What it leaves at once is its own
+// Length of the ray from p to the sun inside a convex body; negative if it misses. A ray that leaves at once starts on the body's own
 // surface.
 inline double way_through(std::span<const HalfSpace> body, const Vec& p) {
   double enter = 0.02, leave = 1e9;
@@ -182,7 +182,7 @@ inline std::array<double, 16> harmonics(const Vec& d) {
           -0.5900435899266435 * x * (xx - 3 * yy)};
 }
 
-// What a Gaussian's colour is made of.
+// The ingredients of a Gaussian's colour.
 struct Shine {
   Vec colour;          // as lit, without reflections
   Vec n;               // unit normal

@@ -35,13 +35,13 @@ struct Look {
   double gloss = 0;  // share of mirror reflection
 };
 
-// A caster as the sun sees it: right and up in a plane that faces the sun, depth towards the sun.
+// A caster seen from the sun: right and up in a plane that faces the sun, depth towards the sun.
 struct Shade {
   double right, up, depth, radius;
   std::span<const HalfSpace> sides;
 };
 
-// 1 where cells of `spacing` show a pattern of period `period`, 0 where they cannot.
+// 1 where cells of `spacing` resolve a pattern of period `period`, 0 where they do not.
 double shown(double period, double spacing) {
   return smooth(2 - 4 * spacing / period);
 }
@@ -53,7 +53,7 @@ double fraction(double x) {
 constexpr double kGlassGloss = 0.28;
 
 Look glass_look(const Part& part, const Spot& q, double spacing) {
-  // A window is dark, has curtains, or shows a lit room; frame and bars take their share where they do not show.
+  // A window is dark, has curtains, or shows a lit room; frame and bars darken it where they are too fine to resolve.
   const double mood = unit(part.salt), wide = glm::length(part.corner[1] - part.corner[0]),
                high = glm::length(part.corner[3] - part.corner[0]);
   Vec pane = part.colour;
@@ -156,7 +156,7 @@ Look look(const Part& part, const Spot& q, const Dice& dice) {
   return {};
 }
 
-bool has_own_light(Stuff stuff) {  // its colour is what is seen
+bool has_own_light(Stuff stuff) {  // the sky's colour is final
   return stuff == Stuff::sky || stuff == Stuff::hill || stuff == Stuff::floater;
 }
 
@@ -225,7 +225,7 @@ Splat TownRange::Layout::splat(const Part& part, Spot q, const Dice& dice, const
     shine = Vec{1.0, 0.95, 0.85} * (3.2 * surface.gloss * sun);
   }
 
-  // Orientation: along the surface, a little off as training leaves it; leaves lie anyhow.
+  // Orientation: along the surface, a little off as after training; leaves at random.
   Vec n = q.n, t = q.t;
   if (leaf) {
     n = glm::normalize(n + 0.9 * dice.vector(Use::tilt) + 1e-3);
@@ -239,7 +239,7 @@ Splat TownRange::Layout::splat(const Part& part, Spot q, const Dice& dice, const
     t = glm::normalize(t - glm::dot(t, n) * n);
   }
 
-  // Tail: few are large, soft and faint, as densification leaves them behind.
+  // Tail: a few are large, soft and faint, as after densification.
   const double rare = dice.uniform(Use::rare);
   const bool large = rare < 0.01 && !has_own_light(part.stuff);
   const double size = 0.1 * dice.normal(Use::size) + (large ? 0.2 + 60 * rare : 0);
@@ -296,7 +296,7 @@ void TownRange::Layout::paint_quad(std::size_t p, std::uint64_t from, std::span<
     if (m == 0) continue;
     const double columns = static_cast<double>(m), v_row = (static_cast<double>(row) + 0.5) / rows,
                  cell_wide = std::lerp(low, top, v_row) / columns, cell_high = high / rows;
-    // One Gaussian alone keeps within its cell; among many they overlap, so that no light comes through.
+    // A lone Gaussian stays within its cell; many overlap, so that no light comes through.
     const double fit_wide = m == 1 ? 0.40 : m < 4 ? 0.5 : 0.6, fit_high = n_rows == 1 ? 0.40 : n_rows < 4 ? 0.5 : 0.6;
     for (; j < std::min(stop, end); ++j) {
       const Dice dice(seed, first[p] + j);
@@ -344,7 +344,7 @@ Spot TownRange::Layout::round_spot(std::size_t p, std::uint64_t j, const Dice& d
       return q;
     }
     case Part::Shape::cone: {
-      // Even by area: the radius runs linearly with the height, so the height is the root of a quadratic.
+      // Uniform in area: the radius is linear in the height, so the height is the root of a quadratic.
       const double r0 = a.x, r1 = a.y, radius = std::sqrt(r0 * r0 + v * (r1 * r1 - r0 * r0));
       const double h = std::abs(r1 - r0) < 1e-9 ? v : (radius - r0) / (r1 - r0);
       const Vec out = turn(2 * kPi * u), normal = glm::normalize(out * a.z + kUp * (r0 - r1));
@@ -414,7 +414,7 @@ void TownRange::Layout::paint(std::size_t p, std::uint64_t from, std::span<Splat
   }
   for (std::size_t k = 0; k < out.size(); ++k) {
     const Dice dice(seed, first[p] + from + k);
-    // Points of R2 lie less evenly than cells, and the background must not have holes.
+    // R2 is less even than cells, and the background must not have holes.
     const double fit = part.shape >= Part::Shape::country ? 0.8 : 0.62;
     out[k] = splat(part, round_spot(p, from + k, dice), dice, near, fit, fit);
   }
@@ -487,10 +487,10 @@ TownGenerator::TownGenerator(std::uint64_t seed, std::uint64_t n, int sh_degree,
       entry.box.high = glm::max(entry.box.high, box.high);
     }
     total += weight[k];
-    entry.casters.assign(block.casters.begin(), block.casters.end());  // no more memory than they need
+    entry.casters.assign(block.casters.begin(), block.casters.end());  // releases spare capacity
     entry.sides.assign(block.sides.begin(), block.sides.end());
   }
-  // Fields, hills and sky need a share that falls with n, as their distance stays, but enough of them to stay there.
+  // The share of fields, hills and sky falls with n, because their distance stays, but stays large enough to cover them.
   const double amount = static_cast<double>(n),
                share = std::min(0.25, 13000 / std::max(amount, 1.0)) + 0.003 / std::sqrt(1 + amount / 2e7);
   layout->backdrop = total * share / (1 - share) / TownPlan::kSectors;
@@ -612,7 +612,7 @@ std::string town_path_json(std::uint64_t seed, int width, int height, const Orig
   }
   const Vec street_way = glm::normalize(street_point(plan, x + 0.15) - street_point(plan, x));
   for (int k = kWalk; k < kTownPathFrames; ++k) {
-    // Up, steepest in the middle of the climb, while the way turns towards the blocks at the left.
+    // Up, steepest in the middle of the climb, turning towards the blocks on the left.
     const double flight = static_cast<double>(k - kWalk) / (kTownPathFrames - kWalk);
     const double climb = 0.75 * smooth(3 * flight) * (1 - smooth((flight - 0.4) / 0.35)),
                  bend = 0.75 * smooth(1.3 * flight);

@@ -23,8 +23,8 @@ inline constexpr int kMaxTownBlocks = 64;
 class TownRange {
  public:
   std::uint64_t size() const;
-  /// Gaussians first .. first + out.size() - 1 of the range, which must lie in [0, size()). They do not depend on how the
-  /// range is cut, nor on whether other ranges were made.
+  /// Gaussians first .. first + out.size() - 1 of the range, which must lie in [0, size()). They do not depend on
+  /// how the range is cut or which other ranges exist.
   void generate(std::uint64_t first, std::span<Splat> out) const;
 
  private:
@@ -76,7 +76,7 @@ std::string town_cameras_json(std::uint64_t seed, int width = 1280, int height =
 
 /// The number of cameras of a path, and their rate.
 inline constexpr int kTownPathFrames = 600, kTownPathFramesPerSecond = 60;
-/// A way through the town's middle at 30 m/s: 120 m along a street at eye level, then up and over the roofs. It is the same for
+/// A flight through the town's middle at 30 m/s: 120 m along a street at eye level, then up and over the roofs. It is the same for
 /// every size of a seed's town; towns of fewer than four blocks a side are shorter than it.
 std::string town_path_json(std::uint64_t seed, int width = 1280, int height = 720, const Origin& origin = kNoOrigin);
 

@@ -3,8 +3,7 @@
 //
 // Nearly everything is a quadrilateral: streets bend at their crossings, plots are cut out of blocks by bilinear
 // coordinates, and a house's walls stand on the sides of a quadrilateral cut out of its plot. Walls are cut around
-// windows and doors, and ground around houses, as far as that shows: surfaces do not lie on top of one another, as they
-// do not after training.
+// windows and doors, and ground around houses, where that shows: as after training, surfaces do not overlap.
 #include "town_layout.hpp"
 
 namespace rgs::detail {
@@ -174,7 +173,7 @@ class BlockBuilder {
   }
 
   void house(const House& house);
-  // Of a height and radius between the two.
+  // Of the height and radius in between.
   void tree(const Plan& foot, double low, double high);
   void bush(const Plan& foot, double low, double high);
   Plan somewhere(const Plot& plot, double u0, double u1, double v0, double v1) {
@@ -373,7 +372,7 @@ void BlockBuilder::house(const House& house) {
       quad(house.cover, 1.5, house.cover_colour,
            {above(sides_of[0], top), above(sides_of[1], top), above(sides_of[2] + reach, top + 0.25),
             above(sides_of[3] + reach, top + 0.25)});
-      for (const std::size_t c : {1U, 3U}) {  // its cheeks; what lies below the roof is hidden
+      for (const std::size_t c : {1U, 3U}) {  // its cheeks; the part below the roof is hidden
         const Plan front = c == 1 ? sides_of[1] : sides_of[0], back = c == 1 ? sides_of[2] : sides_of[3];
         const std::array<Vec, 4> cheek{above(front, foot_height), above(front, foot_height), above(back, top),
                                        above(front, top)};
@@ -399,7 +398,7 @@ void BlockBuilder::house(const House& house) {
   block_.casters.push_back(caster);
 }
 
-// Colours and materials, most of them as the neighbours have them.
+// Colours and materials, mostly those of the neighbours.
 void BlockBuilder::dress(House& house) {
   if (draws_.happens(0.3)) {
     house.wall = Stuff::brick;

@@ -10,7 +10,7 @@
 
 namespace rgs::detail {
 
-/// What a surface is made of; town_generator.cpp says how it looks.
+/// A surface's material; town_generator.cpp defines its look.
 enum class Stuff : std::uint8_t {
   plaster,
   brick,
@@ -55,7 +55,7 @@ struct Part {
   double area = 0;  // square metres
 };
 
-/// What casts shadows: a ball, or a convex body within it.
+/// A shadow caster: a ball, or a convex body within it.
 struct Caster {
   Vec centre;
   double radius;
@@ -72,8 +72,8 @@ struct Block {
   std::vector<HalfSpace> sides;
 };
 
-/// Streets run between the points crossing(i, j); block (i, j) lies between crossings (i, j) and (i + 1, j + 1). They are
-/// there for any i and j: a larger town contains the smaller one.
+/// Streets run between the points crossing(i, j); block (i, j) lies between crossings (i, j) and (i + 1, j + 1). They
+/// exist for any i and j: a larger town contains the smaller one.
 class TownPlan {
  public:
   explicit TownPlan(std::uint64_t seed) : seed_(seed) {}
@@ -83,8 +83,8 @@ class TownPlan {
   /// On the ground, in the middle of the streets.
   Vec crossing(int i, int j) const;
   Block block(int i, int j) const;
-  /// Part `sector` of kSectors of what lies around a town of blocks first .. last - 1 both ways: trees, and fields, hills
-  /// and sky that have the weight `backdrop` together, whatever their area.
+  /// Sector `sector` of kSectors around a town of blocks first .. last - 1 both ways: trees, and fields, hills
+  /// and sky with the weight `backdrop` together, whatever their area.
   Block surroundings(int first, int last, int sector, double backdrop) const;
   static constexpr int kSectors = 8;
   static constexpr double kFar = 5000;  // radius of the sky, metres

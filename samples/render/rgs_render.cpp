@@ -1,4 +1,4 @@
-// rgs_render.cpp - rgs-render: pictures of a scene, from camera files, along paths or from where it is seen well.
+// rgs_render.cpp - rgs-render: pictures of a scene from camera files, along paths or on an orbit.
 // SPDX-License-Identifier: Apache-2.0
 #include <fmt/format.h>
 
@@ -43,28 +43,28 @@ struct Options {
   bool alpha = false, overwrite = false, quiet = false, json = false, scalar = false;
   std::vector<float> depth_range;
   std::string key = "exact";
-  bool has_arithmetic = false;  // an option that excludes --mode is there
-  // Of scenes that are streamed: from addresses, and from paths where a budget is given.
+  bool has_arithmetic = false;  // an option that excludes --mode was given
+  // For streamed scenes: addresses, and paths with a budget.
   std::optional<std::uint64_t> host_memory, device_memory;
   std::optional<double> wait, realtime;  // seconds; frames a second
   rgs::RendererOptions renderer;
-  // The steps are those of the image's definition, which single options change; without any, they are not read.
+  // The image definition's steps, changed by single options; unread without any.
   rgs::RenderOptions render{.paper = {.depth_order = rgs::math::DepthOrder::exact,
                                       .exponent = rgs::math::Exponent::direct,
                                       .exp = rgs::math::Exp::exact}};
 };
 
-// One picture to be made.
+// One picture to make.
 struct Shot {
   rgs::Camera camera;
-  std::string out, depth;  // files; empty if not wanted
+  std::string out, depth;  // files; empty if not requested
 };
 
-// What a shot became.
+// The result of a shot.
 struct Frame {
   const Shot* shot;
   rgs::FrameStats stats;
-  // Of a streamed scene, ms: for what was missing; when it was to begin, and when it did, after the first.
+  // Streamed scenes, ms: waited for pages; due and actual begin after the first frame.
   double wait_ms = 0, due_ms = 0, begin_ms = 0;
 };
 
@@ -74,7 +74,7 @@ bool is_streamed(const Options& options) {
   return options.host_memory || options.device_memory || rgs::is_url(options.scene);
 }
 
-// The scene's name as it may be read by others: an address without its user, password, query and fragment.
+// The scene's public name: an address without user, password, query and fragment.
 std::string shown_scene(const Options& options) {
   std::string name = options.scene;
   if (!rgs::is_url(name)) return name;
@@ -93,7 +93,7 @@ bool names_picture(const std::string& path) {
   return rgs::image_format(path).has_value();
 }
 
-// Gives every shot its files, in folders or as the single file that was named. Returns an exit code.
+// Names every shot's files, in folders or as the single file given. Returns an exit code.
 int name_files(std::vector<Shot>& shots, const Options& options) {
   for (const std::string* target : {&options.out, &options.depth}) {
     if (target->empty()) continue;
@@ -122,12 +122,12 @@ int name_files(std::vector<Shot>& shots, const Options& options) {
         shots[i].*field = (fs::path(*target) / name).string();
       }
     }
-    // Found before the first frame is rendered, not after the last.
+    // Reported before the first frame is rendered, not after the last.
     for (const Shot& shot : shots) {
       std::error_code ignored;
       if (!options.overwrite && fs::exists(shot.*field, ignored))
         return tool::report(shot.*field, {rgs::Errc::output_exists, rgs::Error::kNone,
-                                          "the output exists already; pass --overwrite to replace it"});
+                                          "the output exists; pass --overwrite to replace it"});
     }
   }
   return tool::kSuccess;
@@ -252,11 +252,11 @@ double median_ms(const std::vector<Frame>& frames) {
   return *middle;
 }
 
-// What is said of the scene.
+// Facts of the scene for the summary.
 struct SceneFacts {
   std::uint64_t file_bytes, gaussians, memory_bytes;
   int sh_degree;
-  std::uint64_t budget = 0;  // of a streamed scene
+  std::uint64_t budget = 0;  // streamed scenes
   std::uint64_t device_budget = 0, device_bytes = 0;
 };
 
@@ -380,29 +380,29 @@ void warn_of_missing_pages(const std::string& path, const rgs::Scene& scene) {
   const rgs::PagedFile* levels = scene.levels();
   if (levels == nullptr || levels->n_present() == levels->n_pages()) return;
   tool::print_error(
-      fmt::format("rgs-render: {}: the end of the file is missing: drawn are the {} of its {} pages that are there, in "
+      fmt::format("rgs-render: {}: the end of the file is missing: drew the {} of its {} pages that are present, in "
                   "less detail\n",
                   tool::printable(path), levels->n_present(), levels->n_pages()));
 }
 
-// Of the frame whose depth key is coarsest.
+// For the frame with the coarsest depth key.
 void warn_of_coarse_depths(const std::vector<Frame>& frames) {
   const auto coarsest =
       std::ranges::max_element(frames, {}, [](const Frame& frame) { return frame.stats.depth_resolution; });
   const rgs::FrameStats& s = coarsest->stats;
   if (s.depth_resolution < rgs::kCoarseDepthResolution) return;
   tool::print_error(fmt::format(
-      "rgs-render: {}: the key of {} bits tells depths apart that differ by {:.2g} of the depth, coarser than {:g}: "
-      "Gaussians may change places (docs/format/RENDERING.md, \"Depth resolution\")\n",
+      "rgs-render: {}: the depth key of {} bits resolves {:.2g} of the depth, coarser than {:g}: "
+      "Gaussians may be drawn out of order (docs/format/RENDERING.md, \"Depth resolution\")\n",
       tool::printable(coarsest->shot->camera.name), s.depth_bits, s.depth_resolution, rgs::kCoarseDepthResolution));
 }
 
 struct Drawn {
   std::vector<Frame> frames;
-  double first_frame_ms = 0;  // from `opened` on: what a viewer of the scene waits for
+  double first_frame_ms = 0;  // since `opened`: what a viewer waits for
 };
 
-// Draws every shot and writes it, between begin(frame) and check(frame). A picture is encoded while the next frame is rendered; at most
+// Draws and writes every shot, between begin(frame) and check(frame). A picture is encoded while the next frame is rendered; at most
 // two are in memory. Returns an exit code.
 template <class AnyScene, class Begin, class Check>
 int draw_frames(const Options& options, rgs::Renderer& renderer, const AnyScene& scene, const std::vector<Shot>& shots,
@@ -442,10 +442,10 @@ int render(const Options& options) {
   const auto opened = Clock::now();
   const auto scene = rgs::open_scene_file(options.scene, options.limits);
   rgs::Status prepared;
-  // The CPU makes arrays of the pages that it draws, and of no others.
+  // The CPU expands only the pages that it draws.
   const bool is_whole = scene && (scene->scene.levels() == nullptr || renderer->backend() == rgs::Backend::cuda);
   if (is_whole) prepared = renderer->prepare(scene->scene);
-  // That a file changed explains whatever was found wrong in it.
+  // A changed file explains any error found in it.
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess) return code;
   if (!scene) return tool::report(options.scene, scene.error());
   if (!prepared) return tool::report(options.scene, prepared.error());
@@ -463,7 +463,7 @@ int render(const Options& options) {
       code != tool::kSuccess)
     return code;
   if (const int code = inputs.check_unchanged(); code != tool::kSuccess)
-    return code;  // a scene reads on as it is drawn
+    return code;  // reading goes on while a scene is drawn
 
   if (!options.quiet) warn_of_coarse_depths(drawn.frames);
   const double total_seconds = seconds_since(start);
@@ -472,14 +472,14 @@ int render(const Options& options) {
   return tool::kSuccess;
 }
 
-// A file that cannot be streamed, and what to do with it. Returns an exit code.
+// Reports a file that cannot be streamed and what to do. Returns an exit code.
 int report_not_streamed(const Options& options, const rgs::Error& error) {
   const bool is_other = error.code == rgs::Errc::missing_section || error.code == rgs::Errc::bad_magic;
   if (!is_other) return tool::report(shown_scene(options), error);
   if (rgs::is_url(options.scene)) {
     return tool::report(shown_scene(options),
                         {rgs::Errc::unsupported_feature, rgs::Error::kNone,
-                         "is no .rgs file with levels of detail, which alone are read from a web server: "
+                         "is not an .rgs file with levels of detail; only these are read from a web server: "
                          "download it first"});
   }
   const std::string option = options.device_memory ? "--device-memory" : "--host-memory";
@@ -494,7 +494,7 @@ void warn_of_incomplete_frame(const Frame& frame, const rgs::Status& why) {
                                 why ? "" : ": ", why ? "" : tool::describe(why.error())));
 }
 
-// Frames of a scene of which a part is in memory: each complete, or each at its time.
+// Frames of a streamed scene: each complete, or each at its time.
 int render_streamed(const Options& options) {
   const auto start = Clock::now();
   tool::InputFiles inputs;
@@ -502,14 +502,13 @@ int render_streamed(const Options& options) {
   inputs.add_cameras(options.cameras);
   inputs.add_cameras(options.path);
   rgs::RendererOptions how = options.renderer;
-  // Where its pages are it is drawn.
+  // It is drawn where its pages are.
   if (how.backend == rgs::Backend::automatic)
     how.backend = options.device_memory ? rgs::Backend::cuda : rgs::Backend::cpu;
   if (how.backend == rgs::Backend::cuda && !options.device_memory)
-    return tool::report_usage(
-        "a scene is streamed to the GPU within --device-memory; without it --backend cpu draws it");
+    return tool::report_usage("streaming to the GPU needs --device-memory; without it use --backend cpu");
   if (how.backend == rgs::Backend::cpu && options.device_memory)
-    return tool::report_usage("--device-memory is of the GPU: --backend cuda, or --host-memory alone");
+    return tool::report_usage("--device-memory needs the GPU: use --backend cuda, or --host-memory alone");
   auto renderer = rgs::Renderer::create(how);
   if (!renderer) return tool::report("", renderer.error());
   const auto opened = Clock::now();
@@ -550,7 +549,7 @@ int render_streamed(const Options& options) {
     }
     const auto waiting = Clock::now();
     const auto refined = renderer->refine(*scene, frame.shot->camera, options.wait.value_or(kDefaultWait), render_how);
-    // What is wrong with the request is wrong with the frame too; what is wrong with the file leaves a picture.
+    // A wrong request has no picture; a damaged file still has one.
     why = refined ? rgs::Status() : tl::unexpected(refined.error());
     frame.wait_ms = 1e3 * seconds_since(waiting);
   };
@@ -577,7 +576,7 @@ void add_options(CLI::App& app, Options& o) {
   using namespace rgs::math;
   app.add_option("scene", o.scene,
                  "scene to render, " RGS_SCENE_FORMATS
-                 "; its content decides. Or the http(s) address of an .rgs with levels of detail")
+                 ", told by its content; or the http(s) address of an .rgs with levels of detail")
       ->required();
   app.add_option("--out,-o", o.out, "picture (.png .jpg .tif .exr) or folder for pictures")->required();
   app.add_option("--cameras,-c", o.cameras, "camera file or COLMAP folder (docs/user/CAMERAS.md)");
@@ -598,21 +597,20 @@ void add_options(CLI::App& app, Options& o) {
   app.add_flag("--overwrite", o.overwrite, "replace existing pictures");
 
   const std::string stream = "Streaming, of .rgs files with levels of detail (docs/develop/STREAMING.md)";
-  app.add_option(
-         "--host-memory", o.host_memory,
-         "read of the file what the views need, within so much memory [of addresses 2GiB; of paths all is read]")
+  app.add_option("--host-memory", o.host_memory,
+                 "stream the pages that the views want, within this budget [2GiB for addresses; paths are read whole]")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(stream);
   app.add_option("--device-memory", o.device_memory,
-                 "the same on the GPU: pages are in so much of its memory, renderers' workspaces come on top")
+                 "the same on the GPU: budget of pages, without renderers' workspaces")
       ->transform(CLI::AsSizeValue(false))
       ->option_text("BYTES")
       ->group(stream);
-  auto* const wait = app.add_option("--wait", o.wait, "seconds a frame, after which it is drawn incomplete [60]")
+  auto* const wait = app.add_option("--wait", o.wait, "seconds to wait for a frame before it is drawn incomplete [60]")
                          ->check(CLI::Range(0.0, 1e6))
                          ->group(stream);
-  app.add_option("--realtime", o.realtime, "so many frames of --path a second, drawn from what is there by then")
+  app.add_option("--realtime", o.realtime, "frames of --path a second, drawn on time from the resident pages")
       ->check(CLI::Range(0.001, 1e4))
       ->needs("--path")
       ->excludes(wait)
@@ -623,11 +621,11 @@ void add_options(CLI::App& app, Options& o) {
       ->delimiter(',')
       ->excludes("--alpha")
       ->group(image);
-  app.add_option("--near", o.render.near_plane, "depth at or below which nothing is drawn")
+  app.add_option("--near", o.render.near_plane, "nothing is drawn at or below this depth")
       ->check(CLI::PositiveNumber)
       ->capture_default_str()
       ->group(image);
-  app.add_option("--far", o.render.far_plane, "depth above which nothing is drawn, 0 for no limit")
+  app.add_option("--far", o.render.far_plane, "nothing is drawn above this depth, 0 for no limit")
       ->check(CLI::NonNegativeNumber)
       ->capture_default_str()
       ->group(image);
@@ -635,16 +633,14 @@ void add_options(CLI::App& app, Options& o) {
       ->check(CLI::Range(0, rgs::kMaxShDegree))
       ->capture_default_str()
       ->group(image);
-  app.add_option(
-         "--detail", o.render.detail_px,
-         "Of a scene with levels of detail, the error that is drawn, px [1]; 0: its leaves (docs/develop/LEVELS.md)")
+  app.add_option("--detail", o.render.detail_px,
+                 "levels of detail: projected error allowed, px [1]; 0 draws the leaves (docs/develop/LEVELS.md)")
       ->check(CLI::NonNegativeNumber);
   app.add_option("--low-pass", o.render.low_pass,
-                 "px^2 added to projected covariances [what the file states, else 0.3, mip 0.1]")
+                 "px^2 added to projected covariances [as declared, else 0.3, mip 0.1]")
       ->check(CLI::NonNegativeNumber)
       ->group(image);
-  app.add_option("--aa,--aa-mode", o.render.anti_aliasing,
-                 "anti-aliasing: classic, mip [what the file states, else classic]")
+  app.add_option("--aa,--aa-mode", o.render.anti_aliasing, "anti-aliasing: classic, mip [as declared, else classic]")
       ->transform(tool::one_of<AntiAliasing>({{"classic", AntiAliasing::classic},
                                               {"mip", AntiAliasing::mip_splatting},
                                               {"mip-splatting", AntiAliasing::mip_splatting}}))
@@ -666,12 +662,13 @@ void add_options(CLI::App& app, Options& o) {
       ->capture_default_str()
       ->excludes(mode)
       ->group(arithmetic);
-  app.add_option("--depth-bits", o.render.paper.depth_bits, "bits of the quantised depth, 0: 32 less those of the tile")
+  app.add_option("--depth-bits", o.render.paper.depth_bits,
+                 "bits of the quantised depth, 0: 32 minus those of the tile")
       ->check(CLI::Range(0, 32))
       ->capture_default_str()
       ->excludes(mode)
       ->group(arithmetic);
-  app.add_option("--depth-range", o.depth_range, "NEAR,FAR of the quantised depth [what the file states, else 0.2,100]")
+  app.add_option("--depth-range", o.depth_range, "NEAR,FAR of the quantised depth [as declared, else 0.2,100]")
       ->delimiter(',')
       ->expected(2)
       ->excludes(mode)
@@ -698,28 +695,28 @@ void add_options(CLI::App& app, Options& o) {
       ->group(machine);
   tool::add_max_expansion(app, o.limits)->group(machine);
   app.add_flag("--json", o.json, "summary as JSON on standard output")->group(machine);
-  app.add_flag("--quiet,-q", o.quiet, "no progress, no summary and no warnings")->group(machine);
+  app.add_flag("--quiet,-q", o.quiet, "print no progress, summary or warnings")->group(machine);
   app.set_version_flag("--version", "rgs-render " RGS_VERSION);
   app.footer(
       "Exit codes: 0 ok, 1 internal error, 2 usage, 3 input/output, 4 malformed input, 6 a streamed "
       "frame stayed incomplete.");
 }
 
-// Contradictions that can be told without reading a file; empty if there is none.
+// A contradiction among options; empty if there is none.
 std::string contradiction(const Options& o) {
   if (!o.size.empty() && !tool::parse_size(o.size)) return "--size takes WxH, sides 1 to 65536, not '" + o.size + "'";
   if ((!o.view.empty() || !o.split.empty()) && (o.cameras.empty() || o.orbit > 0 || !o.path.empty()))
     return "--view and --split choose among the pictures of --cameras";
-  if (!o.cameras.empty() && !o.path.empty()) return "--cameras and --path are two answers to one question";
+  if (!o.cameras.empty() && !o.path.empty()) return "--cameras and --path exclude each other";
   if (o.alpha && (names_picture(o.out) ? *rgs::image_format(o.out) == rgs::ImageFormat::jpeg : o.format == "jpg"))
     return "JPEG has no alpha: choose .png, .tif or .exr";
   if (const auto depth = rgs::image_format(o.depth);
       depth && (*depth == rgs::ImageFormat::png || *depth == rgs::ImageFormat::jpeg))
     return "depth needs floating point: name the file .exr or .tif";
-  if (o.host_memory == std::uint64_t{0}) return "--host-memory of 0 bytes holds no scene";
-  if (o.device_memory == std::uint64_t{0}) return "--device-memory of 0 bytes holds no scene";
+  if (o.host_memory == std::uint64_t{0}) return "--host-memory must be more than 0 bytes";
+  if (o.device_memory == std::uint64_t{0}) return "--device-memory must be more than 0 bytes";
   if ((o.wait || o.realtime) && !is_streamed(o))
-    return "--wait and --realtime are of streamed scenes: give --host-memory, --device-memory, or an address";
+    return "--wait and --realtime need a streamed scene: give --host-memory, --device-memory, or an address";
   for (const float v : o.render.background)
     if (!std::isfinite(v)) return "--background takes three finite numbers";
   return {};

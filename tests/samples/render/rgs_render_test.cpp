@@ -269,11 +269,11 @@ TEST_CASE("a depth key that is too coarse is said, with its resolution in the JS
   const auto run = [&](const std::string& options) {
     return stage.run("@scene.ply -c @cameras.json --backend cpu --overwrite --out @o " + options);
   };
-  const std::string warning = "Gaussians may change places";
+  const std::string warning = "Gaussians may be drawn out of order";
   const Outcome coarse = run("--key linear --depth-bits 12 --depth-range 2,8");
   CHECK(coarse.code == 0);
   CHECK_MESSAGE(
-      coarse.out.find("key of 12 bits tells depths apart that differ by 0.00073 of the depth") != std::string::npos,
+      coarse.out.find("depth key of 12 bits resolves 0.00073 of the depth") != std::string::npos,
       coarse.out);
   CHECK(coarse.out.find(warning) != std::string::npos);
   CHECK(coarse.out.find(warning) == coarse.out.rfind(warning));  // once, for three pictures
