@@ -15,8 +15,7 @@ def test_snippets_run(examples, tmp_path, monkeypatch):
         shutil.copy(examples / name, tmp_path)
     monkeypatch.chdir(tmp_path)
     text = PAGE.read_text()
-    begin = re.search(r"\n\n((?:    .*\n|\n)+)", text)[1]
-    snippets = [re.sub(r"^    ", "", begin, flags=re.M), *re.findall(r"```python\n(.*?)```", text, re.S)]
+    snippets = re.findall(r"```python\n(.*?)```", text, re.S)
     assert len(snippets) > 4 and "roofgs" in snippets[0]
     names = {}
     for i, snippet in enumerate(snippets):
