@@ -1,8 +1,9 @@
 # commands_test.py - runs the commands that a document shows, as they stand: commands_test.py PROGRAMS SOURCE DOCUMENT
 #
 # Commands are indented blocks and ```sh blocks, run in order by one `sh -e` in a new folder, with PROGRAMS first on PATH
-# and SOURCE as ~/roofgs. A command fails the test unless it exits with 0 or with N where "# exit code N" follows it.
-# Not run are what kNotRun names, and blocks below "<!-- NAME -->", which tests/cluster runs; both are counted and listed.
+# and SOURCE as ~/roofgs. A command fails the test unless it exits with 0, or with N where "# exit code N" follows it.
+# What NOT_RUN names is not run, nor are ```sbatch blocks and blocks below "<!-- NAME -->", which tests/cluster runs; they
+# are counted and listed. Commands within a sentence or a table are not looked at.
 # SPDX-License-Identifier: Apache-2.0
 import os
 import re
@@ -12,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-kNotRun = [  # how a command begins, and why it is not run here
+NOT_RUN = [  # how a command begins, and why it is not run here
     (r"(sudo )?apt-get |pip install ", "installs packages"),
     (r"sh (scripts|packaging|tests/cluster)/|cmake --preset ", "builds for minutes; a section of .ci/run"),
     (r"docker |vcpkg |conan |colmap |snakemake |sbatch ", "a program of others"),
@@ -20,10 +21,10 @@ kNotRun = [  # how a command begins, and why it is not run here
     (r"rgs-bench |rgs-bench-opening |.*(--backend cuda|--device-memory)", "needs a GPU"),
     (r"rgs-\S+ .*https?://", "needs a web server"),
 ]
-kLanguages = {"sh", "python", "python gpu", "cpp", "cmake", "json", "text", "html", "js", "yaml", "sbatch"}
+LANGUAGES = {"sh", "python", "python gpu", "cpp", "cmake", "json", "text", "html", "js", "yaml", "sbatch"}
 
 # rgs-view serves until it is interrupted: here as soon as it has printed its address.
-kView = """#!/usr/bin/python3
+VIEW = """#!/usr/bin/python3
 import signal, subprocess, sys
 view = subprocess.Popen([{program!r}, *sys.argv[1:]], stdout=subprocess.PIPE, text=True,
                         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
@@ -37,21 +38,26 @@ sys.exit(view.returncode)
 
 
 def blocks(text):
-    """(line number, NAME of the comment above or "", lines) of each block of commands."""
+    """(line number, language, NAME of the comment above or "", lines) of each block of commands."""
     lines = text.split("\n")
     i, above = 0, ""
     while i < len(lines):
         if fence := re.fullmatch(r"```(.*)", lines[i]):
             first, i = i + 1, lines.index("```", i + 1)
-            assert fence[1] in kLanguages, f"line {first}: a block in {fence[1] or 'no language'}"
-            if fence[1] == "sh":
-                yield first + 1, above, lines[first:i]
+            assert fence[1] in LANGUAGES, f"line {first}: a block in {fence[1] or 'no language'}"
+            if fence[1] in ("sh", "sbatch"):
+                yield first + 1, fence[1], above, lines[first:i]
+            else:
+                hidden = next((line for line in lines[first:i] if re.match(r"(rgs-[a-z-]+|sh|cmake|python3) ", line)), None)
+                assert not hidden, f"line {first}: a command in {fence[1]}: {hidden}"
         elif lines[i].startswith("    ") and (i == 0 or not lines[i - 1] or lines[i - 1].startswith("<!--")):
             first = i
             while i < len(lines) and (lines[i].startswith("    ") or not lines[i]):
                 i += 1
             i -= 1
-            yield first + 1, above, [line[4:] for line in lines[first:i + 1]]
+            yield first + 1, "sh", above, [line[4:] for line in lines[first:i + 1]]
+        else:
+            assert not re.match(r"\s*(```|~~~)", lines[i]), f"line {i + 1}: a block that is neither ``` nor indented"
         if lines[i]:
             comment = re.fullmatch(r"<!-- ([\w-]+) -->", lines[i])
             above = comment[1] if comment else ""
@@ -78,20 +84,22 @@ def run_by_cluster(source, name):
 
 
 def main():
-    programs, source, document = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+    programs, source, document = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve(), sys.argv[3]
     script, n_run, not_run = "set -e\n", 0, []
-    for number, name, lines in blocks((source / document).read_text()):
+    for number, language, name, lines in blocks((source / document).read_text()):
         for place, text in commands(lines):
             where = f"{document}:{number + place}"
-            why = next((why for begin, why in kNotRun if re.match(begin, text)), None)
+            why = next((why for begin, why in NOT_RUN if re.match(begin, text)), None)
             if name:
                 assert run_by_cluster(source, name), f"{where}: tests/cluster has no commands '{name}'"
                 why = "run by tests/cluster"
+            if language == "sbatch":
+                why = "a job of Slurm"
             if why:
                 not_run.append(f"not run, {why}: {where}: {text.strip()}")
                 continue
             n_run += 1
-            script += f"where={where}\nprintf '%s\\n' {shlex.quote(where + ': ' + text.strip())}\n"
+            script += f"printf '%s\\n' {shlex.quote(where + ': ' + text.strip())}\n"
             if code := re.search(r"# exit code (\d+)\b", text):
                 script += f"code=0\n{{\n{text}}} || code=$?\n[ $code = {code[1]} ] || {{ echo exit code $code; exit 1; }}\n"
             else:
@@ -100,8 +108,8 @@ def main():
         folder = Path(name)
         for part in ("bin", "home", "page", "work"):
             (folder / part).mkdir()
-        (folder / "home/roofgs").symlink_to(source.resolve())
-        (folder / "bin/rgs-view").write_text(kView.format(program=str(programs / "rgs-view")))
+        (folder / "home/roofgs").symlink_to(source)
+        (folder / "bin/rgs-view").write_text(VIEW.format(program=str(programs / "rgs-view")))
         (folder / "bin/rgs-view").chmod(0o755)
         for page in ("index.html", "single.html"):
             (folder / "page" / page).write_text("<!doctype html><title>a page of the test</title><!-- rgs-view:insert -->")
