@@ -3,7 +3,7 @@
 # Commands are indented blocks and ```sh blocks, run in order by one `sh -e` in a new folder, with PROGRAMS first on PATH
 # and SOURCE as ~/roofgs. A command fails the test unless it exits with 0, or with N where "# exit code N" follows it.
 # What NOT_RUN names is not run, nor are ```sbatch blocks and blocks below "<!-- NAME -->", which tests/cluster runs; they
-# are counted and listed. Commands within a sentence or a table are not looked at.
+# are counted and listed. Of commands within a sentence or a table the options must exist.
 # SPDX-License-Identifier: Apache-2.0
 import os
 import re
@@ -83,10 +83,25 @@ def run_by_cluster(source, name):
     return any(f'page_block("{name}")' in test.read_text() for test in (source / "tests/cluster").glob("*.py"))
 
 
+def unknown_options(text, programs):
+    """(command, option) for each option of `rgs-... --option` within a line that the program's --help does not name."""
+    for command in re.findall(r"`(rgs-[a-z-]+ [^`]+)`", re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M)):
+        program = programs / command.split()[0]
+        if program.name.startswith("rgs-bench") and not program.exists():
+            print(f"not checked, {program.name} is not built: {command}")
+            continue
+        known = subprocess.run([program, "--help"], capture_output=True, text=True, check=True).stdout
+        yield from ((command, option) for option in re.findall(r"(?<!\S)--[a-z][\w-]*", command)
+                    if not re.search(rf"(?<![\w-]){option}(?![\w-])", known))
+
+
 def main():
     programs, source, document = Path(sys.argv[1]).resolve(), Path(sys.argv[2]).resolve(), sys.argv[3]
     script, n_run, not_run = "set -e\n", 0, []
-    for number, language, name, lines in blocks((source / document).read_text()):
+    page = (source / document).read_text()
+    unknown = list(unknown_options(page, programs))
+    assert not unknown, unknown
+    for number, language, name, lines in blocks(page):
         for place, text in commands(lines):
             where = f"{document}:{number + place}"
             why = next((why for begin, why in NOT_RUN if re.match(begin, text)), None)
