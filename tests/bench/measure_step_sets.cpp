@@ -1,5 +1,5 @@
 // measure_step_sets.cpp - what one SH step set for the file, and sets per chunk of several sizes, lose and cost on a
-// scene: prints the table of docs/format/QUANTISATION.md.
+// scene: prints the table of docs/records/QUANTISATION.md.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
