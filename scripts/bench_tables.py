@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
-# bench_tables.py - Markdown tables of the documents from what rgs-bench --json wrote.
+# bench_tables.py - Markdown tables from what the benchmarks wrote with --json, and from the records made of it.
 # SPDX-License-Identifier: Apache-2.0
 """bench_tables.py BENCH.json...                                           ablation, quality and floors
 bench_tables.py --orthogonality FULL.json PRUNED.json [--audit AUDIT.json] pruning and turbo, alone and together
 bench_tables.py --scaling BENCH.json...                                    scenes of several sizes
+bench_tables.py docs/records/RECORD.json...                                the tables that the records name
 """
 import argparse
 import json
+import statistics
 import sys
 
 
@@ -36,7 +38,7 @@ def quality_of(bench, mode):
             "" if loss is None else f"{loss:.4f}"]
 
 
-def times(bench, size):
+def times(size):
     stages = ["project", "bin", "sort", "blend"]
     view = f"{size['view']}, " if "view" in size else ""
     head = [f"{view}{size['width']}x{size['height']}, ms", *stages, "total", "speed-up", "pairs", "evaluated", "moved",
@@ -146,15 +148,169 @@ def scaling(benches):
     return "\n".join(lines)
 
 
+def clocks(benches):
+    """Times by the renderer's own events and by a caller's clock and events."""
+    names = ["total_ms", "eager_clock_ms", "eager_events_ms", "queued_ms"]
+    rows = [[r["mode"], f"{size['width']}x{size['height']}", *(f"{r[name]:.3f}" for name in names),
+             quality_of(bench, r["mode"])[0]]
+            for bench in benches for size in bench["sizes"] for r in size["results"]]
+    return table(["", "image", "total, ms", "eager, clock", "eager, events", "queued", "PSNR, dB"], rows)
+
+
+def stress(benches):
+    rows = []
+    for size in (size for bench in benches for size in bench["sizes"]):
+        paper, turbo = (next(r for r in size["results"] if r["mode"] == mode) for mode in ("paper", "turbo"))
+        rows.append([size["view"], f"{size['width']}x{size['height']}", f"{paper['total_ms']:.3f}", f"{turbo['total_ms']:.3f}",
+                     f"{paper['total_ms'] / turbo['total_ms']:.2f}", f"{paper['queued_ms']:.3f}", f"{turbo['queued_ms']:.3f}"])
+    return table(["view", "image", "paper, ms", "turbo, ms", "ratio", "paper, queued", "turbo, queued"], rows)
+
+
+def popping(benches):
+    parts = [("step", "mean"), ("step", "worst_p999"), ("second", "worst_p999"), ("added", "mean"), ("added", "worst_p999")]
+    head = ["", *(f"{part}, {'mean' if kind == 'mean' else 'worst 99.9%'}" for part, kind in parts), "unsteadiness"]
+    rows = [[r["mode"], *(f"{r[part][kind]:.{5 if kind == 'mean' else 4}f}" for part, kind in parts), f"{r['unsteadiness']:.4f}"]
+            for bench in benches for r in bench["orbit"]["results"]]
+    return table(head, rows)
+
+
+def towns(benches):
+    """Scenes with levels of detail: what is drawn, and how fast."""
+    rows = []
+    for bench in benches:
+        for size in bench["sizes"]:
+            paper, turbo = (next(r for r in size["results"] if r["mode"] == mode) for mode in ("paper", "turbo"))
+            n = bench["scene"]["gaussians"]
+            rows.append([f"{n / 1e6:.0f} M", f"{bench['detail_px']:g}", f"{size['width']}x{size['height']}",
+                         f"{turbo['gaussians'] / n:.2f}", count(turbo["visible"]), f"{turbo['total_ms']:.2f}",
+                         f"{paper['total_ms']:.2f}", f"{turbo['peak_bytes'] / 1e9:.1f}"])
+    return table(["town", "detail", "image", "drawn", "visible", "turbo, ms", "paper, ms", "device memory, GB"], rows)
+
+
+def opening(reports):
+    """rgs-bench-opening: the parts of the run whose total is the median."""
+    parts = ["open_ms", "setup_ms", "host_ms", "device_ms", "frame_ms", "total_ms"]
+    rows = [[report["name"], file["profile"], where, *(f"{file[where][part]:.2f}" for part in parts)]
+            for report in reports for file in report["files"] for where in ("device", "host")]
+    return table(["file", "profile", "decoded on", "open", "set-up", "host", "device", "first frame", "total, ms"], rows)
+
+
+def first_frames(runs):
+    rows = []
+    for run in runs:
+        load, frame = ([statistics.median(run[when][what]) for when in ("before", "after")]
+                       for what in ("load_ms", "first_frame_ms"))
+        memory = [f"{run[when]['peak_resident_kb'] / 1e6:.2f}" for when in ("before", "after")]
+        rows.append([run["name"], f"{load[0]:.0f}", f"{frame[0]:.0f}", memory[0], f"{load[1]:.0f}", f"{frame[1]:.0f}", memory[1],
+                     f"{frame[0] / frame[1]:.1f}x"])
+    return table(["file", "load before, ms", "with frame", "memory, GB", "load after, ms", "with frame", "memory, GB", "first frame"],
+                 rows)
+
+
+def flights(runs):
+    """rgs-bench-flight: the frames of a flight."""
+    rows = []
+    for run in runs:
+        flight = run.get("flight")
+        if not flight:
+            continue
+        compared = flight.get("compared")
+        rows.append([run["name"], f"{flight['render_ms_median']:.2f}, {flight['render_ms_p99']:.2f}",
+                     f"{flight['frames_late']} of {flight['frames_drawn']}", f"{flight['detail_px_median']:.1f}",
+                     f"{compared['equal']} of {compared['pictures']}" if compared else "",
+                     f"{flight['read_bytes_per_second'] / 1e6:.0f}, {flight['decoded_bytes_per_second'] / 1e6:.0f}",
+                     f"{run['driver_bytes'] / 1e9:.2f}, {flight['workspace_bytes'] / 1e9:.2f}"])
+    return table(["", "a frame, median and 99 of 100, ms", "late", "detail, median, px", "equal to complete pictures",
+                  "read and decoded, MB/s", "device memory and workspace, GB"], rows)
+
+
+def arrivals(runs):
+    """rgs-bench-flight: how soon the pictures of an opening and of jumps are good."""
+    def ms(value):
+        return "-" if value is None else f"{value:.0f}"
+
+    rows, steps = [], ["ms_to_35_db", "ms_to_40_db", "ms_to_complete"]
+    for run in runs:
+        start, jumps = run["opening"], run.get("teleports") or []
+        slowest = {key: max((jump[key] for jump in jumps if jump[key] is not None), default=None) for key in ["first_ms", *steps]}
+        worst = min((jump["first_psnr"] for jump in jumps if jump["first_psnr"] is not None), default=None)
+        rows.append([run["name"], ms(start["first_ms"]), f"{start['first_bytes_read'] / 1e3:.0f}",
+                     ", ".join(ms(start[key]) for key in steps), ms(slowest["first_ms"]) if jumps else "",
+                     "" if worst is None else f"{worst:.1f}", ", ".join(ms(slowest[key]) for key in steps) if jumps else ""])
+    return table(["", "first picture, ms", "read for it, kB", "35 dB, 40 dB, complete, ms", "first picture of a jump, ms", "worst, dB",
+                  "jump: 35 dB, 40 dB, complete, ms"], rows)
+
+
+def decoded(runs):
+    """rgs-bench-flight: how soon openings are complete and how much was decoded until then, by name and commit."""
+    commits = list(dict.fromkeys(run["commit"] for run in runs))
+    rows = []
+    for name in dict.fromkeys(run["name"] for run in runs):
+        rows.append([name])
+        for commit in commits:
+            same = [run["opening"] for run in runs if (run["name"], run["commit"]) == (name, commit)]
+            rows[-1] += [", ".join(f"{o['ms_to_complete']:.0f}" for o in same),
+                         ", ".join(f"{o['bytes_decoded'] / o['ms_to_complete'] / 1e6:.1f}" for o in same)]
+    return table(["", *(head for commit in commits for head in (f"complete, ms ({commit})", "decoded, GB/s"))], rows)
+
+
+def each_size(one):
+    return lambda benches: "\n\n".join(one(size) for bench in benches for size in bench["sizes"])
+
+
+# Tables that a record may name: how it is made, and what of a report it needs, which is all that shrink_record.py keeps.
+RUN = "name commit date device.name backend scene.gaussians cameras frames modes.name "
+SIZE = RUN + "sizes.view sizes.width sizes.height " + " ".join(f"sizes.results.{key}" for key in ("mode", "total_ms", "speedup")) + " "
+FLIGHT = RUN + "processors width height fps detail_px cold device_memory "
+STAGES = [f"sizes.results.stages.{stage}." for stage in ("project", "bin", "sort", "blend")]
+ARRIVALS = ("first_ms", "first_bytes_read", "first_psnr", "ms_to_35_db", "ms_to_40_db", "ms_to_complete")
+
+
+def within(prefixes, keys):
+    return " ".join(prefix + key for prefix in prefixes for key in keys)
+
+
+KINDS = {
+    "times": (each_size(times),
+              SIZE + within(["sizes.results."], ("instances", "evaluated", "bytes", "peak_bytes")) + " " + within(STAGES, ("ms",))),
+    "quality": (lambda benches: "\n\n".join(map(qualities, benches)), RUN + "modes.quality"),
+    "floors": (each_size(lambda size: floors(size, SHOWN)), SIZE + "rates " + within(STAGES, (
+        "ms", "bytes", "bytes_per_second", "flops_per_second", "intensity", "floor_ms", "limit", "time_over_floor"))),
+    "scaling": (scaling, SIZE + "sizes.results.visible sizes.results.peak_bytes"),
+    "orthogonality": (lambda benches: orthogonality(*benches), SIZE + "scene.name modes.quality"),
+    "clocks": (clocks, SIZE + "modes.quality " + within(["sizes.results."], ("eager_clock_ms", "eager_events_ms", "queued_ms"))),
+    "stress": (stress, SIZE + "sizes.results.queued_ms"),
+    "popping": (popping, RUN + "orbit"),
+    "towns": (towns, SIZE + "detail_px " + within(["sizes.results."], ("gaussians", "visible", "peak_bytes"))),
+    "opening": (opening, RUN + "device files.profile files.device files.host"),
+    "first_frames": (first_frames, RUN + "device before after"),
+    "flights": (flights, FLIGHT + "driver_bytes " + within(["flight."], (
+        "frames_drawn", "render_ms_median", "render_ms_p99", "frames_late", "detail_px_median", "read_bytes_per_second",
+        "decoded_bytes_per_second", "workspace_bytes", "compared.pictures", "compared.equal"))),
+    "arrivals": (arrivals, FLIGHT + within(["opening.", "teleports."], ARRIVALS)),
+    "decoded": (decoded, FLIGHT + "opening.ms_to_complete opening.bytes_decoded"),
+    "flight_plot": (None, FLIGHT + within(["flight.frames."], ("render_ms", "detail_reached_px", "bytes_read"))),  # plot_flight.py
+}
+SHOWN = {"baseline", "+ fast exp = paper", "paper", "turbo"}
+
+
+def tables(record):
+    """Text of each table of a record."""
+    return [KINDS[kind][0](record["runs"]) for kind in record["tables"] if KINDS[kind][0]]
+
+
 def ablations(paths, benches):
     for path, bench in zip(paths, benches, strict=True):
+        if "tables" in bench:
+            print(f"<!-- {path} -->\n\n" + "\n\n".join(tables(bench)) + "\n")
+            continue
         print(f"<!-- {path}: {bench['device']['name']}, {bench['date']} -->\n")
         for size in bench["sizes"]:
-            print(times(bench, size) + "\n")
+            print(times(size) + "\n")
         print(qualities(bench) + "\n")
         if "rates" in bench:
             for size in bench["sizes"]:
-                print(floors(size, {"baseline", "+ fast exp = paper", "paper", "turbo"}) + "\n")
+                print(floors(size, SHOWN) + "\n")
 
 
 def main():

@@ -1,9 +1,9 @@
 #!/usr/bin/python3
-# plot_flight.py - a record of rgs-bench-flight as a picture: frame time, error drawn and bytes read, frame by frame.
+# plot_flight.py - a flight of rgs-bench-flight as a picture: frame time, detail and bytes read, frame by frame.
 # SPDX-License-Identifier: Apache-2.0
-"""plot_flight.py FLIGHT.json OUT.svg
+"""plot_flight.py RECORD.json OUT.svg
 
-The bytes of the output depend on the record alone.
+The record is made by shrink_record.py --tables flight_plot. The bytes of the output depend on the record alone.
 """
 import argparse
 import json
@@ -31,15 +31,15 @@ def panels(flight, fps):
     """(title, values) of each panel."""
     frames = flight["frames"]
     window = max(1, round(fps / 2))  # a half of a second: single frames read all or nothing
-    read = [f["bytes_read"] for f in frames]
+    read = frames["bytes_read"]
     rate = [(b - a) / 1e6 / ((min(i, window)) / fps) if i else 0
             for i, (b, a) in enumerate(zip(read, [read[max(0, i - window)] for i in range(len(read))]))]
-    return [("frame time, ms", [f["render_ms"] for f in frames]),
-            ("error drawn, px", [f["detail_reached_px"] for f in frames]),
+    return [("frame time, ms", frames["render_ms"]), ("detail reached, px", frames["detail_reached_px"]),
             ("read, MB a second", rate)]
 
 
 def svg(record):
+    record = record["runs"][0]
     flight, fps = record["flight"], record["fps"]
     shown = panels(flight, fps)
     height = TOP + len(shown) * (PANEL + GAP) + 24
@@ -48,7 +48,7 @@ def svg(record):
     detail = "" if record["detail_px"] is None else f", detail {record['detail_px']:g} px"
     picture.text(LEFT, 18, f"{record['scene']['gaussians']:,} Gaussians, {record['width']}x{record['height']}, {fps:g} frames a second{detail}; "
                  f"{device}, {record['date'][:10]}", kind="small")
-    n = len(flight["frames"])
+    n = len(flight["frames"]["render_ms"])
     for k, (title, values) in enumerate(shown):
         top, bottom = TOP + k * (PANEL + GAP), TOP + k * (PANEL + GAP) + PANEL
         picture.text(LEFT, top - 6, title)

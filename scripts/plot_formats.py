@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 # plot_formats.py - a record of measure_formats.py as a picture and as a table.
 # SPDX-License-Identifier: Apache-2.0
-"""plot_formats.py RECORD.json --svg OUT.svg | --table | --short-table
+"""plot_formats.py RECORD.json --svg OUT.svg | --table
 
 The picture shows bytes per Gaussian against PSNR; formats beyond its axes are named below it. The bytes of the output depend
 on the record alone.
@@ -22,7 +22,6 @@ STYLE = ("text{font:12px sans-serif;fill:#1f2328}.small{font-size:11px}.title{fo
          "circle.s3,text.s3{fill:#8250df}.curve.s0{stroke:#0969da}@media (prefers-color-scheme:dark){text{fill:#e6edf3}"
          "circle.s0,text.s0{fill:#58a6ff}circle.s1,text.s1{fill:#f0883e}circle.s2,text.s2{fill:#3fb950}"
          "circle.s3,text.s3{fill:#bc8cff}.curve.s0{stroke:#58a6ff}}")
-SHORT = ("rgs packed", "rgs direct", "rgs archive:high", "rgs archive:small", "compressed.ply", "spz", "sog")
 SERIES = (("s0", "RoofGS profiles"), ("s2", "other formats by rgs-convert"), ("s1", "by splat-transform"),
           ("s3", "by GaussianSplats3D"))
 
@@ -115,11 +114,9 @@ def svg(record):
     return picture.document()
 
 
-def table(record, short=False):
+def table(record):
     lines = ["| file | written by | bytes per Gaussian | PSNR | worst view |", "|---|---|---|---|---|"]
     for entry in record["entries"]:
-        if short and entry["format"] not in SHORT:
-            continue
         psnr, worst = ("" if value is None else f"{value:.1f} dB" for value in (entry["psnr_db"], entry["worst_psnr_db"]))
         own = entry["format"].startswith("rgs ")
         name = f"**{entry['format']}**" if own else entry["format"]
@@ -132,13 +129,12 @@ def main():
     parser.add_argument("record", type=Path)
     parser.add_argument("--svg", type=Path)
     parser.add_argument("--table", action="store_true")
-    parser.add_argument("--short-table", action="store_true")
     arguments = parser.parse_args()
     record = json.loads(arguments.record.read_text())
     if arguments.svg:
         arguments.svg.write_text(svg(record))
-    if arguments.table or arguments.short_table:
-        print(table(record, arguments.short_table), end="")
+    if arguments.table:
+        print(table(record), end="")
 
 
 if __name__ == "__main__":
