@@ -3,11 +3,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Runs each command in turn, A B A B ..., and prints wall and CPU seconds and peak memory, with ratios to rgs-convert.
 
-Anonymous memory (RssAnon) is sampled, since the kernel keeps no peak of it: pages of a mapped input are not counted.
+Anonymous memory (RssAnon), which leaves out pages of a mapped input, is sampled: the kernel keeps no peak of it.
 
   bench_convert.py scene.ply                                         # rgs-convert alone, both directions
   bench_convert.py scene.ply --peer 'splat-transform -w {input} {folder}/peer.compressed.ply'
-  bench_convert.py --gaussians 20M                                   # on a scene that rgs-make-scene writes first
+  bench_convert.py --gaussians 20M                                   # on a generated scene
 """
 import argparse
 import json
@@ -50,8 +50,8 @@ def measure(command: list[str]) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scene", nargs="?", help="PLY to convert; without it a scene is made")
-    parser.add_argument("--gaussians", default="1M", help="size of the scene that is made")
+    parser.add_argument("scene", nargs="?", help="PLY to convert; default: a generated scene")
+    parser.add_argument("--gaussians", default="1M", help="size of the generated scene")
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--peer", help="command to compare with; {input} and {folder} are replaced")
     parser.add_argument("--bin", default="build/release/bin", help="folder of the programs")

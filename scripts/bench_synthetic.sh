@@ -2,8 +2,8 @@
 # bench_synthetic.sh - measures the GPU renderer on generated scenes of several sizes, a JSON file each:
 #   sh scripts/bench_synthetic.sh BIN OUT        BIN: folder of the programs, build/cuda/bin or that of a bundle
 # Environment: RGS_GAUSSIANS "100k 1M 5M 20M", RGS_SIZES 1280x720,1920x1080,3840x2160,7680x4320, RGS_FRAMES 10 a camera,
-# RGS_SECONDS 330 for all of it: what is not done by then is left out and said so. Scenes lie in OUT while they are
-# measured, 6.5 GB for 20 M. Then: scripts/bench_tables.py --scaling OUT/synthetic_*.json
+# RGS_SECONDS 330 for all: what is left by then is named and skipped. OUT needs 6.5 GB for 20 M.
+# Then: scripts/bench_tables.py --scaling OUT/synthetic_*.json
 # SPDX-License-Identifier: Apache-2.0
 set -eu
 if [ $# -ne 2 ]; then
@@ -18,7 +18,7 @@ mkdir -p "$out"
 trap 'rm -f "$out/scene.ply" "$out/scene.rgs"' EXIT
 
 left() { echo $((end - $(date +%s))); }
-# timed COMMAND...: with what is left of the time; timeout's status when it ran out
+# timed COMMAND...: within the time left; timeout's status when that is over
 timed() {
   [ "$(left)" -gt 0 ] || return 124
   timeout "$(left)" "$@"
@@ -41,18 +41,18 @@ for gaussians in ${RGS_GAUSSIANS:-100k 1M 5M 20M}; do
   rm -f "$out/scene.ply"
   if [ "$status" -eq 0 ]; then
     bench "$sizes" "$json" || status=$?
-    # The largest image may need more (tile, Gaussian) pairs or memory than there are: the others are still worth having.
+    # The largest image may need more (tile, Gaussian) pairs or memory than the device has: measure the others.
     if [ "$status" -ne 0 ] && [ "$status" -ne 124 ] && [ "$sizes" != "${sizes%,*}" ]; then
-      echo "left out: $gaussians at ${sizes##*,}"
+      echo "skipped: $gaussians at ${sizes##*,}"
       status=0
       bench "${sizes%,*}" "$json" || status=$?
     fi
   fi
   if [ "$status" -eq 124 ]; then
-    echo "left out: $gaussians, the time is over"
+    echo "skipped: $gaussians, out of time"
     failed=1
   elif [ "$status" -ne 0 ]; then
-    echo "left out: $gaussians, exit code $status"
+    echo "skipped: $gaussians, exit code $status"
     failed=1
   fi
 done

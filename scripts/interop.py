@@ -1,9 +1,9 @@
 #!/usr/bin/python3
 # interop.py - round trips both ways with PlayCanvas's splat-transform: python3 scripts/interop.py [--bin FOLDER] [PLY]
 #
-# What rgs-convert writes must load in the other tool, and what that one writes must load here, with attributes equal
-# within half a step of the format (or to float rounding, where both read the same file). Without a PLY a synthetic
-# scene is used. The other tool is run through npx, or as $RGS_SPLAT_TRANSFORM says; without either all is skipped.
+# Each tool must load what the other writes, with attributes equal within half a step of the format (to float rounding
+# where both read the same file). Default scene: a generated one. The other tool runs through npx or as
+# $RGS_SPLAT_TRANSFORM; without either the script does nothing.
 # SPDX-License-Identifier: Apache-2.0
 import argparse
 import os

@@ -3,10 +3,9 @@
 
     python3 scripts/kernel_resources.py [--build build/cuda] [--architectures 75,80,86,89,90,100,120] [--json FILE]
 
-Compiles every .cu file of kernels/ as the build folder does (configured with the preset cuda; it need not be built) with
-ptxas' own report, and prints a table in Markdown. Exit code 1 if a kernel spills more than 32 bytes a thread, or has more than
-48 KiB of shared memory, which is all that a kernel has without asking for more, or memory that is asked for at the launch; 2 if
-something could not be compiled.
+Compiles every .cu file of kernels/ with the flags of the build folder (preset cuda, configured is enough) and prints ptxas'
+report as a table in Markdown. Exit code 1 if a kernel spills more than 32 bytes a thread, has more than 48 KiB of static shared
+memory, or any dynamic; 2 if something does not compile.
 """
 # SPDX-License-Identifier: Apache-2.0
 import argparse

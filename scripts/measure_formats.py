@@ -2,14 +2,13 @@
 # measure_formats.py - size and rendered quality of a scene in each format that rgs-convert writes or reads.
 # SPDX-License-Identifier: Apache-2.0
 """Converts a PLY to each format, renders the test views of all at half size with rgs-render (FP32 pictures), and prints
-bytes per Gaussian and PSNR against the PLY's pictures as a table and, with --json, as the record kept in docs/.
+bytes per Gaussian and PSNR against the PLY's pictures as a table; --json writes the record that docs/records keeps.
 
   measure_formats.py scene.ply cameras.json [--bin build/release/bin] [--work FOLDER] [--json OUT] [--peers] [NAME=FILE...]
 
---peers adds what other programs write of the same scene: PlayCanvas's splat-transform (compressed.ply, spz, sog) and
-GaussianSplats3D (ksplat, at most SH degree 2), fetched by npm into --work. A file of theirs that is there already is used
-as it is: clustering for SOG takes hours without a GPU. NAME=FILE adds further files. scripts/plot_formats.py draws the
-record.
+--peers adds files of other programs: PlayCanvas's splat-transform (compressed.ply, spz, sog) and
+GaussianSplats3D (ksplat, at most SH degree 2), fetched by npm into --work. Their files are made once: clustering for SOG takes
+hours without a GPU. NAME=FILE adds further files. scripts/plot_formats.py draws the record.
 """
 import argparse
 import datetime
@@ -22,6 +21,8 @@ import sys
 import zlib
 
 import numpy as np
+
+from shrink_record import text
 
 # format, name of the file, options
 WRITTEN = [("rgs packed", "packed.rgs", []), ("rgs direct", "direct.rgs", ["--profile", "direct"]),
@@ -135,11 +136,11 @@ def main():
         psnr, worst = ("-" if value is None else f"{value:.1f} dB" for value in (entry["psnr_db"], entry["worst_psnr_db"]))
         print(f"| {entry['format']} | {entry['writer']} | {entry['bytes_per_gaussian']:.1f} | {psnr} | {worst} |")
     if arguments.json:
-        arguments.json.write_text(json.dumps(record, indent=1) + "\n")
+        arguments.json.write_text(text(record) + "\n")
 
 
 def write_as_peers(ply, work):
-    """[format, writer, path] of what other programs make of the scene."""
+    """[format, writer, path] of the files of other programs."""
     work = work.resolve()
     (work / "write_ksplat.mjs").write_text(WRITE_KSPLAT)
     files = []

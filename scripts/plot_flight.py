@@ -30,7 +30,7 @@ def nice_ceiling(value):
 def panels(flight, fps):
     """(title, values) of each panel."""
     frames = flight["frames"]
-    window = max(1, round(fps / 2))  # a half of a second: single frames read all or nothing
+    window = max(1, round(fps / 2))  # half a second: a single frame reads all or nothing
     read = frames["bytes_read"]
     rate = [(b - a) / 1e6 / ((min(i, window)) / fps) if i else 0
             for i, (b, a) in enumerate(zip(read, [read[max(0, i - window)] for i in range(len(read))]))]
@@ -52,7 +52,7 @@ def svg(record):
     for k, (title, values) in enumerate(shown):
         top, bottom = TOP + k * (PANEL + GAP), TOP + k * (PANEL + GAP) + PANEL
         picture.text(LEFT, top - 6, title)
-        # One frame in a hundred may lie beyond the axis: the largest is said.
+        # One frame in a hundred may lie beyond the axis; the largest is named.
         ordered = sorted(values)
         limit = nice_ceiling(ordered[min(n - 1, math.floor(0.99 * n))])
         if values and ordered[-1] > limit:

@@ -46,8 +46,8 @@ def overlap(a, b):
 
 
 def labels(points, curve):
-    """(x, y, anchor) for the text at each (x, y, text): the first of some places that is free of points, of other texts and of
-    the curve [(x, y)], above the point if that lies on the curve."""
+    """(x, y, anchor) of the label of each (x, y, text): the first place that no point, label or curve [(x, y)] takes; above the
+    point if that lies on the curve."""
     taken = [(x - 6, y - 6, x + 6, y + 6) for x, y, _ in points]
     for (x, y), (to_x, to_y) in zip(curve, curve[1:]):
         for t in (i / 64 for i in range(65)):

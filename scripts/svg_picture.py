@@ -1,4 +1,4 @@
-# svg_picture.py - what the plots of records are drawn with: text and lines of one style, for light and dark pages.
+# svg_picture.py - text and lines of plots, for light and dark pages.
 # SPDX-License-Identifier: Apache-2.0
 from xml.sax.saxutils import escape
 

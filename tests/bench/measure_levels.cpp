@@ -1,5 +1,5 @@
 // measure_levels.cpp - what levels of detail look like from 1 to 8 times as far, against the supersampled truth: prints the
-// tables of docs/develop/LEVELS.md.
+// tables of docs/records/LEVELS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_levels SCENE.rgs CAMERAS.json [fast|best [PHOTOS]]

@@ -1,4 +1,4 @@
-// measure_motion.cpp - how steady levels of detail are while the camera moves: prints the table "Motion" of docs/develop/LEVELS.md.
+// measure_motion.cpp - how steady levels of detail are while the camera moves: prints the table "Motion" of docs/records/LEVELS.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_motion LEVELS.rgs CAMERAS.json [WIDTH [SUPERSAMPLING]]

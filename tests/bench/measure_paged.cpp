@@ -1,5 +1,5 @@
-// measure_paged.cpp - what levels of detail cost in bytes and how fast pages decode, in every profile: prints the table of
-// docs/user/PROFILES.md. Its levels are every fourth Gaussian of those below, twice as large.
+// measure_paged.cpp - bytes of levels of detail and how fast pages decode, in every profile: prints the second table of
+// docs/records/MEASUREMENTS.md, "Profiles". Its levels are every fourth Gaussian of those below, twice as large.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <cstdio>

@@ -1,4 +1,4 @@
-// measure_streaming.cpp - how fast pages decode on one core and how soon a streamed town is seen: prints the table of docs/develop/STREAMING.md.
+// measure_streaming.cpp - how fast pages decode on one core and how soon a streamed town is seen: prints a table of docs/records/STREAMING.md.
 // SPDX-License-Identifier: Apache-2.0
 //
 //   rgs_measure_streaming GAUSSIANS DEGREE FOLDER [decode]
