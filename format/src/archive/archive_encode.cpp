@@ -51,7 +51,7 @@ namespace {
 
 using namespace detail;
 
-constexpr float kClassOctaves = 2;     // finer classes cost more than their finer steps gain: docs/user/PROFILES.md
+constexpr float kClassOctaves = 2;     // finer ones cost more than their steps gain: docs/records/EXPERIMENTS.md
 constexpr float kLargestSh = 0x1p30f;  // one beyond would carry the centre of all away with it
 
 // Consecutive Gaussians that are coded together: of a page, where there are pages.
@@ -342,7 +342,7 @@ class Encoder {
     const float per_step = 0x1p-14f / c.sh_step;
     double size = 0;
     for (std::size_t k = 0; k < n; ++k) {
-      // No dead zone: what it saves costs more than a larger step would (docs/user/PROFILES.md).
+      // No dead zone: what it saves costs more than a larger step would (docs/records/EXPERIMENTS.md).
       const float level = std::floor(std::abs(y[k]) * per_step + 0.5f);
       if (!(level <= 32767)) return false;
       codes.sh[k * codes.n + i] = static_cast<std::int16_t>(y[k] < 0 ? -level : level);

@@ -177,7 +177,7 @@ Status check_encodable(const SceneScan& scan, const EncodeOptions& options) {
 namespace detail {
 
 std::uint32_t EncodePlan::frame_rows() const {
-  // The smaller, the better weights and tables suit; below this they cost more than they save (docs/user/PROFILES.md).
+  // Small frames suit weights and tables; smaller ones cost more than they save (docs/records/EXPERIMENTS.md).
   constexpr std::uint32_t kPackedRows = 16384;
   const std::uint32_t rows = options.profile == Profile::archive ? archive_rows : kPackedRows;
   return std::max(1u, rows / header.chunk_size) * header.chunk_size;

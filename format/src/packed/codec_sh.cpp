@@ -3,7 +3,7 @@
 // The SH coefficients of a Gaussian, of its channels and of its neighbours hang together. A code is predicted, in steps
 // of its chunk, as a linear combination of the Gaussian's codes before it, plus a share of the error that the same
 // combination made on the row before; weights are fitted by least squares for each frame and stored with it. The
-// residual takes 31.4 bytes a Gaussian where the codes take 41.5 (docs/user/PROFILES.md).
+// residual takes 31.4 bytes a Gaussian where the codes take 41.5 (docs/records/EXPERIMENTS.md).
 //
 // To give vectors something to do the frame is walked in 64 lanes: lane l goes through rows l * S to (l + 1) * S - 1,
 // all lanes in step; the rows left over, less than 64, are one more step.
