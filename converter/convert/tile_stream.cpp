@@ -1,4 +1,4 @@
-// tile_stream.cpp - tiles block by block, moved as merging in memory would move them.
+// tile_stream.cpp - streams tiles block by block, transformed as by merging in memory.
 // SPDX-License-Identifier: Apache-2.0
 #include "tile_stream.hpp"
 
