@@ -55,7 +55,6 @@ struct SectionSize {
   std::uint64_t stored_bytes = 0, decoded_bytes = 0;
 };
 
-/// Levels of detail that the asset holds.
 struct StoredLevels {
   std::uint32_t n_levels = 0, n_pages = 0;
   std::uint64_t n_gaussians = 0;  ///< of all pages

@@ -38,7 +38,6 @@ enum Series : std::size_t {
   kSeries,
 };
 
-// Lists of the worst Gaussians.
 enum Worst : std::size_t { kWorstColour, kWorstRotation, kWorstScale, kWorstOpacity, kWorstMean, kWorstLists };
 
 // Bins by the top bits of FP32: 64 per power of two, from 2^-48 (an FP32 rounding of something tiny) to 2^16.

@@ -25,7 +25,6 @@ SvgWriter chart_with_axis(const std::string& label) {
   return svg;
 }
 
-// Columns from kLeft to kRight; heights 0..1.
 void draw_columns(SvgWriter& svg, std::span<const double> heights) {
   const double step = (kRight - kLeft) / static_cast<double>(heights.size());
   std::string path;

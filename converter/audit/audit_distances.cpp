@@ -29,7 +29,6 @@ Camera scaled(Camera camera, int by, int per) {
   return camera;
 }
 
-// Averages squares of factor x factor pixels.
 Image box_filtered(const Image& image, int factor) {
   Image out = Image::make(image.width / factor, image.height / factor, image.channels);
   for (int y = 0; y < out.height; ++y) {
@@ -159,7 +158,6 @@ class DistanceAudit {
     return {};
   }
 
-  // Keeps the pictures of the view with the worst levels.
   void keep(std::size_t row, const FarView& result, Image truth, std::array<Image, kFarScenes> images) {
     constexpr auto kLevels = static_cast<std::size_t>(FarScene::levels);
     FarPictures& kept = report_.pictures[row];

@@ -46,7 +46,6 @@ const char* name_of(Status status) {
   return "";
 }
 
-// The scenes of one name.
 struct Candidates {
   std::vector<std::string> sources, rgs_sources, assets, rgs_assets;
 };
@@ -84,7 +83,6 @@ std::string own_or_common(const std::string& path, const std::string& own) {
   return !path.empty() && fs::exists(candidate, ignored) ? candidate.string() : path;
 }
 
-// Pictures were made, but none shows the scene.
 bool is_unrated(const FolderRow& row) {
   return row.n_views != 0 && row.n_rated == 0;
 }
@@ -236,7 +234,6 @@ class Folder {
     if (!file) return {};
     const auto text = with_gate(text_of(*file), fingerprint, earlier.verdict, earlier.gate);
     if (!text) return {};
-    // The JSON file last, as always.
     if (*text != text_of(*file))
       if (auto ok = write_text(page.string(), *text, true); !ok) return failed_row(stem, {page.string(), ok.error()});
     if (earlier.changed)

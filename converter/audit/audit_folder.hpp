@@ -22,7 +22,6 @@ struct FolderOptions {
   bool quiet = false;
 };
 
-/// One pair in the table.
 struct FolderRow {
   enum class Status : std::uint8_t { passed, gate_failed, error, unpaired };
   std::string stem, headline, error;

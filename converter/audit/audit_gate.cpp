@@ -43,8 +43,7 @@ const ConditionKind* kind_of(const std::string& name) {
   return found == kKinds.end() ? nullptr : &*found;
 }
 
-// The value of a condition on levels of detail.
-double found_from_afar(const std::string& name, const DistanceReport& report) {
+double distance_value(const std::string& name, const DistanceReport& report) {
   if (name == "levels-loss") return report.loss();
   const FarRow* row = report.at(name[name.size() - 2] - '0');
   if (row == nullptr) return std::numeric_limits<double>::quiet_NaN();
@@ -63,7 +62,7 @@ double found_value(const std::string& name, const Report& report) {
     return report.attributes ? static_cast<double>(report.attributes->n_source_only) : std::max(0.0, missing);
   }
   if (kind_of(name)->needs == Needs::distances)
-    return report.distances ? found_from_afar(name, *report.distances) : kNone;
+    return report.distances ? distance_value(name, *report.distances) : kNone;
   if (!report.render) return kNone;
   const RenderReport& r = *report.render;
   if (name == "rated-views") return static_cast<double>(r.n_rated);

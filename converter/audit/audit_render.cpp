@@ -60,7 +60,6 @@ bool in_view(const Camera& camera, const glm::dvec3& mean_world) {
   return u >= 0 && u < camera.width && v >= 0 && v < camera.height;
 }
 
-// One variant's scores, view by view.
 struct Series {
   std::string key, name;
   std::vector<double> psnr{}, mse{}, loss{};
@@ -140,7 +139,6 @@ class PictureAudit {
   }
 
   std::uint64_t frames_per_view() const {
-    // The conversion's frame is used twice.
     return 2 + (variants_.empty() ? 0 : variants_.size() - 1) +
            static_cast<std::uint64_t>(
                std::count_if(also_.begin(), also_.end(), [](auto& a) { return a.note.empty(); }));
@@ -163,7 +161,7 @@ class PictureAudit {
     const RenderOptions exact = reference_arithmetic(inputs_.declared);
     if (scene_.size() == 0 && first > 0)
       if (auto ok = load_source(); !ok) return ok;
-    if (auto ok = look_for_gaussians(first, end); !ok) return ok;
+    if (auto ok = mark_visible_gaussians(first, end); !ok) return ok;
     const RenderOptions as_source = inputs_.source_stated ? reference_arithmetic(inputs_.source_stated) : exact;
     references_.clear();
     reference_drawn_.clear();
@@ -286,7 +284,7 @@ class PictureAudit {
   }
 
   // Marks the Gaussians of the source whose means lie in views [first, end).
-  Done look_for_gaussians(std::size_t first, std::size_t end) {
+  Done mark_visible_gaussians(std::size_t first, std::size_t end) {
     const auto source = scene_.view();
     if (!source) return make_error(options_.source, source.error());
     seen_.resize(source->n);

@@ -318,7 +318,7 @@ class Page {
         r.automatic_views ? " No cameras were given: these views lie on a circle around the scene, where no photograph "
                             "may have been taken."
                           : "");
-    look_at(r);
+    view_command(r);
     const bool photos = r.photo.has_value();
     const bool one_size = std::all_of(r.views.begin(), r.views.end(), [&](const ViewResult& v) {
       return v.width == r.views.front().width && v.height == r.views.front().height;
@@ -350,7 +350,7 @@ class Page {
   }
 
   // The script appends a view's argument to the command.
-  void look_at(const RenderReport& r) {
+  void view_command(const RenderReport& r) {
     if (report_.view_command.empty()) return;
     const std::string command = html(report_.view_command);
     add("<p>To look at both sides in a browser: <code id=\"look\" data-command=\"{0}\">{0}</code>{1}</p>\n", command,

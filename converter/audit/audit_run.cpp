@@ -96,7 +96,6 @@ const Axes& axes_of(const RgsAsset& asset) {
   return (asset.levels ? asset.levels->head() : asset.view).declarations().axes;
 }
 
-// Validates every value, and decodes coded sections.
 Status load_rgs(RgsAsset& asset, unsigned threads) {
   if (!asset.levels) return asset.view.preload({.threads = threads});
   if (auto ok = validate(*asset.levels, threads); !ok) return ok;

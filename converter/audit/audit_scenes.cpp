@@ -19,7 +19,6 @@ constexpr std::uint64_t kBlock = 4096;
 constexpr std::size_t kAtOnce = 64;
 constexpr std::uint64_t kChunk = 256;
 
-// Encodes and decodes Gaussians [first, end).
 void requantise(SplatCloud& cloud, std::uint64_t first, std::uint64_t end, const ShStepSet& set) {
   const auto floats = 3 * static_cast<std::uint64_t>(sh_coefficients(cloud.sh_degree));
   for (std::uint64_t i = first * floats; i < end * floats; ++i) {

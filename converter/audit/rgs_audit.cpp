@@ -87,7 +87,6 @@ int write_outputs(const audit::Report& report, const Arguments& a, bool replaces
   return tool::kSuccess;
 }
 
-// Checks before the work, not after it.
 rgs::Status is_free(const std::string& path, bool overwrite) {
   if (path.empty() || path == "-") return {};
   return rgs::AtomicFile::create(path, {.overwrite = overwrite, .sync = false}).map([](const rgs::AtomicFile&) {});
@@ -150,7 +149,6 @@ bool may_replace_page(const Arguments& a) {
   return fingerprint && audit::is_audit_page_of(page, *fingerprint);
 }
 
-// The inputs of a pair of files or folders.
 tool::InputFiles common_inputs(const Arguments& a) {
   tool::InputFiles inputs;
   inputs.add_cameras(a.audit.cameras);

@@ -234,7 +234,7 @@ class Batch {
       }
     }
     if (!share.overwrite && exists(scene)) return output_exists(scene);
-    if (share.unfinished && !state_.others_work()) remove_unfinished(scene.output_path);
+    if (share.unfinished && !state_.others_may_work()) remove_unfinished(scene.output_path);
     std::error_code failed;
     const fs::path folder = fs::path(scene.output_path).parent_path();
     fs::create_directories(folder, failed);
@@ -305,8 +305,8 @@ class Batch {
     };
     while (!children_.empty() || may_start()) {
       while (may_start() && children_.size() < options_.jobs) {
-        const auto side_by_side = static_cast<unsigned>(std::min<std::size_t>(options_.jobs, todo_.size()));
-        start(todo_[next++], std::max(1U, options_.threads / side_by_side));
+        const auto at_once = static_cast<unsigned>(std::min<std::size_t>(options_.jobs, todo_.size()));
+        start(todo_[next++], std::max(1U, options_.threads / at_once));
       }
       if (!children_.empty()) wait();
     }
@@ -388,7 +388,6 @@ class Batch {
     return false;
   }
 
-  // The error of a child that could not report one.
   static Error death(int status) {
     if (WIFEXITED(status) && WEXITSTATUS(status) == exit_code(Errc::read_failed))
       return {Errc::read_failed, Error::kNone, "the file shrank or became unreadable while it was read"};
@@ -407,7 +406,6 @@ class Batch {
 
   // ---- lines
 
-  // For people, on a terminal.
   bool text_lines() const { return !options_.json && options_.report.empty() && ::isatty(STDOUT_FILENO) == 1; }
 
   void settle(std::size_t i, Json result) {

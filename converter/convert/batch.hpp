@@ -14,7 +14,6 @@
 
 namespace rgs {
 
-/// One of many scenes, and its output.
 struct BatchScene {
   std::string name, input;  ///< the user's name for it; its path
   std::string output;       ///< relative to the output folder, or absolute
@@ -24,7 +23,6 @@ struct BatchScene {
   Status readable;
 };
 
-/// An error and the file that it is about.
 struct BatchFailure {
   std::string file;
   Error error;

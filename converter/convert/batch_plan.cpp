@@ -41,7 +41,6 @@ void complete(BatchScene& scene, const std::string& out) {
   scene.output_path = (fs::path(out) / scene.output).string();
 }
 
-// Reads a file or a pipe.
 Result<std::string> read_text(const std::string& path) {
   const bool is_stdin = path == "-";
   const std::unique_ptr<std::FILE, void (*)(std::FILE*)> file(is_stdin ? stdin : std::fopen(path.c_str(), "rbe"),

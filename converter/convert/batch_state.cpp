@@ -29,7 +29,6 @@ tl::unexpected<Error> system_error(Errc code, const char* what) {
   return make_error(code, Error::kNone, what, Error::kNone, Error::kNone, errno);
 }
 
-// The state files of all shards in a folder.
 std::vector<std::string> state_files(const std::string& folder) {
   std::vector<std::string> paths;
   if (DIR* const open = ::opendir(folder.c_str())) {
@@ -197,7 +196,7 @@ bool BatchState::was_begun(const std::string& output) const {
   return found != known_.end() && !found->second.begun.empty();
 }
 
-bool BatchState::others_work() const {
+bool BatchState::others_may_work() const {
   if (!locked_) return true;
   for (const std::string& path : state_files(folder_)) {
     if (path == path_) continue;

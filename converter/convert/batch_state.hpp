@@ -55,7 +55,7 @@ class BatchState {
   bool was_begun(const std::string& output, const std::string& input_path) const;
   bool was_begun(const std::string& output) const;
   /// Whether another program may be working on this folder: another shard's state is locked, or locks do not work.
-  bool others_work() const;
+  bool others_may_work() const;
   /// Records that a conversion of `input_path` to `output` begins and may replace what it leaves there; on disk before
   /// it returns, if `sync`. Errors: write_failed.
   Status begin(const std::string& output, const std::string& input_path, bool sync);

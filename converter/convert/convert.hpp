@@ -47,7 +47,6 @@ struct ConvertOptions {
   AtomicFile::Options output;
 };
 
-/// Result of a conversion, for people and programs.
 struct ConvertSummary {
   std::string source_name, source_format, output_format;
   std::uint64_t source_bytes = 0, output_bytes = 0;
@@ -83,7 +82,6 @@ Status check_count(std::uint64_t n);
 Result<ConvertSummary> convert_to_rgs(const SplatSource& source, const std::string& output_path,
                                       const ConvertOptions& options, const StageObserver& observer = {});
 
-/// The source of a stream of Gaussians.
 struct StreamFacts {
   std::uint64_t bytes = 0;
   Origin origin = kNoOrigin;            ///< of the means
@@ -106,7 +104,6 @@ Result<ConvertSummary> convert_rgs_to_ply(const FileView& source, const std::str
                                           const AtomicFile::Options& output, const StageObserver& observer = {},
                                           const std::optional<Declarations>& stated = std::nullopt);
 
-/// A scene in memory and its source.
 struct LoadedScene {
   SplatCloud cloud;
   std::string format;          ///< of the file; "merged" for several

@@ -168,7 +168,6 @@ class ReadOnce {
   const MappedFile* file_ = nullptr;
 };
 
-// Streams a source's rows block by block.
 lod::SplatStream stream_of(const SplatSource& source, const ReadOnce& memory) {
   return {source.size(), source.sh_degree(), [&source, memory](const lod::SplatStream::Visit& visit) -> Status {
             constexpr std::uint64_t kRows = 65536, kPart = 1024;

@@ -56,7 +56,6 @@ Outcome<std::vector<OpenRange>> open_ranges(const PartsRun& run, const PartsJob&
   return ranges;
 }
 
-// Reads bytes of a range and checks their hash.
 Status read_hashed(WorkFile& file, const HashedBytes& part, std::vector<std::byte>& bytes) {
   if (part.bytes > file.end()) return tl::unexpected(not_as_written());
   bytes.resize(part.bytes);
@@ -98,7 +97,7 @@ class Assembler {
 
   // Joins the pages of all stretches, and builds those above them.
   Outcome<void> build_tops() {
-    const std::size_t n_levels = ranges_of_any();
+    const std::size_t n_levels = levels_per_stretch();
     pages_.resize(n_levels);
     std::uint64_t n_tops = 0;
     for (OpenRange& range : ranges_) {
@@ -170,7 +169,7 @@ class Assembler {
 
  private:
   // The number of levels of a stretch, the same for all.
-  std::size_t ranges_of_any() const {
+  std::size_t levels_per_stretch() const {
     for (const OpenRange& range : ranges_) {
       if (!range.built.empty()) return range.built.front().levels.size();
     }
@@ -207,7 +206,6 @@ class Assembler {
     return {};
   }
 
-  // Encodes the few pages above all ranges.
   Status encode_tops(LevelsWriter& writer) {
     LevelsWriter::Encoder encoder(writer);
     std::uint32_t next = 0;

@@ -92,7 +92,6 @@ int partition(const PartsCommand& command, const PartsRun& run, const Selection&
   return steps.code();
 }
 
-// The plan, or an error.
 Outcome<PartsPlan> need_plan(const PartsRun& run, const PartsJob& job) {
   auto plan = find_plan(run, job);
   if (!plan) return tl::unexpected(plan.error());

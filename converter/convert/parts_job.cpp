@@ -251,7 +251,7 @@ bool is_digits(std::string_view text) {
 }
 
 // Whether the steps write a file of this name, or a killed process may have left it (AtomicFile).
-bool is_of_work(std::string_view name) {
+bool is_work_file(std::string_view name) {
   constexpr std::string_view kTemporary = ".tmp-";
   constexpr std::size_t kRandom = 6;
   if (name.size() > kTemporary.size() + kRandom &&
@@ -263,23 +263,23 @@ bool is_of_work(std::string_view name) {
   });
 }
 
-std::vector<fs::path> files_of_work(const std::string& folder) {
+std::vector<fs::path> list_work_files(const std::string& folder) {
   std::vector<fs::path> paths;
   std::error_code error;
   for (fs::directory_iterator it(folder, error), end; !error && it != end; it.increment(error)) {
-    if (is_of_work(it->path().filename().string())) paths.push_back(it->path());
+    if (is_work_file(it->path().filename().string())) paths.push_back(it->path());
   }
   return paths;
 }
 
 // An input that has the name of a file of the work and would be removed or overwritten. Empty if there is none.
-std::string input_of_work(const std::vector<fs::path>& of_work, const PartsJob& job) {
+std::string overwritten_input(const std::vector<fs::path>& work_files, const PartsJob& job) {
   tool::InputFiles inputs;
   for (const PartsInput& input : job.inputs) inputs.add_scene(input.path);
   inputs.add_cameras(job.cameras);
   std::vector<std::string> paths;
-  paths.reserve(of_work.size());
-  for (const fs::path& path : of_work) paths.push_back(path.string());
+  paths.reserve(work_files.size());
+  for (const fs::path& path : work_files) paths.push_back(path.string());
   if (inputs.clash(paths).empty()) return {};
   const auto taken = std::ranges::find_if(
       paths, [&inputs](const std::string& path) { return !inputs.clash(std::span(&path, 1)).empty(); });
@@ -318,15 +318,15 @@ std::uint64_t hash_of_prefix(std::span<const std::byte> input) {
 Outcome<PartsJob> begin_parts(const PartsRun& run, const PartsJob& job, bool overwrite) {
   const std::string path = run.job_path();
   const json about = job_json(job);
-  const std::vector<fs::path> of_work = files_of_work(run.folder);
-  if (const std::string input = input_of_work(of_work, job); !input.empty()) {
+  const std::vector<fs::path> work_files = list_work_files(run.folder);
+  if (const std::string input = overwritten_input(work_files, job); !input.empty()) {
     return failed(
         input, {Errc::bad_argument, Error::kNone, "the input has the name of a file of the work; name another folder",
                 Error::kNone, Error::kNone, 0});
   }
   std::error_code error;
   if (overwrite) {
-    for (const fs::path& step : of_work) {
+    for (const fs::path& step : work_files) {
       if (step.filename() != "job" && fs::symlink_status(step, error).type() == fs::file_type::regular)
         fs::remove(step, error);
     }

@@ -50,7 +50,6 @@ class OpenInput {
   }
   lod::SplatStream stream() const { return tiles_.stream(); }
   const SceneInput& input() const { return input_; }
-  /// Byte at which a Gaussian begins.
   std::uint64_t row_offset(std::uint64_t i) const {
     const auto& ply = tiles_.tiles().front().ply;
     return ply && i != Error::kNone ? ply->row_offset(i) : Error::kNone;

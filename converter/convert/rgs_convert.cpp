@@ -48,7 +48,6 @@ using rgs::Failure;
 using rgs::Outcome;
 using rgs::SplatFormat;
 
-// Steps of archive given on the command line.
 struct ArchiveChanges {
   std::optional<int> mean_cells, opacity_levels;
   std::optional<float> sh_step, dc_step, rotation_step, scale_step, slope;
@@ -117,7 +116,6 @@ rgs::StageObserver observe(tool::Progress& progress) {
   return observer;
 }
 
-// Whether the failure is the output's, not the input's.
 bool concerns_output(rgs::Errc code) {
   using rgs::Errc;
   return code == Errc::write_failed || code == Errc::output_exists || code == Errc::output_unusable;
@@ -261,8 +259,7 @@ std::string concerned(const Arguments& arguments, const Input& input, const rgs:
   return arguments.convert.scratch.empty() ? "." : arguments.convert.scratch;
 }
 
-// An input as a tile of the whole.
-struct LookedAt {
+struct InputTile {
   rgs::Tile tile;
   rgs::InputDeclarations declared;
   SplatFormat format = SplatFormat::unknown;
@@ -270,8 +267,8 @@ struct LookedAt {
   std::vector<std::string> unused;
 };
 
-Outcome<LookedAt> look_at(const Arguments& arguments, const Input& input, std::size_t i) {
-  LookedAt out;
+Outcome<InputTile> open_tile(const Arguments& arguments, const Input& input, std::size_t i) {
+  InputTile out;
   out.format = format_of_input(arguments, input);
   auto tile = input.tile(out.format, read_options(arguments));
   if (!tile) return failed(input.path(), tile.error());
@@ -306,14 +303,14 @@ Outcome<rgs::ConvertSummary> convert_tiles(Arguments& arguments, std::deque<Inpu
   std::uint64_t bytes = 0;
   SplatFormat first_format = SplatFormat::unknown;
   for (std::size_t i = 0; i < inputs.size(); ++i) {
-    auto looked = look_at(arguments, inputs[i], i);
-    if (!looked) return tl::unexpected(looked.error());
-    if (i == 0) first_format = looked->format;
-    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
-    bytes += looked->bytes;
-    unused.insert(unused.end(), looked->unused.begin(), looked->unused.end());
-    declared.push_back(std::move(looked->declared));
-    tiles[i] = std::move(looked->tile);
+    auto opened = open_tile(arguments, inputs[i], i);
+    if (!opened) return tl::unexpected(opened.error());
+    if (i == 0) first_format = opened->format;
+    if (i == 0) encode.axes = target_axes(arguments, opened->tile.axes, opened->format, SplatFormat::rgs);
+    bytes += opened->bytes;
+    unused.insert(unused.end(), opened->unused.begin(), opened->unused.end());
+    declared.push_back(std::move(opened->declared));
+    tiles[i] = std::move(opened->tile);
   }
   std::size_t tile = 0;
   const auto scene = rgs::TileStream::open(std::move(tiles), encode.axes, tile);
@@ -482,7 +479,6 @@ rgs::ArchiveOptions archive_options(const Arguments& a) {
   return o;
 }
 
-// Checks that no output is also an input.
 int check_outputs(const Arguments& a) {
   tool::InputFiles inputs;
   for (std::size_t i = 0; i < a.n_inputs(); ++i) inputs.add_scene(a.files[i]);
@@ -520,7 +516,6 @@ Outcome<void> open_inputs(Arguments& a, std::deque<Input>& inputs, std::deque<rg
   return {};
 }
 
-// Derives values from several options.
 void settle_options(Arguments& arguments) {
   rgs::EncodeOptions& encode = arguments.convert.encode;
   encode.axes = rgs::parse_axes(arguments.axes).value();
@@ -555,7 +550,6 @@ unsigned n_threads(const Arguments& arguments) {
                                : std::max(1u, std::thread::hardware_concurrency());
 }
 
-// The conversion itself, after all checks.
 Outcome<rgs::ConvertSummary> convert_open(Arguments& arguments, std::deque<Input>& inputs,
                                           const rgs::StageObserver& observer) {
   std::uint64_t source_bytes = 0;
@@ -621,27 +615,27 @@ Outcome<rgs::PartsJob> describe_job(Arguments& arguments, const std::string& cam
     rgs::PartsInput& part = job.inputs.emplace_back();
     Input input;
     if (const rgs::Status s = input.open(arguments.files[i]); !s) return failed(arguments.files[i], s.error());
-    auto looked = look_at(arguments, input, i);
-    if (!looked) return tl::unexpected(looked.error());
-    if (i == 0) encode.axes = target_axes(arguments, looked->tile.axes, looked->format, SplatFormat::rgs);
-    const auto facts = rgs::look_at_tile(looked->tile, encode.axes);
+    auto opened = open_tile(arguments, input, i);
+    if (!opened) return tl::unexpected(opened.error());
+    if (i == 0) encode.axes = target_axes(arguments, opened->tile.axes, opened->format, SplatFormat::rgs);
+    const auto facts = rgs::tile_facts(opened->tile, encode.axes);
     if (!facts) return failed(input.path(), facts.error());
     std::error_code ignored;
     part = {fs::absolute(input.path(), ignored).string(),
             input.name(),
             input.bytes().size(),
             rgs::hash_of_prefix(input.bytes()),
-            looked->format,
-            looked->tile.axes,
-            looked->tile.placed,
+            opened->format,
+            opened->tile.axes,
+            opened->tile.placed,
             *facts,
             job.n};
     job.n += facts->n;
     job.sh_degree = std::max(job.sh_degree, facts->sh_degree);
     if (encode.origin == rgs::kNoOrigin) encode.origin = facts->origin;
     file_bytes += input.bytes().size();
-    job.unused.insert(job.unused.end(), looked->unused.begin(), looked->unused.end());
-    declared.push_back(std::move(looked->declared));
+    job.unused.insert(job.unused.end(), opened->unused.begin(), opened->unused.end());
+    declared.push_back(std::move(opened->declared));
   }
   const std::string& first = arguments.files.front();
   if (job.inputs.size() == 1 && job.inputs.front().format == SplatFormat::rgs) {
@@ -764,7 +758,6 @@ int convert_parts(Arguments& a) {
 
 // ---- many scenes
 
-// Converts one of many scenes, in its own process.
 tl::expected<rgs::ConvertSummary, rgs::BatchFailure> convert_one(const Arguments& all, const rgs::BatchScene& scene,
                                                                  const rgs::BatchShare& share) {
   Arguments arguments = all;

@@ -31,7 +31,7 @@ struct TileFacts {
   Origin origin = kNoOrigin;
 };
 /// Reads a PLY file only if a translation may move it far. Errors: the tile's.
-Result<TileFacts> look_at_tile(const Tile& tile, const Axes& axes);
+Result<TileFacts> tile_facts(const Tile& tile, const Axes& axes);
 
 /// Streams the Gaussians that merging all tiles in memory would give, in the same order and with the same bits.
 class TileStream {

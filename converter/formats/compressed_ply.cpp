@@ -31,7 +31,6 @@ constexpr std::array<const char*, 18> kChunkNames{
     "max_scale_x", "max_scale_y", "max_scale_z", "min_r", "min_g", "min_b", "max_r",       "max_g",       "max_b"};
 constexpr std::array<const char*, 4> kVertexNames{"packed_position", "packed_rotation", "packed_scale", "packed_color"};
 
-// Rows of one element: where they start, and the offset of each wanted property in a row.
 struct Table {
   std::uint64_t offset = 0, row_bytes = 0, count = 0;
   std::vector<std::uint64_t> at;  // one per wanted property; empty if the element lacks any of them
@@ -65,7 +64,6 @@ struct Tables {
   StatedScene stated;
 };
 
-// Finds the element's rows and checks that they lie in the file.
 Result<Table> locate(const PlyHeader& header, const PlyElement& wanted, std::uint64_t file_bytes) {
   Table table;
   table.offset = header.bytes;
@@ -267,7 +265,6 @@ void encode_vertex(const Splat& s, const Bounds& bounds, std::span<std::byte> ro
   store(row, 12, colour << 8 | unit_code(static_cast<double>(opacity_from_logit(s.opacity_logit)), 255));
 }
 
-// The code of the step that holds the value.
 std::uint8_t encode_sh(float value) {
   return static_cast<std::uint8_t>(std::clamp(std::floor(static_cast<double>(value) * 32 + 128), 0.0, 255.0));
 }

@@ -266,7 +266,6 @@ Result<Similarity> node_transform(const json& node) {
                       "a node shears, mirrors or scales unevenly, which Gaussians do not survive");
   }
   const glm::dquat q(xyzw.w, xyzw.x, xyzw.y, xyzw.z);
-  // A node has either a matrix or TRS.
   return compose(*from_matrix, {rotation_from_quaternion(q), scale.x, translation});
 }
 
@@ -439,7 +438,6 @@ class BufferBuilder {
     }
     return add_accessor({{"componentType", kComponentFloat}, {"count", n_}, {"type", type}});
   }
-  /// Normalised bytes [n, 4].
   template <class Value>
   std::size_t add_colours(const Value& value) {
     const std::uint64_t start = begin_view(4);

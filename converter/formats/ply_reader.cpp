@@ -134,7 +134,6 @@ bool is_blank(std::byte b) {
   return c == ' ' || c == '\t' || c == '\r' || c == '\v' || c == '\f';
 }
 
-// One line of text values.
 class LineReader {
  public:
   explicit LineReader(std::span<const std::byte> line)
@@ -190,7 +189,6 @@ std::span<const std::byte> next_line(Cursor& cursor) {
   return {start, length};
 }
 
-// Vertex values to be written as a row of numbers.
 struct RowValues {
   bool wide = false;             // means in FP64
   std::array<double, 3> mean{};  // if so
@@ -471,7 +469,6 @@ void PlyFile::Impl::choose_layout() {
   }
 }
 
-// x, y, z of row i as stored.
 std::array<double, 3> PlyFile::Impl::position(std::uint64_t i) const {
   std::array<double, 3> x;
   for (std::size_t k = 0; k < 3; ++k) {

@@ -43,7 +43,6 @@ tl::unexpected<Error> bad_meta(const char* what) {
   return make_error(Errc::bad_syntax, 0, what);
 }
 
-// `count` finite numbers, or nothing.
 std::vector<float> numbers(const json* array, std::size_t count) {
   std::vector<float> out;
   if (array == nullptr || !array->is_array() || array->size() != count) return out;

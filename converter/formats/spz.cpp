@@ -42,7 +42,6 @@ struct SpzHeader {
 
   std::uint64_t n_streams() const { return sh_degree == 0 ? kStreams - 1 : kStreams; }
   std::uint64_t rotation_bytes() const { return version == 2 ? 3 : 4; }
-  /// Decoded bytes of each stream.
   std::array<std::uint64_t, kStreams> sizes() const {
     const std::uint64_t count = n, rest = static_cast<std::uint64_t>(sh_coefficients(sh_degree)) - 1;
     return {9 * count, count, 3 * count, 3 * count, rotation_bytes() * count, 3 * rest * count};
@@ -55,7 +54,6 @@ struct SpzHeader {
 };
 using Streams = std::array<std::span<const std::byte>, kStreams>;
 
-// The unpacked parts of a file.
 struct SpzContent {
   SpzHeader header;
   std::vector<std::byte> body;        // the streams, one after the other
@@ -415,7 +413,6 @@ void encode_rotation_v2(const float (&rotation)[4], std::span<std::byte> code) {
   }
 }
 
-// Indices of the Gaussians in Morton order.
 std::vector<std::uint32_t> spatial_order(const SplatView& splats) {
   SceneScan scan(splats.sh_degree);
   for (std::uint64_t i = 0; i < splats.n; ++i) {
@@ -585,7 +582,6 @@ std::vector<std::byte> compress_deflate(const std::vector<std::byte>& stream, st
   return stored;
 }
 
-// Compresses all streams in parallel.
 template <class Compress>
 CodedStreams compress_all(const CodedStreams& streams, Compress compress) {
   std::array<std::future<std::vector<std::byte>>, kStreams> compressed;

@@ -85,7 +85,6 @@ std::string text_of(const Axes& axes) {
   return text;
 }
 
-// Reads one rgs_ key.
 bool read_value(std::string_view key, std::string_view value, StatedScene& scene) {
   if (key == "low_pass_px2") {
     scene.low_pass_px2 = number(value);

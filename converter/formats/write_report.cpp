@@ -53,7 +53,6 @@ Ranges ranges_of(SplatFormat format) {
   return r;
 }
 
-// Part of a row, with its own range.
 struct Segment {
   std::uint64_t first = 0, count = 0;
   Range range;

@@ -124,7 +124,6 @@ double bytes_per_gaussian(std::uint64_t bytes, const Header& header);
 /// Whether the axes are right-handed; absent if they are not declared.
 std::optional<bool> right_handed(const std::array<Axis, 3>& axes);
 
-/// An enumerator's spelling in JSON and in text.
 struct Name {
   const char* id;
   const char* words;

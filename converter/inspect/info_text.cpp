@@ -338,7 +338,6 @@ class TextReport : private TextLines {
     bytes(SectionType::sh, c.first, c.entry.count, sh_bytes(header_.sh_degree));
   }
 
-  // Pages are read whole.
   void page_of_chunk(const ChunkReport& c) {
     const std::uint32_t i = leaf_of_row(*report_.paged, c.first);
     const StoredPage& stored = report_.paged->stored(i);

@@ -141,7 +141,6 @@ bool is_far(const SplatView& splats, std::uint64_t i, const float centre[3]) {
   return false;
 }
 
-// The median of each coordinate of the means.
 void find_middle(const SplatView& splats, std::uint64_t from, std::uint64_t n, float middle[3]) {
   std::vector<float> values(n);
   for (std::size_t k = 0; k < 3; ++k) {

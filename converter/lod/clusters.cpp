@@ -132,7 +132,7 @@ Clusters merge_neighbours(const Gaussians& gaussians, std::span<const float> wei
     pairs.clear();
     for (std::uint32_t i = 0; i < current.size(); ++i) {
       for (const std::uint32_t j : nearest[i]) {
-        if (j == kNobody) break;
+        if (j == kNoNeighbour) break;
         // If both are neighbours of each other, the first has added the pair.
         if (j < i && std::find(nearest[j].begin(), nearest[j].end(), i) != nearest[j].end()) continue;
         pairs.push_back({i, j});

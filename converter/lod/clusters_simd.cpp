@@ -34,15 +34,13 @@ HWY_BEFORE_NAMESPACE();
 namespace rgs::lod {
 namespace HWY_NAMESPACE {
 
-// The search for the neighbours of one point.
 class Search {
  public:
   Search(const PointTree& tree, std::uint32_t at) : tree_(tree), self_(at) {
     for (int k = 0; k < 3; ++k) to_[k] = tree.at[k][at];
     for (float& d : distance_) d = std::numeric_limits<float>::infinity();
-    found_.fill(kNobody);
+    found_.fill(kNoNeighbour);
   }
-  // Searches blocks begin .. end - 1.
   void descend(std::size_t begin, std::size_t end) {
     if (end - begin == 1) return scan_leaf(begin * kLanes);
     const std::size_t middle = (begin + end) / 2;
@@ -52,7 +50,6 @@ class Search {
     if (d * d >= distance_[kNeighbours - 1]) return;  // stop at equality: many points may coincide
     d < 0 ? descend(middle, end) : descend(begin, middle);
   }
-  // Searches only the block of the point itself.
   void scan_own_leaf() { scan_leaf(self_ / kLanes * kLanes); }
   // Whether the point coincides with all its neighbours.
   bool is_crowded() const { return distance_[kNeighbours - 1] == 0; }
@@ -99,7 +96,6 @@ void search_all(const PointTree& tree, Neighbours* out) {
   }
 }
 
-// Eight clusters, a lane each.
 struct Clusters8 {
   V weight, mean[3];
   struct {

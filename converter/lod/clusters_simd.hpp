@@ -32,9 +32,9 @@ inline __attribute__((always_inline)) void merge_moments(const Clusters& a, cons
   for (int k = 0; k < 4; ++k) m.color[k] = p * a.color[k] + q * b.color[k];
 }
 
-/// Neighbours of a cluster, nearest first, padded with kNobody.
+/// Neighbours of a cluster, nearest first, padded with kNoNeighbour.
 using Neighbours = std::array<std::uint32_t, kNeighbours>;
-inline constexpr std::uint32_t kNobody = 0xffffffff;
+inline constexpr std::uint32_t kNoNeighbour = 0xffffffff;
 
 /// The nearest neighbours of each cluster, by their means.
 void nearest_clusters(std::span<const Cluster> clusters, std::vector<Neighbours>& out);

@@ -33,7 +33,6 @@ float longest(const Gaussians& gaussians, std::size_t i) {
   return std::max({gaussians.of(kScale)[i], gaussians.of(kScale + 1)[i], gaussians.of(kScale + 2)[i]});
 }
 
-// Extent of the means along the longest axis.
 float extent(const Gaussians& gaussians) {
   float most = 0;
   for (int k = 0; k < 3; ++k) {

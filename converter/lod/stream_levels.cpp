@@ -40,7 +40,6 @@ void each_in_parallel(std::size_t n, const F& f) {
   });
 }
 
-// The first failure of parallel jobs.
 class FirstFailure {
  public:
   void note(const Status& status) {
@@ -94,9 +93,9 @@ Status each_kept(const SplatStream& stream, int sh_degree, BadPolicy on_bad, con
     kept.assign(rows.begin(), rows.end());
     keeps.assign(rows.size(), 0);
     each_in_parallel((rows.size() + kPart - 1) / kPart, [&](std::size_t part) {
-      SceneScan mender(sh_degree, on_bad);
+      SceneScan repair_scan(sh_degree, on_bad);
       for (std::size_t i = part * kPart; i < std::min(rows.size(), (part + 1) * kPart); ++i) {
-        keeps[i] = static_cast<char>(mender.add(kept[i]));
+        keeps[i] = static_cast<char>(repair_scan.add(kept[i]));
       }
     });
     positions.clear();
@@ -365,8 +364,8 @@ Status scan_stream(const SplatStream& stream, const StreamOptions& options, Scen
         SceneScan& local = scans.local();
         for (std::size_t i = part * kPart; i < std::min(rows.size(), (part + 1) * kPart); ++i) {
           Splat row = rows[i];
-          const std::uint64_t mended = local.n_repaired();
-          if (local.add(row) && local.n_repaired() == mended) continue;
+          const std::uint64_t n_repaired = local.n_repaired();
+          if (local.add(row) && local.n_repaired() == n_repaired) continue;
           std::uint64_t seen = damaged.load();
           while (first + i < seen && !damaged.compare_exchange_weak(seen, first + i)) continue;
         }

@@ -104,7 +104,6 @@ Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   return *std::move(file);
 }
 
-// Contributions of each Gaussian to the pictures of all cameras.
 Step<std::vector<Contribution>> contributions_of(const Options& o, const rgs::SplatFile& file,
                                                  const std::vector<rgs::Camera>& cameras, tool::Progress& progress) {
   const auto scene = rgs::Scene::load(file.cloud, rgs::declarations_of(file));

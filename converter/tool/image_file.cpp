@@ -176,7 +176,6 @@ Status write_image(const std::string& path, const Image& image, const ImageFileO
   const auto format = image_format(path);
   if (!format) return tl::unexpected(format.error());
   if (const Status s = check(image, *format, options); !s) return s;
-  // Rejects existing outputs and unwritable folders before encoding.
   auto file = AtomicFile::create(path, options.file);
   if (!file) return tl::unexpected(file.error());
   const auto bytes = encode(image, *format, options);

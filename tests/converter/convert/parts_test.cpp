@@ -112,7 +112,7 @@ PartsJob job_of(const Scene& scene, std::uint32_t n_ranges) {
   for (std::size_t i = 0; i < scene.paths.size(); ++i) {
     SceneInput input;
     REQUIRE(input.open(scene.paths[i]));
-    const auto facts = look_at_tile(tile_of(input, scene.placed[i]), job.encode.axes);
+    const auto facts = tile_facts(tile_of(input, scene.placed[i]), job.encode.axes);
     REQUIRE(facts);
     job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), hash_of_prefix(input.bytes()),
                           SplatFormat::ply, kAxes3dgs, scene.placed[i], *facts, job.n});
