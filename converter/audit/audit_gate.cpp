@@ -260,7 +260,7 @@ Verdict verdict(const Report& report) {
        report.source_stated->low_pass_px2 != report.declarations->low_pass_px2))
     add(fmt::format("The source states {}, the asset {}: each is drawn as it states.",
                     anti_aliasing_text(*report.source_stated), anti_aliasing_text(*report.declarations)));
-  if (report.made_from_source == false) add("The asset states that it was made from another file than this source.");
+  if (report.made_from_source == false) add("The asset names another file as its source.");
   out.headline = headline_of(out.finding, report.gate);
   return out;
 }

@@ -1011,7 +1011,7 @@ void add_options(CLI::App& app, Arguments& a) {
   app.add_flag("--keep-permutation", e.keep_permutation, "Store each Gaussian's position in the input (4 bytes)");
   app.add_option("--chunk-size", e.chunk_size, "Gaussians per chunk, a multiple of 32 from 32 to 65536 [256]");
   app.add_flag("--file-scales", a.file_scales, "One set of SH scales for the file instead of one per chunk");
-  app.add_flag("--lod", a.lod, "Levels of detail beside the Gaussians (docs/develop/LEVELS.md)");
+  app.add_flag("--lod", a.lod, "Add levels of detail (docs/develop/LEVELS.md)");
   app.add_option("--lod-quality", a.lod_quality, "Effort of fitting levels [fast]")
       ->transform(tool::one_of(std::map<std::string, rgs::lod::Quality>{{"fast", rgs::lod::Quality::fast},
                                                                         {"best", rgs::lod::Quality::best}}));

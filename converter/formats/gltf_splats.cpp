@@ -68,7 +68,7 @@ Result<Glb> parse_chunks(std::span<const std::byte> bytes) {
   }
   const std::uint64_t length = load<std::uint32_t>(bytes, 8);
   if (length > bytes.size())
-    return make_error(Errc::truncated, 8, "the file is shorter than it says", length, bytes.size());
+    return make_error(Errc::truncated, 8, "the file is shorter than its header says", length, bytes.size());
   if (length < bytes.size())
     return make_error(Errc::trailing_bytes, length, "bytes after the end that the header states");
   Glb glb;

@@ -139,7 +139,7 @@ Result<PlyHeader> parse_ply_header(std::span<const std::byte> bytes) {
       header.bytes = end + 1;
       return header;
     } else {
-      return make_error(Errc::bad_syntax, line, "a header line starts with none of the PLY keywords");
+      return make_error(Errc::bad_syntax, line, "a header line does not start with a PLY keyword");
     }
     line = end + 1;
   }

@@ -31,7 +31,7 @@ CLI::Validator one_of(const std::map<std::string, T>& values) {
     }
     std::string names;
     for (const auto& [name, value] : values) names += (names.empty() ? "" : ", ") + name;
-    return "'" + text + "' is none of " + names;
+    return "'" + text + "' is not one of " + names;
   };
   return CLI::Validator(replace, "");
 }

@@ -55,7 +55,7 @@ inline CLI::Option* add_max_expansion(CLI::App& app, DecodeLimits& limits) {
               throw CLI::ValidationError("--max-expansion", std::string(s.error().what) + ", not '" + text + "'");
             }
           },
-          "limit on what a compressed file expands to: a ratio to its size, or bytes such as 8GB [1032]")
+          "Limit on what a compressed file expands to: a ratio to its size, or bytes such as 8GB [1032]")
       ->option_text("RATIO|SIZE");
 }
 
