@@ -194,7 +194,7 @@ Outcome<Report> run(const Options& options, tool::Progress& progress) {
   report.view_command = view_command(options);
   const bool rgs_asset = is_rgs(file->bytes());
   Result<RgsAsset> asset = rgs_asset ? open_rgs(file->bytes(), options.limits) : Result<RgsAsset>();
-  // The source that an asset names; of a SOG's folder meta.json alone.
+  // The file that an asset may name as its source; of a SOG folder meta.json alone.
   const auto original = MappedFile::open(options.source);
   if (!original) return make_error(options.source, original.error());
   // A conversion turns formats with axes of their own into the asset's; a PLY only on request.

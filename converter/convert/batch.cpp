@@ -299,7 +299,7 @@ class Batch {
 
   void work() {
     std::size_t next = 0;
-    // Starting may fail, so this also holds before there is any child.
+    // Starting may fail, so check before each.
     const auto may_start = [&] {
       return next < todo_.size() && stopped_by_ == 0 && (options_.keep_going || n_failed_ == 0);
     };

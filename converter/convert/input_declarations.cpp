@@ -71,7 +71,7 @@ void declare_depth(EncodeOptions& encode, std::span<const InputDeclarations> inp
   }
   if (asked.depth_mapping && *asked.depth_mapping != encode.depth_mapping) {
     encode.depth_mapping = *asked.depth_mapping;
-    // For a range from the extent, the mapping decides how far it reaches.
+    // How far a range from the extent reaches depends on its mapping, so it is not taken over.
     if (encode.depth && encode.depth->source == DepthSource::scene_extent) encode.depth.reset();
   }
 }

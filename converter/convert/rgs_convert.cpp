@@ -156,7 +156,7 @@ bool edits(const Arguments& arguments) {
   return arguments.n_inputs() > 1 || !arguments.filter.keeps_all() || moves(arguments) || arguments.level_of_detail;
 }
 
-// For a single input, max_count applies to its levels first. For several, no one knows how to divide it.
+// Applies max_count to the levels of a single input first; of several inputs it would be ambiguous.
 rgs::ReadOptions read_options(const Arguments& arguments) {
   rgs::ReadOptions options;
   options.limits = arguments.limits;

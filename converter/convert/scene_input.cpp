@@ -61,7 +61,7 @@ std::uint64_t SceneInput::hash() const {
 
 Result<SplatFile> SceneInput::read(ReadOptions options) const {
   options.keep_axes = true;
-  // The hashed bytes, or the total of all files if it is a SOG in a folder.
+  // Read the hashed bytes, not the path, unless files beside it belong to it: a SOG may be a folder.
   const bool folder = path_ != "-" && detect_format(bytes_) == SplatFormat::sog;
   return folder ? read_splats(path_, options) : read_splats(bytes_, options);
 }

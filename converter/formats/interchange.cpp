@@ -75,7 +75,7 @@ Result<SplatFile> decode_rgs(std::span<const std::byte> bytes, const DecodeLimit
   return file;
 }
 
-// Sets the counts of `pages` to what counts of them; returns the sum over all leaves.
+// Replaces the pages' counts by `counts`, if given; returns the sum over all leaves.
 std::uint64_t count_as(std::span<const std::uint32_t> counts, std::vector<lod::Page>& pages) {
   std::uint64_t of_leaves = 0;
   for (std::size_t i = 0; i < pages.size(); ++i) {

@@ -93,8 +93,8 @@ std::vector<float> visible_areas(const Gaussians& group) {
   return out;
 }
 
-// Pixel size at which `n` Gaussians suffice: each Gaussian counts its visible share of a pixel, at most 1, and the
-// result's pixels are kCoarseness times finer.
+// Footprint at which `n` Gaussians suffice: kCoarseness times the pixel at which they count n, each Gaussian counting its
+// visible share of a pixel, at most 1.
 float footprint_of(std::span<const float> visible, std::size_t n) {
   double below = 0, above = 0;
   for (const float area : visible) above += static_cast<double>(area);
