@@ -268,7 +268,7 @@ def refusals(folder):
     os.remove(f"{folder}/tiles/link.ply")
     run = Run(folder, "options=--profile archive:high")
     same((run.code, run.jobs), (1, ["begin"]))
-    assert "--profile archive looks at all Gaussians at once" in run.text
+    assert "--profile archive needs all Gaussians at once" in run.text
 
 
 @case("the page's GNU parallel, and a Slurm array's steps by hand")

@@ -201,7 +201,7 @@ TEST_CASE("the report has a strip of pictures for each distance, and tables of f
     ++n_strips;
   CHECK(n_strips == 4);
   CHECK(text.find(">nan") == std::string::npos);
-  CHECK(text.find("Levels of detail from afar") != std::string::npos);
+  CHECK(text.find("Levels of detail at a distance") != std::string::npos);
 
   const std::string sources = scene().file("sources"), assets = scene().file("assets"), out = scene().file("out");
   fs::create_directories(sources);

@@ -273,7 +273,7 @@ TEST_CASE("Gaussians that the conversion left out show in numbers, attribution a
   CHECK(j["asset"]["made_from_source"].is_null());
   CHECK(j["rendered"]["attribution"][0]["key"] == "left_out");
   CHECK(j["rendered"]["attribution"][0]["share"].get<double>() > 0.9);
-  CHECK(j["verdict"]["detail"].get<std::string>().find("40 Gaussians of the source are not in the asset") !=
+  CHECK(j["verdict"]["detail"].get<std::string>().find("40 Gaussians of the source are missing from the asset") !=
         std::string::npos);
   // A damaged source: what cannot be drawn is counted, not an error.
   const std::string damaged = write_ply(scene.file("damaged.ply"), part);

@@ -150,7 +150,7 @@ TEST_CASE("a folder of all formats becomes a folder of the same shape, byte for 
   CHECK(one.count("skipped") == 1);
   CHECK(one.lines.at("input.ply")["error"]["code"] == "not_gaussian_splats");
   CHECK(one.n_lines == 9);
-  CHECK(one.err.find("4 other files passed over") != std::string::npos);
+  CHECK(one.err.find("4 other files ignored") != std::string::npos);
   CHECK(one.lines.at("sub/c.spz")["output_path"] == "sub/c.rgs");
   CHECK(one.lines.at("sub/c.spz")["source"]["format"] == "spz");
   CHECK(one.lines.at("a.ply")["output"]["gaussians"] == kSmall);
@@ -334,7 +334,7 @@ TEST_CASE("scenes for which no process can be started fail, and the program ends
     if (hangs) run.send(SIGKILL);
     const ProgramResult end = run.wait();
     CHECK_FALSE(hangs);
-    has_failed = has_failed || end.out.find("a process for it cannot be started") != end.out.npos;
+    has_failed = has_failed || end.out.find("cannot start a process for it") != end.out.npos;
   }
   CHECK(has_failed);
   // What was never begun is nobody's.
@@ -441,7 +441,7 @@ TEST_CASE("links, hidden files, unfinished outputs and a folder of outputs among
   INFO(run.err);
   CHECK(run.exit_code == 0);
   CHECK(names(contents(inside)) == std::set<std::string>{"a.rgs", "b.rgs", "folder/x.rgs", "link.rgs"});
-  CHECK(run.err.find("self: a link to a folder that it lies in") != std::string::npos);
+  CHECK(run.err.find("self: a link to a folder that contains it") != std::string::npos);
   CHECK(convert_all(command).count("kept") == 4);  // and no output has become an input
   // Not onto itself, by whatever name.
   for (const std::string& same : {f.in, f.in + "/.", f.in + "/self", f.file("elsewhere/../in")})
@@ -576,7 +576,7 @@ TEST_CASE("two programs on one folder: the second is told") {
   const Batch second = convert_all(f.command());
   if (was_running && first.running()) {
     CHECK(second.exit_code == 3);
-    CHECK(second.err.find("another rgs-convert works on this folder") != std::string::npos);
+    CHECK(second.err.find("another rgs-convert is working on this folder") != std::string::npos);
   }
   CHECK(first.wait().exit_code == 0);
 }
@@ -759,7 +759,7 @@ TEST_CASE("signals end all conversions, and leave neither half outputs nor a dam
     run.send(signal_number);
     const ProgramResult end = run.wait();
     CHECK(end.signal == signal_number);
-    CHECK(end.err.find("the same command goes on from there") != std::string::npos);
+    CHECK(end.err.find("run the same command to continue") != std::string::npos);
     CHECK_FALSE(has_temporaries(f.out));
     const Batch rest = convert_all(f.command({"--level", "12", "--jobs", "2"}));
     CHECK(rest.exit_code == 0);

@@ -82,7 +82,7 @@ TEST_CASE("processes take the inputs and ranges that they are told, and say what
       {"--lod-partition", work, "--ranges", "5", "--lod-input", "none", "--on-bad", "drop", inputs[0], "--list", list});
   CAPTURE(begun.err);
   REQUIRE(begun.exit_code == 0);
-  CHECK(begun.out.find("3 of 3 inputs are to be scanned") != std::string::npos);
+  CHECK(begun.out.find("3 of 3 inputs are not scanned") != std::string::npos);
   const auto listed = [&] {
     const ProgramResult run = program({"--lod-list", work});
     REQUIRE(run.exit_code == 0);

@@ -112,9 +112,9 @@ PartsJob job_of(const Scene& scene, std::uint32_t n_ranges) {
   for (std::size_t i = 0; i < scene.paths.size(); ++i) {
     SceneInput input;
     REQUIRE(input.open(scene.paths[i]));
-    const auto facts = look_at_tile(tile_of(input, scene.placed[i]), job.encode.axes);
+    const auto facts = tile_facts(tile_of(input, scene.placed[i]), job.encode.axes);
     REQUIRE(facts);
-    job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), hash_of_beginning(input.bytes()),
+    job.inputs.push_back({scene.paths[i], input.name(), input.bytes().size(), hash_of_prefix(input.bytes()),
                           SplatFormat::ply, kAxes3dgs, scene.placed[i], *facts, job.n});
     job.n += facts->n;
     job.sh_degree = std::max(job.sh_degree, facts->sh_degree);

@@ -37,7 +37,7 @@ TEST_CASE("names of one file clash, whether it exists or not, and others do not"
   CHECK(clash({folder.file("x/y/c"), folder.file("x//y/./c")}) != "");
   CHECK(clash({folder.file("x/y/c"), folder.file("x/z/c")}) == "");
   CHECK(clash({"-", b}) == "");
-  CHECK(clash({"-", b, "-"}) == "two outputs are standard output");
+  CHECK(clash({"-", b, "-"}) == "two outputs go to standard output");
   const fs::path before = fs::current_path();
   fs::current_path(folder.path());
   CHECK(clash({"a"}) != "");

@@ -473,7 +473,7 @@ TEST_CASE("an output that is an input or another output is refused, whatever its
     CHECK(result.exit_code == 2);
     CHECK((result.err.find("is the same file as") != std::string::npos ||
            result.err.find("both need standard output") != std::string::npos ||
-           result.err.find("two outputs are standard output") != std::string::npos));
+           result.err.find("two outputs go to standard output") != std::string::npos));
     CHECK(names_in(scene.folder.path()) == before);
     CHECK(read_text(scene.ply) == ply);
     CHECK(read_text(scene.rgs) == rgs);
