@@ -118,7 +118,7 @@ struct SlotWriter::Impl {
   StagingRing ring;
   cuda::Pieces pieces;  // of pages that were taken and not sent
   std::array<Sent, kMostSent> all_sent;
-  Ticket last_sent = 0, last_there = 0;  // in between is what is on its way
+  Ticket last_sent = 0, last_done = 0;  // in between is what is on its way
   OwnedStream stream;
 };
 
@@ -145,17 +145,17 @@ Result<SlotWriter> SlotWriter::create(std::shared_ptr<const DeviceSlots> slots, 
 
 Status SlotWriter::Impl::wait_for_oldest() {
   const StreamTimer timer(StreamStep::room);
-  Sent& oldest = sent(last_there + 1);
+  Sent& oldest = sent(last_done + 1);
   Status there = oldest.copied.wait();
   if (!there) return there;
-  ++last_there;
-  ring.give_up_to(oldest.taken);
+  ++last_done;
+  ring.release_up_to(oldest.taken);
   return {};
 }
 
 Status SlotWriter::Impl::send() {
   if (pieces.n == 0) return {};
-  if (last_sent - last_there == kMostSent) {
+  if (last_sent - last_done == kMostSent) {
     if (Status there = wait_for_oldest(); !there) return there;
   }
   const StreamTimer timer(StreamStep::queue);
@@ -206,14 +206,14 @@ Result<SlotWriter::Ticket> SlotWriter::send() {
   return impl_->last_sent;
 }
 
-Result<bool> SlotWriter::is_there(Ticket ticket) {
+Result<bool> SlotWriter::is_done(Ticket ticket) {
   const StreamTimer timer(StreamStep::wait);
-  while (impl_->last_there < ticket) {
-    const Impl::Sent& oldest = impl_->sent(impl_->last_there + 1);
+  while (impl_->last_done < ticket) {
+    const Impl::Sent& oldest = impl_->sent(impl_->last_done + 1);
     const auto is_done = oldest.copied.is_done();
     if (!is_done || !*is_done) return is_done;
-    ++impl_->last_there;
-    impl_->ring.give_up_to(oldest.taken);
+    ++impl_->last_done;
+    impl_->ring.release_up_to(oldest.taken);
   }
   return true;
 }
@@ -226,8 +226,8 @@ Status SlotWriter::finish() {
   const Status done =
       device_status(cudaStreamSynchronize(impl_->stream.get()), "a page could not be copied to the device");
   impl_->pieces.n = 0;
-  impl_->last_there = impl_->last_sent;
-  impl_->ring.give_up_to(impl_->ring.taken());
+  impl_->last_done = impl_->last_sent;
+  impl_->ring.release_up_to(impl_->ring.taken());
   return sent ? done : sent;
 }
 

@@ -34,7 +34,7 @@ Status SlotWriter::write(const PageRows&, std::uint32_t) {
 Result<SlotWriter::Ticket> SlotWriter::send() {
   return not_built();
 }
-Result<bool> SlotWriter::is_there(Ticket) {
+Result<bool> SlotWriter::is_done(Ticket) {
   return not_built();
 }
 Status SlotWriter::finish() {

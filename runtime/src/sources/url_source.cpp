@@ -438,7 +438,7 @@ class UrlSource final : public ByteSource {
         slot.redirects = 0;
         return start(slot);
       });
-      if (!started) give_back(slot, started);
+      if (!started) release(slot, started);
     }
   }
 
@@ -487,7 +487,7 @@ class UrlSource final : public ByteSource {
       // All that was asked for is there, however the transfer ended.
       if (slot.accepted && request.done == request.out.size()) {
         if (request.at_origin || slot.redirects > 0) url_ = slot.url;
-        give_back(slot, {});
+        release(slot, {});
         return {};
       }
       if (slot.refusal) {
@@ -508,7 +508,7 @@ class UrlSource final : public ByteSource {
       request.over_new_connection = true;
       return retry(slot, error, 0);
     });
-    if (!s) give_back(slot, s);
+    if (!s) release(slot, s);
   }
 
   // To where a redirect leads.
@@ -555,7 +555,7 @@ class UrlSource final : public ByteSource {
     append(waiting_, std::exchange(slot.request, nullptr));
   }
 
-  void give_back(Slot& slot, const Status& status) {
+  void release(Slot& slot, const Status& status) {
     if (Request* request = std::exchange(slot.request, nullptr)) finish(*request, status);
   }
 

@@ -31,7 +31,7 @@ class DeviceSlots {
     return slot;
   }
   /// Nothing writes to it or draws it any more.
-  void give(std::uint32_t slot) { free_.push_back(slot); }
+  void release(std::uint32_t slot) { free_.push_back(slot); }
   /// Memory that the list of free slots takes on the host.
   static std::uint64_t host_bytes(const SlotPlan& plan) { return plan.n_slots * sizeof(std::uint32_t); }
 
@@ -67,7 +67,7 @@ class SlotWriter {
   /// Sends what was taken: with one launch. Errors: device_failed.
   Result<Ticket> send();
   /// Whether what was sent with it is in its slots, without waiting. Errors: device_failed.
-  Result<bool> is_there(Ticket ticket);
+  Result<bool> is_done(Ticket ticket);
   /// Sends what was taken and waits until all is there. Whatever it returns, nothing writes to a slot any more. Errors: device_failed.
   Status finish();
 

@@ -40,14 +40,14 @@ std::uint32_t milliseconds(StreamClock::time_point time) {
 // The lists of what views miss, or are about to, as they are now.
 void StreamedState::find_wants(bool now) {
   for (const auto& view : views) {
-    if (!view->is_live || (!now && !view->soon)) continue;
-    WantList& list = now ? view->wants : view->soon_wants;
+    if (!view->is_live || (!now && !view->ahead)) continue;
+    WantList& list = now ? view->wants : view->prefetch_wants;
     const bool is_over = !now && list.wants().empty() && list.is_cut_off();
-    if (!now && (!std::exchange(view->is_soon_known, true) || is_over)) {
+    if (!now && (!std::exchange(view->prefetch_is_current, true) || is_over)) {
       list.clear();
       residency->cut(
-          *view->soon, pool->tick, [](std::uint32_t) { return true; },
-          [&](std::uint32_t group, float px) { list.add(group, rank(group, px)); }, view->soon->detail_px);
+          *view->ahead, pool->tick, [](std::uint32_t) { return true; },
+          [&](std::uint32_t group, float px) { list.add(group, rank(group, px)); }, view->ahead->detail_px);
       list.order();
     }
     if (now) {
@@ -62,14 +62,14 @@ void StreamedState::find_wants(bool now) {
 // The best group that there is room for, and what lies beside it.
 StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
   find_wants(now);
-  const auto list_of = [now](StreamView& view) -> WantList& { return now ? view.wants : view.soon_wants; };
-  bool is_refused = false, is_pinned = false;
-  std::uint64_t could_go = pool->pages_budget();  // for the next want, at most
+  const auto list_of = [now](StreamView& view) -> WantList& { return now ? view.wants : view.prefetch_wants; };
+  bool lacks_room = false, is_pinned = false;
+  std::uint64_t reclaimable_bytes = pool->pages_budget();  // for the next want, at most
   for (int looks = 0;;) {
     StreamView* best = nullptr;
     WantList::Want want{};
     for (const auto& view : views) {
-      if (!view->is_live || (!now && !view->soon)) continue;
+      if (!view->is_live || (!now && !view->ahead)) continue;
       const auto wants = list_of(*view).wants();
       if (view->next_want == wants.size()) continue;
       if (best != nullptr && wants[view->next_want].rank <= want.rank) continue;
@@ -77,25 +77,26 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       want = wants[view->next_want];
     }
     if (best == nullptr) break;
-    if (!residency->is_open(want.group)) {  // of a camera that has moved on since it came into the list
+    if (!residency->can_request(want.group)) {  // of a camera that has moved on since it came into the list
       list_of(*best).erase_at(best->next_want);
       continue;
     }
     ++best->next_want;
-    const Worth own = worth(want.group);
+    const Priority own = priority(want.group);
     if (own.px <= 0 || is_put_off(want.group, run)) continue;
     if (residency->is_known(want.group)) {
       const std::uint64_t n = group_bytes(want.group);
-      if (pool->left_for_pages() < n && (n > pool->left_for_pages() + could_go || ++looks > kMostLooks)) continue;
+      if (pool->left_for_pages() < n && (n > pool->left_for_pages() + reclaimable_bytes || ++looks > kMostLooks))
+        continue;
     }
     const Choice choice = claim(want.group, own, run);
     if (choice == Choice::run || choice == Choice::table) return choice;
     if (choice == Choice::nothing) continue;
-    is_refused = true;
-    could_go = std::min(could_go, pool->could_go());
+    lacks_room = true;
+    reclaimable_bytes = std::min(reclaimable_bytes, pool->reclaimable_bytes());
     is_pinned = is_pinned || choice == Choice::pinned;
   }
-  return is_pinned ? Choice::pinned : is_refused ? Choice::no_room : Choice::nothing;
+  return is_pinned ? Choice::pinned : lacks_room ? Choice::no_room : Choice::nothing;
 }
 
 // What has failed least often, while reading fails: what is wanted most may be what cannot be read.
@@ -108,19 +109,19 @@ StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
     for (const WantList::Want& want : view->wants.wants()) {
       const int n_times = residency->is_known(want.group) ? residency->n_failed(want.group) : n_table_failures;
       if (n_times > least || (n_times == least && want.rank <= chosen.rank)) continue;
-      if (!residency->is_open(want.group)) continue;
+      if (!residency->can_request(want.group)) continue;
       if (is_put_off(want.group, run)) continue;
       least = n_times;
       chosen = want;
     }
   }
   if (chosen.group == lod::kNoPage) return Choice::nothing;
-  const Worth own = worth(chosen.group);
+  const Priority own = priority(chosen.group);
   return own.px > 0 ? claim(chosen.group, own, run) : Choice::nothing;
 }
 
 // An absent group that a view wants, if there is room for it.
-StreamedState::Choice StreamedState::claim(std::uint32_t group, const Worth& own, Run& run) {
+StreamedState::Choice StreamedState::claim(std::uint32_t group, const Priority& own, Run& run) {
   if (!residency->is_known(group)) {
     const lod::Page& above = file->pages()[group];
     return claim_table((above.first_child + above.n_children - file->n_pages() + 1) * kRecordBytes, run);
@@ -147,11 +148,11 @@ StreamedState::Choice StreamedState::claim_table(std::uint64_t n, Run& run) {
 
 StreamedState::Choice StreamedState::choose(Run& run) {
   const auto now = StreamClock::now();
-  if (const auto left = pause_left(n_away, now - failed_at); left > 0s) {
+  if (const auto left = pause_left(n_unreachable, now - failed_at); left > 0s) {
     run.later = now + left;
     return Choice::later;
   }
-  look_at_clock(now);
+  update_live_views(now);
   Choice choice = failures.n > 0 ? choose_elsewhere(run) : Choice::nothing;
   if (choice != Choice::run && choice != Choice::table) choice = choose_among(true, run);
   // What is about to be seen waits for what is waited for, and takes no room from it.
@@ -170,7 +171,7 @@ StreamedState::Choice StreamedState::choose(Run& run) {
 std::uint32_t StreamedState::share(bool now) const {
   std::size_t n = 1;  // is requested already
   for (const auto& view : views) {
-    if (view->is_live) n += (now ? view->wants : view->soon_wants).wants().size();
+    if (view->is_live) n += (now ? view->wants : view->prefetch_wants).wants().size();
   }
   const auto n_others = static_cast<std::size_t>(n_at_work);
   const std::size_t n_idle = readers.size() > n_others ? readers.size() - n_others : 1;
@@ -179,12 +180,12 @@ std::uint32_t StreamedState::share(bool now) const {
 
 bool StreamedState::has_wants() const {
   return std::ranges::any_of(views, [](const auto& view) {
-    return view->is_live && !(view->wants.wants().empty() && (!view->soon || view->soon_wants.wants().empty()));
+    return view->is_live && !(view->wants.wants().empty() && (!view->ahead || view->prefetch_wants.wants().empty()));
   });
 }
 
 // Groups of the pages before and after lie before and after in the file.
-void StreamedState::extend(Run& run, const Worth& best) {
+void StreamedState::extend(Run& run, const Priority& best) {
   const std::vector<lod::Page>& pages = file->pages();
   const auto begin_of = [&](std::uint32_t group) { return file->stored(pages[group].first_child).offset; };
   const auto end_of = [&](std::uint32_t group) {
@@ -194,8 +195,8 @@ void StreamedState::extend(Run& run, const Worth& best) {
   const std::uint32_t most_groups = share(best.now);
   const auto takes = [&](std::uint32_t group, std::uint64_t begin, std::uint64_t end, std::uint64_t gap) {
     if (run.n == most_groups || end - begin > traits.most_bytes || gap > traits.gap_bytes) return false;
-    if (!residency->is_open(group) || residency->n_failed(group) > 0) return false;
-    const Worth own = worth(group);
+    if (!residency->can_request(group) || residency->n_failed(group) > 0) return false;
+    const Priority own = priority(group);
     if (own.now != best.now || own.px <= 0 || own.px < kSideShare * best.px) return false;
     if (pool->take_pages(group_bytes(group), own) != StreamPoolState::Room::taken) return false;
     requested(group);
@@ -226,7 +227,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
   const std::uint32_t end = last.first_child + last.n_children;
   reader.begin_run();
   std::array<PageReader::Ticket, kMostGroups> sent{};  // of groups of the run that have been decoded
-  std::uint32_t told = run.first;                      // groups before it have arrived, or failed
+  std::uint32_t reported = run.first;                  // groups before it have arrived, or failed
   FileRange known;                                     // bytes of the last that was read
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
     const lod::Page above = page_of(group);
@@ -242,26 +243,26 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     if (read) known = reader.last_read();
     // What is on its way to a device stays so while the next group is decoded.
     const bool is_last = group + 1 == run.first + run.n;
-    std::uint32_t there = told;  // groups before it are where they are drawn
-    while (read && !is_last && there <= group) {
-      const auto is_there = reader.is_there(sent[there - run.first]);
-      if (!is_there) read = tl::unexpected(is_there.error());
-      if (!is_there || !*is_there) break;
-      ++there;
+    std::uint32_t ready = reported;  // groups before it are where they are drawn
+    while (read && !is_last && ready <= group) {
+      const auto is_done = reader.is_done(sent[ready - run.first]);
+      if (!is_done) read = tl::unexpected(is_done.error());
+      if (!is_done || !*is_done) break;
+      ++ready;
     }
     const bool goes_on = read && !is_last;
     if (!goes_on) {
       // What has failed, too: its slots are others' from here on.
       const Status finished = reader.finish();
       if (finished) {
-        there = read ? group + 1 : group;
+        ready = read ? group + 1 : group;
       } else {
         read = finished;
-        group = there;
+        group = ready;
       }
     }
     // A frame has the lock for as long as it chooses its pages, a millisecond or two: meanwhile the next group is decoded.
-    if (goes_on && there == told) continue;
+    if (goes_on && ready == reported) continue;
     std::unique_lock lock(pool->mutex, std::defer_lock);
     std::optional<StreamTimer> timer(std::in_place, StreamStep::lock);
     if (goes_on) {
@@ -271,16 +272,16 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     }
     timer->next(StreamStep::tell);
     stats.bytes_read += reader.take_bytes_read();
-    if (told < there) {
+    if (reported < ready) {
       readable = known;
       succeed();
     }
-    for (; told < there; ++told) arrived(told);
+    for (; reported < ready; ++reported) arrived(reported);
     if (read) continue;
-    told = group + 1;
-    give_up(group);
+    reported = group + 1;
+    cancel(group);
     if (is_damage(read.error().code)) {
-      residency->refuse(group);
+      residency->quarantine(group);
       drop_below(group);
       if (damage) damage = read;
       pool->changed();
@@ -289,10 +290,10 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     // Without bytes or memory now. What is left of the run is put off with it.
     const std::uint32_t now = milliseconds(StreamClock::now());
     for (std::uint32_t again = group; again < run.first + run.n; ++again) {
-      if (again > group) give_up(again);
+      if (again > group) cancel(again);
       residency->fail(again, now);
       drop_below(again);
-      if (residency->is_open(again)) want(again);
+      if (residency->can_request(again)) want(again);
     }
     const int n_times = residency->n_failed(group);
     lock.unlock();
@@ -327,7 +328,7 @@ float StreamedState::rank(std::uint32_t group, float px) const {
 }
 
 void StreamedState::succeed() {
-  failures.n = n_away = 0;
+  failures.n = n_unreachable = 0;
   trouble = {};
 }
 
@@ -339,13 +340,13 @@ void StreamedState::fail(PageReader& reader, const Status& read, const Run& fail
     ++n_failed;
     if (failures.add(begun, n_failed)) {
       failed_at = StreamClock::now();
-      ++n_away;
+      ++n_unreachable;
       known = readable;
     }
-    const bool is_lasting = std::max(n_times, n_away) >= kLastingTrouble;
+    const bool is_lasting = std::max(n_times, n_unreachable) >= kLastingTrouble;
     for (const auto& view : views) {
       // The table is of all views, and so is a source that gives nothing any more.
-      bool is_own = failed.n == 0 || n_away > 1;
+      bool is_own = failed.n == 0 || n_unreachable > 1;
       for (std::uint32_t group = failed.first; !is_own && group < failed.first + failed.n; ++group)
         is_own = residency->wanted_px(group, *view->now) > 0;
       if (!is_own) continue;
@@ -360,7 +361,7 @@ void StreamedState::fail(PageReader& reader, const Status& read, const Run& fail
   if (known.bytes == 0 || !reader.read_again(known)) return;
   const std::scoped_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
-  n_away = 0;
+  n_unreachable = 0;
   pool->changed();
 }
 
@@ -394,7 +395,7 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
   const Status extended = file->extend(*part);
   residency->extend();
   if (!extended) {
-    residency->end_here();
+    residency->mark_broken();
     if (damage) damage = extended;
   }
   pool->changed();

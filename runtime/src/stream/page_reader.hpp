@@ -74,7 +74,7 @@ class PageReader {
   /// Sends what was put to where it is drawn, where it is on its way to a device. Errors: device_failed.
   Result<Ticket> send() { return writer_ ? writer_->send() : Result<Ticket>(0); }
   /// Whether it is there, without waiting. Errors: device_failed.
-  Result<bool> is_there(Ticket ticket) { return writer_ ? writer_->is_there(ticket) : Result<bool>(true); }
+  Result<bool> is_done(Ticket ticket) { return writer_ ? writer_->is_done(ticket) : Result<bool>(true); }
   /// Sends what was put and waits until it is where it is drawn; whatever it returns, nothing is on its way any more. Errors: device_failed.
   Status finish();
   /// What follows of the table of pages, `n` bytes or as many as fit, valid until the next call of any. Errors: those of

@@ -27,7 +27,7 @@ PageStore::PageStore(const PagedFile& file, std::shared_ptr<DeviceSlots> slots)
 
 PageStore::~PageStore() {
   for (const std::uint32_t slot : slot_of_) {
-    if (slot != kNoSlot) slots_->give(slot);
+    if (slot != kNoSlot) slots_->release(slot);
   }
 }
 
@@ -54,7 +54,7 @@ void PageStore::free(std::uint32_t page) {
   if (slots_ == nullptr) {
     blocks_[page].reset();
   } else if (const std::uint32_t slot = std::exchange(slot_of_[page], kNoSlot); slot != kNoSlot) {
-    slots_->give(slot);
+    slots_->release(slot);
   }
 }
 

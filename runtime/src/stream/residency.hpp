@@ -22,12 +22,12 @@ struct StreamEye {
 };
 
 /// What a group of pages is good for.
-struct Worth {
+struct Priority {
   bool now = false;  ///< a view misses it or draws it or what is below it; otherwise one is about to
   float px = 0;      ///< projected error of the page that is drawn without it; 0: nobody wants it
 };
 /// By a tenth: what is worth much the same must not take each other's place in turns.
-inline bool outranks(const Worth& a, const Worth& b) {
+inline bool outranks(const Priority& a, const Priority& b) {
   return a.now != b.now ? a.now : a.px > 1.1F * b.px;
 }
 
@@ -41,7 +41,7 @@ class Residency {
     requested,  ///< on its way
     arrived,    ///< all of it is there, but not yet the page above
     resident,
-    refused,  ///< damaged: never asked for again
+    quarantined,  ///< damaged: never asked for again
   };
 
   /// `pages` must outlive it; more of them may come, up to `n_pages`.
@@ -53,7 +53,7 @@ class Residency {
   /// More pages have come.
   void extend();
   /// No more pages come: those that are not known never will be.
-  void end_here() { is_broken_ = true; }
+  void mark_broken() { is_broken_ = true; }
   bool is_broken() const { return is_broken_; }
 
   /// Of pages that are known and not leaves.
@@ -64,29 +64,29 @@ class Residency {
   }
   State state(std::uint32_t group) const { return groups_[group].state; }
   /// Whether a page is there.
-  bool has(std::uint32_t page) const { return page == 0 || state(pages_[page].parent) == State::resident; }
+  bool is_resident(std::uint32_t page) const { return page == 0 || state(pages_[page].parent) == State::resident; }
   std::uint64_t n_resident() const { return n_resident_; }  ///< pages, the root among them
   std::uint32_t last_used(std::uint32_t group) const { return groups_[group].last_used; }
 
   /// Whether the page above is on its way.
-  bool waits_for_above(std::uint32_t group) const {
+  bool is_parent_in_flight(std::uint32_t group) const {
     if (group == 0) return false;
     const State above = state(group_of(group));
     return above == State::requested || above == State::arrived;
   }
   /// Absent, and may be requested. Not below what has failed and is asked for again: that may fail again.
-  bool is_open(std::uint32_t group) const {
+  bool can_request(std::uint32_t group) const {
     if (state(group) != State::absent) return false;
-    return has(group) || (waits_for_above(group) && n_failed(group_of(group)) == 0);
+    return is_resident(group) || (is_parent_in_flight(group) && n_failed(group_of(group)) == 0);
   }
 
   // From one state to another.
-  void request(std::uint32_t group);  ///< absent -> requested; is_open()
-  void drop(std::uint32_t group);     ///< requested or arrived -> absent
-  void refuse(std::uint32_t group);   ///< requested -> refused
-  void arrive(std::uint32_t group);   ///< requested -> arrived; waits_for_above()
-  void place(std::uint32_t group);    ///< requested or arrived -> resident, as old as what is above, which is
-  void evict(std::uint32_t group);    ///< resident or arrived -> absent; can_evict()
+  void request(std::uint32_t group);        ///< absent -> requested; can_request()
+  void drop(std::uint32_t group);           ///< requested or arrived -> absent
+  void quarantine(std::uint32_t group);     ///< requested -> refused
+  void arrive(std::uint32_t group);         ///< requested -> arrived; is_parent_in_flight()
+  void make_resident(std::uint32_t group);  ///< requested or arrived -> resident, as old as what is above, which is
+  void evict(std::uint32_t group);          ///< resident or arrived -> absent; can_evict()
 
   /// requested -> absent: it could not be read at this time, of a clock of the caller's.
   void fail(std::uint32_t group, std::uint32_t time);
@@ -100,7 +100,7 @@ class Residency {
   /// All of it there, drawable or not, nothing of it pinned, and nothing below it there or on its way.
   bool can_evict(std::uint32_t group) const {
     const Group& g = groups_[group];
-    return is_whole(g) && g.pins == 0 && g.n_below == 0;
+    return has_data(g) && g.pins == 0 && g.n_below == 0;
   }
 
   /// Calls f(group) of all groups that could be evicted one after the other, those below first, as far as may_go(group) allows, which is
@@ -114,11 +114,11 @@ class Residency {
     std::uint64_t gaussians = 0;
     std::uint64_t missing =
         0;  ///< pages that the view wants and are not drawn, since they are not there or `eye` wants less
-    std::uint64_t damaged = 0;  ///< of these, refused, or never to be known
-    std::uint64_t coming = 0;   ///< groups that the view wants and are on their way
-    double reached_px = 0;      ///< largest projected error
+    std::uint64_t damaged = 0;    ///< of these, refused, or never to be known
+    std::uint64_t in_flight = 0;  ///< groups that the view wants and are on their way
+    double reached_px = 0;        ///< largest projected error
   };
-  /// Calls draw(page), until it says false, and want(group, px) for what is_open(), below groups that are on their way too. Pages that cannot
+  /// Calls draw(page), until it says false, and want(group, px) for what can_request(), below groups that are on their way too. Pages that cannot
   /// show are left out. `tick`: the time, for last_used(). `asked_px`: the detail that missing pages are counted by, at most that of `eye`.
   template <class Draw, class Want>
   Cut cut(const StreamEye& eye, std::uint32_t tick, const Draw& draw, const Want& want, float asked_px);
@@ -137,22 +137,22 @@ class Residency {
     bool blocked = false;  // by something below, during for_each_evictable()
   };
   static constexpr std::uint32_t kNoGroup = lod::kNoPage;
-  static bool is_whole(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
+  static bool has_data(const Group& g) { return g.state == State::resident || g.state == State::arrived; }
 
   /// Of a group that a view wants and has not, with such an error: calls want(), or looks at what is below. Adds to cut.coming.
   template <class Want>
-  void look_below(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const;
+  void want_descendants(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const;
 
   std::uint32_t group_of(std::uint32_t page) const {
     return pages_[page].parent;
   }  // that the page is in; kNoGroup: the root
-  void add_below(std::uint32_t group, int n);
+  void count_below(std::uint32_t group, int n);
   static std::size_t n_words(std::uint32_t n_pages) { return (std::size_t{n_pages} + 63) / 64; }
-  void set_there(std::uint32_t group, bool is_there);
+  void set_occupied(std::uint32_t group, bool is_occupied);
 
   const std::vector<lod::Page>& pages_;
-  std::vector<Group> groups_;         // [n_pages]; leaves have none
-  std::vector<std::uint64_t> there_;  // a bit a group, requested, arrived or resident: of very many pages few may be
+  std::vector<Group> groups_;            // [n_pages]; leaves have none
+  std::vector<std::uint64_t> occupied_;  // a bit a group, requested, arrived or resident: of very many pages few may be
   std::uint32_t n_groups_ = 0;
   bool is_broken_ = false;
   std::uint64_t n_resident_ = 1;
@@ -164,17 +164,17 @@ float error_px(const lod::Page& page, double footprint);
 template <class MayGo, class F>
 void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
   // Pages below have larger numbers. What is above a group that is there is there, or on its way.
-  for (std::size_t w = 0; w < there_.size(); ++w) {
-    for (std::uint64_t left = there_[w]; left != 0; left &= left - 1)
+  for (std::size_t w = 0; w < occupied_.size(); ++w) {
+    for (std::uint64_t left = occupied_[w]; left != 0; left &= left - 1)
       groups_[64 * w + static_cast<std::size_t>(std::countr_zero(left))].blocked = false;
   }
-  for (std::size_t w = there_.size(); w-- > 0;) {
-    for (std::uint64_t left = there_[w]; left != 0;) {
+  for (std::size_t w = occupied_.size(); w-- > 0;) {
+    for (std::uint64_t left = occupied_[w]; left != 0;) {
       const int bit = 63 - std::countl_zero(left);
       left &= ~(std::uint64_t{1} << bit);
       const auto i = static_cast<std::uint32_t>(64 * w + static_cast<std::size_t>(bit));
       const Group& g = groups_[i];
-      if (is_whole(g) && may_go(i) && g.pins == 0 && !g.blocked) {
+      if (has_data(g) && may_go(i) && g.pins == 0 && !g.blocked) {
         f(i);
         continue;
       }
@@ -184,13 +184,14 @@ void Residency::for_each_evictable(const MayGo& may_go, const F& f) {
 }
 
 template <class Want>
-void Residency::look_below(std::uint32_t group, float px, const StreamEye& eye, const Want& want, Cut& cut) const {
-  if (is_open(group)) want(group, px);
+void Residency::want_descendants(std::uint32_t group, float px, const StreamEye& eye, const Want& want,
+                                 Cut& cut) const {
+  if (can_request(group)) want(group, px);
   if (state(group) != State::requested && state(group) != State::arrived) return;
-  ++cut.coming;
+  ++cut.in_flight;
   const std::uint32_t end = pages_[group].first_child + pages_[group].n_children;
   for (std::uint32_t child = pages_[group].first_child; child < end && child < n_groups_; ++child) {
-    if (const float below_px = wanted_px(child, eye); below_px > 0) look_below(child, below_px, eye, want, cut);
+    if (const float below_px = wanted_px(child, eye); below_px > 0) want_descendants(child, below_px, eye, want, cut);
   }
 }
 
@@ -218,8 +219,8 @@ Residency::Cut Residency::cut(const StreamEye& eye, std::uint32_t tick, const Dr
       cut.reached_px = static_cast<double>(px) > cut.reached_px ? static_cast<double>(px) : cut.reached_px;
       if (page.n_children > 0 && !lod::is_fine_enough(page.error, asked_px, footprint)) {
         cut.missing += page.n_children;
-        if (groups_[i].state == State::refused || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
-        if (!is_fine) look_below(i, px, eye, want, cut);
+        if (groups_[i].state == State::quarantined || (is_broken_ && !is_known(i))) cut.damaged += page.n_children;
+        if (!is_fine) want_descendants(i, px, eye, want, cut);
       }
     }
     // The next in the order of leaves that is not below this one.

@@ -72,9 +72,9 @@ std::uint64_t staging_bytes(const SlotShape& shape, std::uint32_t n_pages) {
 }
 
 std::optional<std::uint64_t> StagingRing::take(std::uint64_t n) {
-  if (taken_ == given_) next_ = 0;
+  if (taken_ == released_) next_ = 0;
   const bool is_over = n > bytes_ - next_;
-  const std::uint64_t lost = is_over ? bytes_ - next_ : 0, used = taken_ - given_;
+  const std::uint64_t lost = is_over ? bytes_ - next_ : 0, used = taken_ - released_;
   if (n + lost > bytes_ - used) return std::nullopt;
   const std::uint64_t at = is_over ? 0 : next_;
   next_ = at + n;

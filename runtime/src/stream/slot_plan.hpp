@@ -60,10 +60,10 @@ class StagingRing {
   /// All that was ever taken; what is lost at the ring's end counts to the place after it.
   std::uint64_t taken() const { return taken_; }
   /// Everything up to that value of taken() is free.
-  void give_up_to(std::uint64_t taken) { given_ = taken; }
+  void release_up_to(std::uint64_t taken) { released_ = taken; }
 
  private:
-  std::uint64_t bytes_, next_ = 0, taken_ = 0, given_ = 0;
+  std::uint64_t bytes_, next_ = 0, taken_ = 0, released_ = 0;
 };
 
 }  // namespace rgs::detail

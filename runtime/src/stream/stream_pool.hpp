@@ -45,19 +45,19 @@ struct StreamPoolState {
     pinned,  ///< some, once frames at work are done
   };
   /// Takes `bytes` of the host for what is worth so much; evicts pages that are worth less, if they are there and that is enough.
-  Room take(std::uint64_t bytes, const Worth& worth);
-  void give(std::uint64_t bytes) { held -= bytes; }
+  Room take(std::uint64_t bytes, const Priority& priority);
+  void release(std::uint64_t bytes) { held -= bytes; }
   std::uint64_t left() const { return budget - held; }
   /// The same where pages are: of the host, or of slots.
-  Room take_pages(std::uint64_t bytes, const Worth& worth);
-  void give_pages(std::uint64_t bytes) { (is_on_device() ? slots_held : held) -= bytes; }
+  Room take_pages(std::uint64_t bytes, const Priority& priority);
+  void release_pages(std::uint64_t bytes) { (is_on_device() ? slots_held : held) -= bytes; }
   std::uint64_t left_for_pages() const { return is_on_device() ? slots_budget - slots_held : left(); }
   std::uint64_t pages_budget() const { return is_on_device() ? slots_budget : budget; }
   bool is_on_device() const { return device_memory > 0; }
   /// The slots, made for the first scene. Errors: those of DeviceSlots::create(); bad_argument (those that are there are of another shape).
   Result<std::shared_ptr<DeviceSlots>> slots_of(const SlotShape& shape);
   /// After a take_pages() that took nothing: what would have gone for it, pinned or not. Not more goes for what is worth less.
-  std::uint64_t could_go() const { return could_go_; }
+  std::uint64_t reclaimable_bytes() const { return reclaimable_bytes_; }
   /// Something changed, for this scene and, with it, for those that wait for room.
   void changed();
   /// A scene leaves.
@@ -68,17 +68,17 @@ struct StreamPoolState {
     StreamedState* scene;
     std::uint32_t group;
     std::uint32_t last_used;
-    Worth worth;
+    Priority priority;
   };
-  static bool goes_before(const Victim& a, const Victim& b);
-  Room look_for_victims(std::uint64_t bytes, const Worth& worth);
+  static bool evicts_before(const Victim& a, const Victim& b);
+  Room find_victims(std::uint64_t bytes, const Priority& priority);
 
   std::array<Victim, 256> victims_;  // those that go first come last
   std::size_t n_victims_ = 0;
-  std::uint64_t could_go_ = 0;
+  std::uint64_t reclaimable_bytes_ = 0;
 };
 
 /// Worth of what has to be there.
-inline constexpr Worth kNeeded{true, 3e38F};
+inline constexpr Priority kNeeded{true, 3e38F};
 
 }  // namespace rgs::detail

@@ -85,7 +85,7 @@ Status StreamedState::read_tables(const DecodeLimits& limits) {
   memory.clear();
   const std::scoped_lock lock(pool->mutex);
   const std::uint64_t given = part_bytes + archive - std::min(whole, archive);
-  pool->give(given);
+  pool->release(given);
   bytes -= given;
   return {};
 }
@@ -159,7 +159,7 @@ Status StreamedState::read_root() {
   const std::scoped_lock lock(pool->mutex);
   if (pool->take(least_view_bytes(), kNeeded) != StreamPoolState::Room::taken)
     return too_small(pool->held + least_view_bytes(), pool->budget);
-  pool->give(least_view_bytes());
+  pool->release(least_view_bytes());
   return {};
 }
 
@@ -216,8 +216,8 @@ StreamedState::~StreamedState() {
   views.clear(), readers.clear();
   store.reset();
   residency.reset(), file.reset();
-  pool->give(given);
-  pool->give_pages(given_pages);
+  pool->release(given);
+  pool->release_pages(given_pages);
   pool->forget(this);
 }
 

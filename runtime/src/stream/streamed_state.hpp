@@ -116,22 +116,22 @@ struct StreamView {
   StreamClock::time_point seen;  ///< when that was, or ended
   bool is_refined = false;       ///< that camera has come with a refine(), and no frame since
   std::optional<StreamEye> now;
-  std::optional<StreamEye> soon;  ///< where the camera is about to be
-  WantList wants, soon_wants;
-  std::uint64_t n_coming = 0;  ///< groups that it wants and are on their way; never more than there are
-  bool is_soon_known = false;  ///< soon_wants are those of `soon`, or of one a few frames ago
-  int soon_frames = 0;         ///< since they were
-  std::size_t next_want = 0;   ///< of either list, while one is chosen
-  int n_busy = 0;              ///< frames at work, and callers that wait
-  bool is_live = true;         ///< counts: see StreamedState::look_at_clock()
-  DrawLists lists;             ///< empty while a frame has them
-  Failures failures;           ///< of reads of what it wants, since it is waited for and something of it has come
-  bool is_lasting = false;     ///< what failed last of them has done so often, or the source
-  Status trouble;              ///< the last of them
-  std::uint64_t bytes = 0;     ///< taken from the pool, but for lists
+  std::optional<StreamEye> ahead;  ///< where the camera is about to be
+  WantList wants, prefetch_wants;
+  std::uint64_t n_in_flight = 0;     ///< groups that it wants and are on their way; never more than there are
+  bool prefetch_is_current = false;  ///< prefetch_wants are those of `soon`, or of one a few frames ago
+  int frames_since_prefetch = 0;     ///< since they were
+  std::size_t next_want = 0;         ///< of either list, while one is chosen
+  int n_busy = 0;                    ///< frames at work, and callers that wait
+  bool is_live = true;               ///< counts: see StreamedState::update_live_views()
+  DrawLists lists;                   ///< empty while a frame has them
+  Failures failures;                 ///< of reads of what it wants, since it is waited for and something of it has come
+  bool is_lasting = false;           ///< what failed last of them has done so often, or the source
+  Status trouble;                    ///< the last of them
+  std::uint64_t bytes = 0;           ///< taken from the pool, but for lists
 
   /// Nothing of what it wants is on its way or can be asked for.
-  bool has_come() const { return wants.wants().empty() && n_coming == 0; }
+  bool has_nothing_pending() const { return wants.wants().empty() && n_in_flight == 0; }
 };
 
 struct StreamedState {
@@ -161,7 +161,7 @@ struct StreamedState {
   Failures failures;
   std::uint64_t n_failed = 0;  // reads, all that ever did
   StreamClock::time_point failed_at{};
-  int n_away = 0;            // of `failures` the last, where not even `readable` could be read
+  int n_unreachable = 0;     // of `failures` the last, where not even `readable` could be read
   FileRange readable;        // bytes that were there once
   int n_table_failures = 0;  // of the table, one after the other
   StreamClock::time_point table_failed_at{};
@@ -193,19 +193,19 @@ struct StreamedState {
   // With the lock.
   std::uint64_t group_bytes(std::uint32_t group) const;  // room that its pages take
   std::uint64_t list_bytes(std::size_t n_pages) const;
-  void requested(std::uint32_t group);  // its room is taken
-  void give_room(std::uint32_t group);  // of pages that are not drawn
-  void want(std::uint32_t group);       // is open: in the lists of views that want it
+  void requested(std::uint32_t group);   // its room is taken
+  void free_pages(std::uint32_t group);  // of pages that are not drawn
+  void want(std::uint32_t group);        // is open: in the lists of views that want it
   void forget_want(std::uint32_t group);
   void want_below(std::uint32_t group);
-  void no_longer_coming(std::uint32_t group);
-  void give_up(std::uint32_t group);  // on its way until now, and its room others'
-  Worth worth(std::uint32_t group) const;
+  void leave_flight(std::uint32_t group);
+  void cancel(std::uint32_t group);  // on its way until now, and its room others'
+  Priority priority(std::uint32_t group) const;
   void evict(std::uint32_t group);  // and gives its memory back
   void count_evicted(std::uint32_t group);
   /// Views that count are those of frames at work and of the last second, and the pool's last.
-  void look_at_clock(StreamClock::time_point now);
-  void forget_old_views();
+  void update_live_views(StreamClock::time_point now);
+  void remove_old_views();
   /// The renderer's view, of this camera from now on. Errors: limit_exceeded.
   Result<StreamView*> post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule);
   bool grow(DrawLists& lists);
@@ -234,15 +234,15 @@ struct StreamedState {
   Choice choose_among(bool now, Run& run);
   Choice choose_elsewhere(Run& run);
   void find_wants(bool now);
-  Choice claim(std::uint32_t group, const Worth& own, Run& run);
+  Choice claim(std::uint32_t group, const Priority& own, Run& run);
   Choice claim_table(std::uint64_t n, Run& run);
-  void extend(Run& run, const Worth& best);
+  void extend(Run& run, const Priority& best);
   std::uint32_t share(bool now) const;
   bool has_wants() const;
-  void arrived(std::uint32_t group);     // all of it is there: draws it, or waits for the page above
-  void placed(std::uint32_t group);      // the page above is there, too
-  void drop(std::uint32_t group);        // all of it is there, in vain
-  void drop_below(std::uint32_t group);  // does not come: nor does what waits for it
+  void arrived(std::uint32_t group);          // all of it is there: draws it, or waits for the page above
+  void became_resident(std::uint32_t group);  // the page above is there, too
+  void drop(std::uint32_t group);             // all of it is there, in vain
+  void drop_below(std::uint32_t group);       // does not come: nor does what waits for it
   void fetch(PageReader& reader, const Run& run, std::uint64_t begun);
   void extend_table(PageReader& reader, std::uint64_t n, std::uint64_t begun);
   /// Without the lock. `failed`: of the table if it has no groups; `n_times`: that it has failed, this one too; `begun`: n_failed when
