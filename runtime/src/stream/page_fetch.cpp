@@ -1,4 +1,5 @@
-// page_fetch.cpp - threads that read and decode what views miss: the largest projected error first, then what the camera is about to see.
+// page_fetch.cpp - threads that read and decode absent pages: what views want, largest projected error first; then
+// prefetch.
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 #include <array>
@@ -17,19 +18,19 @@ namespace {
 using namespace std::chrono_literals;
 
 constexpr StreamClock::duration kFirstPause = 250ms, kLongestPause = 8s;  // after reads that failed
-constexpr StreamClock::duration kLongestWaited = 1s;                      // the same, while a caller waits
+constexpr StreamClock::duration kLongestWaited = 1s;                      // while a caller waits
 constexpr std::uint32_t kMostGroups = 64;                                 // of a run
-constexpr std::uint64_t kRecordBytes = 112;                               // of a page, in the file's table
+constexpr std::uint64_t kRecordBytes = 112;                               // of a page's record in the file's table
 constexpr std::uint64_t kLeastTableBytes = 64 << 10;                      // of a read
-constexpr float kSideShare = 0.25F;  // of the first group's worth, that its neighbours must have
-/// Wants for which room is looked for among other pages, each of which takes a look at all of them.
+constexpr float kSideShare = 0.25F;  // A neighbour joins a run if it has this share of the first group's error.
+/// Wants for which victims are searched; each search visits all resident groups.
 constexpr int kMostLooks = 8;
 
 bool is_damage(Errc code) {
   return exit_code(code) == exit_code(Errc::corrupt_data);
 }
 
-/// For Residency: it turns over after 49 days, where a failure is taken for a new one.
+/// For Residency. Wraps after 49 days; an older failure then counts as a new one.
 std::uint32_t milliseconds(StreamClock::time_point time) {
   return static_cast<std::uint32_t>(
       std::chrono::duration_cast<std::chrono::milliseconds>(time.time_since_epoch()).count());
@@ -37,7 +38,7 @@ std::uint32_t milliseconds(StreamClock::time_point time) {
 
 }  // namespace
 
-// The lists of what views miss, or are about to, as they are now.
+// Brings the views' lists of wants (`now`) or prefetch wants up to date.
 void StreamedState::find_wants(bool now) {
   for (const auto& view : views) {
     if (!view->is_live || (!now && !view->ahead)) continue;
@@ -59,12 +60,12 @@ void StreamedState::find_wants(bool now) {
   }
 }
 
-// The best group that there is room for, and what lies beside it.
+// Claims the group of largest error that fits, and its neighbours in the file.
 StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
   find_wants(now);
   const auto list_of = [now](StreamView& view) -> WantList& { return now ? view.wants : view.prefetch_wants; };
   bool lacks_room = false, is_pinned = false;
-  std::uint64_t reclaimable_bytes = pool->pages_budget();  // for the next want, at most
+  std::uint64_t reclaimable_bytes = pool->pages_budget();  // an upper bound for the next want
   for (int looks = 0;;) {
     StreamView* best = nullptr;
     WantList::Want want{};
@@ -77,7 +78,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
       want = wants[view->next_want];
     }
     if (best == nullptr) break;
-    if (!residency->can_request(want.group)) {  // of a camera that has moved on since it came into the list
+    if (!residency->can_request(want.group)) {  // the camera has moved on since it was listed
       list_of(*best).erase_at(best->next_want);
       continue;
     }
@@ -99,7 +100,7 @@ StreamedState::Choice StreamedState::choose_among(bool now, Run& run) {
   return is_pinned ? Choice::pinned : lacks_room ? Choice::no_room : Choice::nothing;
 }
 
-// What has failed least often, while reading fails: what is wanted most may be what cannot be read.
+// While reads fail: the group that has failed least often, since the most wanted one may be unreadable.
 StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
   find_wants(true);
   WantList::Want chosen{0, lod::kNoPage};
@@ -120,7 +121,7 @@ StreamedState::Choice StreamedState::choose_elsewhere(Run& run) {
   return own.px > 0 ? claim(chosen.group, own, run) : Choice::nothing;
 }
 
-// An absent group that a view wants, if there is room for it.
+// Claims an absent group if there is room for it.
 StreamedState::Choice StreamedState::claim(std::uint32_t group, const Priority& own, Run& run) {
   if (!residency->is_known(group)) {
     const lod::Page& above = file->pages()[group];
@@ -155,9 +156,9 @@ StreamedState::Choice StreamedState::choose(Run& run) {
   update_live_views(now);
   Choice choice = failures.n > 0 ? choose_elsewhere(run) : Choice::nothing;
   if (choice != Choice::run && choice != Choice::table) choice = choose_among(true, run);
-  // What is about to be seen waits for what is waited for, and takes no room from it.
+  // Prefetch waits while callers wait, and evicts nothing that views want.
   if (choice == Choice::nothing && prefetches && n_waiting == 0) choice = choose_among(false, run);
-  // With the last of it, its hash is compared. Not beside what a view waits for: its bytes would share the line.
+  // The end of the table completes its hash. Not while pages are read: it would share their bandwidth.
   if (choice == Choice::nothing && n_at_work == 0 && !views.empty()) choice = claim_table(traits.most_bytes, run);
   if (choice == Choice::pinned) pool->waits_for_pins = true;
   if (choice == Choice::pinned || choice == Choice::no_room) pool->lacks_room = true;
@@ -167,9 +168,9 @@ StreamedState::Choice StreamedState::choose(Run& run) {
   return choice;
 }
 
-// Of what is wanted, that a run may have: threads that have nothing to do get theirs.
+// How many wanted groups a run may take, so that idle threads get their share.
 std::uint32_t StreamedState::share(bool now) const {
-  std::size_t n = 1;  // is requested already
+  std::size_t n = 1;  // the one that is requested already
   for (const auto& view : views) {
     if (view->is_live) n += (now ? view->wants : view->prefetch_wants).wants().size();
   }
@@ -184,7 +185,7 @@ bool StreamedState::has_wants() const {
   });
 }
 
-// Groups of the pages before and after lie before and after in the file.
+// Groups of neighbouring pages are neighbours in the file.
 void StreamedState::extend(Run& run, const Priority& best) {
   const std::vector<lod::Page>& pages = file->pages();
   const auto begin_of = [&](std::uint32_t group) { return file->stored(pages[group].first_child).offset; };
@@ -203,15 +204,15 @@ void StreamedState::extend(Run& run, const Priority& best) {
     ++run.n;
     return true;
   };
-  if (residency->n_failed(run.first) > 0) return;  // what was read along may be what cannot be
+  if (residency->n_failed(run.first) > 0) return;  // a neighbour may be the unreadable part
   std::uint64_t begin = begin_of(run.first), end = end_of(run.first);
   for (std::uint32_t next = run.first + 1; next < residency->n_groups() && residency->is_known(next); ++next) {
     if (!takes(next, begin, end_of(next), begin_of(next) - end)) break;
     end = end_of(next);
   }
   while (run.first > 0) {
-    const std::uint32_t before = run.first - 1;  // known, as what is behind it
-    // Room for one neighbour may have been found among those on the other side.
+    const std::uint32_t before = run.first - 1;  // known, since the one behind it is
+    // The search for room for one neighbour may have evicted those on the other side.
     if (!takes(before, begin_of(before), end, begin - end_of(before))) break;
     begin = begin_of(before);
     run.first = before;
@@ -226,9 +227,9 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
   const lod::Page last = page_of(run.first + run.n - 1);
   const std::uint32_t end = last.first_child + last.n_children;
   reader.begin_run();
-  std::array<PageReader::Ticket, kMostGroups> sent{};  // of groups of the run that have been decoded
-  std::uint32_t reported = run.first;                  // groups before it have arrived, or failed
-  FileRange known;                                     // bytes of the last that was read
+  std::array<PageReader::Ticket, kMostGroups> sent{};  // by group of the run, once decoded
+  std::uint32_t reported = run.first;                  // groups before it have arrived or failed
+  FileRange known;                                     // bytes of the last page read
   for (std::uint32_t group = run.first; group < run.first + run.n; ++group) {
     const lod::Page above = page_of(group);
     Status read = guard_memory([&]() -> Status {
@@ -241,9 +242,9 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
       return {};
     });
     if (read) known = reader.last_read();
-    // What is on its way to a device stays so while the next group is decoded.
+    // A device copies one group while the next is decoded.
     const bool is_last = group + 1 == run.first + run.n;
-    std::uint32_t ready = reported;  // groups before it are where they are drawn
+    std::uint32_t ready = reported;  // groups before it can be drawn
     while (read && !is_last && ready <= group) {
       const auto is_done = reader.is_done(sent[ready - run.first]);
       if (!is_done) read = tl::unexpected(is_done.error());
@@ -252,7 +253,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     }
     const bool goes_on = read && !is_last;
     if (!goes_on) {
-      // What has failed, too: its slots are others' from here on.
+      // Also after a failure: the slots are released below.
       const Status finished = reader.finish();
       if (finished) {
         ready = read ? group + 1 : group;
@@ -261,7 +262,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
         group = ready;
       }
     }
-    // A frame has the lock for as long as it chooses its pages, a millisecond or two: meanwhile the next group is decoded.
+    // A frame holds the lock for a millisecond or two while it computes its cut; the next group is decoded meanwhile.
     if (goes_on && ready == reported) continue;
     std::unique_lock lock(pool->mutex, std::defer_lock);
     std::optional<StreamTimer> timer(std::in_place, StreamStep::lock);
@@ -287,7 +288,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
       pool->changed();
       continue;
     }
-    // Without bytes or memory now. What is left of the run is put off with it.
+    // Bytes or memory are missing for now. The rest of the run is retried with it.
     const std::uint32_t now = milliseconds(StreamClock::now());
     for (std::uint32_t again = group; again < run.first + run.n; ++again) {
       if (again > group) cancel(again);
@@ -297,19 +298,19 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
     }
     const int n_times = residency->n_failed(group);
     lock.unlock();
-    timer.reset();  // what follows waits and reads
+    timer.reset();  // fail() waits and reads
     return fail(reader, read, {group, run.first + run.n - group}, n_times, begun);
   }
 }
 
-// It grows from failure to failure. A caller that waits makes it shorter, from then on.
+// Doubles with each failure; shorter while a caller waits.
 StreamClock::duration StreamedState::pause_left(int n, StreamClock::duration since) const {
   if (n <= 0) return 0s;
   const StreamClock::duration grown = kFirstPause * (1 << std::min(n - 1, 5));
   return std::max<StreamClock::duration>(0s, std::min(grown, n_waiting > 0 ? kLongestWaited : kLongestPause) - since);
 }
 
-// Others are read meanwhile: a range that cannot be read keeps nothing else from being so.
+// Delays one group; others are read meanwhile.
 StreamClock::duration StreamedState::put_off_for(std::uint32_t group) const {
   const int n = residency->n_failed(group);
   if (n == 0) return 0s;
@@ -345,7 +346,7 @@ void StreamedState::fail(PageReader& reader, const Status& read, const Run& fail
     }
     const bool is_lasting = std::max(n_times, n_unreachable) >= kLastingTrouble;
     for (const auto& view : views) {
-      // The table is of all views, and so is a source that gives nothing any more.
+      // All views share the table, and a source that no longer answers.
       bool is_own = failed.n == 0 || n_unreachable > 1;
       for (std::uint32_t group = failed.first; !is_own && group < failed.first + failed.n; ++group)
         is_own = residency->wanted_px(group, *view->now) > 0;
@@ -357,7 +358,7 @@ void StreamedState::fail(PageReader& reader, const Status& read, const Run& fail
     pool->changed();
     if (n_waiting > 0) pool->news.notify_all();
   }
-  // Is it all of the source, or what was asked for?
+  // Does the whole source fail, or only this range?
   if (known.bytes == 0 || !reader.read_again(known)) return;
   const std::scoped_lock lock(pool->mutex);
   stats.bytes_read += reader.take_bytes_read();
@@ -377,7 +378,7 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
     unread = file->unread_table();
   }
   const auto part = reader.read_table(unread, std::max(n, kLeastTableBytes));
-  // Waits for pages that are being decoded: not with the lock that frames need.
+  // Waits until no page is being decoded, so not under the lock that frames need.
   std::unique_lock alone(table, std::defer_lock);
   if (part) alone.lock();
   std::unique_lock lock(pool->mutex);

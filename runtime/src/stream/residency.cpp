@@ -1,4 +1,4 @@
-// residency.cpp - groups of pages from one state to another.
+// residency.cpp - groups of pages change their state.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream/residency.hpp"
 
@@ -19,7 +19,7 @@ Residency::Residency(const std::vector<lod::Page>& pages, std::uint32_t n_pages)
   extend();
 }
 
-// Pages above the leaves come first.
+// Pages above the leaves come first in the table.
 void Residency::extend() {
   while (n_groups_ < pages_.size() && pages_[n_groups_].level > 0) ++n_groups_;
 }
@@ -73,7 +73,7 @@ void Residency::make_resident(std::uint32_t group) {
   assert((state(group) == State::requested || state(group) == State::arrived) && is_resident(group));
   groups_[group].state = State::resident;
   groups_[group].n_failed = 0;
-  // Never younger than what is above it, which goes later.
+  // Not newer than its parent, which is evicted later.
   if (const std::uint32_t above = group_of(group); above != kNoGroup)
     groups_[group].last_used = groups_[above].last_used;
   n_resident_ += pages_[group].n_children;

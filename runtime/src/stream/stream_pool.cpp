@@ -1,4 +1,4 @@
-// stream_pool.cpp - room for pages: what is wanted least and longest ago goes first.
+// stream_pool.cpp - makes room for pages: evicts the least wanted, and of these the least recently used, first.
 // SPDX-License-Identifier: Apache-2.0
 #include "stream/stream_pool.hpp"
 
@@ -8,7 +8,8 @@
 
 namespace rgs::detail {
 
-// What is below a page is worth less and was used no later: it goes first. So the first that goes can go, always.
+// A descendant has a smaller error and was used no later, so it precedes its ancestors: the first victim can always be
+// evicted.
 bool StreamPoolState::evicts_before(const Victim& a, const Victim& b) {
   if (a.priority.now != b.priority.now) return b.priority.now;
   if (a.priority.px != b.priority.px) return a.priority.px < b.priority.px;
@@ -18,7 +19,7 @@ bool StreamPoolState::evicts_before(const Victim& a, const Victim& b) {
 
 StreamPoolState::Room StreamPoolState::find_victims(std::uint64_t bytes, const Priority& priority) {
   n_victims_ = 0;
-  std::uint64_t evictable_bytes = 0, reclaimable_bytes = 0;  // pinned ones and what is above them too
+  std::uint64_t evictable_bytes = 0, reclaimable_bytes = 0;  // the second with pinned groups and their ancestors
   const auto now = StreamClock::now();
   for (StreamedState* const scene : scenes) {
     scene->update_live_views(now);
@@ -62,7 +63,7 @@ StreamPoolState::Room StreamPoolState::take(std::uint64_t bytes, const Priority&
 StreamPoolState::Room StreamPoolState::take_pages(std::uint64_t bytes, const Priority& priority) {
   reclaimable_bytes_ = pages_budget();
   if (bytes > pages_budget()) return Room::none;
-  // Whether those that were found before are enough; frames have moved on since.
+  // The victims found before may still be enough; their priorities may have changed since.
   bool is_enough = left_for_pages() >= bytes;
   if (!is_enough) {
     std::uint64_t sum = 0;
@@ -91,7 +92,7 @@ Result<std::shared_ptr<DeviceSlots>> StreamPoolState::slots_of(const SlotShape& 
     if (there->plan().shape == shape) return there;
     return make_error(
         Errc::bad_argument, Error::kNone,
-        "the pool's device memory is of scenes of another SH degree, chunk or page size: a pool of its own");
+        "the pool's scenes have another SH degree, chunk size or page size: open this scene in a pool of its own");
   }
   auto made = DeviceSlots::create(shape, device_memory);
   if (!made) return made;

@@ -17,14 +17,14 @@ namespace {
 
 using namespace std::chrono_literals;
 
-constexpr auto kViewLives = 1s;         // without a frame
+constexpr auto kViewLives = 1s;         // after its last frame
 constexpr double kAheadSeconds = 0.5;   // of the camera's motion
-constexpr double kMotionSeconds = 0.5;  // between frames, above which they say nothing of motion
+constexpr double kMotionSeconds = 0.5;  // frames farther apart say nothing of motion
 constexpr double kMostTurn = 1;         // radians ahead
-constexpr int kPrefetchFrames =
-    6;  // that what is about to be seen is looked for once: it takes as long as a frame's own choice
+/// Prefetch runs every sixth frame, because it costs as much as choosing the pages.
+constexpr int kPrefetchFrames = 6;
 constexpr std::size_t kFirstDrawn = 256;  // pages
-/// A block of memory costs its allocator some bytes of its own.
+/// An allocator adds some bytes to each block.
 constexpr std::uint64_t kAllocationBytes = 32;
 
 bool is_more(const WantList::Want& a, const WantList::Want& b) {
@@ -49,7 +49,7 @@ double extent(const Box& box) {
   return std::sqrt(squared);
 }
 
-// Where a camera is after `ahead` times the motion from `before` to `now`, at most `farthest` away.
+// The camera moved on by `ahead` times the motion from `before` to `now`, but at most `farthest`.
 Camera moved_on(const Camera& before, const Camera& now, double ahead, double farthest) {
   const glm::dmat4 a = glm::inverse(before.world_to_camera), b = glm::inverse(now.world_to_camera);
   const glm::dvec3 from(a[3]), to(b[3]);
@@ -154,7 +154,7 @@ void StreamedState::cancel(std::uint32_t group) {
 
 void StreamedState::leave_flight(std::uint32_t group) {
   for (const auto& view : views) {
-    // The last cut may have missed one whose box is at the edge of the view.
+    // The last cut may have missed a group whose box is at the view's edge.
     if (view->n_in_flight > 0 && residency->wanted_px(group, *view->now) > 0) --view->n_in_flight;
   }
 }
@@ -168,7 +168,7 @@ void StreamedState::want(std::uint32_t group) {
   }
 }
 
-// As far as lists are of the cameras as they are: choose_among() finds the rest.
+// Finds wants of the current cameras alone; choose_among() drops stale ones.
 void StreamedState::forget_want(std::uint32_t group) {
   const auto forget = [&](WantList& list, const StreamEye& eye) {
     const float px = residency->wanted_px(group, eye);
@@ -209,7 +209,7 @@ void StreamedState::evict(std::uint32_t group) {
   count_evicted(group);
   free_pages(group);
   drop_below(group);
-  // Not if the page above has failed meanwhile.
+  // Unless the parent page has failed meanwhile.
   for (const auto& view : views) {
     if (!residency->can_request(group)) break;
     if (const float px = residency->wanted_px(group, *view->now); px > 0) view->wants.insert(group, rank(group, px));
@@ -233,7 +233,7 @@ void StreamedState::arrived(std::uint32_t group) {
   } else {
     drop(group);
   }
-  // What is there may give room to another, and what is dropped does.
+  // A resident group can be evicted for another, and a dropped one has left room.
   if (std::exchange(pool->lacks_room, false)) pool->changed();
   if (n_waiting > 0 &&
       std::ranges::any_of(views, [](const auto& view) { return view->n_busy > 0 && view->has_nothing_pending(); }))
@@ -244,7 +244,7 @@ void StreamedState::became_resident(std::uint32_t group) {
   leave_flight(group);
   const bool has_failed = residency->n_failed(group) > 0;
   residency->make_resident(group);
-  if (has_failed) {  // what is below it was not asked for before
+  if (has_failed) {  // its child groups were not requested while it failed
     want_below(group);
     pool->changed();
   }
@@ -255,7 +255,7 @@ void StreamedState::became_resident(std::uint32_t group) {
   }
 }
 
-// Of what is still being read its thread finds out.
+// Groups still being read are dropped when they arrive.
 void StreamedState::drop_below(std::uint32_t group) {
   const lod::Page& above = file->pages()[group];
   const std::uint32_t end = std::min(above.first_child + above.n_children, residency->n_groups());
@@ -297,7 +297,7 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
     remove_old_views();
     if (pool->take(view_bytes(), kNeeded) != StreamPoolState::Room::taken) {
       return make_error(Errc::limit_exceeded, Error::kNone,
-                        "the memory budget has no room for another view: a larger one, or fewer renderers",
+                        "the memory budget has no room for another view: raise it, or use fewer renderers",
                         pool->held + view_bytes(), pool->budget);
     }
     struct Given {
@@ -319,7 +319,7 @@ Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& ca
     view->is_refined = false;
     is_new = true;
   } else if (!view->is_refined) {
-    view->ahead.reset();  // it stands
+    view->ahead.reset();  // the camera stands still
   }
   if (!view->is_refined) view->came = now;
   view->is_refined = false;
@@ -340,7 +340,7 @@ Status StreamedState::need(DrawLists& lists) {
                     pool->held + list_bytes(kFirstDrawn), pool->budget);
 }
 
-// Room for twice as many pages.
+// Doubles the lists.
 bool StreamedState::grow(DrawLists& lists) {
   const std::size_t n = std::max(2 * lists.pages.capacity(), kFirstDrawn);
   if (pool->take(list_bytes(n), kNeeded) != StreamPoolState::Room::taken) return false;
@@ -382,7 +382,7 @@ Residency::Cut StreamedState::cut(StreamView& view, DrawLists* lists) {
       return cut;
     }
     if (grow(*lists)) continue;
-    // Where not even the list of pages fits, the picture is coarser. One page fits, or there is no list at all.
+    // If not even the list of pages fits, the picture is coarser. One page fits, or there is no list at all.
     if (lists->pages.capacity() == 0) {
       lists = nullptr;
     } else {
@@ -460,17 +460,17 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     ~Waiter() {
       view.seen = StreamClock::now();
       --view.n_busy, --scene.n_waiting;
-      if (scene.n_waiting == 0) scene.pool->changed();  // what is about to be seen has waited
+      if (scene.n_waiting == 0) scene.pool->changed();  // prefetch has waited
     }
   } waiter{s, view};
   view.failures.n = 0;
   const auto fails_for_long = [&] { return view.is_lasting && view.failures.n >= StreamedState::kLastingTrouble; };
   for (;;) {
-    // Its lists too: the frame that follows shall need no more room.
+    // With its lists, so that the next frame needs no more memory.
     const Residency::Cut cut = s.cut(view, &view.lists);
     s.stats.pages_missing = cut.missing;
     s.stats.detail_reached_px = cut.reached_px;
-    // Before the hash of its table is compared nobody knows that the view is right.
+    // The view is verified only once the table's hash is.
     if (cut.missing == 0 && s.file->is_verified()) return true;
     if (cut.missing == 0 && s.residency->is_broken()) return tl::unexpected(s.damage.error());
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();

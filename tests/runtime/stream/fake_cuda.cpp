@@ -315,7 +315,7 @@ rgs::Status rgs::cuda::launch_bring(const Pieces& pieces, Stream stream) {
     const cudaError_t error =
         cudaMemcpyAsync(pieces.to[i], pieces.from[i], pieces.bytes[i], cudaMemcpyHostToDevice, stream);
     if (error != cudaSuccess) {
-      return make_error(Errc::device_failed, Error::kNone, "pages could not be brought to the device", Error::kNone,
+      return make_error(Errc::device_failed, Error::kNone, "pages could not be copied to the device", Error::kNone,
                         static_cast<std::uint64_t>(error));
     }
   }
