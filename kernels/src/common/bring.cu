@@ -1,13 +1,13 @@
-// bring.cu - pieces of page-locked memory to their places on the device; a block a piece.
+// bring.cu - copies pieces of page-locked memory to the device; a block a piece.
 // SPDX-License-Identifier: Apache-2.0
 //
-// Many threads bring pages, and their calls of the driver wait for each other there. A launch takes a thread 10 us; that the driver copies as
-// many pieces, even asked with one call, 60 to 120 us (docs/records/EXPERIMENTS.md).
+// Many threads upload pages, and their driver calls wait for each other. A launch takes a thread 10 us; copying as many
+// pieces by the driver, even with one call, 60 to 120 us (docs/records/EXPERIMENTS.md).
 //
 // Math    none
 // In/Out  n pieces of host memory -> the device's, 16 bytes at a time
 // Cost    each byte once over PCIe and once to memory: expected bound, the latency of PCIe
-// Launch  n blocks of 256 threads, each of which has four reads on their way
+// Launch  n blocks of 256 threads, each with four reads in flight
 // Order   deterministic
 #include "common/bring.hpp"
 #include "common/launch.cuh"
@@ -38,7 +38,7 @@ __global__ void __launch_bounds__(kThreads) bring_kernel(const __grid_constant__
 
 Status launch_bring(const Pieces& pieces, Stream stream) {
   bring_kernel<<<pieces.n, kThreads, 0, stream>>>(pieces);
-  return launched("pages could not be brought to the device");
+  return launched("pages could not be copied to the device");
 }
 
 }  // namespace rgs::cuda
