@@ -200,7 +200,6 @@ Status Scene::Storage::describe(const FileView& view) {
   return {};
 }
 
-// Validates.
 Status Scene::Storage::decode(const FileView& view) {
   if (const auto ok = describe(view); !ok) return ok;
   auto data = load_direct(view);

@@ -97,7 +97,6 @@ struct OctaveScale {
   int exponent;
 };
 OctaveScale scale_of_octaves(std::int32_t octaves);
-/// Decodes a row of GEOM.
 void geometry_row(const ArchiveParameters& p, const FrameCodes& f, std::size_t i, int scale_exponent,
                   std::uint16_t row[8]);
 /// (2 g + S) div (2 S) of docs/format/ARCHIVE.md "DC": the predicted code after two values.
@@ -131,7 +130,6 @@ class ArchiveDecoder {
   Status geometry_codes(std::span<const std::byte> stored, std::uint64_t offset, std::size_t n);
   /// Rows [n, 16] of GEOM.
   void geometry(int scale_exponent, std::span<std::byte> out);
-  /// Codes of SHI8.
   Status sh_codes(std::span<const std::byte> stored, std::uint64_t offset);
   /// Rows [n, sh_bytes] of SHI8; steps of each chunk of chunk_rows in the frame.
   void sh(int sh_degree, std::uint32_t chunk_rows, std::span<const ShStepSet> chunk_steps, std::span<std::byte> out);

@@ -195,7 +195,6 @@ class Clusters {
     }
   }
 
-  // Appends the used distributions.
   void append_to(ArchiveTables& t) {
     sum();
     std::vector<std::uint8_t> index(sums_.size());

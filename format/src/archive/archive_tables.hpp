@@ -54,10 +54,8 @@ constexpr std::size_t archive_sh_count(int degree) {
   return static_cast<std::size_t>(3 * (sh_coefficients(degree) - 1));
 }
 
-/// Memory that they hold.
 std::uint64_t memory_bytes(const ArchiveTables& tables);
 
-/// The section's bytes.
 std::vector<std::byte> write_archive_tables(const ArchiveTables& tables);
 /// `offset`: of the section in the file. Safe on untrusted bytes. Errors: size_mismatch, reserved_bits, bad_value,
 /// corrupt_data.

@@ -167,7 +167,6 @@ Status verify_frame(const DirectData& data, const SplatView& splats, std::span<c
   return {};
 }
 
-// Verifies page `page`, decoded into `memory`.
 Status verify_page(const PagedFile& file, const SplatView& splats, std::span<const std::uint32_t> order,
                    std::uint32_t page, PageDecoder& pages, ArchiveDecoder& decoder, std::vector<std::byte>& memory) {
   const FileView& head = file.head();

@@ -148,7 +148,6 @@ Status check_types(std::span<const SectionEntry> sections, std::uint16_t minor) 
   return check_required(sections, names_levels(sections, minor));
 }
 
-// Offset of LODS's entry.
 std::uint64_t levels_entry(std::span<const SectionEntry> sections) {
   const auto entry = std::ranges::find(sections, static_cast<std::uint32_t>(SectionType::levels), &SectionEntry::type);
   return detail::section_entry_offset(static_cast<std::size_t>(entry - sections.begin()));

@@ -15,10 +15,9 @@
 
 namespace rgs::detail {
 
-/// An encoded page.
 struct EncodedPage {
-  std::span<const std::byte> bytes;  ///< as stored
-  std::uint64_t xxh3 = 0;            ///< of these
+  std::span<const std::byte> bytes;
+  std::uint64_t xxh3 = 0;
   std::uint32_t n_step_sets = 0;
   std::int16_t scale_exponent = 0;
   std::array<std::uint32_t, 3> corner{};

@@ -41,7 +41,6 @@ void round_means(std::span<Splat> splats, float error) {
   }
 }
 
-// A page being encoded.
 struct PageBuffers {
   std::vector<Splat> splats;
   float smallest = 0, largest = 0;     // log-scale

@@ -34,7 +34,6 @@ Result<PageTable> parse_levels_head(std::span<const std::byte> bytes, const Page
                                     const DecodeLimits& limits);
 /// Appends the next pages from complete records. After an error the table is unchanged.
 Status append_pages(std::span<const std::byte> records, const PageContext& context, PageTable& table);
-/// Checks a complete table.
 Status check_page_table(const PageTable& table, const PageContext& context);
 /// Checks that pages decode to no more than a file of `file_bytes` may.
 Status check_decoded_bytes(const PageContext& context, const DecodeLimits& limits, std::uint64_t file_bytes);

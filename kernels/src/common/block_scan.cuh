@@ -29,7 +29,6 @@ __device__ inline std::uint32_t warp_sum(std::uint32_t value) {
   return reduce_warp(value, [](std::uint32_t a, std::uint32_t b) { return a + b; });
 }
 
-/// Maximum over the warp.
 __device__ inline std::uint32_t warp_max(std::uint32_t value) {
 #if __CUDA_ARCH__ >= 800
   return __reduce_max_sync(kFullWarp, value);

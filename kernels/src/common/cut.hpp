@@ -31,7 +31,6 @@ struct CutEye {
   float detail_px;
 };
 
-/// Counts of what a frame draws.
 struct CutCounts {
   std::uint64_t gaussians;
   std::uint32_t pages, chunks;

@@ -15,7 +15,6 @@ __device__ inline TurboEntry with_rank(const TieOrder& ties, TurboEntry entry) {
                     static_cast<std::uint32_t>(entry) & ((1u << kTurboCellBits) - 1));
 }
 
-/// Runs of entries.
 struct TurboRuns {
   const TurboRun* runs;
   const TurboEntry* entries;

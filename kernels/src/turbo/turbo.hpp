@@ -40,7 +40,6 @@ struct TurboList {
   std::uint32_t begin, n_runs, n_entries, number;
 };
 inline constexpr std::uint32_t kTurboRound = 2048;  ///< entries that a block orders at a time; a power of two
-/// The list of a rank.
 struct alignas(16) TurboRankedList {
   std::uint32_t begin, n_runs, n_entries, tile;
 };

@@ -54,7 +54,6 @@ __device__ inline std::uint32_t cells_in(std::uint32_t candidate) {
   return candidate & ((1u << kTurboCellBits) - 1);
 }
 
-// A Gaussian's bounding box in tiles.
 struct Box {
   std::uint16_t x, y;
   std::uint16_t first;  // its first candidate

@@ -103,7 +103,6 @@ class DepthBins {
   const Stretches* stretches_;
 };
 
-// The runs of a slice.
 __device__ TurboRuns runs_of(const TurboArrays& a, const TurboLongList& list, std::uint32_t slice) {
   const TurboList all = a.lists[list.tile];
   const std::uint32_t each = (all.n_runs + list.n_slices - 1) / list.n_slices;

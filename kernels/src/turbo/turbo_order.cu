@@ -550,7 +550,6 @@ __device__ inline void deal_out_unit(Shared& s, const TurboArrays& a, std::uint3
   }
 }
 
-// Takes units until none are left.
 template <class Ties>
 __device__ inline void deal_out_units(Shared& s, const TurboArrays& a) {
   for (const std::uint32_t n = a.state->n_units;;) {

@@ -33,7 +33,6 @@ class CutStage {
   /// `splats` gets room for as many. Call before every launch. Errors: those of `reserve`.
   Status reserve(const SceneStorage& scene, std::uint64_t n_chunks, std::uint64_t max_chunks, Order order,
                  DeviceBuffer& splats, const Reserve& reserve);
-  /// What a frame draws, and how.
   struct Choice {
     cuda::CutEye eye;
     cuda::ViewParameters view;

@@ -31,7 +31,6 @@ class DeviceMemory {
   std::shared_ptr<const DevicePool> pool_;  // null and no allocator: cudaMalloc(), if the driver has no pools
 };
 
-/// Owned device memory.
 class DeviceBuffer {
  public:
   DeviceBuffer() = default;

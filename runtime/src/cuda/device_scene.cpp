@@ -157,7 +157,6 @@ Result<DeviceScene> DeviceScene::upload(const DirectData& data, const UploadOpti
   });
 }
 
-// Decodes on the host.
 Result<DeviceScene> DeviceScene::upload_decoded(const FileView& file, const UploadOptions& options) {
   const auto start = Clock::now();
   const auto data = load_direct(file, {options.validate, 0});

@@ -54,7 +54,6 @@ struct SceneStorage {
   DeviceBuffer ties;            ///< [n_rows()] Gaussians in tie order, then [n_rows()] the rank of each
   std::optional<Event> copied;  ///< the end of an upload that nobody has waited for
 
-  /// Rows of the attributes.
   std::uint64_t n_rows() const { return pages ? pages->n_chunks * pages->chunk_size : n; }
   cuda::TieOrder tie_order() const {
     const auto* const order = ties.as<std::uint32_t>();

@@ -93,7 +93,6 @@ class PageLockedBytes {
   void* bytes_ = nullptr;
 };
 
-// A slot of the ring.
 struct HostPlace {
   std::byte* memory = nullptr;
   Event copied;

@@ -112,7 +112,6 @@ struct FrameState {
     return cut.reserve(*f.scene, n_chunks, f.max_chunks(), order, splats,
                        [&](DeviceBuffer& buffer, std::uint64_t bytes) { return reserve(buffer, bytes, f.stream); });
   }
-  /// Queues the frame's cut, if any.
   Status launch_cut(const Frame& f, CutStage::Order order) const {
     return cut.launch(*f.scene, {*f.cut, f.view, f.settings.extent == math::Extent::ellipse, order}, f.stream);
   }

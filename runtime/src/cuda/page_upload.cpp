@@ -25,7 +25,6 @@ struct Batch {
   std::uint32_t begin, end;
 };
 
-// Decodes pages.
 struct Worker {
   explicit Worker(const PagedFile& file) : decoder(file), memory(file.largest_decoded_bytes() + 16) {}
 
@@ -101,7 +100,6 @@ void PageUpload::cut_batches() {
   }
 }
 
-// Makes room for any batch.
 Status PageUpload::create(Staging& staging) const {
   std::array<std::uint64_t, 5> bytes{};
   std::uint64_t total = 0;

@@ -20,7 +20,6 @@ std::uint64_t pixels_of(const Camera& camera) {
   return static_cast<std::uint64_t>(camera.width) * static_cast<std::uint64_t>(camera.height);
 }
 
-// The arrays from picture `first` on.
 PictureArrays from(PictureArrays p, std::uint64_t first, std::uint64_t n_pixels) {
   const auto move = [&](auto*& data, std::uint64_t n) {
     if (data != nullptr) data += first * n;

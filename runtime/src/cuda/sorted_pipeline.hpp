@@ -37,7 +37,7 @@ class SortedPipeline {
 
   FrameState& state_;
 
-  std::uint64_t n_ = 0;  // Gaussians of the frame
+  std::uint64_t n_ = 0;
   std::uint64_t n_pairs_ = 0;
   DeviceBuffer counters_, covers_, tiles_, sums_, sum_temporary_, block_state_;
   DeviceBuffer keys_, spare_keys_, gaussians_, spare_gaussians_, sort_temporary_, ranges_;

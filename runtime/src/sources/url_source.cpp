@@ -510,7 +510,6 @@ class UrlSource final : public ByteSource {
     if (!s) release(slot, s);
   }
 
-  // Follows a redirect.
   Status follow(Slot& slot, const std::string& target) {
     const Request& request = *slot.request;
     const auto refuse = [&](const char* what) {

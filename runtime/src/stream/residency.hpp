@@ -67,7 +67,6 @@ class Residency {
   std::uint64_t n_resident() const { return n_resident_; }  ///< pages, with the root
   std::uint32_t last_used(std::uint32_t group) const { return groups_[group].last_used; }
 
-  /// Whether the parent page is in flight.
   bool is_parent_in_flight(std::uint32_t group) const {
     if (group == 0) return false;
     const State above = state(group_of(group));

@@ -16,7 +16,7 @@ namespace rgs::detail {
 /// What scenes must have in common to share slots.
 struct SlotShape {
   std::uint32_t chunk_size = 0;   ///< Gaussians
-  std::uint32_t page_chunks = 0;  ///< at most
+  std::uint32_t page_chunks = 0;  ///< of a page, at most
   int sh_degree = 0;
 
   static SlotShape of(const PagedFile& file);

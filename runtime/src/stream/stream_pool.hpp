@@ -62,7 +62,6 @@ struct StreamPoolState {
   std::uint64_t reclaimable_bytes() const { return reclaimable_bytes_; }
   /// Something changed: wakes threads of all scenes.
   void changed();
-  /// Removes a scene.
   void forget(StreamedState* scene);
 
  private:

@@ -188,7 +188,6 @@ struct StreamedState {
   /// Takes memory for the scene's life. Errors: limit_exceeded; Error::expected: the budget needed.
   Status take(std::uint64_t n);
 
-  /// Memory of a view's first frame.
   std::uint64_t least_view_bytes() const;
 
   // With the lock.
