@@ -21,7 +21,7 @@ struct StreamEye {
   float detail_px = 0;
 };
 
-/// How much a group of pages is worth.
+/// How urgently a group of pages is wanted.
 struct Priority {
   bool now = false;  ///< a view wants or draws it or a descendant; otherwise a view is about to
   float px = 0;      ///< projected error of the page that stands for it; 0: no view wants it
