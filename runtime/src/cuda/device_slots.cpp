@@ -5,7 +5,7 @@
 #include <array>
 #include <utility>
 
-#include "common/bring.hpp"
+#include "common/copy_pieces.hpp"
 #include "common/device_code.hpp"
 #include "cuda/cuda_objects.hpp"
 #include "page_sections.hpp"
@@ -158,7 +158,7 @@ Status SlotWriter::Impl::send() {
     if (Status there = wait_for_oldest(); !there) return there;
   }
   const StreamTimer timer(StreamStep::queue);
-  const Status queued = cuda::launch_bring(pieces, stream.get());
+  const Status queued = cuda::launch_copy_pieces(pieces, stream.get());
   pieces.n = 0;
   // After an error too: queued copies read staged pages.
   Sent& now = sent(last_sent + 1);

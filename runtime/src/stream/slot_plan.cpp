@@ -47,7 +47,7 @@ std::uint64_t SlotShape::bytes() const {
 }
 
 Result<SlotPlan> plan_slots(const SlotShape& shape, std::uint64_t budget) {
-  // Alignment between sections costs less than a slot.
+  // Aligning the sections may cost a slot.
   std::uint64_t n = std::min(budget / shape.bytes(), kMostRows / shape.rows());
   while (n > 0 && plan_of(shape, static_cast<std::uint32_t>(n)).bytes > budget) --n;
   if (n == 0) {

@@ -14,7 +14,7 @@
 #include <thread>
 #include <vector>
 
-#include "common/bring.hpp"
+#include "common/copy_pieces.hpp"
 #include "common/device_code.hpp"
 
 struct CUstream_st {
@@ -302,7 +302,7 @@ rgs::Status rgs::cuda::check_device_code() {
 }
 
 // In any order among themselves: the last comes first here.
-rgs::Status rgs::cuda::launch_bring(const Pieces& pieces, Stream stream) {
+rgs::Status rgs::cuda::launch_copy_pieces(const Pieces& pieces, Stream stream) {
   FakeCuda& cuda = *FakeCuda::current();
   ++cuda.n_batches;
   if (pieces.n == 0 || pieces.n > Pieces::kMost || stream->device != rgs::test::the_current) ++cuda.n_faults;

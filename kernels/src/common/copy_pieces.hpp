@@ -1,4 +1,4 @@
-// bring.hpp - the launch that copies pieces of page-locked memory to the device, all at once.
+// copy_pieces.hpp - the launch that copies pieces of page-locked memory to the device, all at once.
 // SPDX-License-Identifier: Apache-2.0
 #pragma once
 
@@ -31,6 +31,6 @@ struct Pieces {
 };
 
 /// Pieces do not overlap; n > 0. Errors: device_failed.
-Status launch_bring(const Pieces& pieces, Stream stream);
+Status launch_copy_pieces(const Pieces& pieces, Stream stream);
 
 }  // namespace rgs::cuda
