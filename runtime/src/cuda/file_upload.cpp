@@ -93,7 +93,7 @@ class PageLockedBytes {
   void* bytes_ = nullptr;
 };
 
-struct HostPlace {
+struct HostSlot {
   std::byte* memory = nullptr;
   Event copied;
 };
@@ -105,7 +105,7 @@ struct Lane {
 };
 
 struct Filled {
-  HostPlace* place = nullptr;
+  HostSlot* slot = nullptr;
   Job job;
 };
 
@@ -113,7 +113,7 @@ struct Filled {
 template <class T>
 class Queue {
  public:
-  void give(const T& one) {
+  void put(const T& one) {
     {
       const std::lock_guard lock(mutex_);
       waiting_.push_back(one);
@@ -169,8 +169,8 @@ class FileUpload {
   Status fill_next(FrameContents& contents, bool& is_done);
   Status dispatch();
   Status reclaim(bool wait);
-  Status fill(const Job& job, HostPlace& place, FrameContents& contents);
-  Status queue(const Job& job, const HostPlace& place, const Lane& lane);
+  Status fill(const Job& job, HostSlot& slot, FrameContents& contents);
+  Status queue(const Job& job, const HostSlot& slot, const Lane& lane);
   Status unpack(const Part& part, const Lane& lane);
   Status check_tables() const;
   Status check_values();
@@ -187,11 +187,11 @@ class FileUpload {
   PageLockedBytes ring_;
   DeviceBuffer staging_;
   Event ready_;  // the device's memory is allocated
-  std::vector<HostPlace> host_places_;
+  std::vector<HostSlot> host_slots_;
   std::vector<Lane> lanes_;
-  Queue<HostPlace*> free_places_;
+  Queue<HostSlot*> free_slots_;
   Queue<Filled> filled_;
-  std::deque<HostPlace*> copying_;  // being copied to the device
+  std::deque<HostSlot*> copying_;  // being copied to the device
   std::atomic<std::uint64_t> next_{0};
   std::atomic<bool> has_failed_{false};
   std::mutex failing_;
@@ -271,10 +271,10 @@ Status FileUpload::prepare() {
   };
   // One slot for each thread and some to copy. Locking pages takes time, so a small file gets a small ring.
   const std::uint64_t useful = std::min<std::uint64_t>(n_threads_ + n_threads_ / 2 + 1, n_jobs_ / 4);
-  host_places_ = std::vector<HostPlace>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
-  n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_places_.size()));
+  host_slots_ = std::vector<HostSlot>(limited(kRingBytes, std::max<std::uint64_t>(useful, 2)));
+  n_threads_ = std::min(n_threads_, static_cast<unsigned>(host_slots_.size()));
   lanes_ = std::vector<Lane>(limited(kStagingBytes, kMaxStreams));
-  Status ok = ring_.create(host_places_.size() * largest);
+  Status ok = ring_.create(host_slots_.size() * largest);
   if (ok && is_coded) {
     const auto memory = DeviceMemory::create(options_.allocator);
     ok = memory ? staging_.reserve(lanes_.size() * largest, *memory, options_.stream) : tl::unexpected(memory.error());
@@ -282,10 +282,10 @@ Status FileUpload::prepare() {
   // The caller's allocator may return memory that is valid only once its stream gets there.
   if (ok) ok = ready_.create();
   if (ok) ok = ready_.record(options_.stream);
-  for (std::size_t i = 0; i < host_places_.size() && ok; ++i) {
-    host_places_[i].memory = ring_.get() + i * largest;
-    ok = host_places_[i].copied.create();
-    free_places_.give(&host_places_[i]);
+  for (std::size_t i = 0; i < host_slots_.size() && ok; ++i) {
+    host_slots_[i].memory = ring_.get() + i * largest;
+    ok = host_slots_[i].copied.create();
+    free_slots_.put(&host_slots_[i]);
   }
   for (std::size_t i = 0; i < lanes_.size() && ok; ++i) {
     if (is_coded) lanes_[i].memory = staging_.as<std::byte>() + i * largest;
@@ -316,7 +316,7 @@ void FileUpload::fail(const Status& status) {
     if (!has_failed_) status_ = status;
     has_failed_ = true;
   }
-  free_places_.close();
+  free_slots_.close();
   filled_.close();
 }
 
@@ -337,21 +337,21 @@ Status FileUpload::fill_next(FrameContents& contents, bool& is_done) {
   is_done = i > n_jobs_;
   if (is_done) return {};
   if (i == 0) return check_tables();
-  const auto place = free_places_.take(true);
-  if (!place) return {};  // another thread has failed
-  const Filled filled{*place, job_at(i - 1)};
-  if (Status s = fill(filled.job, **place, contents); !s) return s;
-  filled_.give(filled);
+  const auto slot = free_slots_.take(true);
+  if (!slot) return {};  // another thread has failed
+  const Filled filled{*slot, job_at(i - 1)};
+  if (Status s = fill(filled.job, **slot, contents); !s) return s;
+  filled_.put(filled);
   return {};
 }
 
 // Frees slots that have been copied; waits for the first if `wait`.
 Status FileUpload::reclaim(bool wait) {
   while (!copying_.empty()) {
-    HostPlace* const place = copying_.front();
+    HostSlot* const slot = copying_.front();
     if (wait) {
-      if (Status s = place->copied.wait(); !s) return s;
-    } else if (const cudaError_t error = cudaEventQuery(place->copied.get()); error == cudaErrorNotReady) {
+      if (Status s = slot->copied.wait(); !s) return s;
+    } else if (const cudaError_t error = cudaEventQuery(slot->copied.get()); error == cudaErrorNotReady) {
       cudaGetLastError();  // later calls must not report it
       return {};
     } else if (error != cudaSuccess) {
@@ -359,7 +359,7 @@ Status FileUpload::reclaim(bool wait) {
     }
     wait = false;
     copying_.pop_front();
-    free_places_.give(place);
+    free_slots_.put(slot);
   }
   return {};
 }
@@ -373,7 +373,7 @@ Status FileUpload::dispatch() {
   }
   for (std::uint64_t n_queued = 0; n_queued < n_jobs_ && !has_failed_;) {
     if (n_threads_ == 1) {
-      if (Status s = reclaim(copying_.size() == host_places_.size()); !s) return s;
+      if (Status s = reclaim(copying_.size() == host_slots_.size()); !s) return s;
       if (Status s = fill_next(contents, is_done); !s) return s;
     }
     // With nothing to queue, waits for a copy, or else for a thread that fills a slot.
@@ -382,8 +382,8 @@ Status FileUpload::dispatch() {
     if (filled) {
       const Lane& lane = lanes_[n_queued++ % lanes_.size()];
       ok = lane.done.wait();
-      if (ok) ok = queue(filled->job, *filled->place, lane);
-      copying_.push_back(filled->place);
+      if (ok) ok = queue(filled->job, *filled->slot, lane);
+      copying_.push_back(filled->slot);
     }
     if (ok) ok = reclaim(!filled && !copying_.empty());
     if (!ok) return ok;
@@ -391,9 +391,9 @@ Status FileUpload::dispatch() {
   return {};
 }
 
-Status FileUpload::fill(const Job& job, HostPlace& place, FrameContents& contents) {
+Status FileUpload::fill(const Job& job, HostSlot& slot, FrameContents& contents) {
   for (const Part& part : job.all()) {
-    const std::span to(place.memory + part.at, part.bytes);
+    const std::span to(slot.memory + part.at, part.bytes);
     const Section& section = *part.section;
     if (section.table == nullptr) {
       std::memcpy(to.data(), section.bytes.data() + part.index * kPieceBytes, part.bytes);
@@ -403,19 +403,19 @@ Status FileUpload::fill(const Job& job, HostPlace& place, FrameContents& content
     if (section.type != SectionType::sh) continue;
     const auto steps = relative_sh_steps(file_, part.index);
     if (!steps) return tl::unexpected(steps.error());
-    std::memcpy(place.memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
+    std::memcpy(slot.memory + part.steps_at, steps->data(), steps->size() * sizeof(RelativeShSteps));
   }
   return {};
 }
 
-Status FileUpload::queue(const Job& job, const HostPlace& place, const Lane& lane) {
+Status FileUpload::queue(const Job& job, const HostSlot& slot, const Lane& lane) {
   const Part& first = job.parts[0];
   const bool is_coded = first.section->table != nullptr;
   std::byte* const to = is_coded ? lane.memory : first.section->place + first.index * kPieceBytes;
   Status ok = device_status(
-      cudaMemcpyAsync(to, place.memory, is_coded ? job.bytes : first.bytes, cudaMemcpyHostToDevice, lane.stream.get()),
+      cudaMemcpyAsync(to, slot.memory, is_coded ? job.bytes : first.bytes, cudaMemcpyHostToDevice, lane.stream.get()),
       "a scene could not be copied to the device");
-  if (ok) ok = place.copied.record(lane.stream.get());
+  if (ok) ok = slot.copied.record(lane.stream.get());
   for (const Part& part : job.all()) {
     if (ok && is_coded) ok = unpack(part, lane);
   }

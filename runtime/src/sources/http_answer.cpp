@@ -63,7 +63,7 @@ tl::unexpected<Error> status_error(Errc code, std::uint64_t offset, int status) 
 }
 
 constexpr const char* kEncoded = "the server sends the file compressed, against our request; download the file";
-constexpr const char* kContrary = "the server's answer contradicts itself";
+constexpr const char* kContradiction = "the server's answer contradicts itself";
 constexpr const char* kOtherRange = "the server sends another range than was requested";
 constexpr const char* kChanged = "the file on the server has changed; open it again";
 
@@ -106,19 +106,19 @@ void HttpAnswer::add_line(std::string_view line) {
   const std::string_view name = line.substr(0, colon);
   std::string_view value = trimmed(line.substr(colon + 1));
   if (equal_without_case(name, "content-range")) {
-    set_once(range_, parse_content_range(value), contrary_, [](const ContentRange& a, const ContentRange& b) {
+    set_once(range_, parse_content_range(value), contradictory_, [](const ContentRange& a, const ContentRange& b) {
       return a.satisfied == b.satisfied && a.first == b.first && a.last == b.last && a.total == b.total;
     });
   } else if (equal_without_case(name, "content-length")) {
-    set_once(length_, parse_number(value), contrary_);
+    set_once(length_, parse_number(value), contradictory_);
   } else if (equal_without_case(name, "content-encoding")) {
     encoded_ |= !value.empty() && !equal_without_case(value, "identity");
   } else if (equal_without_case(name, "etag")) {
     // Servers that compress may weaken the tag; it still names the same file.
     if (value.substr(0, 2) == "W/") value.remove_prefix(2);
-    set_once(etag_, std::optional(hash(value)), contrary_);
+    set_once(etag_, std::optional(hash(value)), contradictory_);
   } else if (equal_without_case(name, "last-modified")) {
-    set_once(modified_, std::optional(hash(value)), contrary_);
+    set_once(modified_, std::optional(hash(value)), contradictory_);
   }
 }
 
@@ -142,7 +142,7 @@ Result<FilePin> FilePin::of(const HttpAnswer& answer, std::uint64_t n) {
   if (answer.status_ != 200 && answer.status_ != 206)
     return status_error(Errc::open_failed, Error::kNone, answer.status_);
   if (answer.encoded_) return failed(kEncoded);
-  if (answer.contrary_) return failed(kContrary);
+  if (answer.contradictory_) return failed(kContradiction);
   if (answer.status_ == 200) {
     // A length is required: a body that ends with the connection may have been cut off.
     if (!answer.length_ || *answer.length_ > n) return status_error(Errc::open_failed, Error::kNone, 200);
@@ -154,7 +154,7 @@ Result<FilePin> FilePin::of(const HttpAnswer& answer, std::uint64_t n) {
   if (pin.size > static_cast<std::uint64_t>(INT64_MAX)) return failed(kOtherRange);
   const std::uint64_t there = std::min(n, pin.size);
   if (answer.range_->first != 0 || answer.range_->last != there - 1) return failed(kOtherRange);
-  if (answer.length_ && *answer.length_ != there) return failed(kContrary);
+  if (answer.length_ && *answer.length_ != there) return failed(kContradiction);
   return pin;
 }
 
@@ -166,7 +166,7 @@ Status FilePin::check(const HttpAnswer& answer, std::uint64_t begin, std::uint64
     return make_error(Errc::read_failed, begin, kChanged, size, *answer.range_->total);
   }
   if (!success) return status_error(Errc::read_failed, begin, answer.status_);
-  if (answer.contrary_) return failed(kContrary);
+  if (answer.contradictory_) return failed(kContradiction);
   // Fields that both responses have must be equal; at least one of the pinned fields must be there.
   const bool tags = etag && answer.etag_, times = modified && answer.modified_;
   if ((tags && *etag != *answer.etag_) || (times && *modified != *answer.modified_)) return failed(kChanged);
@@ -182,7 +182,7 @@ Status FilePin::check(const HttpAnswer& answer, std::uint64_t begin, std::uint64
       answer.range_->last != end - 1) {
     return failed(kOtherRange);
   }
-  if (answer.length_ && *answer.length_ != end - begin) return failed(kContrary);
+  if (answer.length_ && *answer.length_ != end - begin) return failed(kContradiction);
   return {};
 }
 

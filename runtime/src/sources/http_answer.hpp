@@ -43,7 +43,7 @@ class HttpAnswer {
   std::optional<std::uint64_t> length_;           // of the body
   std::optional<std::uint64_t> etag_, modified_;  // hashes of their text
   bool encoded_ = false;                          // the server has compressed the body
-  bool contrary_ = false;                         // a field that occurs once has two values, or is malformed
+  bool contradictory_ = false;                    // a field that occurs once has two values, or is malformed
 };
 
 /// Identifies the version of the file on the server.

@@ -97,7 +97,7 @@ const char* text_of(CURLcode code) {
 }
 
 // Whether a retry may succeed.
-bool may_pass(CURLcode code) {
+bool is_transient(CURLcode code) {
   switch (code) {
     case CURLE_URL_MALFORMAT:
     case CURLE_UNSUPPORTED_PROTOCOL:
@@ -144,14 +144,14 @@ struct Slot {
   detail::HttpAnswer answer;
   std::size_t head_bytes = 0;
   bool connected = false;
-  bool accepted = false;         // it matches: its body goes to the request
-  bool leads_away = false;       // a redirect
+  bool accepted = false;  // it matches: its body goes to the request
+  bool is_redirect = false;
   std::optional<Error> refusal;  // why it is neither
 
   void begin_answer() {
     answer = {};
     head_bytes = 0;
-    connected = accepted = leads_away = false;
+    connected = accepted = is_redirect = false;
     refusal.reset();
   }
 };
@@ -179,8 +179,8 @@ std::size_t on_head(char* data, std::size_t, std::size_t n, void* user) {
   if (!slot.answer.ends_head(line)) return n;
   // Not extended by each line, or a head could take forever.
   slot.deadline = Clock::now() + slot.stall;
-  slot.leads_away = slot.answer.is_redirect();
-  if (slot.leads_away) return 0;  // a redirect's body is ignored
+  slot.is_redirect = slot.answer.is_redirect();
+  if (slot.is_redirect) return 0;  // a redirect's body is ignored
   if (request.opens) {
     const auto pin = detail::FilePin::of(slot.answer, request.out.size());
     if (pin) {
@@ -473,7 +473,7 @@ class UrlSource final : public ByteSource {
       Request& request = *slot.request;
       std::string target;
       curl_header* location = nullptr;
-      if (slot.leads_away &&
+      if (slot.is_redirect &&
           ::curl_easy_header(slot.easy.get(), "Location", 0, CURLH_HEADER, -1, &location) == CURLHE_OK) {
         target = location->value;
       }
@@ -482,7 +482,7 @@ class UrlSource final : public ByteSource {
       long system = 0;
       ::curl_easy_getinfo(slot.easy.get(), CURLINFO_OS_ERRNO, &system);
       ::curl_multi_remove_handle(multi_.get(), slot.easy.get());
-      if (slot.leads_away) return follow(slot, target);
+      if (slot.is_redirect) return follow(slot, target);
       // All bytes have come, however the transfer ended.
       if (slot.accepted && request.done == request.out.size()) {
         if (request.at_origin || slot.redirects > 0) url_ = slot.url;
@@ -496,14 +496,14 @@ class UrlSource final : public ByteSource {
         const bool gone = status == 401 || status == 403 || status == 404 || status == 410;
         if (!gone || request.at_origin || url_ == origin_) return tl::unexpected(*slot.refusal);
         request.at_origin = true;
-        put_back(slot, Clock::now());
+        requeue(slot, Clock::now());
         return {};
       }
       Error error{.code = Errc::read_failed, .offset = request.offset + request.done, .what = text_of(code)};
       if (code == CURLE_OK) error.what = text_of(CURLE_PARTIAL_FILE);
       if (code == CURLE_COULDNT_CONNECT) error.system = static_cast<int>(system);
       // A server that could not be reached at the start is more likely a wrong address than a transient failure.
-      if (!may_pass(code) || (request.opens && !slot.connected)) return tl::unexpected(error);
+      if (!is_transient(code) || (request.opens && !slot.connected)) return tl::unexpected(error);
       request.over_new_connection = true;
       return retry(slot, error, 0);
     });
@@ -544,11 +544,11 @@ class UrlSource final : public ByteSource {
     const double jitter = std::uniform_real_distribution<double>(0.75, 1)(random_);
     const double pause = std::min(kMostPause, std::ldexp(kFirstPause, std::min(request.failures, 30))) * jitter;
     ++request.failures;
-    put_back(slot, Clock::now() + seconds(std::max(pause, std::min(least_seconds, kMostRetryAfter))));
+    requeue(slot, Clock::now() + seconds(std::max(pause, std::min(least_seconds, kMostRetryAfter))));
     return {};
   }
 
-  void put_back(Slot& slot, Clock::time_point not_before) {
+  void requeue(Slot& slot, Clock::time_point not_before) {
     slot.request->not_before = not_before;
     append(waiting_, std::exchange(slot.request, nullptr));
   }
