@@ -391,7 +391,7 @@ TEST_CASE("redirects are followed, as many as allowed, to where it is safe, and 
     CAPTURE(std::string(to));
     const Outcome outcome = read_from(server.url(std::string("/redirect?to=") + to));
     REQUIRE_FALSE(outcome.status);
-    CHECK(has(outcome.what(), "no web address"));
+    CHECK(has(outcome.what(), "invalid web address"));
     CHECK(outcome.status.error().found == 302);
   }
   CHECK_FALSE(read_from(server.url("/redirect-nowhere")).status);

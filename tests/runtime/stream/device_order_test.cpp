@@ -462,11 +462,11 @@ TEST_CASE("a writer keeps what is on its way, waits where it has no room, and ev
               REQUIRE(ticket);
               CHECK(*ticket > last);
               last = *ticket;
-              if (pace == FakeCuda::Pace::late) CHECK(writer->is_there(last) == false);
+              if (pace == FakeCuda::Pace::late) CHECK(writer->is_done(last) == false);
             }
             REQUIRE(writer->finish());
             CHECK(cuda.n_pending() == 0);
-            CHECK(writer->is_there(last) == true);
+            CHECK(writer->is_done(last) == true);
             CHECK(cuda.n_batches < static_cast<int>(n) + 1);
             if (n_together == 1) CHECK(cuda.n_batches == static_cast<int>(n));
             for (std::uint32_t page = 0; page < n; ++page) {
@@ -537,8 +537,8 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     REQUIRE(ticket);
     CHECK(cuda.n_pending() == 5);
     CHECK(cuda.n_batches == 1);
-    CHECK(writer->is_there(*ticket) == false);
-    CHECK(writer->is_there(*ticket) == false);
+    CHECK(writer->is_done(*ticket) == false);
+    CHECK(writer->is_done(*ticket) == false);
     CHECK(cuda.n_pending() == 5);
     const auto again = writer->send();  // nothing more
     REQUIRE(again);
@@ -546,7 +546,7 @@ TEST_CASE("what was sent is there once the device has done it, and asking waits 
     CHECK(cuda.n_batches == 1);
     REQUIRE(writer->finish());
     CHECK(cuda.n_pending() == 0);
-    CHECK(writer->is_there(*ticket) == true);
+    CHECK(writer->is_done(*ticket) == true);
     // A copy that is refused is of this send() alone.
     REQUIRE(writer->write(page.rows, 2));
     cuda.passes_next = 2;
@@ -582,14 +582,14 @@ TEST_CASE("so many sends are on their way at most: one more waits for the first"
     std::vector<detail::SlotWriter::Ticket> tickets;
     for (std::uint32_t slot = 0; slot <= kMostSent; ++slot) {
       REQUIRE(writer->write(page.rows, slot));
-      if (slot == kMostSent) CHECK(writer->is_there(tickets[0]) == false);
+      if (slot == kMostSent) CHECK(writer->is_done(tickets[0]) == false);
       const auto ticket = writer->send();
       REQUIRE(ticket);
       tickets.push_back(*ticket);
     }
     CHECK(cuda.n_pending() == kMostSent * 5);
-    CHECK(writer->is_there(tickets[0]) == true);
-    CHECK(writer->is_there(tickets[1]) == false);
+    CHECK(writer->is_done(tickets[0]) == true);
+    CHECK(writer->is_done(tickets[1]) == false);
     REQUIRE(writer->finish());
     for (std::uint32_t slot = 0; slot <= kMostSent; ++slot)
       CHECK(std::equal(page.rows.means.begin(), page.rows.means.end(), (*slots)->at(0, slot)));

@@ -65,7 +65,7 @@ struct Opened {
       }
       frame(to, detail_px);
       const std::scoped_lock lock(pool->mutex);
-      return state->views.front()->soon.has_value();
+      return state->views.front()->ahead.has_value();
     }));
   }
 };

@@ -266,14 +266,14 @@ TEST_CASE("what is below a page is read beside it, and drawn only after it") {
   {
     const StreamFrame frame = opened.frame(over(), 0);
     CHECK(frame.n_pages() == 1);
-    CHECK(frame.cut().coming == s.residency->n_groups());
+    CHECK(frame.cut().in_flight == s.residency->n_groups());
     CHECK(frame.cut().missing == s.file->pages()[0].n_children);
     CHECK(frame.stats().pages_resident == 1);
   }
   opened.script->open_gate();
   CHECK(opened.comes([&] { return s.residency->n_resident() == s.file->n_pages_in_all(); }));
   CHECK(opened.refine(over(), 0) == true);
-  CHECK(opened.frame(over(), 0).cut().coming == 0);
+  CHECK(opened.frame(over(), 0).cut().in_flight == 0);
 }
 
 TEST_CASE("what waits for a page that does not come gives its room back, and comes again after it") {
@@ -311,7 +311,8 @@ TEST_CASE("what waits for a page that does not come gives its room back, and com
       from = range.offset + 40, to = range.offset + 41;
       script.open_gate();
       CHECK(opened.comes([&] {
-        const bool is_over = is_damaged ? s.residency->state(lost) == State::refused : s.residency->n_failed(lost) > 0;
+        const bool is_over =
+            is_damaged ? s.residency->state(lost) == State::quarantined : s.residency->n_failed(lost) > 0;
         return is_over && s.n_at_work == 0;
       }));
       {
@@ -345,7 +346,7 @@ TEST_CASE("lists of wants are what a new look at the view finds, whatever comes,
     taken = opened.pool->left() - (std::uint64_t{3} << 20);
     opened.pool->held += taken;
   }
-  std::size_t n_compared = 0, n_coming = 0;
+  std::size_t n_compared = 0, n_in_flight = 0;
   const auto look = [&] {
     const std::scoped_lock lock(opened.pool->mutex);
     for (const auto& view : s.views) {
@@ -359,8 +360,8 @@ TEST_CASE("lists of wants are what a new look at the view finds, whatever comes,
       std::ranges::sort(found);
       std::ranges::sort(listed);
       CHECK(listed == found);
-      CHECK(view->n_coming == cut.coming);
-      n_compared += found.size(), n_coming += cut.coming;
+      CHECK(view->n_in_flight == cut.in_flight);
+      n_compared += found.size(), n_in_flight += cut.in_flight;
     }
   };
   opened.script->fails_every = 23;
@@ -378,7 +379,7 @@ TEST_CASE("lists of wants are what a new look at the view finds, whatever comes,
     }
   }
   CHECK(n_compared > 1000);
-  CHECK(n_coming > 40);
+  CHECK(n_in_flight > 40);
   const std::scoped_lock lock(opened.pool->mutex);
   CHECK(s.stats.bytes_evicted > 0);
   CHECK(s.n_failed > 0);
@@ -439,7 +440,7 @@ TEST_CASE("what waits for a page above gives room to what is worth more, of anot
   // It comes again.
   one.script->open_gate();
   CHECK(one.refine(far, 0) == true);
-  CHECK(one.frame(far, 0).cut().coming == 0);
+  CHECK(one.frame(far, 0).cut().in_flight == 0);
 }
 
 TEST_CASE("room that is given back by what came in vain is found") {
@@ -450,12 +451,12 @@ TEST_CASE("room that is given back by what came in vain is found") {
   CHECK(
       opened.comes([&] { return s.file->is_verified() && s.settled_at >= opened.pool->changes && s.n_at_work == 0; }));
   const std::scoped_lock lock(opened.pool->mutex);
-  REQUIRE(!s.residency->has(1));
+  REQUIRE(!s.residency->is_resident(1));
   s.residency->request(0), s.residency->request(1);
   for (const std::uint32_t group : {0U, 1U})
     REQUIRE(opened.pool->take_pages(s.group_bytes(group), {true, 1}) == StreamPoolState::Room::taken);
-  s.give_up(0);
-  s.residency->refuse(0);
+  s.cancel(0);
+  s.residency->quarantine(0);
   opened.pool->lacks_room = true;
   const std::uint64_t changes = opened.pool->changes, held = opened.pool->held;
   s.arrived(1);
@@ -555,7 +556,7 @@ TEST_CASE("what a moving camera is about to see is read before it is seen") {
     if (prefetch) {
       opened.move(at(-30), at(-24), 0.05F);
       const std::scoped_lock lock(opened.pool->mutex);
-      x = s.views.front()->soon->eye.position[0];
+      x = s.views.front()->ahead->eye.position[0];
     } else {
       opened.frame(at(-24), 0.05F);
     }
@@ -581,8 +582,8 @@ TEST_CASE("where the camera is about to be follows from when it came, and outliv
   const auto soon = [&]() -> double {
     const std::scoped_lock lock(opened.pool->mutex);
     const auto& view = *s.views.front();
-    if (!view.soon) return -1;
-    return view.soon->eye.position[0] - view.now->eye.position[0];
+    if (!view.ahead) return -1;
+    return view.ahead->eye.position[0] - view.now->eye.position[0];
   };
   opened.move(at(0), at(1), 1);
   CHECK(soon() > 1);  // 1 in 0.25 s, or a little more
@@ -593,7 +594,7 @@ TEST_CASE("where the camera is about to be follows from when it came, and outliv
     REQUIRE(opened.refine(at(1.5), 1) == true);
     return soon() > 0;
   }));
-  CHECK(opened.comes([&] { return s.views.front()->is_soon_known; }));
+  CHECK(opened.comes([&] { return s.views.front()->prefetch_is_current; }));
   opened.frame(at(1.5), 1);
   CHECK(soon() > 0);
   opened.frame(at(1.5), 1);
