@@ -355,7 +355,10 @@ class Batch {
       signalfd_siginfo info{};
       if (::read(signals_, &info, sizeof info) == sizeof info) {
         stopped_by_ = static_cast<int>(info.ssi_signo);
-        for (const Child& child : children_) ::kill(child.id, stopped_by_);
+        for (const Child& child : children_) {
+          ::kill(child.id, stopped_by_);
+          ::kill(child.id, SIGCONT);  // one that is stopped would not hear it
+        }
       }
     }
     std::vector<Child> open;

@@ -770,7 +770,9 @@ tl::expected<rgs::ConvertSummary, rgs::BatchFailure> convert_one(const Arguments
   std::deque<Input> inputs;
   std::deque<rgs::MappedFile> beside;
   const auto opened = open_inputs(arguments, inputs, beside);
-  auto summary = opened ? convert_open(arguments, inputs, {}) : Outcome<rgs::ConvertSummary>(failed("", {}));
+  tool::Progress progress(tool::Progress::Mode::quiet);
+  auto summary =
+      opened ? convert_open(arguments, inputs, observe(progress)) : Outcome<rgs::ConvertSummary>(failed("", {}));
   if (summary) return std::move(*summary);
   const Failure& failure = opened ? summary.error() : opened.error();
   return tl::unexpected(rgs::BatchFailure{failure.file, failure.error});

@@ -31,6 +31,7 @@ int info(const Arguments& arguments) {
   inputs.add(arguments.path);
   if (const int code = inputs.check_outputs(std::array<std::string, 1>{"-"}); code != kSuccess) return code;
   const auto file = MappedFile::open(arguments.path);
+  failpoint("read");
   if (file) {
     report = inspect(arguments.path, file->bytes(), arguments.options);
   } else {

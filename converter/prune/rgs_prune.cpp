@@ -90,6 +90,7 @@ int check_outputs(const Options& o, const tool::InputFiles& inputs, SplatFormat 
 Step<rgs::SplatFile> read_scene(const Options& o, std::uint64_t& hash) {
   const auto bytes = rgs::MappedFile::open(o.input);
   if (!bytes) return failed(o.input, bytes.error());
+  tool::failpoint("read");
   hash = rgs::xxh3(bytes->bytes());
   rgs::ReadOptions as_stored;
   as_stored.keep_axes = true;

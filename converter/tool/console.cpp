@@ -5,6 +5,7 @@
 #include <errno.h>  // program_invocation_short_name
 #include <fcntl.h>
 #include <fmt/format.h>
+#include <signal.h>
 #include <unistd.h>
 
 #include <algorithm>
@@ -49,6 +50,27 @@ void write(std::FILE* stream, std::string_view text, std::atomic<int>& failed) {
   if (std::fwrite(text.data(), 1, text.size(), stream) == text.size()) return;
   int none = 0;
   failed.compare_exchange_strong(none, errno != 0 ? errno : EIO);
+}
+
+struct Failpoint {
+  std::string stage;
+  std::uint64_t units = 0;
+  int signal = 0;
+};
+
+const Failpoint& chosen_failpoint() {
+  static const Failpoint read = [] {
+    Failpoint point;
+    const char* const value = std::getenv("RGS_FAILPOINT");
+    const std::string_view text(value == nullptr ? "" : value);
+    const std::size_t first = text.find(':'), second = text.find(':', first + 1);
+    if (first == text.npos || second == text.npos) return point;
+    point.stage = text.substr(0, first);
+    std::from_chars(text.data() + first + 1, text.data() + second, point.units);
+    std::from_chars(text.data() + second + 1, text.data() + text.size(), point.signal);
+    return point;
+  }();
+  return read;
 }
 
 bool json_messages() {
@@ -311,6 +333,11 @@ Result<ImageSize> parse_size(std::string_view text) {
   return make_error(Errc::bad_argument, Error::kNone, "not an image size such as 1920x1080 (sides 1 to 65536)");
 }
 
+void failpoint(const char* stage) {
+  const Failpoint& chosen = chosen_failpoint();
+  if (chosen.stage == stage && chosen.units == 0) ::raise(chosen.signal);
+}
+
 Progress::Progress(Mode mode)
     : quiet_(mode == Mode::quiet), json_(json_messages()), terminal_(!json_ && ::isatty(STDERR_FILENO) == 1) {}
 
@@ -334,6 +361,8 @@ void Progress::begin(const char* stage, std::uint64_t total, const char* unit) {
   open_ = true;
   start_ = Clock::now();
   next_draw_ = (start_ + between_draws()).time_since_epoch().count();
+  fails_at_ = chosen_failpoint().stage == stage ? chosen_failpoint().units : 0;
+  failpoint(stage);
   if (json_ && !quiet_) draw(start_);
 }
 
@@ -342,7 +371,8 @@ Progress::Clock::duration Progress::between_draws() const {
 }
 
 void Progress::advance(std::uint64_t units) {
-  done_.fetch_add(units, std::memory_order_relaxed);
+  const std::uint64_t before = done_.fetch_add(units, std::memory_order_relaxed);
+  if (before < fails_at_ && fails_at_ <= before + units) ::raise(chosen_failpoint().signal);
   if (quiet_) return;
   const auto now = Clock::now();
   auto due = next_draw_.load(std::memory_order_relaxed);

@@ -7,6 +7,9 @@
 // With RGS_MESSAGES=json in the environment, errors and progress are lines of JSON on standard error, for calling
 // programs: {"error": {code, file, offset, expected, found, system, message, hint}}, null for absent numbers, and
 // {"progress": {stage, done, total, unit}}. Other lines may come between them.
+//
+// For tests: with RGS_FAILPOINT=STAGE:UNITS:SIGNAL in the environment a process sends itself this signal once STAGE has done
+// UNITS (0: at its beginning). SIGSTOP holds it there until SIGCONT.
 #pragma once
 
 #include <atomic>
@@ -79,6 +82,9 @@ struct ImageSize {
 };
 Result<ImageSize> parse_size(std::string_view text);
 
+/// Sends this process the signal of RGS_FAILPOINT if that names `stage` at 0 units. Progress::begin() calls it.
+void failpoint(const char* stage);
+
 /// Progress of a program's stages on standard error. On a terminal it redraws one line with bar, rate and remaining
 /// time; elsewhere (logs, pipes) each finished stage prints a line, and long ones report every ten seconds.
 /// advance() may be called from several threads; begin() and finish() from one.
@@ -106,6 +112,7 @@ class Progress {
   const char* stage_ = "";
   const char* unit_ = "";
   std::uint64_t total_ = 0;
+  std::uint64_t fails_at_ = 0;  // units, by RGS_FAILPOINT; 0: at none
   Clock::time_point start_{};
   std::atomic<std::uint64_t> done_{0};
   std::atomic<Clock::rep> next_draw_{0};  // time since epoch; the thread that advances it draws
