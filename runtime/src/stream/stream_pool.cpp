@@ -19,9 +19,9 @@ bool StreamPoolState::goes_before(const Victim& a, const Victim& b) {
 StreamPoolState::Room StreamPoolState::look_for_victims(std::uint64_t bytes, const Worth& worth) {
   n_victims_ = 0;
   std::uint64_t could_go = 0, would_go = 0;  // pinned ones and what is above them too
-  const auto now = StreamClock::now();
+  const auto at = now();
   for (StreamedState* const scene : scenes) {
-    scene->look_at_clock(now);
+    scene->look_at_clock(at);
     Worth own;
     scene->residency->for_each_evictable(
         [&](std::uint32_t group) {

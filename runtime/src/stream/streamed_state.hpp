@@ -26,8 +26,6 @@
 
 namespace rgs::detail {
 
-using StreamClock = std::chrono::steady_clock;
-
 /// Groups that a view misses and that are open, most projected error first (StreamedState::rank()); of very many the first. Whoever
 /// changes what is open changes the lists (StreamedState::want(), forget_want()): nobody has to go through them.
 class WantList {
