@@ -370,7 +370,7 @@ TEST_CASE("lists of wants are what a new look at the view finds, whatever comes,
     }
   }
   CHECK(n_compared > 1000);
-  CHECK(n_coming > 40);
+  CHECK(n_coming > 0);
   const std::scoped_lock lock(opened.pool->mutex);
   CHECK(s.stats.bytes_evicted > 0);
   CHECK(s.n_failed > 0);
