@@ -32,6 +32,7 @@
 #include "rgs/guard_memory.hpp"
 #include "rgs/version.hpp"
 #include "sources/http_answer.hpp"
+#include "sources/url_clock.hpp"
 
 namespace rgs {
 namespace {
@@ -135,7 +136,8 @@ struct Request {
 struct Slot {
   std::unique_ptr<CURL, EasyDeleter> easy;
   Request* request = nullptr;
-  detail::FilePin* pin = nullptr;  // the source's
+  detail::FilePin* pin = nullptr;          // the source's
+  const Clock::time_point* now = nullptr;  // the source's
   Clock::duration stall{};
   Clock::time_point deadline;
   std::string url;
@@ -161,7 +163,7 @@ struct Slot {
 int on_connected(void* user, char*, char*, int, int) {
   auto& slot = *static_cast<Slot*>(user);
   slot.connected = true;
-  slot.deadline = Clock::now() + slot.stall;
+  slot.deadline = *slot.now + slot.stall;
   return CURL_PREREQFUNC_OK;
 }
 
@@ -178,7 +180,7 @@ std::size_t on_head(char* data, std::size_t, std::size_t n, void* user) {
   slot.answer.add_line(line);
   if (!slot.answer.ends_head(line)) return n;
   // Not extended by each line, or a head could take forever.
-  slot.deadline = Clock::now() + slot.stall;
+  slot.deadline = *slot.now + slot.stall;
   slot.is_redirect = slot.answer.is_redirect();
   if (slot.is_redirect) return 0;  // a redirect's body is ignored
   if (request.opens) {
@@ -204,7 +206,7 @@ std::size_t on_head(char* data, std::size_t, std::size_t n, void* user) {
 std::size_t on_body(char* data, std::size_t, std::size_t n, void* user) {
   auto& slot = *static_cast<Slot*>(user);
   if (slot.request == nullptr || !slot.accepted) return 0;
-  slot.deadline = Clock::now() + slot.stall;
+  slot.deadline = *slot.now + slot.stall;
   Request& request = *slot.request;
   const std::size_t taken = std::min(n, request.out.size() - request.done);
   if (taken > 0) std::memcpy(request.out.data() + request.done, data, taken);
@@ -214,7 +216,8 @@ std::size_t on_body(char* data, std::size_t, std::size_t n, void* user) {
 
 class UrlSource final : public ByteSource {
  public:
-  UrlSource(const std::string& url, const UrlOptions& options) : options_(options), origin_(url), url_(url) {}
+  UrlSource(const std::string& url, const UrlOptions& options, const detail::UrlClock& clock)
+      : options_(options), clock_(clock), origin_(url), url_(url) {}
   ~UrlSource() override {
     cancel();
     if (thread_.joinable()) thread_.join();
@@ -304,6 +307,7 @@ class UrlSource final : public ByteSource {
     slot.easy.reset(::curl_easy_init());
     if (!slot.easy) return detail::out_of_memory();
     slot.pin = &pin_;
+    slot.now = &now_;
     slot.stall = seconds(options_.stall_seconds);
     bool done = true;
     const auto set = [&](CURLoption option, auto value) {
@@ -357,6 +361,7 @@ class UrlSource final : public ByteSource {
     ::sigaddset(&pipe, SIGPIPE);
     ::pthread_sigmask(SIG_BLOCK, &pipe, nullptr);
     for (;;) {
+      now_ = clock_.now();
       take_arrived();
       if (cancelled_) break;
       start_waiting();
@@ -369,9 +374,8 @@ class UrlSource final : public ByteSource {
         ::curl_easy_getinfo(message->easy_handle, CURLINFO_PRIVATE, &slot);
         ended(*reinterpret_cast<Slot*>(slot), message->data.result);
       }
-      const auto now = Clock::now();
       for (Slot& slot : slots_) {
-        if (slot.request != nullptr && slot.deadline <= now) stalled(slot);
+        if (slot.request != nullptr && slot.deadline <= now_) stalled(slot);
       }
       ::curl_multi_poll(multi_.get(), nullptr, 0, pause_ms(), nullptr);
     }
@@ -417,17 +421,16 @@ class UrlSource final : public ByteSource {
     for (const Request* request = waiting_; slot_free && request != nullptr; request = request->next) {
       due = std::min(due, request->not_before);
     }
-    if (due == Clock::time_point::max()) return INT_MAX;
-    const auto left = std::chrono::ceil<milliseconds>(due - Clock::now()).count();
-    return static_cast<int>(std::clamp<std::int64_t>(left, 0, INT_MAX));
+    auto left = clock_.most_pause;
+    if (due != Clock::time_point::max()) left = std::min(left, std::chrono::ceil<milliseconds>(due - now_));
+    return static_cast<int>(std::clamp<std::int64_t>(left.count(), 0, INT_MAX));
   }
 
   void start_waiting() {
-    const auto now = Clock::now();
     for (Slot& slot : slots_) {
       if (slot.request != nullptr) continue;
       Request** at = &waiting_;
-      while (*at != nullptr && (*at)->not_before > now) at = &(*at)->next;
+      while (*at != nullptr && (*at)->not_before > now_) at = &(*at)->next;
       if (*at == nullptr) return;
       Request& request = **at;
       *at = std::exchange(request.next, nullptr);
@@ -457,7 +460,7 @@ class UrlSource final : public ByteSource {
       return detail::out_of_memory();
     }
     slot.begin_answer();
-    slot.deadline = Clock::now() + seconds(options_.connect_seconds);
+    slot.deadline = now_ + seconds(options_.connect_seconds);
     return ::curl_multi_add_handle(multi_.get(), easy) == CURLM_OK ? Status{} : detail::out_of_memory();
   }
 
@@ -496,7 +499,7 @@ class UrlSource final : public ByteSource {
         const bool gone = status == 401 || status == 403 || status == 404 || status == 410;
         if (!gone || request.at_origin || url_ == origin_) return tl::unexpected(*slot.refusal);
         request.at_origin = true;
-        requeue(slot, Clock::now());
+        requeue(slot, now_);
         return {};
       }
       Error error{.code = Errc::read_failed, .offset = request.offset + request.done, .what = text_of(code)};
@@ -544,7 +547,7 @@ class UrlSource final : public ByteSource {
     const double jitter = std::uniform_real_distribution<double>(0.75, 1)(random_);
     const double pause = std::min(kMostPause, std::ldexp(kFirstPause, std::min(request.failures, 30))) * jitter;
     ++request.failures;
-    requeue(slot, Clock::now() + seconds(std::max(pause, std::min(least_seconds, kMostRetryAfter))));
+    requeue(slot, now_ + seconds(std::max(pause, std::min(least_seconds, kMostRetryAfter))));
     return {};
   }
 
@@ -565,6 +568,7 @@ class UrlSource final : public ByteSource {
   }
 
   const UrlOptions options_;
+  const detail::UrlClock clock_;
   const std::string origin_;
   detail::FilePin pin_;               // set by the first request, before any other
   std::vector<std::byte> beginning_;  // the first bytes of the file
@@ -575,7 +579,8 @@ class UrlSource final : public ByteSource {
   std::atomic<bool> cancelled_{false};
   Request* arrived_ = nullptr;
 
-  std::string url_;  // where redirects led
+  Clock::time_point now_{};  // of this turn
+  std::string url_;          // where redirects led
   std::vector<Slot> slots_;
   Request* waiting_ = nullptr;
   std::minstd_rand random_;
@@ -593,6 +598,11 @@ bool in_range(const UrlOptions& o) {
 }  // namespace
 
 Result<std::unique_ptr<ByteSource>> open_url_source(const std::string& url, const UrlOptions& options) {
+  return detail::open_url_source(url, options, {});
+}
+
+Result<std::unique_ptr<ByteSource>> detail::open_url_source(const std::string& url, const UrlOptions& options,
+                                                            const UrlClock& clock) {
   return detail::guard_memory([&]() -> Result<std::unique_ptr<ByteSource>> {
     const auto refuse = [](const char* what) { return make_error(Errc::bad_argument, Error::kNone, what); };
     if (!in_range(options)) return refuse("an option of UrlOptions is out of range");
@@ -605,7 +615,7 @@ Result<std::unique_ptr<ByteSource>> open_url_source(const std::string& url, cons
       return make_error(Errc::open_failed, Error::kNone, "cannot read the file of trusted certificates", Error::kNone,
                         Error::kNone, errno);
     }
-    auto source = std::make_unique<UrlSource>(url, options);
+    auto source = std::make_unique<UrlSource>(url, options, clock);
     if (Status s = source->open(); !s) return tl::unexpected(s.error());
     return source;
   });

@@ -138,7 +138,7 @@ StreamedState::Choice StreamedState::claim(std::uint32_t group, const Priority& 
 
 StreamedState::Choice StreamedState::claim_table(std::uint64_t n, Run& run) {
   if (is_extending || !can_extend()) return Choice::nothing;
-  const auto now = StreamClock::now();
+  const auto now = pool->now();
   if (const auto left = pause_left(n_table_failures, now - table_failed_at); left > 0s) {
     run.later = std::min(run.later, now + left);
     return Choice::nothing;
@@ -148,7 +148,7 @@ StreamedState::Choice StreamedState::claim_table(std::uint64_t n, Run& run) {
 }
 
 StreamedState::Choice StreamedState::choose(Run& run) {
-  const auto now = StreamClock::now();
+  const auto now = pool->now();
   if (const auto left = pause_left(n_unreachable, now - failed_at); left > 0s) {
     run.later = now + left;
     return Choice::later;
@@ -289,7 +289,7 @@ void StreamedState::fetch(PageReader& reader, const Run& run, std::uint64_t begu
       continue;
     }
     // Bytes or memory are missing for now. The rest of the run is retried with it.
-    const std::uint32_t now = milliseconds(StreamClock::now());
+    const std::uint32_t now = milliseconds(pool->now());
     for (std::uint32_t again = group; again < run.first + run.n; ++again) {
       if (again > group) cancel(again);
       residency->fail(again, now);
@@ -314,13 +314,13 @@ StreamClock::duration StreamedState::pause_left(int n, StreamClock::duration sin
 StreamClock::duration StreamedState::put_off_for(std::uint32_t group) const {
   const int n = residency->n_failed(group);
   if (n == 0) return 0s;
-  return pause_left(n, std::chrono::milliseconds(milliseconds(StreamClock::now()) - residency->failed_at(group)));
+  return pause_left(n, std::chrono::milliseconds(milliseconds(pool->now()) - residency->failed_at(group)));
 }
 
 bool StreamedState::is_put_off(std::uint32_t group, Run& run) const {
   const auto left = put_off_for(group);
   if (left <= 0s) return false;
-  run.later = std::min(run.later, StreamClock::now() + left);
+  run.later = std::min(run.later, pool->now() + left);
   return true;
 }
 
@@ -340,7 +340,7 @@ void StreamedState::fail(PageReader& reader, const Status& read, const Run& fail
     trouble = read;
     ++n_failed;
     if (failures.add(begun, n_failed)) {
-      failed_at = StreamClock::now();
+      failed_at = pool->now();
       ++n_unreachable;
       known = readable;
     }
@@ -385,7 +385,7 @@ void StreamedState::extend_table(PageReader& reader, std::uint64_t n, std::uint6
   stats.bytes_read += reader.take_bytes_read();
   is_extending = false;
   if (!part) {
-    table_failed_at = StreamClock::now();
+    table_failed_at = pool->now();
     const int n_times = ++n_table_failures;
     lock.unlock();
     return fail(reader, tl::unexpected(part.error()), {}, n_times, begun);

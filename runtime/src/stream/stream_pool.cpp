@@ -20,9 +20,9 @@ bool StreamPoolState::evicts_before(const Victim& a, const Victim& b) {
 StreamPoolState::Room StreamPoolState::find_victims(std::uint64_t bytes, const Priority& priority) {
   n_victims_ = 0;
   std::uint64_t evictable_bytes = 0, reclaimable_bytes = 0;  // the second with pinned groups and their ancestors
-  const auto now = StreamClock::now();
+  const auto at = now();
   for (StreamedState* const scene : scenes) {
-    scene->update_live_views(now);
+    scene->update_live_views(at);
     Priority own;
     scene->residency->for_each_evictable(
         [&](std::uint32_t group) {

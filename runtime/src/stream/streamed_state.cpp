@@ -287,7 +287,7 @@ void StreamedState::remove_old_views() {
 
 Result<StreamView*> StreamedState::post(std::uint64_t renderer, const Camera& camera, const StreamRule& rule) {
   const StreamEye eye = rule.eye(camera);
-  const auto now = StreamClock::now();
+  const auto now = pool->now();
   update_live_views(now);
   const auto found = std::ranges::find(views, renderer, [](const auto& view) { return view->renderer; });
   StreamView* view = found == views.end() ? nullptr : found->get();
@@ -435,7 +435,7 @@ StreamFrame::~StreamFrame() {
   // Another frame of the view may have made lists of its own.
   if (view_->lists.pages.capacity() < lists_.pages.capacity()) std::swap(view_->lists, lists_);
   state_->free(lists_);
-  view_->seen = StreamClock::now();
+  view_->seen = state_->pool->now();
   --view_->n_busy;
   if (std::exchange(state_->pool->waits_for_pins, false)) state_->pool->changed();
 }
@@ -443,9 +443,8 @@ StreamFrame::~StreamFrame() {
 Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera& camera, const StreamRule& rule,
                          double seconds) {
   constexpr double kLongest = 1e7;
-  const auto deadline =
-      StreamClock::now() + std::chrono::duration_cast<StreamClock::duration>(std::chrono::duration<double>(
-                               std::isnan(seconds) ? 0 : std::clamp(seconds, 0.0, kLongest)));
+  const auto deadline = s.pool->now() + std::chrono::duration_cast<StreamClock::duration>(std::chrono::duration<double>(
+                                            std::isnan(seconds) ? 0 : std::clamp(seconds, 0.0, kLongest)));
   std::unique_lock lock(s.pool->mutex);
   const auto posted = s.post(renderer, camera, rule);
   if (!posted) return tl::unexpected(posted.error());
@@ -458,7 +457,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     StreamedState& scene;
     StreamView& view;
     ~Waiter() {
-      view.seen = StreamClock::now();
+      view.seen = scene.pool->now();
       --view.n_busy, --scene.n_waiting;
       if (scene.n_waiting == 0) scene.pool->changed();  // prefetch has waited
     }
@@ -475,7 +474,7 @@ Result<bool> refine_view(StreamedState& s, std::uint64_t renderer, const Camera&
     if (cut.missing == 0 && s.residency->is_broken()) return tl::unexpected(s.damage.error());
     const std::uint64_t changes = s.pool->changes, n_resident = s.residency->n_resident();
     const auto is_settled = [&] { return s.settled_at >= changes && s.n_at_work == 0; };
-    const bool is_late = StreamClock::now() >= deadline;
+    const bool is_late = s.pool->now() >= deadline;
     const bool is_failing = is_late ? view.failures.n > 0 : fails_for_long();
     if (is_failing && (cut.missing > cut.damaged || cut.missing == 0)) return tl::unexpected(view.trouble.error());
     if (cut.damaged > 0 && (is_settled() || is_late || is_failing)) return tl::unexpected(s.damage.error());

@@ -27,8 +27,6 @@
 
 namespace rgs::detail {
 
-using StreamClock = std::chrono::steady_clock;
-
 /// Groups that a view wants and that can be requested, largest projected error first (StreamedState::rank()), at most
 /// kMost. Whoever changes what can be requested updates the lists (StreamedState::want(), forget_want()), so that they
 /// are never rebuilt by a scan.

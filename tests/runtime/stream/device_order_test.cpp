@@ -207,7 +207,9 @@ TEST_CASE("one scene serves several renderers at once on a device") {
           auto renderer = Renderer::create({.backend = Backend::cuda});
           for (const Camera& camera : town_cameras(20 + t, 30)) {
             Frame frame = Frame::of(camera);
-            if (!renderer || !renderer->render(copy, camera, frame.target(), at_detail(0.1F))) ++n_failed;
+            if (!renderer || !renderer->refine(copy, camera, kLong, at_detail(0.1F)) ||
+                !renderer->render(copy, camera, frame.target(), at_detail(0.1F)))
+              ++n_failed;
           }
         });
       }
@@ -339,7 +341,7 @@ TEST_CASE("what has no room but for a frame at work waits for it, on the host an
       }
       auto complete = std::async(std::launch::async, [&] { return opened.refine(near, detail, 2); });
       const auto is_over = [&] { return complete.wait_for(std::chrono::seconds(0)) == std::future_status::ready; };
-      CHECK(opened.comes([&] { return pool.waits_for_pins || is_over(); }));
+      opened.await([&] { return pool.waits_for_pins || is_over(); });
       {
         const std::scoped_lock lock(pool.mutex);
         StreamedState::Run run;
@@ -616,15 +618,15 @@ TEST_CASE("groups of a run that have arrived are drawn while the last one is sti
     Renderer renderer = device_renderer();
     auto complete = std::async(std::launch::async, [&] { return renderer.refine(scene, over(), kLong, at_detail(0)); });
     const auto waits_at = [&](int n_flipped) {
-      return comes([&] {
+      test::await([&] {
         const std::scoped_lock lock(script->mutex);
         return script->n_held == 1 && script->n_allowed == 0 && script->n_flipped == n_flipped;
       });
     };
-    CHECK(waits_at(0));
+    waits_at(0);
     const std::uint64_t before = scene.stats().bytes_uploaded;
     script->let_one_go();
-    CHECK(waits_at(1));
+    waits_at(1);
     CHECK(scene.stats().bytes_uploaded > before);
     script->open_gate();
     CHECK(complete.get() == true);
