@@ -400,7 +400,7 @@ TEST_CASE("an invalid prefix is refused") {
   REQUIRE_FALSE(gap);
   CHECK(gap.error().code == Errc::bad_argument);
   CHECK(gap.error().offset == next);
-  CHECK(extend(*file, bytes, next, table_end(bytes)));  // that was the caller's mistake, not the file's
+  CHECK(extend(*file, bytes, next, table_end(bytes)));  // the caller's mistake, not the file's
 
   const Bytes plain = encode(scene.leaves.view(), scene.options).value();
   for (const std::uint64_t n : {std::uint64_t{1000}, std::uint64_t{plain.size()}}) {
