@@ -113,7 +113,7 @@ class Measure {
   std::map<std::pair<std::size_t, int>, std::vector<float>> truth_;
 };
 
-// A page's footprint in a view, see docs/records/LEVELS.md.
+// A page's footprint in a view, see docs/develop/LEVELS.md.
 float footprint(const Page& page, const Camera& camera) {
   const auto eye = rgs::camera_centre(camera);
   return static_cast<float>(

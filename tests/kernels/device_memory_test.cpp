@@ -293,11 +293,7 @@ TEST_CASE("a workspace grows while another stream is busy, without waiting for i
     const std::uint64_t before = device.bytes();
     synchronize();
     require_cuda(cudaLaunchHostFunc(
-        busy.get(),
-        [](void* user) {
-          static_cast<Gate*>(user)->is_open.wait(false);
-        },
-        &gate));
+        busy.get(), [](void* user) { static_cast<Gate*>(user)->is_open.wait(false); }, &gate));
     const auto stats = device.render(large, camera, {.rgb = rgb.data()}, options, frames.get());
     const bool is_done = cudaStreamSynchronize(frames.get()) == cudaSuccess;
     const cudaError_t other = cudaStreamQuery(busy.get());
